@@ -1,0 +1,50 @@
+# make demo and make test each set up .venv on a fresh clone; a second call sets up nothing.
+PYTHON ?= python3
+VENV := .venv
+PY := $(VENV)/bin/python
+PIP := $(PY) -m pip install --quiet --disable-pip-version-check
+export MPLBACKEND := Agg
+
+.PHONY: demo test test-slow lint bench clean
+
+demo: $(VENV)/.demo
+	$(PY) -m experiments localisation
+	$(PY) -m experiments plaza
+
+test: $(VENV)/.test
+	$(PY) -m pytest
+
+test-slow: $(VENV)/.test
+	$(PY) -m pytest -m slow
+
+lint: $(VENV)/.test
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+	$(PY) -m mypy
+
+bench: $(VENV)/.bench
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PY) -m benchmarks
+
+clean:
+	rm -rf $(VENV) results build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(PY):
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pgm needs Python 3.11 or newer; name one: make PYTHON=python3.12 $(MAKECMDGOALS)")'
+	$(PYTHON) -m venv $(VENV)
+
+# gtsam only brings recordings; where it has no wheel everything else still works.
+define install
+	$(PIP) --editable '.[$(1),data]' || { echo "gtsam has no wheel for this Python: installing without the recordings it carries"; $(PIP) --editable '.[$(1)]'; }
+	@touch $@
+endef
+
+$(VENV)/.demo: pyproject.toml | $(PY)
+	$(PIP) --editable '.[data]' || { echo "gtsam has no wheel for this Python: the plaza experiment will say so and stop"; $(PIP) --editable .; }
+	@touch $@
+
+$(VENV)/.test: pyproject.toml | $(PY)
+	$(call install,test)
+
+$(VENV)/.bench: pyproject.toml | $(PY)
+	$(call install,bench)

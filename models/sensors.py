@@ -1,0 +1,159 @@
+"""What a planar robot senses: the state is x = (east [m], north [m], heading θ [rad]).
+
+Landmarks are m = (east [m], north [m]). Functions are called ``function(x)`` or ``function(x, m)``
+with equal leading axes (``...``) and return ``(..., d)``. The Jacobians ``function_by_state``
+``(..., d, 3)`` and ``function_by_landmark`` ``(..., d, 2)`` take the same arguments.
+
+At the landmark itself a range has no derivative and a bearing no value. The range there is 0 and
+the bearing −θ, as atan2(0, 0) = 0 has it; the Jacobians are NaN, without a warning, so that
+whoever linearises there finds it out.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_BELOW_PI = np.nextafter(np.pi, 0.0)
+
+
+def pose(x: Array) -> Array:
+    """Sense the whole state: east [m], north [m] and heading [rad], ``(..., 3)``; x itself."""
+    return x
+
+
+def pose_by_state(x: Array) -> Array:
+    """Differentiate `pose`: the identity, ``(..., 3, 3)``."""
+    return _identity(x, 3)
+
+
+def position(x: Array) -> Array:
+    """Sense east [m] and north [m], ``(..., 2)``; a view of x."""
+    here: Array = x[..., :2]
+    return here
+
+
+def position_by_state(x: Array) -> Array:
+    """Differentiate `position`: the first two rows of the identity, ``(..., 2, 3)``."""
+    return _identity(x, 2)
+
+
+def range_only(x: Array, m: Array) -> Array:
+    """Sense the distance to a landmark.
+
+        r = √((m_east − east)² + (m_north − north)²)
+
+    Parameters
+    ----------
+    x : array, shape (..., 3)
+        East [m], north [m], heading [rad].
+    m : array, shape (..., 2)
+        The landmark's east [m] and north [m].
+
+    Returns
+    -------
+    array, shape (..., 1)
+        The range [m].
+
+    Examples
+    --------
+    >>> range_only(np.array([1.0, 1.0, 0.0]), np.array([4.0, 5.0])).tolist()
+    [5.0]
+    """
+    out = np.empty((*x.shape[:-1], 1))
+    out[..., 0] = np.hypot(m[..., 0] - x[..., 0], m[..., 1] - x[..., 1])
+    return out
+
+
+def range_only_by_state(x: Array, m: Array) -> Array:
+    """Differentiate `range_only` by (east, north, heading), ``(..., 1, 3)``; NaN at range 0."""
+    east, north, _ = _sight(x, m)
+    out = np.empty((*x.shape[:-1], 1, 3))
+    out[..., 0, 0] = -east
+    out[..., 0, 1] = -north
+    out[..., 0, 2] = 0.0
+    return out
+
+
+def range_only_by_landmark(x: Array, m: Array) -> Array:
+    """Differentiate `range_only` by (m_east, m_north), ``(..., 1, 2)``; NaN at range 0."""
+    return _by_landmark(range_only_by_state(x, m))
+
+
+def range_bearing(x: Array, m: Array) -> Array:
+    """Sense the distance to a landmark and its direction from the robot's heading.
+
+        r = √((m_east − east)² + (m_north − north)²)
+        β = atan2(m_north − north, m_east − east) − θ
+
+    Parameters
+    ----------
+    x : array, shape (..., 3)
+        East [m], north [m], heading [rad].
+    m : array, shape (..., 2)
+        The landmark's east [m] and north [m].
+
+    Returns
+    -------
+    array, shape (..., 2)
+        Range [m] and bearing [rad], anticlockwise from straight ahead, wrapped to [−π, π).
+
+    Notes
+    -----
+    The feature model of Thrun, Burgard and Fox (2005), section 6.6, known correspondence.
+
+    Examples
+    --------
+    >>> range_bearing(np.array([1.0, 1.0, 0.0]), np.array([1.0, 3.0])).round(4).tolist()
+    [2.0, 1.5708]
+    """
+    east, north = m[..., 0] - x[..., 0], m[..., 1] - x[..., 1]
+    out = np.empty((*x.shape[:-1], 2))
+    out[..., 0] = np.hypot(east, north)
+    out[..., 1] = _wrap(np.arctan2(north, east) - x[..., 2])
+    return out
+
+
+def range_bearing_by_state(x: Array, m: Array) -> Array:
+    """Differentiate `range_bearing` by (east, north, heading), ``(..., 2, 3)``; NaN at range 0."""
+    east, north, distance = _sight(x, m)
+    out = np.empty((*x.shape[:-1], 2, 3))
+    out[..., 0, 0] = -east
+    out[..., 0, 1] = -north
+    out[..., 0, 2] = 0.0
+    out[..., 1, 0] = north / distance
+    out[..., 1, 1] = -east / distance
+    out[..., 1, 2] = -1.0
+    return out
+
+
+def range_bearing_by_landmark(x: Array, m: Array) -> Array:
+    """Differentiate `range_bearing` by (m_east, m_north), ``(..., 2, 2)``; NaN at range 0."""
+    return _by_landmark(range_bearing_by_state(x, m))
+
+
+def _sight(x: Array, m: Array) -> tuple[Array, Array, Array]:
+    """Return the unit vector (east, north) to the landmark, NaN at range 0, and the range."""
+    east, north = m[..., 0] - x[..., 0], m[..., 1] - x[..., 1]
+    distance = np.hypot(east, north)
+    with np.errstate(invalid="ignore"):
+        return east / distance, north / distance, distance
+
+
+def _by_landmark(by_state: Array) -> Array:
+    """Only the landmark's offset from the robot counts: to move one is to move the other back."""
+    moved: Array = -by_state[..., :2]
+    return moved
+
+
+def _identity(x: Array, rows: int) -> Array:
+    """Return the first ``rows`` rows of the 3 × 3 identity, once for every state."""
+    out = np.empty((*x.shape[:-1], rows, 3))
+    out[...] = np.eye(rows, 3)
+    return out
+
+
+def _wrap(angle: Array) -> Array:
+    """Move angles to [−π, π) by whole turns."""
+    wrapped = angle - 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi))
+    # Rounding can leave either end of the interval by the last digit.
+    return np.maximum(np.minimum(wrapped, _BELOW_PI), -np.pi)

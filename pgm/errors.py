@@ -1,0 +1,52 @@
+"""The errors that pgm raises: each names the object, the step, what was found, what to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class PgmError(Exception):
+    """Base of all errors of this library.
+
+    Parameters
+    ----------
+    message : str
+        What was found and what to do about it.
+    variable, cpd, cluster, step : optional
+        The objects concerned, for programs that handle the error.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        variable: Any = None,
+        cpd: Any = None,
+        cluster: Any = None,
+        step: int | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.variable = variable
+        self.cpd = cpd
+        self.cluster = cluster
+        self.step = step
+
+
+class ModelError(PgmError, ValueError):
+    """A variable, factor, CPD or network that is not well formed."""
+
+
+class GraphError(PgmError, ValueError):
+    """A cluster graph that is not valid, or one asked for something it does not have."""
+
+
+class EvidenceError(PgmError, ValueError):
+    """Evidence that does not fit the model."""
+
+
+class LinearisationError(PgmError, ValueError):
+    """A function or lineariser that gives values that cannot be used."""
+
+
+class NumericalError(PgmError, ArithmeticError):
+    """A quantity that does not exist for these numbers, such as the inverse of a singular matrix."""

@@ -1,0 +1,107 @@
+"""Affine Gaussian conditionals: what a lineariser makes of a CPD."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.errors import ModelError, NumericalError
+from pgm.factors.canonical import CanonicalForm
+from pgm.factors.gaussian import Gaussian
+from pgm.factors.scope import as_scope, dimension, names
+from pgm.kernels import canonical, moments
+from pgm.kernels.arrays import Array, frozen
+from pgm.variables import Variable
+
+
+class AffineGaussian:
+    r"""An affine Gaussian conditional.
+
+    .. math:: y = F x + b + n, \qquad n \sim N(0, \Sigma)
+
+    - F: (..., d, n);
+    - b: (..., d);
+    - Σ: `cov`, (..., d, d). Singular noise is ordinary: no operation but `canonical` inverts it.
+
+    Parameters
+    ----------
+    F, b, cov : array_like
+
+    Raises
+    ------
+    ModelError
+        If the shapes do not fit one another.
+    """
+
+    __slots__ = ("F", "b", "cov")
+
+    F: Array
+    b: Array
+    cov: Array
+
+    def __init__(self, F: npt.ArrayLike, b: npt.ArrayLike, cov: npt.ArrayLike) -> None:
+        F, b, cov = (np.asarray(value, dtype=float) for value in (F, b, cov))
+        size = F.shape[-2] if F.ndim >= 2 else -1
+        if b.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
+            raise ModelError(
+                f"affine Gaussian: F {F.shape}, b {b.shape} and cov {cov.shape} must end in "
+                "(d, n), (d,) and (d, d)"
+            )
+        set_ = object.__setattr__
+        set_(self, "F", frozen(F))
+        set_(self, "b", frozen(b))
+        set_(self, "cov", frozen(cov))
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"an AffineGaussian is immutable; make a new one to change {name}")
+
+    def forward(self, x: Gaussian, child: Variable) -> Gaussian:
+        """The child's marginal: mean F μ + b and covariance F P Fᵀ + Σ."""
+        mean, cov = moments.push(x.mean, x.cov, moments.Conditional(self.F, self.b, self.cov))
+        return Gaussian._make((child,), mean, cov)
+
+    def backward(self, message: CanonicalForm, given: Iterable[Variable]) -> CanonicalForm:
+        """∫ N(y; F x + b, Σ) C(y; K, h, g) dy over the parents x.
+
+        With M = I + K Σ and e = h − K b: FᵀM⁻¹K F, FᵀM⁻¹e and
+        g − ½ ln|M| + hᵀb − ½ bᵀK b + ½ eᵀΣM⁻¹e.
+        """
+        given = as_scope(given)
+        self._fits(message.scope, given)
+        parts = canonical.backward(self.F, self.b, self.cov, message.K, message.h, message.g)
+        return CanonicalForm._make(given, *parts)
+
+    def canonical(
+        self, child: Variable | Iterable[Variable], given: Variable | Iterable[Variable]
+    ) -> CanonicalForm:
+        """The conditional as a factor over (child, *given).
+
+        K = [[Σ⁻¹, −Σ⁻¹F], [−FᵀΣ⁻¹, FᵀΣ⁻¹F]], h = [Σ⁻¹b; −FᵀΣ⁻¹b] and
+        g = −½ (bᵀΣ⁻¹b + d ln 2π + ln|Σ|).
+
+        Raises
+        ------
+        NumericalError
+            If Σ is singular: the factor has no canonical form.
+        """
+        child, given = as_scope(child), as_scope(given)
+        self._fits(child, given)
+        K, h, g = canonical.from_affine(self.F, self.b, self.cov)
+        if np.isnan(g).any():
+            raise NumericalError(
+                f"the CPD of {names(child)} has no canonical form: its noise is singular",
+                variable=child[0],
+            )
+        return CanonicalForm._make(child + given, K, h, g)
+
+    def _fits(self, child: tuple[Variable, ...], given: tuple[Variable, ...]) -> None:
+        if (dimension(child), dimension(given)) != self.F.shape[-2:]:
+            raise ModelError(
+                f"an F of shape {self.F.shape} does not map {names(given)} to {names(child)}"
+            )
+
+    def __repr__(self) -> str:
+        return f"AffineGaussian({self.F.shape[-1]} -> {self.F.shape[-2]})"

@@ -1,0 +1,247 @@
+"""Gaussian factors in canonical (information) form."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.errors import ModelError, NumericalError
+from pgm.factors.gaussian import Gaussian
+from pgm.factors.scope import Scope, as_scope, as_value, dimension, names, positions
+from pgm.kernels import canonical as kernel
+from pgm.kernels.arrays import Array, frozen, inner, transpose
+from pgm.variables import Variable
+
+
+class CanonicalForm:
+    r"""A Gaussian factor in canonical form.
+
+    .. math:: C(x; K, h, g) = \exp(-\tfrac12 x^\top K x + h^\top x + g)
+
+    - x: the variables of the scope, stacked in its order, n components;
+    - K: the information matrix, (..., n, n), symmetric; it need not be invertible;
+    - h: the information vector, (..., n);
+    - g: the log-scale, (...), so that products and messages stay unnormalised.
+
+    Leading axes are independent factors and broadcast. Two forms may be multiplied, divided,
+    marginalised and reduced; every operation carries g.
+
+    Parameters
+    ----------
+    scope : Variable or sequence of Variable
+    K, h, g : array_like
+
+    Raises
+    ------
+    ModelError
+        If shapes do not fit the scope, K is not symmetric, or an entry is not finite.
+
+    References
+    ----------
+    Koller & Friedman, Probabilistic Graphical Models, 2009, section 14.2.
+
+    Examples
+    --------
+    >>> from pgm.variables import variables
+    >>> a, b = variables("a b")
+    >>> f = CanonicalForm((a, b), K=[[2.0, -1.0], [-1.0, 2.0]], h=[0.0, 1.0], g=0.0)
+    >>> f.marginal(a).K
+    array([[1.5]])
+    """
+
+    __slots__ = ("K", "g", "h", "scope")
+
+    scope: Scope
+    K: Array
+    h: Array
+    g: Array
+
+    def __init__(
+        self,
+        scope: Variable | Iterable[Variable],
+        K: npt.ArrayLike,
+        h: npt.ArrayLike,
+        g: npt.ArrayLike = 0.0,
+    ) -> None:
+        scope = as_scope(scope)
+        size = dimension(scope)
+        K, h, g = (np.array(value, dtype=float) for value in (K, h, g))
+        if K.shape[-2:] != (size, size) or h.shape[-1:] != (size,):
+            raise ModelError(
+                f"canonical form over {names(scope)}: K has shape {K.shape} and h {h.shape}; "
+                f"they must end in ({size}, {size}) and ({size},)"
+            )
+        if not all(np.isfinite(part).all() for part in (K, h, g)):
+            raise ModelError(f"canonical form over {names(scope)}: K, h and g must be finite")
+        if np.abs(K - transpose(K)).max(initial=0.0) > 1e-9 * np.abs(K).max(initial=0.0):
+            raise ModelError(f"canonical form over {names(scope)}: K is not symmetric")
+        self._set(scope, K, h, g)
+
+    def _set(self, scope: Scope, K: Array, h: Array, g: Array) -> None:
+        try:
+            lead = np.broadcast_shapes(K.shape[:-2], h.shape[:-1], g.shape)
+        except ValueError:
+            raise ModelError(
+                f"canonical form over {names(scope)}: the leading axes of K {K.shape}, "
+                f"h {h.shape} and g {g.shape} do not broadcast"
+            ) from None
+        set_ = object.__setattr__
+        set_(self, "scope", scope)
+        set_(self, "K", frozen(np.broadcast_to(K, (*lead, *K.shape[-2:]))))
+        set_(self, "h", frozen(np.broadcast_to(h, (*lead, h.shape[-1]))))
+        set_(self, "g", frozen(np.broadcast_to(g, lead)))
+
+    @classmethod
+    def _make(cls, scope: Scope, K: Array, h: Array, g: Array) -> CanonicalForm:
+        """A form of arrays that are known to be right."""
+        form = object.__new__(cls)
+        form._set(scope, K, h, np.asarray(g))
+        return form
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"a CanonicalForm is immutable; make a new one to change {name}")
+
+    @classmethod
+    def vacuous(cls, scope: Variable | Iterable[Variable]) -> CanonicalForm:
+        """The factor that is one everywhere: K = 0, h = 0, g = 0."""
+        scope = as_scope(scope)
+        size = dimension(scope)
+        return cls._make(scope, np.zeros((size, size)), np.zeros(size), np.zeros(()))
+
+    @classmethod
+    def from_gaussian(cls, gaussian: Gaussian, log_weight: npt.ArrayLike = 0.0) -> CanonicalForm:
+        """exp(log_weight) N(x; μ, P): K = P⁻¹, h = P⁻¹μ, g = ln N(0; μ, P) + log_weight.
+
+        Raises
+        ------
+        NumericalError
+            If P is singular: K does not exist.
+        """
+        weight = np.asarray(log_weight, dtype=float)
+        K, h, g = kernel.from_moments(gaussian.mean, gaussian.cov, weight)
+        if np.isnan(g).any():
+            raise NumericalError(
+                f"the Gaussian over {names(gaussian.scope)} has no canonical form: its "
+                "covariance is singular"
+            )
+        return cls._make(gaussian.scope, K, h, g)
+
+    def extend(self, scope: Variable | Iterable[Variable]) -> CanonicalForm:
+        """The same factor over a wider or reordered scope: zeros for the new variables."""
+        scope = as_scope(scope)
+        if scope == self.scope:
+            return self
+        missing = [variable for variable in self.scope if variable not in scope]
+        if missing:
+            raise ModelError(
+                f"cannot extend to {names(scope)}: it lacks {names(missing)}; "
+                "marginalise or reduce them first"
+            )
+        size = dimension(scope)
+        places = np.arange(size)[positions(scope, self.scope)]
+        K = np.zeros((*self.K.shape[:-2], size, size))
+        h = np.zeros((*self.h.shape[:-1], size))
+        K[..., places[:, None], places] = self.K
+        h[..., places] = self.h
+        return self._make(scope, K, h, self.g)
+
+    rearrange = extend
+
+    def _aligned(self, other: CanonicalForm) -> tuple[CanonicalForm, CanonicalForm]:
+        scope = self.scope + tuple(v for v in other.scope if v not in self.scope)
+        return self.extend(scope), other.extend(scope)
+
+    def __mul__(self, other: CanonicalForm) -> CanonicalForm:
+        """Product of two factors: K, h and g add on the common scope."""
+        if not isinstance(other, CanonicalForm):
+            return NotImplemented
+        a, b = self._aligned(other)
+        return self._make(a.scope, a.K + b.K, a.h + b.h, a.g + b.g)
+
+    def __truediv__(self, other: CanonicalForm) -> CanonicalForm:
+        """Quotient of two factors: K, h and g subtract on the common scope."""
+        if not isinstance(other, CanonicalForm):
+            return NotImplemented
+        a, b = self._aligned(other)
+        return self._make(a.scope, a.K - b.K, a.h - b.h, a.g - b.g)
+
+    def marginalise(self, *drop: Variable) -> CanonicalForm:
+        """Integrate some variables out.
+
+        K' = K_xx − K_xy K_yy⁻¹ K_yx, h' = h_x − K_xy K_yy⁻¹ h_y and
+        g' = g + ½ (d_y ln 2π − ln|K_yy| + h_yᵀ K_yy⁻¹ h_y), for y the variables to drop.
+
+        Raises
+        ------
+        NumericalError
+            If K_yy is not positive definite, so that the integral diverges.
+        """
+        out = positions(self.scope, drop)
+        keep = tuple(variable for variable in self.scope if variable not in drop)
+        if not drop:
+            return self
+        K, h, g = kernel.marginalise(self.K, self.h, self.g, positions(self.scope, keep), out)
+        if not np.isfinite(g).all():
+            raise NumericalError(
+                f"cannot integrate {names(drop)} out of a factor over {names(self.scope)}: its "
+                "information about them is not positive definite, so the integral diverges"
+            )
+        return self._make(keep, K, h, g)
+
+    def marginal(self, *keep: Variable) -> CanonicalForm:
+        """Integrate all but some variables out; the result is in the order asked for."""
+        positions(self.scope, keep)
+        dropped = (variable for variable in self.scope if variable not in keep)
+        return self.marginalise(*dropped).rearrange(keep)
+
+    def reduce(self, evidence: Mapping[Variable, npt.ArrayLike]) -> CanonicalForm:
+        """Put in the values of some variables, (..., dimension) each.
+
+        K' = K_xx, h' = h_x − K_xy Y and g' = g + h_yᵀY − ½ Yᵀ K_yy Y.
+        """
+        if not evidence:
+            return self
+        fixed = positions(self.scope, evidence)
+        values = [as_value(variable, value) for variable, value in evidence.items()]
+        lead = np.broadcast_shapes(*(value.shape[:-1] for value in values))
+        value = np.concatenate([np.broadcast_to(v, (*lead, v.shape[-1])) for v in values], axis=-1)
+        keep = tuple(variable for variable in self.scope if variable not in evidence)
+        return self._make(
+            keep,
+            *kernel.reduce(self.K, self.h, self.g, positions(self.scope, keep), fixed, value),
+        )
+
+    def _moments(self) -> tuple[Array, Array, Array]:
+        mean, cov, log_integral = kernel.to_moments(self.K, self.h, self.g)
+        if not np.isfinite(log_integral).all():
+            raise NumericalError(
+                f"the factor over {names(self.scope)} has no moments: its information matrix "
+                "is not positive definite"
+            )
+        return mean, cov, log_integral
+
+    @property
+    def log_integral(self) -> Array:
+        """ln ∫ C(x) dx, (...); raises NumericalError where K is not positive definite."""
+        return self._moments()[2]
+
+    def gaussian(self) -> Gaussian:
+        """The normalised moment form; raises NumericalError where K is not positive definite."""
+        mean, cov, _ = self._moments()
+        return Gaussian._make(self.scope, mean, cov)
+
+    def normalised(self) -> CanonicalForm:
+        """The factor divided by its integral."""
+        return self._make(self.scope, self.K, self.h, self.g - self.log_integral)
+
+    def log_value(self, x: npt.ArrayLike) -> Array:
+        """ln C(x) at stacked values x, (..., n)."""
+        x = np.asarray(x, dtype=float)
+        return inner(self.h, x) - 0.5 * np.einsum("...i,...ij,...j->...", x, self.K, x) + self.g
+
+    def __repr__(self) -> str:
+        lead = f", {self.g.shape} of them" if self.g.shape else ""
+        return f"CanonicalForm{names(self.scope)}{lead}"

@@ -1,0 +1,239 @@
+"""Gaussians in moment form."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from pgm.errors import ModelError, NumericalError
+from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, names, positions
+from pgm.kernels import moments, roots
+from pgm.kernels.angles import difference, wrap
+from pgm.kernels.arrays import Array, Integers, apply, block, frozen
+from pgm.kernels.checks import covariance_fault
+from pgm.variables import Variable
+
+
+class Ellipse(NamedTuple):
+    """The smallest region of a confidence of a two-dimensional Gaussian.
+
+    Attributes
+    ----------
+    centre : ndarray
+        (..., 2).
+    half_axes : ndarray
+        (..., 2), the longer one first: √(χ²₂(confidence) λᵢ).
+    orientation : ndarray
+        (...), of the longer axis, in radians, atan2(v₁₂, v₁₁).
+    """
+
+    centre: Array
+    half_axes: Array
+    orientation: Array
+
+
+class Gaussian:
+    r"""A normal density in moment form.
+
+    .. math:: N(x; \mu, P) = |2\pi P|^{-1/2} \exp(-\tfrac12 (x-\mu)^\top P^{-1} (x-\mu))
+
+    - x: the variables of the scope, stacked in its order, n components;
+    - μ: `mean`, (..., n); components that are angles live on one unwrapped chart;
+    - P: `cov`, (..., n, n), symmetric positive semidefinite, singular ones included.
+
+    Leading axes are independent Gaussians: runs, and, where `steps` says so, steps in time.
+
+    Parameters
+    ----------
+    scope : Variable or sequence of Variable
+    mean, cov : array_like
+    steps : array_like of int, optional
+        The steps that the last leading axis stands for.
+
+    Raises
+    ------
+    ModelError
+        If shapes do not fit the scope, or `cov` is not a covariance.
+
+    Examples
+    --------
+    >>> x = Variable("x", components=("east", "north"))
+    >>> belief = Gaussian(x, mean=[1.0, 2.0], cov=[[4.0, 0.0], [0.0, 1.0]])
+    >>> belief.std
+    array([2., 1.])
+    """
+
+    __slots__ = ("cov", "mean", "scope", "steps")
+
+    scope: Scope
+    mean: Array
+    cov: Array
+    steps: Integers | None
+
+    def __init__(
+        self,
+        scope: Variable | Iterable[Variable],
+        mean: npt.ArrayLike,
+        cov: npt.ArrayLike,
+        *,
+        steps: npt.ArrayLike | None = None,
+    ) -> None:
+        scope = as_scope(scope)
+        size = dimension(scope)
+        mean, cov = np.array(mean, dtype=float), np.array(cov, dtype=float)
+        if size == 1:
+            mean = mean[None] if mean.ndim == 0 else mean
+            cov = cov[None, None] if cov.ndim == 0 else cov
+        if mean.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
+            raise ModelError(
+                f"Gaussian over {names(scope)}: the mean has shape {mean.shape} and the "
+                f"covariance {cov.shape}; they must end in ({size},) and ({size}, {size})"
+            )
+        if not np.isfinite(mean).all():
+            raise ModelError(f"Gaussian over {names(scope)}: the mean has entries that are "
+                             "NaN or infinite")
+        if fault := covariance_fault(cov):
+            raise ModelError(f"Gaussian over {names(scope)}: the covariance {fault}")
+        lead = np.broadcast_shapes(mean.shape[:-1], cov.shape[:-2])
+        self._set(
+            scope,
+            np.broadcast_to(mean, (*lead, size)),
+            np.broadcast_to(cov, (*lead, size, size)),
+            None if steps is None else np.asarray(steps, dtype=np.intp),
+        )
+
+    def _set(self, scope: Scope, mean: Array, cov: Array, steps: Integers | None) -> None:
+        set_ = object.__setattr__
+        set_(self, "scope", scope)
+        set_(self, "mean", frozen(mean))
+        set_(self, "cov", frozen(cov))
+        set_(self, "steps", steps)
+
+    @classmethod
+    def _make(
+        cls, scope: Scope, mean: Array, cov: Array, steps: Integers | None = None
+    ) -> Gaussian:
+        """A Gaussian of arrays that are known to be right."""
+        gaussian = object.__new__(cls)
+        gaussian._set(scope, mean, cov, steps)
+        return gaussian
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"a Gaussian is immutable; make a new one to change {name}")
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations, (..., n)."""
+        return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=-2, axis2=-1), 0.0))
+
+    @property
+    def angles(self) -> npt.NDArray[np.bool_]:
+        """Which components are angles, (n,)."""
+        return angle_mask(self.scope)
+
+    def marginal(self, *keep: Variable) -> Gaussian:
+        """The Gaussian over some of the variables, in the order asked for."""
+        places = positions(self.scope, keep)
+        return self._make(
+            tuple(keep), self.mean[..., places], block(self.cov, places, places), self.steps
+        )
+
+    def wrapped(self) -> Gaussian:
+        """The same Gaussian with the means of angles in [−π, π), for display."""
+        mean = self.mean.copy()
+        mean[..., self.angles] = wrap(mean[..., self.angles])
+        return self._make(self.scope, mean, self.cov, self.steps)
+
+    def sample(
+        self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int
+    ) -> Array:
+        """Draws, (*size, ..., n); the covariance may be singular.
+
+        Parameters
+        ----------
+        size : int or tuple of int
+            How many draws of each Gaussian.
+        rng : numpy.random.Generator or int
+            What draws, or the seed of one.
+        """
+        size = (size,) if isinstance(size, int) else size
+        noise = np.random.default_rng(rng).standard_normal((*size, *self.mean.shape))
+        return self.mean + apply(roots.root(self.cov), noise)
+
+    def log_density(self, x: npt.ArrayLike) -> Array:
+        """ln N(x; mean, cov), (...), at values (..., n); differences of angles are wrapped.
+
+        Raises
+        ------
+        NumericalError
+            If the covariance is singular.
+        """
+        value = moments.log_density(self._offset(x), self.cov)
+        return self._exists(value, "log-density")
+
+    def kl(self, other: Gaussian) -> Array:
+        """KL(self ‖ other), (...), in nats; differences of angles are wrapped.
+
+        ½ (ln |P'|/|P| − n + tr(P'⁻¹P) + (μ' − μ)ᵀ P'⁻¹ (μ' − μ)).
+
+        Raises
+        ------
+        ModelError
+            If the scopes differ.
+        NumericalError
+            If a covariance is singular.
+        """
+        if other.scope != self.scope:
+            raise ModelError(
+                f"KL compares Gaussians of one scope, not {names(self.scope)} with "
+                f"{names(other.scope)}; take marginals first"
+            )
+        offset = difference(other.mean, self.mean, self.angles)
+        return self._exists(moments.kl(offset, self.cov, other.cov), "divergence")
+
+    def _offset(self, x: npt.ArrayLike) -> Array:
+        return difference(np.asarray(x, dtype=float), self.mean, self.angles)
+
+    def _exists(self, value: Array, what: str) -> Array:
+        if np.isnan(value).any():
+            raise NumericalError(
+                f"Gaussian over {names(self.scope)}: no {what}, since a covariance is singular"
+            )
+        return value
+
+    def ellipse(
+        self, confidence: float = 0.95, components: tuple[str, str] | None = None
+    ) -> Ellipse:
+        """The confidence ellipse of two components.
+
+        Parameters
+        ----------
+        confidence : float
+            Probability of the region, in (0, 1).
+        components : pair of str, optional
+            Which components, by name; the first two without.
+        """
+        labels = [name for variable in self.scope for name in variable.components]
+        if not 0.0 < confidence < 1.0:
+            raise ModelError(f"a confidence lies between 0 and 1; {confidence} does not")
+        if len(labels) < 2:
+            raise ModelError(f"{names(self.scope)} has one component; an ellipse needs two")
+        pair = components or (labels[0], labels[1])
+        for label in pair:
+            if labels.count(label) != 1:
+                raise ModelError(
+                    f"{names(self.scope)} has no single component {label!r}; it has {labels}"
+                )
+        i, j = (labels.index(label) for label in pair)
+        values, vectors = np.linalg.eigh(self.cov[..., [[i], [j]], [i, j]])
+        half_axes = np.sqrt(chi2.ppf(confidence, 2) * np.maximum(values[..., ::-1], 0.0))
+        orientation = np.arctan2(vectors[..., 1, 1], vectors[..., 0, 1])
+        return Ellipse(self.mean[..., [i, j]], half_axes, orientation)
+
+    def __repr__(self) -> str:
+        lead = f", {self.mean.shape[:-1]} of them" if self.mean.ndim > 1 else ""
+        return f"Gaussian{names(self.scope)}{lead}"

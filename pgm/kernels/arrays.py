@@ -1,0 +1,61 @@
+"""Small helpers for stacks of vectors and matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Integers = npt.NDArray[np.intp]
+# Where some components stand in a longer vector; a slice, where they stand together, makes views.
+Index = slice | Integers
+
+LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+def transpose(matrix: Array) -> Array:
+    """Swap the last two axes."""
+    return matrix.swapaxes(-1, -2)
+
+
+def apply(matrix: Array, vector: Array) -> Array:
+    """Matrix times vector, stacked: (..., d, n) and (..., n) give (..., d)."""
+    return (matrix @ vector[..., None])[..., 0]
+
+
+def inner(a: Array, b: Array) -> Array:
+    """Inner product of stacked vectors, (...)."""
+    return np.einsum("...i,...i->...", a, b)
+
+
+def symmetric(matrix: Array) -> Array:
+    """The symmetric part, which removes what rounding made of a symmetric product."""
+    return 0.5 * (matrix + transpose(matrix))
+
+
+def sandwich(factor: Array, matrix: Array) -> Array:
+    """F P Fᵀ."""
+    return factor @ matrix @ transpose(factor)
+
+
+def as_index(positions: npt.ArrayLike) -> Index:
+    """Positions as a slice where they are consecutive, else as an array."""
+    array = np.asarray(positions, dtype=np.intp)
+    if array.size and np.array_equal(array, np.arange(array[0], array[0] + array.size)):
+        return slice(int(array[0]), int(array[0] + array.size))
+    return array
+
+
+def block(matrix: Array, rows: Index, columns: Index) -> Array:
+    """The block of a stacked matrix at some rows and columns; a view where both are slices."""
+    if isinstance(rows, slice) or isinstance(columns, slice):
+        return matrix[..., rows, :][..., columns]
+    return matrix[..., rows[:, None], columns]
+
+
+def frozen(array: Array) -> Array:
+    """A read-only view, for values that are handed out."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

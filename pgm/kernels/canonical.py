@@ -1,0 +1,156 @@
+"""The canonical form exp(−½ xᵀK x + hᵀx + g) on arrays: K (..., n, n), h (..., n), g (...).
+
+Where a result does not exist (an integral that diverges, an inverse of a singular matrix) it is
+NaN; the callers, who know the names, raise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels import roots
+from pgm.kernels.arrays import (
+    LOG_2PI,
+    Array,
+    Index,
+    apply,
+    block,
+    inner,
+    sandwich,
+    symmetric,
+    transpose,
+)
+
+Canonical = tuple[Array, Array, Array]
+
+
+def strict_root(matrix: Array) -> Array:
+    """The root of positive definite matrices; NaN where one is singular or indefinite."""
+    lower = roots.root(matrix)
+    singular = roots.determined(lower).any(axis=-1)
+    if singular.any():
+        lower = np.where(singular[..., None, None], np.nan, lower)
+    return lower
+
+
+def _column(vector: Array) -> Array:
+    return vector[..., None]
+
+
+def from_moments(mean: Array, cov: Array, log_weight: Array) -> Canonical:
+    """exp(log_weight) N(x; mean, cov) in canonical form."""
+    size = mean.shape[-1]
+    lower = strict_root(cov)
+    precision = symmetric(roots.solve(lower, np.broadcast_to(np.eye(size), cov.shape)))
+    h = apply(precision, mean)
+    white = roots.solve_lower(lower, _column(mean))[..., 0]
+    g = log_weight - 0.5 * (inner(white, white) + size * LOG_2PI + roots.log_determinant(lower))
+    return precision, h, g
+
+
+def to_moments(precision: Array, h: Array, g: Array) -> tuple[Array, Array, Array]:
+    """Mean, covariance and log-integral."""
+    size = h.shape[-1]
+    lower = strict_root(precision)
+    cov = symmetric(roots.solve(lower, np.broadcast_to(np.eye(size), precision.shape)))
+    white = roots.solve_lower(lower, _column(h))
+    mean = roots.solve_upper(lower, white)[..., 0]
+    white = white[..., 0]
+    log_integral = g + 0.5 * (
+        size * LOG_2PI - roots.log_determinant(lower) + inner(white, white)
+    )
+    return mean, cov, log_integral
+
+
+def marginalise(precision: Array, h: Array, g: Array, keep: Index, drop: Index) -> Canonical:
+    """Integrate out the components `drop`."""
+    lower = strict_root(block(precision, drop, drop))
+    size = lower.shape[-1]
+    white = roots.solve_lower(lower, block(precision, drop, keep))
+    white_h = roots.solve_lower(lower, _column(h[..., drop]))
+    shift = (transpose(white) @ white_h)[..., 0]
+    white_h = white_h[..., 0]
+    return (
+        symmetric(block(precision, keep, keep) - transpose(white) @ white),
+        h[..., keep] - shift,
+        g + 0.5 * (size * LOG_2PI - roots.log_determinant(lower) + inner(white_h, white_h)),
+    )
+
+
+def reduce(precision: Array, h: Array, g: Array, keep: Index, fixed: Index, value: Array) -> Canonical:
+    """Put in the value of the components `fixed`."""
+    inside = apply(block(precision, fixed, fixed), value)
+    return (
+        block(precision, keep, keep),
+        h[..., keep] - apply(block(precision, keep, fixed), value),
+        g + inner(h[..., fixed], value) - 0.5 * inner(inside, value),
+    )
+
+
+def from_affine(matrix: Array, offset: Array, noise: Array) -> Canonical:
+    """N(y; F x + b, noise) over the stacked (y, x)."""
+    size, inputs = matrix.shape[-2:]
+    lower = strict_root(noise)
+    joint = np.concatenate([np.broadcast_to(np.eye(size), (*matrix.shape[:-1], size)), -matrix], -1)
+    white = roots.solve_lower(lower, joint)
+    white_offset = roots.solve_lower(lower, _column(offset))
+    h = (transpose(white) @ white_offset)[..., 0]
+    white_offset = white_offset[..., 0]
+    g = -0.5 * (
+        inner(white_offset, white_offset) + size * LOG_2PI + roots.log_determinant(lower)
+    )
+    return transpose(white) @ white, h, np.broadcast_to(g, h.shape[:-1])
+
+
+def backward(
+    matrix: Array, offset: Array, noise: Array, precision: Array, h: Array, g: Array
+) -> Canonical:
+    """∫ N(y; F x + b, noise) C(y; K, h, g) dy as a canonical form over x.
+
+    The noise is never inverted and may be singular; with a root K = R Rᵀ nothing is subtracted
+    from K either, so a vague noise after a sharp message costs no digits.
+    """
+    root = roots.root(precision)
+    spread = noise @ root
+    inside = transpose(root) @ spread
+    lower = strict_root(inside + np.eye(inside.shape[-1]))
+    rest = h - apply(precision, offset)
+    # M⁻¹K = R (I + RᵀΣR)⁻¹ Rᵀ and M⁻¹e = e − R (I + RᵀΣR)⁻¹ RᵀΣ e, with M = I + KΣ.
+    white = roots.solve_lower(lower, transpose(root) @ matrix)
+    damped = roots.solve(lower, transpose(spread) @ _column(rest))
+    solved = rest - (root @ damped)[..., 0]
+    log_integral = (
+        g
+        - 0.5 * roots.log_determinant(lower)
+        + inner(h, offset)
+        - 0.5 * inner(apply(precision, offset), offset)
+        + 0.5 * inner(rest, apply(noise, solved))
+    )
+    return transpose(white) @ white, apply(transpose(matrix), solved), log_integral
+
+
+def combine(
+    mean: Array, cov: Array, precision: Array, h: Array, g: Array
+) -> tuple[Array, Array, Array]:
+    """Mean, covariance and log-integral of N(x; mean, cov) C(x; K, h, g); cov may be singular."""
+    root = roots.root(cov)
+    inside = sandwich(transpose(root), precision)
+    lower = strict_root(inside + np.eye(inside.shape[-1]))
+    white = roots.solve_lower(lower, transpose(root))
+    posterior = transpose(white) @ white
+    rest = h - apply(precision, mean)
+    shift = apply(posterior, rest)
+    log_integral = (
+        g
+        + inner(h, mean)
+        - 0.5 * inner(apply(precision, mean), mean)
+        + 0.5 * inner(rest, shift)
+        - 0.5 * roots.log_determinant(lower)
+    )
+    return mean + shift, posterior, log_integral
+
+
+def shift(precision: Array, h: Array, g: Array, by: Array) -> Canonical:
+    """The form over x = y + by of one over y."""
+    moved = apply(precision, by)
+    return precision, h + moved, g - inner(h, by) - 0.5 * inner(moved, by)

@@ -1,0 +1,117 @@
+"""Gaussians in moment form on arrays: mean (..., n), covariance (..., n, n), singular ones too."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.kernels import roots
+from pgm.kernels.arrays import LOG_2PI, Array, apply, inner, sandwich, symmetric, transpose
+
+
+class Update(NamedTuple):
+    """What a reading makes of a belief.
+
+    Attributes
+    ----------
+    mean, cov : ndarray
+        The belief given the reading.
+    log_density : ndarray
+        Of the reading; a component that an exact model determines adds nothing.
+    lower : ndarray
+        The root of the reading's predictive covariance; NaN where that is indefinite.
+    left : ndarray
+        (..., D): how far each determined component is from what the model says it is.
+    """
+
+    mean: Array
+    cov: Array
+    log_density: Array
+    lower: Array
+    left: Array
+
+
+def update(mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array) -> Update:
+    """Condition N(mean, cov) on a reading z = H x + n, n ~ N(0, noise), residual z − H mean.
+
+    The covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of semidefinite terms, with the
+    gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise.
+    """
+    size = residual.shape[-1]
+    cross = matrix @ cov
+    predictive = cross @ transpose(matrix) + noise
+    lower = roots.root(predictive)
+    fixed = roots.determined(lower)
+    white = roots.solve_lower(lower, np.concatenate([residual[..., None], cross], axis=-1))
+    gain = np.ascontiguousarray(transpose(roots.solve_upper(lower, white[..., 1:])))
+    white_residual = white[..., 0]
+    left = np.zeros_like(white_residual)
+    dimension: int | Array = size
+    if fixed.any():
+        left = np.where(fixed, np.abs(white_residual), 0.0)
+        white_residual = np.where(fixed, 0.0, white_residual)
+        dimension = size - fixed.sum(axis=-1)
+    log_density = -0.5 * (
+        inner(white_residual, white_residual)
+        + roots.log_determinant(lower)
+        + dimension * LOG_2PI
+    )
+    keep = np.eye(mean.shape[-1]) - gain @ matrix
+    posterior = symmetric(sandwich(keep, cov) + sandwich(gain, noise))
+    return Update(mean + apply(gain, residual), posterior, log_density, lower, left)
+
+
+class Conditional(NamedTuple):
+    """x given y as an affine Gaussian: x = F y + b + n, n ~ N(0, cov)."""
+
+    matrix: Array
+    offset: Array
+    cov: Array
+
+
+def reverse(
+    mean: Array, cov: Array, matrix: Array, noise: Array, forward_mean: Array, forward_cov: Array
+) -> Conditional:
+    """Bayes' rule for y = A x + c + n: x given y, from x ~ N(mean, cov) and y's own moments.
+
+    Gain G = P Aᵀ (P_y)⁺; the rest is (I − GA) P (I − GA)ᵀ + G noise Gᵀ, which does not subtract.
+    """
+    cross = transpose(matrix @ cov)
+    gain = roots.gain(cross, roots.root(forward_cov))
+    keep = np.eye(mean.shape[-1]) - gain @ matrix
+    rest = symmetric(sandwich(keep, cov) + sandwich(gain, noise))
+    return Conditional(gain, mean - apply(gain, forward_mean), rest)
+
+
+def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
+    """Moments of F x + b + n for x ~ N(mean, cov)."""
+    matrix, offset, noise = conditional
+    return apply(matrix, mean) + offset, symmetric(sandwich(matrix, cov) + noise)
+
+
+def log_density(residual: Array, cov: Array) -> Array:
+    """ln N(residual; 0, cov), (...); NaN where the covariance is singular or indefinite."""
+    lower = roots.root(cov)
+    singular = roots.determined(lower).any(axis=-1)
+    white = roots.solve_lower(lower, residual[..., None])[..., 0]
+    value = -0.5 * (
+        inner(white, white) + roots.log_determinant(lower) + residual.shape[-1] * LOG_2PI
+    )
+    return np.where(singular, np.nan, value)
+
+
+def kl(difference: Array, cov: Array, other_cov: Array) -> Array:
+    """KL(N(μ, cov) ‖ N(μ', other_cov)) for μ' − μ = difference (8.4); NaN where it is undefined."""
+    lower, other = roots.root(cov), roots.root(other_cov)
+    singular = (roots.determined(lower) | roots.determined(other)).any(axis=-1)
+    white = roots.solve_lower(other, difference[..., None])[..., 0]
+    ratio = roots.solve_lower(other, lower)
+    value = 0.5 * (
+        roots.log_determinant(other)
+        - roots.log_determinant(lower)
+        - difference.shape[-1]
+        + np.einsum("...ij,...ij->...", ratio, ratio)
+        + inner(white, white)
+    )
+    return np.where(singular, np.nan, value)

@@ -1,0 +1,123 @@
+"""Roots of symmetric positive semidefinite matrices, and solving with them.
+
+A root is a lower triangular L with A = L Lᵀ. Where a component is determined by those before it,
+its column in L is zero; a matrix and the same matrix in other units have the same zero columns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels.arrays import Array, Mask, transpose
+
+# A pivot below this part of its diagonal entry is rounding: the component is determined.
+NEGLIGIBLE = 1e-13
+# A pivot this far below zero, as a part of its diagonal entry, is no rounding: A is indefinite.
+INDEFINITE = 1e-9
+# From this many matrices on, one vectorised operation a column beats one LAPACK call a matrix.
+_MANY = 16
+
+
+def root(matrix: Array) -> Array:
+    """The lower triangular root of stacked matrices; NaN where one is indefinite or not finite."""
+    try:
+        lower = np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return _semidefinite_root(matrix)
+    pivots = np.diagonal(lower, axis1=-2, axis2=-1)
+    diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
+    if (pivots * pivots > NEGLIGIBLE * diagonal).all():
+        return lower
+    return _semidefinite_root(matrix)
+
+
+def _semidefinite_root(matrix: Array) -> Array:
+    size = matrix.shape[-1]
+    lower = np.zeros_like(matrix)
+    diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
+    indefinite = ~np.isfinite(matrix).all(axis=(-2, -1)) | (diagonal < 0.0).any(axis=-1)
+    scale = np.sqrt(np.abs(diagonal))
+    for j in range(size):
+        column = matrix[..., j:, j] - np.einsum(
+            "...ik,...k->...i", lower[..., j:, :j], lower[..., j, :j]
+        )
+        pivot = column[..., 0]
+        proper = pivot > NEGLIGIBLE * diagonal[..., j]
+        allowed = scale[..., j:] * scale[..., j, None]
+        # A determined component may not vary with a later one: |A_ij| ≤ √(pivot A_ii).
+        stray = (np.abs(column) > np.sqrt(INDEFINITE) * allowed).any(axis=-1)
+        indefinite |= (pivot < -INDEFINITE * diagonal[..., j]) | (~proper & stray)
+        divisor = np.sqrt(np.where(proper, pivot, 1.0))
+        lower[..., j:, j] = np.where(proper[..., None], column / divisor[..., None], 0.0)
+    lower[indefinite] = np.nan
+    return lower
+
+
+def determined(lower: Array) -> Mask:
+    """Which components a root shows to be determined by those before them, (..., n)."""
+    return np.diagonal(lower, axis1=-2, axis2=-1) == 0.0
+
+
+def _regular(lower: Array, fixed: Mask) -> Array:
+    """The root with 1 in place of zero pivots, so that it can be divided by."""
+    if not fixed.any():
+        return lower
+    return lower + fixed[..., None] * np.eye(lower.shape[-1])
+
+
+def solve_lower(lower: Array, right: Array) -> Array:
+    """Y with L Y = B, (..., n, m); in rows of determined components, what is left of B there.
+
+    For a B in the range of L Lᵀ what is left is zero up to rounding.
+    """
+    regular = _regular(lower, determined(lower))
+    if lower.size < _MANY * lower.shape[-1] ** 2:
+        return np.linalg.solve(regular, right)
+    batch = np.broadcast_shapes(lower.shape[:-2], right.shape[:-2])
+    solution = np.empty((*batch, *right.shape[-2:]))
+    for j in range(lower.shape[-1]):
+        row = np.array(np.broadcast_to(right[..., j, :], (*batch, right.shape[-1])))
+        for k in range(j):
+            row -= regular[..., j, k, None] * solution[..., k, :]
+        solution[..., j, :] = row / regular[..., j, j, None]
+    return solution
+
+
+def solve_upper(lower: Array, right: Array) -> Array:
+    """X with Lᵀ X = B, (..., n, m), zero in rows of determined components."""
+    fixed = determined(lower)
+    regular = _regular(lower, fixed)
+    if fixed.any():
+        right = np.where(fixed[..., None], 0.0, right)
+    if lower.size < _MANY * lower.shape[-1] ** 2:
+        return np.linalg.solve(transpose(regular), right)
+    size = lower.shape[-1]
+    batch = np.broadcast_shapes(lower.shape[:-2], right.shape[:-2])
+    solution = np.empty((*batch, *right.shape[-2:]))
+    for j in reversed(range(size)):
+        row = np.array(np.broadcast_to(right[..., j, :], (*batch, right.shape[-1])))
+        for k in range(j + 1, size):
+            row -= regular[..., k, j, None] * solution[..., k, :]
+        solution[..., j, :] = row / regular[..., j, j, None]
+    return solution
+
+
+def solve(lower: Array, right: Array) -> Array:
+    """An X with L Lᵀ X = B, (..., n, m), for a B in the range of L Lᵀ."""
+    return solve_upper(lower, solve_lower(lower, right))
+
+
+def gain(cross: Array, lower: Array) -> Array:
+    """C (L Lᵀ)⁺ for a cross-covariance C, (..., m, n), whose rows lie in the range of L Lᵀ."""
+    return transpose(solve(lower, transpose(cross)))
+
+
+def log_determinant(lower: Array) -> Array:
+    """ln |L Lᵀ| over the components that are not determined, (...)."""
+    pivots = np.diagonal(lower, axis1=-2, axis2=-1)
+    return 2.0 * np.log(np.where(pivots == 0.0, 1.0, pivots)).sum(axis=-1)
+
+
+def is_proper(lower: Array) -> bool:
+    """Whether every root of the stack exists (its matrix was semidefinite and finite)."""
+    return not np.isnan(np.diagonal(lower, axis1=-2, axis2=-1).sum())

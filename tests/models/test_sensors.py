@@ -1,0 +1,154 @@
+"""Sensor models against complex numbers, differences and geometry."""
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from models import sensors
+
+OF_STATE = {
+    "pose": (sensors.pose, sensors.pose_by_state),
+    "position": (sensors.position, sensors.position_by_state),
+}
+OF_LANDMARK = {
+    "range_only": (
+        sensors.range_only,
+        sensors.range_only_by_state,
+        sensors.range_only_by_landmark,
+    ),
+    "range_bearing": (
+        sensors.range_bearing,
+        sensors.range_bearing_by_state,
+        sensors.range_bearing_by_landmark,
+    ),
+}
+coordinate = st.floats(-100.0, 100.0)
+states = st.tuples(coordinate, coordinate, st.floats(-20.0, 20.0)).map(np.array)
+landmarks = st.tuples(coordinate, coordinate).map(np.array)
+
+
+def arguments(seed=0, runs=(4, 25)):
+    """Draw states, and landmarks 1 to 6 m away in all directions."""
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(*runs, 3)) * [3.0, 3.0, 6.0]
+    offset = rng.uniform(1.0, 6.0, runs) * np.exp(1j * rng.uniform(-np.pi, np.pi, runs))
+    return x, x[..., :2] + np.stack([offset.real, offset.imag], axis=-1)
+
+
+def central_jacobian(function, at, step=1e-2):
+    """Differentiate by the sixth-order central difference, across the seam of the bearing."""
+    centre = function(at)
+
+    def about_centre(moved):
+        change = function(moved) - centre
+        if change.shape[-1] == 2:
+            change[..., 1] = np.angle(np.exp(1j * change[..., 1]))
+        return change
+
+    columns = []
+    for move in np.eye(at.shape[-1]) * step:
+        difference = [about_centre(at + k * move) - about_centre(at - k * move) for k in (1, 2, 3)]
+        columns.append((45 * difference[0] - 9 * difference[1] + difference[2]) / (60 * step))
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("name", OF_STATE)
+def test_jacobians_without_a_landmark(name):
+    function, by_state = OF_STATE[name]
+    x, _ = arguments()
+    rows = function(x).shape[-1]
+    assert_array_equal(function(x), x[..., :rows])
+    jacobian = by_state(x)
+    assert jacobian.shape == (4, 25, rows, 3)
+    assert_array_equal(np.einsum("...ij,...j", jacobian, x), function(x))
+    assert_array_equal(by_state(x[0, 0]), jacobian[0, 0])
+
+
+@pytest.mark.parametrize("name", OF_LANDMARK)
+def test_jacobians_are_the_derivatives(name):
+    function, by_state, by_landmark = OF_LANDMARK[name]
+    x, m = arguments()
+    assert_allclose(by_state(x, m), central_jacobian(lambda s: function(s, m), x), atol=1e-9)
+    assert_allclose(by_landmark(x, m), central_jacobian(lambda p: function(x, p), m), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", OF_LANDMARK)
+def test_a_batch_is_its_single_runs(name):
+    x, m = arguments(seed=1)
+    for function in OF_LANDMARK[name]:
+        batch = function(x, m)
+        assert batch.dtype == np.float64
+        for i in np.ndindex(4, 25):
+            assert_allclose(batch[i], function(x[i], m[i]), rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", OF_LANDMARK)
+def test_no_sightings_give_no_readings(name):
+    x, m = arguments(runs=(0,))
+    rows = 1 if name == "range_only" else 2
+    shapes = [function(x, m).shape for function in OF_LANDMARK[name]]
+    assert shapes == [(0, rows), (0, rows, 3), (0, rows, 2)]
+
+
+@given(states, landmarks)
+def test_range_and_bearing_lead_back_to_the_landmark(x, m):
+    distance, bearing = sensors.range_bearing(x, m)
+    reached = complex(x[0], x[1]) + distance * np.exp(1j * (x[2] + bearing))
+    assert_allclose([reached.real, reached.imag], m, atol=1e-11)
+    assert_array_equal(sensors.range_only(x, m), [distance])
+
+
+@given(states, landmarks, st.integers(-1000, 1000))
+def test_whole_turns_of_the_robot_are_not_seen(x, m, turns):
+    before = sensors.range_bearing(x, m)
+    after = sensors.range_bearing(x + np.array([0.0, 0.0, 2 * np.pi * turns]), m)
+    assert after[0] == before[0]
+    assert_allclose(np.exp(1j * after[1]), np.exp(1j * before[1]), atol=1e-11)
+
+
+@given(st.floats(-1e4, 1e4))
+@example(np.pi)
+@example(-np.pi)
+@example(3 * np.pi)
+@example(-3 * np.pi)
+@example(np.nextafter(np.pi, 4.0))
+@example(np.nextafter(np.pi, 0.0))
+@example(np.nextafter(-np.pi, -4.0))
+@example(np.nextafter(-np.pi, 0.0))
+@example(101 * np.pi)
+def test_bearing_is_wrapped(heading):
+    """The ends of [−π, π) included: no rounding puts a bearing at π, or below −π."""
+    _, bearing = sensors.range_bearing(np.array([0.0, 0.0, heading]), np.array([1.0, 0.0]))
+    assert -np.pi <= bearing < np.pi
+    assert_allclose(np.exp(1j * bearing), np.exp(-1j * heading), atol=1e-11)
+
+
+@given(st.floats(-3.1, 3.1))
+def test_bearings_that_need_no_wrapping_keep_all_their_digits(heading):
+    _, bearing = sensors.range_bearing(np.array([0.0, 0.0, heading]), np.array([1.0, 0.0]))
+    assert bearing == -heading
+
+
+@pytest.mark.parametrize(
+    ("landmark", "bearing"),
+    [((2, 0), 0.0), ((0, 2), np.pi / 2), ((-2, 0), -np.pi), ((0, -2), -np.pi / 2)],
+)
+def test_bearings_are_anticlockwise_from_ahead(landmark, bearing):
+    x = np.array([5.0, 7.0, 0.0])
+    assert_allclose(sensors.range_bearing(x, x[:2] + landmark), [2.0, bearing], atol=1e-15)
+
+
+def test_at_the_landmark_the_jacobians_are_nan_and_the_others_are_not_touched():
+    x, m = arguments(runs=(3,))
+    m[1] = x[1, :2]
+    assert sensors.range_only(x, m)[1] == 0.0
+    assert_allclose(np.exp(1j * sensors.range_bearing(x, m)[1, 1]), np.exp(-1j * x[1, 2]))
+    for _, by_state, by_landmark in OF_LANDMARK.values():
+        at_it = by_state(x, m)[1]
+        assert np.isnan(at_it[:, :2]).all()
+        assert np.isfinite(at_it[:, 2]).all()
+        assert np.isnan(by_landmark(x, m)[1]).all()
+        assert np.isfinite(by_state(x, m)[[0, 2]]).all()
+        assert np.isfinite(by_landmark(x, m)[[0, 2]]).all()
