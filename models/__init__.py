@@ -1,0 +1,1 @@
+"""Declared networks, and the motion and sensor functions they are made of."""

@@ -4,16 +4,15 @@ Landmarks are m = (east [m], north [m]). Functions are called ``function(x)`` or
 with equal leading axes (``...``) and return ``(..., d)``. The Jacobians ``function_by_state``
 ``(..., d, 3)`` and ``function_by_landmark`` ``(..., d, 2)`` take the same arguments.
 
-At the landmark itself a range has no derivative and a bearing no value. The range there is 0 and
-the bearing −θ, as atan2(0, 0) = 0 has it; the Jacobians are NaN, without a warning, so that
-whoever linearises there finds it out.
+At the landmark itself a range has no derivative and a bearing means nothing: it is what atan2 makes
+of two zeros, less the heading. The Jacobians there are NaN, without a warning, so that whoever
+linearises there finds it out.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_BELOW_PI = np.nextafter(np.pi, 0.0)
 
 
 def pose(x: Array) -> Array:
@@ -155,5 +154,5 @@ def _identity(x: Array, rows: int) -> Array:
 def _wrap(angle: Array) -> Array:
     """Move angles to [−π, π) by whole turns."""
     wrapped = angle - 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi))
-    # Rounding can leave either end of the interval by the last digit.
-    return np.maximum(np.minimum(wrapped, _BELOW_PI), -np.pi)
+    lowest: Array = np.maximum(wrapped, -np.pi)  # rounding can pass that end by a last digit
+    return lowest

@@ -225,7 +225,7 @@ class CanonicalForm:
 
     @property
     def log_integral(self) -> Array:
-        """ln ∫ C(x) dx, (...); raises NumericalError where K is not positive definite."""
+        """Ln ∫ C(x) dx, (...); raises NumericalError where K is not positive definite."""
         return self._moments()[2]
 
     def gaussian(self) -> Gaussian:
@@ -238,7 +238,7 @@ class CanonicalForm:
         return self._make(self.scope, self.K, self.h, self.g - self.log_integral)
 
     def log_value(self, x: npt.ArrayLike) -> Array:
-        """ln C(x) at stacked values x, (..., n)."""
+        """Ln C(x) at stacked values x, (..., n)."""
         x = np.asarray(x, dtype=float)
         return inner(self.h, x) - 0.5 * np.einsum("...i,...ij,...j->...", x, self.K, x) + self.g
 

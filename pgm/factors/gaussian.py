@@ -94,8 +94,9 @@ class Gaussian:
                 f"covariance {cov.shape}; they must end in ({size},) and ({size}, {size})"
             )
         if not np.isfinite(mean).all():
-            raise ModelError(f"Gaussian over {names(scope)}: the mean has entries that are "
-                             "NaN or infinite")
+            raise ModelError(
+                f"Gaussian over {names(scope)}: the mean has entries that are NaN or infinite"
+            )
         if fault := covariance_fault(cov):
             raise ModelError(f"Gaussian over {names(scope)}: the covariance {fault}")
         lead = np.broadcast_shapes(mean.shape[:-1], cov.shape[:-2])
@@ -148,9 +149,7 @@ class Gaussian:
         mean[..., self.angles] = wrap(mean[..., self.angles])
         return self._make(self.scope, mean, self.cov, self.steps)
 
-    def sample(
-        self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int
-    ) -> Array:
+    def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
         """Draws, (*size, ..., n); the covariance may be singular.
 
         Parameters
@@ -165,7 +164,7 @@ class Gaussian:
         return self.mean + apply(roots.root(self.cov), noise)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
-        """ln N(x; mean, cov), (...), at values (..., n); differences of angles are wrapped.
+        """Ln N(x; mean, cov), (...), at values (..., n); differences of angles are wrapped.
 
         Raises
         ------

@@ -47,9 +47,7 @@ def positions(scope: Sequence[Variable], wanted: Iterable[Variable]) -> Index:
     places: list[int] = []
     for variable in wanted:
         if variable not in starts:
-            raise ModelError(
-                f"{variable!r} is not in the scope {names(scope)}", variable=variable
-            )
+            raise ModelError(f"{variable!r} is not in the scope {names(scope)}", variable=variable)
         places.extend(range(starts[variable], starts[variable] + variable.dimension))
     return as_index(places)
 

@@ -56,9 +56,7 @@ def to_moments(precision: Array, h: Array, g: Array) -> tuple[Array, Array, Arra
     white = roots.solve_lower(lower, _column(h))
     mean = roots.solve_upper(lower, white)[..., 0]
     white = white[..., 0]
-    log_integral = g + 0.5 * (
-        size * LOG_2PI - roots.log_determinant(lower) + inner(white, white)
-    )
+    log_integral = g + 0.5 * (size * LOG_2PI - roots.log_determinant(lower) + inner(white, white))
     return mean, cov, log_integral
 
 
@@ -77,7 +75,9 @@ def marginalise(precision: Array, h: Array, g: Array, keep: Index, drop: Index) 
     )
 
 
-def reduce(precision: Array, h: Array, g: Array, keep: Index, fixed: Index, value: Array) -> Canonical:
+def reduce(
+    precision: Array, h: Array, g: Array, keep: Index, fixed: Index, value: Array
+) -> Canonical:
     """Put in the value of the components `fixed`."""
     inside = apply(block(precision, fixed, fixed), value)
     return (
@@ -96,9 +96,7 @@ def from_affine(matrix: Array, offset: Array, noise: Array) -> Canonical:
     white_offset = roots.solve_lower(lower, _column(offset))
     h = (transpose(white) @ white_offset)[..., 0]
     white_offset = white_offset[..., 0]
-    g = -0.5 * (
-        inner(white_offset, white_offset) + size * LOG_2PI + roots.log_determinant(lower)
-    )
+    g = -0.5 * (inner(white_offset, white_offset) + size * LOG_2PI + roots.log_determinant(lower))
     return transpose(white) @ white, h, np.broadcast_to(g, h.shape[:-1])
 
 

@@ -53,9 +53,7 @@ def update(mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
         white_residual = np.where(fixed, 0.0, white_residual)
         dimension = size - fixed.sum(axis=-1)
     log_density = -0.5 * (
-        inner(white_residual, white_residual)
-        + roots.log_determinant(lower)
-        + dimension * LOG_2PI
+        inner(white_residual, white_residual) + roots.log_determinant(lower) + dimension * LOG_2PI
     )
     keep = np.eye(mean.shape[-1]) - gain @ matrix
     posterior = symmetric(sandwich(keep, cov) + sandwich(gain, noise))
@@ -91,7 +89,7 @@ def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Arra
 
 
 def log_density(residual: Array, cov: Array) -> Array:
-    """ln N(residual; 0, cov), (...); NaN where the covariance is singular or indefinite."""
+    """Ln N(residual; 0, cov), (...); NaN where the covariance is singular or indefinite."""
     lower = roots.root(cov)
     singular = roots.determined(lower).any(axis=-1)
     white = roots.solve_lower(lower, residual[..., None])[..., 0]

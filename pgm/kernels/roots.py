@@ -113,7 +113,7 @@ def gain(cross: Array, lower: Array) -> Array:
 
 
 def log_determinant(lower: Array) -> Array:
-    """ln |L Lᵀ| over the components that are not determined, (...)."""
+    """Ln |L Lᵀ| over the components that are not determined, (...)."""
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)
     return 2.0 * np.log(np.where(pivots == 0.0, 1.0, pivots)).sum(axis=-1)
 

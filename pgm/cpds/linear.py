@@ -1,0 +1,160 @@
+"""Gaussian CPDs whose mean is affine in the parents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.cpds.base import CPD
+from pgm.cpds.noise import Noise, as_covariance
+from pgm.errors import ModelError
+from pgm.factors.scope import as_value
+from pgm.kernels.arrays import Array, apply, frozen
+from pgm.variables import Variable
+
+
+class AffineCPD(CPD):
+    """A CPD with mean Σ F_p p + offset over its parents p: exact without a lineariser.
+
+    Attributes
+    ----------
+    matrices : mapping of Variable to ndarray
+        F_p, (d, dimension of p), for each parent.
+    offset : ndarray
+        (d,).
+    """
+
+    matrices: Mapping[Variable, Array]
+    offset: Array
+
+    def _affine(
+        self, hidden: tuple[Variable, ...], inputs: Mapping[Variable, Array]
+    ) -> tuple[Array, Array]:
+        """F (d, n) over the stacked hidden parents, and b with the evidence put in."""
+        size = self.child.dimension
+        matrix = np.concatenate([np.zeros((size, 0)), *(self.matrices[p] for p in hidden)], axis=1)
+        offset = self.offset
+        for parent in self.given:
+            if parent not in hidden:
+                offset = offset + apply(self.matrices[parent], inputs[parent])
+        return matrix, offset
+
+
+def _finite(child: Variable, value: Array, what: str) -> Array:
+    if not np.isfinite(value).all():
+        raise ModelError(
+            f"the {what} of {child!r} has entries that are NaN or infinite", variable=child
+        )
+    return frozen(value)
+
+
+class GaussianCPD(AffineCPD):
+    """A density without parents: x ~ N(mean, cov).
+
+    Parameters
+    ----------
+    child : Variable
+    mean : array_like
+        (..., d); leading axes are runs, each of which has a mean of its own.
+    cov : array_like
+        (..., d, d), positive semidefinite; zero where the value is known exactly.
+
+    Raises
+    ------
+    ModelError
+        If shapes do not fit, an entry is not finite, or `cov` is not a covariance.
+
+    Examples
+    --------
+    >>> x = Variable("x", components=("east", "north"))
+    >>> GaussianCPD(x, mean=[0, 0], cov=[[1, 0], [0, 1]])
+    GaussianCPD(x)
+    """
+
+    def __init__(self, child: Variable, mean: npt.ArrayLike, cov: npt.ArrayLike) -> None:
+        self._set_family(child, (), np.zeros((child.dimension, child.dimension)))
+        offset = np.array(as_value(child, mean, "mean"))
+        self._set(
+            matrices=MappingProxyType({}),
+            offset=_finite(child, offset, "mean"),
+            cov=as_covariance(child, cov, lead=True),
+        )
+
+    @property
+    def mean(self) -> Array:
+        """The mean, (..., d)."""
+        return self.offset
+
+
+class LinearGaussianCPD(AffineCPD):
+    """A linear Gaussian density: y = Σ F_p p + offset + n, n ~ N(0, cov).
+
+    Parameters
+    ----------
+    child : Variable
+        y, d components.
+    given : mapping of Variable to array_like
+        The matrix F_p, (d, dimension of p), of each parent p; a number c stands for c I where
+        both have the same number of components.
+    offset : array_like
+        (d,).
+    cov : array_like or Noise
+        (d, d), positive semidefinite, or ``pgm.noise(...)``.
+
+    Raises
+    ------
+    ModelError
+        If shapes do not fit, an entry is not finite, or `cov` is not a covariance.
+
+    Examples
+    --------
+    >>> u = Variable("u", components=("v", "omega"))
+    >>> command = Variable("command", components=("v", "omega"))
+    >>> LinearGaussianCPD(u, given={command: 1.0}, cov=[[0.1, 0], [0, 0.1]])
+    LinearGaussianCPD(u | command)
+    """
+
+    def __init__(
+        self,
+        child: Variable,
+        given: Mapping[Variable, npt.ArrayLike],
+        *,
+        cov: npt.ArrayLike | Noise,
+        offset: npt.ArrayLike = 0.0,
+    ) -> None:
+        if not isinstance(given, Mapping):
+            raise ModelError(
+                f"LinearGaussianCPD of {child!r}: given must map each parent to its matrix, "
+                f"like given={{x: 1.0}}; found {given!r}",
+                variable=child,
+            )
+        self._set_family(child, given, cov)
+        matrices = {parent: _matrix(child, parent, value) for parent, value in given.items()}
+        shift = np.asarray(offset, dtype=float)
+        shift = np.full(child.dimension, shift) if shift.ndim == 0 else shift
+        if shift.shape != (child.dimension,):
+            raise ModelError(
+                f"LinearGaussianCPD of {child!r}: the offset has shape {shift.shape}; "
+                f"({child.dimension},) was due",
+                variable=child,
+            )
+        self._set(
+            matrices=MappingProxyType(matrices), offset=_finite(child, shift.copy(), "offset")
+        )
+
+
+def _matrix(child: Variable, parent: Variable, value: npt.ArrayLike) -> Array:
+    matrix = np.array(value, dtype=float)
+    due = (child.dimension, parent.dimension)
+    if matrix.ndim == 0 and due[0] == due[1]:
+        matrix = matrix * np.eye(due[0])
+    if matrix.shape != due:
+        raise ModelError(
+            f"LinearGaussianCPD of {child!r}: the matrix of {parent!r} has shape {matrix.shape}; "
+            f"{due} was due",
+            variable=parent,
+        )
+    return _finite(child, matrix, f"matrix of {parent!r}")

@@ -1,0 +1,71 @@
+"""Noise covariances: constant, or a function of observed parents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.errors import ModelError
+from pgm.factors.scope import Scope, as_scope
+from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.checks import covariance_fault
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """A noise covariance that depends on observed parents; made by `noise`."""
+
+    function: Callable[..., Any]
+    given: Scope
+
+
+def noise(function: Callable[..., Any], given: Variable | Iterable[Variable]) -> Noise:
+    """A noise covariance that is a function of parents with evidence.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(*given)``, from arrays (..., d) with equal leading axes to covariances
+        (..., n, n).
+    given : Variable or sequence of Variable
+        The parents, which must have evidence, since a covariance cannot be linearised.
+
+    Examples
+    --------
+    >>> u = Variable("u", components=("v", "dt"))
+    >>> driven = noise(lambda u: 0.01 * u[..., 1, None, None] * np.eye(3), given=(u,))
+    """
+    if not callable(function):
+        raise ModelError(f"noise takes a function of the parents, not {function!r}")
+    return Noise(function, as_scope(given))
+
+
+def as_covariance(child: Variable, cov: npt.ArrayLike, *, lead: bool = False) -> Array:
+    """A covariance of a variable as an array (n, n); a scalar's may be a Python number.
+
+    With `lead`, leading axes of runs are taken too.
+    """
+    try:
+        array = np.array(cov, dtype=float)
+    except (TypeError, ValueError):
+        raise ModelError(
+            f"the covariance of {child!r} must be numbers or pgm.noise(...), not {cov!r}",
+            variable=child,
+        ) from None
+    size = child.dimension
+    if array.ndim == 0 and size == 1:
+        array = array[None, None]
+    if array.shape[-2:] != (size, size) or (array.ndim > 2 and not lead):
+        raise ModelError(
+            f"the covariance of {child!r} has shape {array.shape}; its {size} components "
+            f"{child.components} need ({size}, {size})",
+            variable=child,
+        )
+    if fault := covariance_fault(array):
+        raise ModelError(f"the covariance of {child!r} {fault}", variable=child)
+    return frozen(array)

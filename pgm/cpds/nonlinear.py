@@ -1,0 +1,96 @@
+"""Gaussian CPDs whose mean is any function of the parents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy.typing as npt
+
+from pgm.cpds.base import CPD
+from pgm.cpds.noise import Noise
+from pgm.errors import ModelError
+from pgm.factors.scope import Scope
+from pgm.linearisers import FunctionTemplate, Lineariser
+from pgm.variables import Variable
+
+
+class NonlinearGaussianCPD(CPD):
+    """A Gaussian density about a function: y = f(*given) + n, n ~ N(0, cov).
+
+    Parameters
+    ----------
+    child : Variable
+        y, d components.
+    given : Variable or sequence of Variable
+        The parents, in the order of the function's arguments.
+    function : callable
+        ``function(*given)``, from arrays (..., dimension) with equal leading axes to (..., d).
+    cov : array_like or Noise
+        (d, d), positive semidefinite, or ``pgm.noise(...)``.
+    jacobian : mapping of Variable to callable, optional
+        Derivatives, ``jacobian[p](*given)`` giving (..., d, dimension of p), for some or all
+        parents; those of hidden parents are called, and missing ones are taken by differences.
+    lineariser : Lineariser, optional
+        The one for this CPD, which wins over the one given to `infer`.
+    grouped : bool
+        As a sensor: whether the sightings of one step are linearised as one stacked vector, so
+        that a sigma-point rule keeps the cross terms of their approximation errors.
+
+    Raises
+    ------
+    ModelError
+        If shapes do not fit, `cov` is not a covariance, or something callable is not.
+    """
+
+    function: Callable[..., Any]
+    jacobian: Mapping[Variable, Callable[..., Any]]
+    lineariser: Lineariser | None
+    grouped: bool
+
+    def __init__(
+        self,
+        child: Variable,
+        given: Variable | Iterable[Variable],
+        function: Callable[..., Any],
+        cov: npt.ArrayLike | Noise,
+        *,
+        jacobian: Mapping[Variable, Callable[..., Any]] | None = None,
+        lineariser: Lineariser | None = None,
+        grouped: bool = False,
+    ) -> None:
+        self._set_family(child, (given,) if isinstance(given, Variable) else given, cov)
+        derivatives = dict(jacobian or {})
+        strangers = [parent for parent in derivatives if parent not in self.given]
+        if strangers:
+            raise ModelError(
+                f"{self!r}: a Jacobian is given by {strangers}, not among its parents",
+                variable=strangers[0],
+                cpd=self,
+            )
+        for what, value in [("function", function), *derivatives.items()]:
+            if not callable(value):
+                name = what if what == "function" else f"Jacobian by {what!r}"
+                raise ModelError(f"{self!r}: the {name} must be callable, not {value!r}", cpd=self)
+        if lineariser is not None and not callable(lineariser):
+            raise ModelError(
+                f"{self!r}: a lineariser is called with a function and a belief; {lineariser!r} "
+                "cannot be called",
+                cpd=self,
+            )
+        self._set(
+            function=function,
+            jacobian=MappingProxyType(derivatives),
+            lineariser=lineariser,
+            grouped=bool(grouped),
+        )
+
+    def _template(self, hidden: Scope) -> FunctionTemplate:
+        return FunctionTemplate(
+            child=self.child,
+            given=self.given,
+            hidden=hidden,
+            function=self.function,
+            jacobians=tuple(self.jacobian.get(parent) for parent in self.given),
+        )

@@ -1,0 +1,93 @@
+"""Checks of the arrays that evidence is made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pgm.errors import EvidenceError
+from pgm.kernels.arrays import Array, Integers
+from pgm.variables import Variable
+
+
+def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
+    """Evidence as an array (..., rows, d), or (..., d) where there is no axis of rows."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise EvidenceError(
+            f"evidence for {variable!r} must be numbers, not {type(value).__name__}",
+            variable=variable,
+        ) from None
+    if axis is None and array.ndim == 0 and variable.dimension == 1:
+        array = array[None]
+    due = f"(..., {axis}, {variable.dimension})" if axis else f"(..., {variable.dimension})"
+    if array.ndim < (2 if axis else 1) or array.shape[-1] != variable.dimension:
+        hint = "; give a scalar its component axis, value[..., None]"
+        raise EvidenceError(
+            f"evidence for {variable!r} has shape {array.shape}; {due} was due, the last axis "
+            f"its components {variable.components}{hint if variable.dimension == 1 else ''}",
+            variable=variable,
+        )
+    return array
+
+
+def require_finite(variable: Variable, array: Array) -> Array:
+    """Refuse NaN and infinity in evidence that must be complete."""
+    if not np.isfinite(array).all():
+        raise EvidenceError(
+            f"evidence for {variable!r} has entries that are NaN or infinite; only a sensor's "
+            "reading may be missing, as a whole row of NaN",
+            variable=variable,
+        )
+    return array
+
+
+def require_readings(variable: Variable, array: Array) -> Array:
+    """Refuse infinity, and rows that are only partly NaN, in a sensor's readings."""
+    missing = np.isnan(array)
+    if np.isinf(array).any():
+        raise EvidenceError(
+            f"evidence for {variable!r} has infinite entries; a reading not taken is a row of NaN",
+            variable=variable,
+        )
+    if (missing.any(axis=-1) != missing.all(axis=-1)).any():
+        raise EvidenceError(
+            f"evidence for {variable!r} has rows that are partly NaN; a reading not taken is a "
+            "whole row of NaN, and a part of one needs a sensor of its own",
+            variable=variable,
+        )
+    return array
+
+
+def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Integers:
+    """The steps of sightings, (M,), in 0..last."""
+    if step is None:
+        raise EvidenceError(
+            f"sightings of {variable!r} have no steps; give step=, one for each reading",
+            variable=variable,
+        )
+    array = np.asarray(step)
+    if array.size == 0:
+        array = array.astype(np.intp)
+    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
+        raise EvidenceError(
+            f"sightings of {variable!r}: step must be a row of whole numbers, not an array of "
+            f"shape {array.shape} and type {array.dtype}",
+            variable=variable,
+        )
+    if count is not None and array.shape != (count,):
+        raise EvidenceError(
+            f"sightings of {variable!r}: {count} readings with {array.shape[0]} steps; one step "
+            "for each reading was due",
+            variable=variable,
+        )
+    outside = array[(array < 0) | (array > last)]
+    if outside.size:
+        raise EvidenceError(
+            f"sightings of {variable!r}: step {outside[0]} is outside 0..{last}",
+            variable=variable,
+            step=int(outside[0]),
+        )
+    return array.astype(np.intp)

@@ -1,0 +1,317 @@
+"""Evidence of a dynamic network, checked once and laid out with the time axis first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pgm.cpds import CPD
+from pgm.errors import EvidenceError
+from pgm.evidence.arrays import as_rows, as_steps, require_finite, require_readings
+from pgm.evidence.values import Constant, Evidence, Sightings
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.variables import Variable
+
+# Values of parents with evidence, (rows, runs or 1, d): a row is a step or a sighting.
+Inputs = Mapping[Variable, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """All readings of one sensor, sorted by step.
+
+    Attributes
+    ----------
+    cpd : CPD
+        The sensor.
+    step : ndarray of int
+        (M,), ascending.
+    order : ndarray of int
+        (M,): which row of the user's evidence each one was.
+    values : ndarray
+        (M, runs or 1, d); zero where missing.
+    taken : ndarray of bool
+        (M, runs or 1).
+    inputs : mapping of Variable to ndarray
+        Values of the sensor's observed parents, (M, runs or 1, d).
+    """
+
+    cpd: CPD
+    step: Integers
+    order: Integers
+    values: Array
+    taken: Mask
+    inputs: Inputs
+
+
+@dataclass(frozen=True, eq=False)
+class BoundEvidence:
+    """Evidence laid out by step.
+
+    Attributes
+    ----------
+    steps : int
+        T.
+    lead : tuple of int
+        The leading axes, of runs; inside, they are flattened to one.
+    transition : tuple of mapping
+        For each transition CPD the values of its observed parents, (T, runs or 1, d); row k is
+        that of step k + 1.
+    readings : tuple of Reading
+        Of the sensors that have evidence.
+    """
+
+    steps: int
+    lead: tuple[int, ...]
+    transition: tuple[Inputs, ...]
+    readings: tuple[Reading, ...]
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return int(np.prod(self.lead, dtype=int))
+
+
+def bind(
+    transition: Sequence[CPD],
+    observation: Sequence[CPD],
+    evidence: Evidence,
+    steps: int | None,
+    lead: tuple[int, ...] = (),
+    *,
+    drawing: bool = False,
+) -> BoundEvidence:
+    """Check evidence against a dynamic network's CPDs and lay it out by step.
+
+    Parameters
+    ----------
+    transition, observation : sequence of CPD
+    evidence : mapping of Variable
+        Plain arrays (..., T, d) for steps 1..T, constants, and sightings.
+    steps : int or None
+        T; None to take it from the plain arrays.
+    lead : tuple of int
+        Leading axes that the runs have at least.
+    drawing : bool
+        Whether readings are to be drawn: sightings then have no values.
+
+    Raises
+    ------
+    EvidenceError
+        If evidence is missing, unknown, of a wrong shape, or disagrees about T or the runs.
+    """
+    return _Binder(transition, observation, evidence, steps, lead, drawing).bind()
+
+
+class _Binder:
+    """The working place of `bind`."""
+
+    def __init__(
+        self,
+        transition: Sequence[CPD],
+        observation: Sequence[CPD],
+        evidence: Evidence,
+        steps: int | None,
+        lead: tuple[int, ...],
+        drawing: bool,
+    ) -> None:
+        self.transition, self.evidence, self.drawing = transition, evidence, drawing
+        self.hidden = {cpd.child for cpd in transition}
+        self.sensors = {cpd.child: cpd for cpd in observation}
+        self._check_known(observation)
+        self.arrays = {
+            variable: as_rows(variable, value, "T")
+            for variable, value in evidence.items()
+            if not isinstance(value, (Constant, Sightings))
+        }
+        self.steps = self._length(steps)
+        self.shapes = [lead]
+
+    def bind(self) -> BoundEvidence:
+        span = np.arange(1, self.steps + 1)
+        self._check_inputs()
+        transition = [self._inputs(cpd, {}, span) for cpd in self.transition]
+        readings = [self._reading(z) for z in self.sensors if z in self.evidence or self._drawn(z)]
+        try:
+            lead = np.broadcast_shapes(*self.shapes)
+        except ValueError:
+            raise EvidenceError(
+                f"the leading axes of the evidence, {sorted(set(self.shapes))}, do not broadcast "
+                "to one set of runs"
+            ) from None
+        return BoundEvidence(
+            self.steps,
+            lead,
+            tuple({v: _flat(a, lead) for v, a in inputs.items()} for inputs in transition),
+            tuple(_flat_reading(reading, lead) for reading in readings),
+        )
+
+    def _check_known(self, observation: Sequence[CPD]) -> None:
+        known = {v for cpd in (*self.transition, *observation) for v in cpd.scope}
+        for variable in self.evidence:
+            if variable in self.hidden:
+                raise EvidenceError(
+                    f"evidence for {variable!r}, which is hidden since a CPD of the transition "
+                    "has it as its child; declare a sensor of it "
+                    f"(LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, ...))",
+                    variable=variable,
+                )
+            if variable not in known:
+                raise EvidenceError(
+                    f"evidence for {variable!r}, which the model does not have; it has "
+                    f"{sorted({v.name for v in known})}",
+                    variable=variable,
+                )
+
+    def _length(self, steps: int | None) -> int:
+        lengths = {variable: array.shape[-2] for variable, array in self.arrays.items()}
+        if len(set(lengths.values())) > 1:
+            listed = ", ".join(f"{variable!r} {length}" for variable, length in lengths.items())
+            raise EvidenceError(f"plain arrays must agree about the number of steps: {listed}")
+        if steps is None and not lengths:
+            raise EvidenceError(
+                "no plain array tells the number of steps; give steps=, the last step, T"
+            )
+        for variable, length in lengths.items():
+            if steps is not None and length != steps:
+                raise EvidenceError(
+                    f"evidence for {variable!r} has {length} steps where there are {steps}",
+                    variable=variable,
+                )
+        if steps is None:
+            return next(iter(lengths.values()))
+        if steps < 0:
+            raise EvidenceError(f"steps must be 0 or more, not {steps}")
+        return int(steps)
+
+    def _check_inputs(self) -> None:
+        for variable, value in self.evidence.items():
+            if isinstance(value, Sightings) and variable not in self.sensors:
+                raise EvidenceError(
+                    f"sightings of {variable!r}, which is no sensor's reading; give its values as "
+                    "an array (..., T, d), a constant, or in the sightings' given=",
+                    variable=variable,
+                )
+            if isinstance(value, Constant) and variable in self.sensors:
+                raise EvidenceError(
+                    f"a constant reading of {variable!r} does not say at which steps; give an "
+                    "array or sightings",
+                    variable=variable,
+                )
+
+    def _drawn(self, sensor: Variable) -> bool:
+        """Whether a sensor without an entry is to be drawn at steps 1..T all the same."""
+        cpd = self.sensors[sensor]
+        seen = {v for v in cpd.parents if v not in self.hidden}
+        return self.drawing and seen <= set(self.evidence)
+
+    def _reading(self, sensor: Variable) -> Reading:
+        cpd, value = self.sensors[sensor], self.evidence.get(sensor)
+        if isinstance(value, Sightings):
+            given = value.given
+            count = None
+            if value.values is not None:
+                rows = as_rows(sensor, value.values, "M")
+                count = rows.shape[-2]
+            step = as_steps(sensor, value.step, count, self.steps)
+        else:
+            given = {}
+            step = np.arange(1, self.steps + 1)
+            rows = self.arrays.get(sensor)
+        if self.drawing:
+            rows = np.full((step.size, sensor.dimension), np.nan)
+        elif rows is None:
+            raise EvidenceError(
+                f"sightings of {sensor!r} have no values; only sample() draws them", variable=sensor
+            )
+        rows = require_readings(sensor, rows)
+        self.shapes.append(rows.shape[:-2])
+        order = np.argsort(step, kind="stable")
+        step = step[order]
+        inputs = self._inputs(cpd, given, step, order)
+        rows = rows[..., order, :]
+        taken = ~np.isnan(rows[..., 0])
+        return Reading(cpd, step, order, np.where(taken[..., None], rows, 0.0), taken, inputs)
+
+    def _inputs(
+        self,
+        cpd: CPD,
+        given: Mapping[Variable, Any],
+        step: Integers,
+        order: Integers | None = None,
+    ) -> Inputs:
+        """Values of a CPD's observed parents at rows of some steps, (..., rows, d)."""
+        seen = [v for v in cpd.parents if v.template not in self.hidden]
+        for variable in given:
+            if variable not in seen:
+                raise EvidenceError(
+                    f"sightings of {cpd.child!r} are given {variable!r}, which is no observed "
+                    f"parent of its CPD; those are {seen}",
+                    variable=variable,
+                    cpd=cpd,
+                )
+            if variable in self.evidence:
+                raise EvidenceError(
+                    f"{variable!r} has evidence both at the top level and in the sightings of "
+                    f"{cpd.child!r}; give it once",
+                    variable=variable,
+                    cpd=cpd,
+                )
+        inputs = {}
+        for variable in seen:
+            value = given.get(variable, self.evidence.get(variable))
+            if value is None:
+                raise EvidenceError(
+                    f"no evidence for {variable!r}, a parent in {cpd!r} that no CPD explains; "
+                    "give its values, or a CPD of its own",
+                    variable=variable,
+                    cpd=cpd,
+                )
+            if isinstance(value, Constant):
+                row = require_finite(variable, as_rows(variable, value.value, None))[..., None, :]
+                rows = np.broadcast_to(row, (*row.shape[:-2], step.size, row.shape[-1]))
+            elif variable in given and order is not None:
+                rows = as_rows(variable, value, "M")
+                if rows.shape[-2] != order.size:
+                    raise EvidenceError(
+                        f"sightings of {cpd.child!r}: {order.size} readings with "
+                        f"{rows.shape[-2]} rows of {variable!r}; one for each was due",
+                        variable=variable,
+                        cpd=cpd,
+                    )
+                rows = require_finite(variable, rows)[..., order, :]
+            else:
+                if step.size and step[0] == 0:
+                    raise EvidenceError(
+                        f"a sighting of {cpd.child!r} at step 0, but {variable!r} is a plain "
+                        "array, which starts at step 1; give it in the sightings' given=",
+                        variable=variable,
+                        cpd=cpd,
+                        step=0,
+                    )
+                rows = require_finite(variable, self.arrays[variable])[..., step - 1, :]
+            self.shapes.append(rows.shape[:-2])
+            inputs[variable] = rows
+        return inputs
+
+
+def _flat(array: Array, lead: tuple[int, ...]) -> Array:
+    """(..., rows, *rest) as (rows, runs or 1, *rest), where rest is one axis."""
+    if all(length == 1 for length in array.shape[:-2]):
+        return array.reshape(array.shape[-2:])[:, None, :]
+    full = np.broadcast_to(array, (*lead, *array.shape[-2:]))
+    return np.ascontiguousarray(full.reshape(-1, *array.shape[-2:]).swapaxes(0, 1))
+
+
+def _flat_reading(reading: Reading, lead: tuple[int, ...]) -> Reading:
+    return Reading(
+        reading.cpd,
+        reading.step,
+        reading.order,
+        _flat(reading.values, lead),
+        _flat(reading.taken[..., None], lead)[..., 0].astype(bool),
+        {v: _flat(a, lead) for v, a in reading.inputs.items()},
+    )

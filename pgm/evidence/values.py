@@ -1,0 +1,69 @@
+"""The values of evidence that are no plain arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy.typing as npt
+
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False)
+class Constant:
+    """A value that is equal at all steps; made by `constant`."""
+
+    value: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Readings of one sensor at any steps; made by `sightings`."""
+
+    values: Any
+    step: Any = None
+    given: Mapping[Variable, Any] = field(default_factory=dict)
+
+
+# A plain array (..., T, d), a constant, or sightings, of each variable with evidence.
+Evidence = Mapping[Variable, Any]
+
+
+def constant(value: npt.ArrayLike) -> Constant:
+    """Evidence that is equal at all steps.
+
+    Parameters
+    ----------
+    value : array_like
+        (..., d); leading axes are runs.
+    """
+    return Constant(value)
+
+
+def sightings(
+    values: npt.ArrayLike | None = None,
+    step: npt.ArrayLike | None = None,
+    given: Mapping[Variable, npt.ArrayLike | Constant] | None = None,
+) -> Sightings:
+    """Any number of readings of one sensor at any steps, none included.
+
+    Parameters
+    ----------
+    values : array_like
+        (..., M, d); leading axes are runs; a row of NaN is a reading not taken. Left out where a
+        model is to draw them (`DynamicBayesianNetwork.sample`).
+    step : array_like of int
+        (M,), in 0..T, in any order, repeats allowed, shared by all runs. Left out online, where
+        readings belong to the current step.
+    given : mapping of Variable to array_like, optional
+        The sensor's observed parents that differ from reading to reading, (..., M, d) each.
+
+    Examples
+    --------
+    >>> m = Variable("m", components=("east", "north"))
+    >>> seen = sightings([[2.0, 0.1], [3.0, -0.2]], step=[4, 4], given={m: [[0, 1], [5, 1]]})
+    """
+    return Sightings(values, step, MappingProxyType(dict(given or {})))

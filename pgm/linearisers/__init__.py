@@ -1,0 +1,18 @@
+"""Linearisers: what turns a nonlinear CPD into an affine Gaussian one at a belief."""
+
+from pgm.linearisers.function import BoundFunction, FunctionTemplate, Lineariser
+from pgm.linearisers.regression import Points, StatisticalRegression
+from pgm.linearisers.rules import Cubature, MonteCarlo, Unscented
+from pgm.linearisers.taylor import Taylor
+
+__all__ = [
+    "BoundFunction",
+    "Cubature",
+    "FunctionTemplate",
+    "Lineariser",
+    "MonteCarlo",
+    "Points",
+    "StatisticalRegression",
+    "Taylor",
+    "Unscented",
+]

@@ -1,0 +1,211 @@
+"""The function of a CPD as linearisers see it: evidence bound, hidden parents stacked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from pgm.errors import ModelError
+from pgm.factors import AffineGaussian, Gaussian
+from pgm.factors.scope import Scope, angle_mask, dimension, positions
+from pgm.kernels import differences
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Index, Integers, Mask
+from pgm.variables import Variable
+
+Function = Callable[..., Any]
+
+
+class Lineariser(Protocol):
+    """Anything that makes an affine Gaussian of a function at a belief: a bare function will do."""
+
+    def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
+        """The affine Gaussian; its covariance is the approximation error alone."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionTemplate:
+    """What does not change from call to call: the function, its parents, and who is hidden.
+
+    Parameters
+    ----------
+    child : Variable
+        Whose CPD it is.
+    given : tuple of Variable
+        All parents, in the order of the function's arguments.
+    hidden : tuple of Variable
+        The parents without evidence, in the same order.
+    function : callable
+        ``function(*given)``.
+    jacobians : tuple of callable or None
+        The derivative by each parent, where one was given.
+    """
+
+    child: Variable
+    given: Scope
+    hidden: Scope
+    function: Function
+    jacobians: tuple[Function | None, ...]
+
+    @cached_property
+    def angles(self) -> Mask:
+        """Which components of the value are angles."""
+        return self.child.angle_mask
+
+    @cached_property
+    def input_angles(self) -> Mask:
+        """Which components of the hidden parents are angles."""
+        return angle_mask(self.hidden)
+
+    @cached_property
+    def size(self) -> int:
+        """Number of components of the stacked hidden parents."""
+        return dimension(self.hidden)
+
+    @cached_property
+    def places(self) -> tuple[Index | None, ...]:
+        """Where each parent stands among the hidden ones; None for a parent with evidence."""
+        return tuple(
+            positions(self.hidden, [parent]) if parent in self.hidden else None
+            for parent in self.given
+        )
+
+    @cached_property
+    def numerical(self) -> tuple[int, ...]:
+        """The stacked components whose derivative has to be taken by differences."""
+        return tuple(
+            int(k)
+            for place, jacobian in zip(self.places, self.jacobians, strict=True)
+            if place is not None and jacobian is None
+            for k in np.arange(self.size)[place]
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BoundFunction:
+    """A CPD's function of its hidden parents alone, the evidence bound.
+
+    Calling it maps (..., n) to (..., d); the leading axes are those of the belief at hand,
+    optionally followed by more, such as an axis of sigma points, over which evidence is expanded.
+
+    Parameters
+    ----------
+    template : FunctionTemplate
+    inputs : tuple of ndarray or None
+        Values of the parents with evidence, (*lead, d) each, None for the hidden ones.
+    lead : int
+        Number of leading axes of the belief.
+    step : int, ndarray of int or None
+        The step, or an array over the leading axes where one call covers many.
+    group : int, optional
+        How many readings one value stacks; their axis is then the last but one of the inputs.
+    """
+
+    template: FunctionTemplate
+    inputs: tuple[Array | None, ...]
+    lead: int
+    step: int | Integers | None = None
+    group: int | None = None
+
+    @property
+    def name(self) -> str:
+        """The name of the CPD's child."""
+        return self.template.child.name
+
+    @property
+    def angles(self) -> Mask:
+        """Which components of the value are angles, (d,)."""
+        angles = self.template.angles
+        return angles if self.group is None else np.tile(angles, self.group)
+
+    @property
+    def input_angles(self) -> Mask:
+        """Which components of the stacked hidden parents are angles, (n,)."""
+        return self.template.input_angles
+
+    @property
+    def analytic(self) -> bool:
+        """Whether the user gave the derivative by every hidden parent."""
+        return not self.template.numerical
+
+    def residual(self, a: Array, b: Array) -> Array:
+        """A − b, (..., d), angles wrapped to [−π, π)."""
+        return difference(a, b, self.angles)
+
+    def __call__(self, x: Array) -> Array:
+        """The value, (..., d), at stacked hidden parents x, (..., n)."""
+        arguments, shape = self._arguments(x)
+        value = self._checked(
+            self.template.function(*arguments), (*shape, self.template.child.dimension), "function"
+        )
+        return value if self.group is None else value.reshape(*x.shape[:-1], -1)
+
+    def jacobian(self, x: Array, std: Array | None = None) -> Array:
+        """The derivative, (..., d, n), as the user gave it, else by central differences.
+
+        Parameters
+        ----------
+        x : ndarray
+            (..., n).
+        std : ndarray, optional
+            Standard deviations, (..., n), which set the steps of the differences.
+        """
+        template = self.template
+        if template.numerical:
+            spread = np.zeros_like(x) if std is None else std
+            numerical = differences.jacobian(self, x, spread, self.angles)
+            if len(template.numerical) == template.size:
+                return numerical
+        arguments, shape = self._arguments(x)
+        height = template.child.dimension
+        parts = []
+        for parent, place, derivative in zip(
+            template.given, template.places, template.jacobians, strict=True
+        ):
+            if place is None:
+                continue
+            if derivative is None:
+                parts.append(numerical[..., place])
+                continue
+            part = self._checked(
+                derivative(*arguments),
+                (*shape, height, parent.dimension),
+                f"jacobian by {parent!r}",
+            )
+            if self.group is not None:
+                part = part.reshape(*x.shape[:-1], -1, parent.dimension)
+            parts.append(part)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+
+    def _arguments(self, x: Array) -> tuple[list[Array], tuple[int, ...]]:
+        extra = (1,) * (x.ndim - 1 - self.lead)
+        shape = x.shape[:-1]
+        if self.group is not None:
+            x, shape = x[..., None, :], (*shape, self.group)
+        arguments = []
+        for place, value in zip(self.template.places, self.inputs, strict=True):
+            if place is not None:
+                argument = x[..., place]
+            elif value is not None:
+                at = self.lead
+                argument = value.reshape(*value.shape[:at], *extra, *value.shape[at:])
+            if argument.shape[:-1] != shape:
+                argument = np.broadcast_to(argument, (*shape, argument.shape[-1]))
+            arguments.append(argument)
+        return arguments, shape
+
+    def _checked(self, value: Any, shape: tuple[int, ...], what: str) -> Array:
+        array = np.asarray(value, dtype=float)
+        if array.shape != shape:
+            raise ModelError(
+                f"the {what} of the CPD of {self.name} returned shape {array.shape} where "
+                f"{shape} was due; it is called with arrays that have leading axes, so index "
+                "components as a[..., i] and stack results along the last axis",
+                variable=self.template.child,
+            )
+        return array

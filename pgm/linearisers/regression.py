@@ -1,0 +1,120 @@
+"""Statistical linear regression: sigma points of any rule, one regression."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.errors import LinearisationError
+from pgm.factors import AffineGaussian, Gaussian
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, Integers, apply, transpose
+from pgm.linearisers.function import BoundFunction
+
+
+class Points(NamedTuple):
+    """A rule's points for N(0, I), with weights.
+
+    Attributes
+    ----------
+    points : ndarray
+        (..., N, n); a step axis may lead, where a rule draws other points at each step.
+    mean_weights, cov_weights : ndarray
+        (N,), the former adding up to one.
+    centred : bool
+        Whether the first point is the origin.
+    """
+
+    points: Array
+    mean_weights: Array
+    cov_weights: Array
+    centred: bool
+
+
+@dataclass(frozen=True)
+class StatisticalRegression(ABC):
+    """Linear regression of a function on sigma points: a rule is only points and weights.
+
+    With points X = μ + L s for a root P = L Lᵀ, values Y, and weights: the mean of y is
+    Σ w Y, F solves F L = J with J the regression of Y on s, b makes the line pass through both
+    means, and the covariance is that of what the line leaves, Σ w r rᵀ. In directions in which P
+    is zero F takes the limit P → 0, the Jacobian at μ. Angles of y are averaged as the value at
+    the centre plus the mean of wrapped offsets.
+
+    A subclass gives `points`.
+
+    References
+    ----------
+    García-Fernández, Svensson, Morelande & Särkkä, Posterior linearization filter, 2015.
+    """
+
+    @abstractmethod
+    def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
+        """The rule's points for N(0, I).
+
+        Parameters
+        ----------
+        dimension : int
+            Number of components, n.
+        name : str
+            Of the CPD's child: with the step, what a random rule keys its draws by.
+        step : int, ndarray of int or None
+            The step, or an array over the belief's leading axes.
+        """
+
+    def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
+        """Linearise a function at a belief."""
+        lower = roots.root(at.cov)
+        if not roots.is_proper(lower):
+            raise LinearisationError(
+                f"the belief at which the CPD of {function.name} is linearised has an indefinite "
+                "covariance; use a rule with positive weights or more samples"
+            )
+        s, mean_weights, cov_weights, centred = self.points(
+            at.mean.shape[-1], function.name, function.step
+        )
+        offset, value = self._values(function, at.mean, s @ transpose(lower), centred)
+        mean_offset = mean_weights @ offset
+        deviation = offset - mean_offset[..., None, :]
+        s_mean = mean_weights @ s
+        ds = s - s_mean[..., None, :]
+        weighted = cov_weights[:, None] * ds
+        slope = transpose(
+            np.linalg.solve(transpose(weighted) @ ds, transpose(weighted) @ deviation)
+        )
+        left = deviation - ds @ transpose(slope)
+        noise = transpose(cov_weights[:, None] * left) @ left
+        matrix = _divide(slope, lower, function, at)
+        centre = value + mean_offset - apply(slope, s_mean)
+        return AffineGaussian(matrix, centre - apply(matrix, at.mean), noise)
+
+    @staticmethod
+    def _values(
+        function: BoundFunction, mean: Array, offsets: Array, centred: bool
+    ) -> tuple[Array, Array]:
+        """Offsets of the values from a reference, (..., N, d), angles wrapped; the reference."""
+        points = mean[..., None, :] + offsets
+        angles = function.angles.any()
+        if angles and not centred:
+            points = np.concatenate([mean[..., None, :], points], axis=-2)
+        values = function(points)
+        reference = values[..., :1, :]
+        if angles and not centred:
+            values = values[..., 1:, :]
+        return function.residual(values, reference), reference[..., 0, :]
+
+
+def _divide(slope: Array, lower: Array, function: BoundFunction, at: Gaussian) -> Array:
+    """F with F L = J; in the null directions of L, measured in its own units, the Jacobian."""
+    fixed = roots.determined(lower).any(axis=-1)
+    if not fixed.any():
+        return transpose(roots.solve_upper(lower, transpose(slope)))
+    std = at.std
+    unit = np.where(std > 0.0, std, 1.0)
+    scaled = lower / unit[..., None]
+    inverse = np.linalg.pinv(scaled, rcond=1e-10) / unit[..., None, :]
+    null = np.eye(lower.shape[-1]) - lower @ inverse
+    return slope @ inverse + function.jacobian(at.mean, std) @ null

@@ -1,0 +1,298 @@
+"""Dynamic Bayesian networks: one slice of CPDs, repeated in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import networkx as nx
+import numpy as np
+
+from pgm.cpds import CPD
+from pgm.errors import ModelError
+from pgm.evidence import Evidence
+from pgm.factors.scope import Scope
+from pgm.networks import checks
+from pgm.networks.sampling import Sample, draw
+from pgm.variables import Variable
+
+
+class DynamicBayesianNetwork:
+    """A prior over the states, a transition from each slice to the next, and sensors.
+
+    States are x[0..T]. The prior holds at step 0, transition CPDs at steps 1..T, observation
+    CPDs at 0..T.
+
+    Parameters
+    ----------
+    prior : sequence of CPD
+        Of the states at step 0; a state's may depend on other states.
+    transition : sequence of CPD
+        Of each state given states of the step before (``x.previous``), other hidden variables of
+        the same step, and inputs. A child without a prior, such as a control with noise, is
+        hidden at steps 1..T.
+    observation : sequence of CPD, optional
+        Of readings given hidden variables of the same step, and inputs. A reading may be taken
+        any number of times a step, or never.
+
+    Attributes
+    ----------
+    states : tuple of Variable
+        The variables that have a prior, parents before children.
+    controls : tuple of Variable
+        The other hidden variables.
+    sensors : tuple of Variable
+        The children of the observation CPDs.
+    inputs : tuple of Variable
+        Parents that no CPD explains: they must have evidence.
+
+    Raises
+    ------
+    ModelError
+        If a state lacks its prior or transition, a child has two CPDs, two variables share a
+        name, the CPDs form a cycle, or a parent stands where it cannot.
+
+    Examples
+    --------
+    >>> from pgm import GaussianCPD, LinearGaussianCPD
+    >>> x, z = Variable("x"), Variable("z")
+    >>> DynamicBayesianNetwork(
+    ...     prior=[GaussianCPD(x, mean=0.0, cov=1.0)],
+    ...     transition=[LinearGaussianCPD(x, given={x.previous: 1.0}, cov=0.1)],
+    ...     observation=[LinearGaussianCPD(z, given={x: 1.0}, cov=0.5)],
+    ... )
+    DynamicBayesianNetwork
+      states       x
+      prior        p(x)
+      transition   p(x | x[t-1])
+      observation  p(z | x)
+    """
+
+    prior: tuple[CPD, ...]
+    transition: tuple[CPD, ...]
+    observation: tuple[CPD, ...]
+    states: Scope
+    controls: Scope
+    sensors: Scope
+    inputs: Scope
+
+    def __init__(
+        self,
+        prior: Iterable[CPD],
+        transition: Iterable[CPD],
+        observation: Iterable[CPD] = (),
+    ) -> None:
+        prior = checks.as_cpds(prior, "prior")
+        transition = checks.as_cpds(transition, "transition")
+        observation = checks.as_cpds(observation, "observation")
+        everything = (*prior, *transition, *observation)
+        _check_templates(everything)
+        checks.one_name_each(v for cpd in everything for v in cpd.scope)
+        checks.one_cpd_each(prior)
+        checks.one_cpd_each((*transition, *observation))
+        states = {cpd.child for cpd in prior}
+        hidden = {cpd.child for cpd in transition}
+        sensors = tuple(cpd.child for cpd in observation)
+        _check_states(prior, transition, states, hidden)
+        _check_parents(prior, transition, observation, states, hidden, set(sensors))
+        transition = checks.in_order(transition, lambda cpd: cpd.given)
+        parents = (v for cpd in (*transition, *observation) for v in cpd.parents)
+        inputs = tuple(dict.fromkeys(v for v in parents if v.template not in hidden))
+        values = {
+            "prior": checks.in_order(prior, lambda cpd: cpd.given),
+            "transition": transition,
+            "observation": observation,
+            "states": tuple(cpd.child for cpd in transition if cpd.child in states),
+            "controls": tuple(cpd.child for cpd in transition if cpd.child not in states),
+            "sensors": sensors,
+            "inputs": inputs,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"a network is immutable; use replace({name}=...)")
+
+    def replace(self, **changes: Iterable[CPD]) -> DynamicBayesianNetwork:
+        """A variant with another prior, transition or observation."""
+        parts: dict[str, Any] = {
+            "prior": self.prior,
+            "transition": self.transition,
+            "observation": self.observation,
+        }
+        strangers = set(changes) - set(parts)
+        if strangers:
+            raise ModelError(f"replace takes {list(parts)}, not {sorted(strangers)}")
+        return DynamicBayesianNetwork(**(parts | changes))
+
+    @property
+    def cpds(self) -> tuple[CPD, ...]:
+        """All CPDs: prior, transition, observation."""
+        return (*self.prior, *self.transition, *self.observation)
+
+    @property
+    def variables(self) -> Scope:
+        """All variables: states, controls, sensors, inputs."""
+        return (*self.states, *self.controls, *self.sensors, *self.inputs)
+
+    def sample(
+        self,
+        inputs: Evidence | None = None,
+        *,
+        steps: int | None = None,
+        runs: int | tuple[int, ...] = (),
+        rng: np.random.Generator | int,
+    ) -> Sample:
+        """Draw the states, and the readings of the sensors, from the model.
+
+        Parameters
+        ----------
+        inputs : mapping of Variable, optional
+            Values of the inputs, as evidence. For a sensor, ``pgm.sightings(step=..., given=...)``
+            says when it reads; one without an entry reads once at each of the steps 1..T,
+            where all its inputs are known.
+        steps : int, optional
+            T, where no plain array tells.
+        runs : int or tuple of int
+            Leading axes of independent runs.
+        rng : numpy.random.Generator or int
+            What draws, or the seed of one.
+
+        Returns
+        -------
+        Sample
+            ``sample[x]`` is (*runs, T+1, d) for a state, (*runs, T, d) for a control;
+            ``sample.evidence`` are the inputs and the readings, ready for `infer`.
+        """
+        shape = (runs,) if isinstance(runs, int) else tuple(runs)
+        return draw(self, inputs or {}, steps, shape, np.random.default_rng(rng))
+
+    def to_networkx(self, steps: int = 1) -> nx.DiGraph:
+        """The network unrolled to slices 0..steps, for pictures and questions of structure.
+
+        Nodes are variables at steps, with the attributes ``kind`` (state, control, sensor or
+        input) and ``step``; edges go from parents to children.
+        """
+        kinds = {
+            **dict.fromkeys(self.states, "state"),
+            **dict.fromkeys(self.controls, "control"),
+            **dict.fromkeys(self.sensors, "sensor"),
+            **dict.fromkeys(self.inputs, "input"),
+        }
+        graph = nx.DiGraph()
+        for step in range(steps + 1):
+            for cpd in self.at(step):
+                for variable in cpd.scope:
+                    node = variable.at(step)
+                    graph.add_node(node, kind=kinds[variable.template], step=node.step)
+                graph.add_edges_from((p.at(step), cpd.child.at(step)) for p in cpd.parents)
+        return graph
+
+    def at(self, step: int) -> tuple[CPD, ...]:
+        """The CPDs that hold at a step, as templates."""
+        if step == 0:
+            possible = set(self.states) | set(self.inputs)
+            first = tuple(cpd for cpd in self.observation if set(cpd.parents) <= possible)
+            return self.prior + first
+        return self.transition + self.observation
+
+    def __repr__(self) -> str:
+        rows = [("states", ", ".join(v.name for v in self.states))]
+        for label, found in (("controls", self.controls), ("inputs", self.inputs)):
+            if found:
+                rows.append((label, ", ".join(v.name for v in found)))
+        for label in ("prior", "transition", "observation"):
+            cpds: tuple[CPD, ...] = getattr(self, label)
+            if cpds:
+                rows.append((label, "  ".join(map(_density, cpds))))
+        return "\n".join(
+            ["DynamicBayesianNetwork", *(f"  {label:<12} {text}" for label, text in rows)]
+        )
+
+
+def _density(cpd: CPD) -> str:
+    parents = ", ".join(map(repr, cpd.parents))
+    return f"p({cpd.child!r}{' | ' if parents else ''}{parents})"
+
+
+def _check_templates(cpds: Iterable[CPD]) -> None:
+    for cpd in cpds:
+        for variable in cpd.scope:
+            if variable.step is not None:
+                raise ModelError(
+                    f"{cpd!r}: a dynamic network is declared for {variable.template!r} and "
+                    f"{variable.template.previous!r}, not for the single step of {variable!r}",
+                    variable=variable,
+                    cpd=cpd,
+                )
+            if variable.lag > 1:
+                raise ModelError(
+                    f"{cpd!r}: {variable!r} is more than one step back; carry it along as a "
+                    "state of its own (LinearGaussianCPD(older, given={x.previous: 1.0}, cov=0))",
+                    variable=variable,
+                    cpd=cpd,
+                )
+
+
+def _check_states(
+    prior: Iterable[CPD], transition: Iterable[CPD], states: set[Variable], hidden: set[Variable]
+) -> None:
+    for cpd in prior:
+        if cpd.child not in hidden:
+            raise ModelError(
+                f"state {cpd.child!r} has a prior but no transition; add a CPD of it given "
+                f"{cpd.child.previous!r} (cov=0 for a static unknown)",
+                variable=cpd.child,
+                cpd=cpd,
+            )
+    for cpd in transition:
+        for parent in cpd.parents:
+            if parent.lag and parent.template not in states:
+                raise ModelError(
+                    f"{cpd!r} needs {parent!r}, but {parent.template!r} has no prior; add a CPD "
+                    "of it to the prior",
+                    variable=parent.template,
+                    cpd=cpd,
+                )
+
+
+def _check_parents(
+    prior: Iterable[CPD],
+    transition: Iterable[CPD],
+    observation: Iterable[CPD],
+    states: set[Variable],
+    hidden: set[Variable],
+    sensors: set[Variable],
+) -> None:
+    def refuse(cpd: CPD, parent: Variable, why: str) -> None:
+        raise ModelError(f"{cpd!r}: {parent!r} {why}", variable=parent, cpd=cpd)
+
+    for cpd in prior:
+        for parent in cpd.parents:
+            if parent not in states:
+                refuse(cpd, parent, "cannot be a parent in the prior; only other states can")
+    for cpd in observation:
+        for parent in cpd.parents:
+            if parent.lag:
+                refuse(
+                    cpd,
+                    parent,
+                    "cannot be a sensor's parent; carry it along as a state of this step "
+                    "(LinearGaussianCPD(older, given={x.previous: 1.0}, cov=0))",
+                )
+    for cpd in (*transition, *observation):
+        for parent in cpd.parents:
+            if parent.template in sensors:
+                refuse(
+                    cpd,
+                    parent,
+                    "is a sensor's reading, which cannot be a parent; add a "
+                    "state that both depend on",
+                )
+        for parent in cpd.noise_given:
+            if parent.template in hidden:
+                refuse(
+                    cpd,
+                    parent,
+                    "is hidden, so the noise cannot depend on it; noise may depend on inputs alone",
+                )

@@ -1,0 +1,139 @@
+"""Ancestral sampling of dynamic networks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pgm.cpds import CPD, AffineCPD, Noise, NonlinearGaussianCPD
+from pgm.errors import ModelError
+from pgm.evidence import Evidence, Reading, Sightings, bind, sightings
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, apply
+from pgm.variables import Variable
+
+if TYPE_CHECKING:
+    from pgm.networks.dynamic import DynamicBayesianNetwork
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A draw from a dynamic network.
+
+    Attributes
+    ----------
+    values : mapping of Variable to ndarray
+        States (*runs, T+1, d), controls (*runs, T, d), readings (*runs, M, d).
+    evidence : mapping
+        The inputs and the readings, ready for `infer`.
+    """
+
+    values: Mapping[Variable, Array]
+    evidence: Evidence
+
+    def __getitem__(self, variable: Variable) -> Array:
+        """The values of a variable."""
+        if variable not in self.values:
+            raise ModelError(
+                f"the sample has no values of {variable!r}; it has {list(self.values)}",
+                variable=variable,
+            )
+        return self.values[variable]
+
+
+def draw(
+    model: DynamicBayesianNetwork,
+    inputs: Evidence,
+    steps: int | None,
+    runs: tuple[int, ...],
+    rng: np.random.Generator,
+) -> Sample:
+    """Draw states forward in time, then the readings."""
+    priors = [cpd.offset.shape[:-1] for cpd in model.prior if isinstance(cpd, AffineCPD)]
+    bound = bind(
+        model.transition,
+        model.observation,
+        inputs,
+        steps,
+        np.broadcast_shapes(runs, *priors),
+        drawing=True,
+    )
+    count = bound.runs
+    path: dict[Variable, Array] = {
+        v: np.full((bound.steps + 1, count, v.dimension), np.nan)
+        for v in (*model.states, *model.controls)
+    }
+    for cpd in model.prior:
+        now = {v: path[v][0] for v in cpd.given}
+        path[cpd.child][0] = _draw(cpd, now, bound.lead, rng)
+    for step in range(1, bound.steps + 1):
+        for cpd, known in zip(model.transition, bound.transition, strict=True):
+            values = {v: rows[step - 1] for v, rows in known.items()}
+            for parent in cpd.given:
+                if parent not in values:
+                    values[parent] = path[parent.template][step - parent.lag]
+            path[cpd.child][step] = _draw(cpd, values, bound.lead, rng)
+    evidence: dict[Variable, Any] = dict(inputs)
+    values = {v: _unflat(path[v], bound.lead) for v in model.states}
+    values |= {v: _unflat(path[v][1:], bound.lead) for v in model.controls}
+    for reading in bound.readings:
+        child = reading.cpd.child
+        rows = _unflat(_draw_reading(reading, path, count, bound.lead, rng), bound.lead)
+        values[child] = rows[..., np.argsort(reading.order), :]
+        asked = inputs.get(child)
+        evidence[child] = (
+            sightings(values[child], asked.step, asked.given)
+            if isinstance(asked, Sightings)
+            else values[child]
+        )
+    return Sample(values, evidence)
+
+
+def _draw_reading(
+    reading: Reading,
+    path: Mapping[Variable, Array],
+    runs: int,
+    lead: tuple[int, ...],
+    rng: np.random.Generator,
+) -> Array:
+    values = dict(reading.inputs)
+    for parent in reading.cpd.given:
+        if parent not in values:
+            values[parent] = path[parent][reading.step]
+    size = reading.step.size
+    wide = {v: np.broadcast_to(a, (size, runs, a.shape[-1])) for v, a in values.items()}
+    if not size:
+        return np.empty((0, runs, reading.cpd.child.dimension))
+    return _draw(reading.cpd, wide, lead, rng, (size, runs))
+
+
+def _draw(
+    cpd: CPD,
+    values: Mapping[Variable, Array],
+    lead: tuple[int, ...],
+    rng: np.random.Generator,
+    shape: tuple[int, ...] | None = None,
+) -> Array:
+    shape = shape or (int(np.prod(lead, dtype=int)),)
+    wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in values.items()}
+    if isinstance(cpd, NonlinearGaussianCPD):
+        mean = np.asarray(cpd.function(*(wide[v] for v in cpd.given)), dtype=float)
+    elif isinstance(cpd, AffineCPD):
+        mean = cpd._affine((), wide)[1]
+        if cpd.given == () and mean.ndim > 1:
+            mean = np.broadcast_to(mean, (*lead, mean.shape[-1])).reshape(*shape, -1)
+    cov = cpd.cov
+    if isinstance(cov, Noise):
+        cov = np.asarray(cov.function(*(wide[v] for v in cov.given)), dtype=float)
+    elif cov.ndim > 2:
+        cov = np.broadcast_to(cov, (*lead, *cov.shape[-2:])).reshape(*shape, *cov.shape[-2:])
+    noise = rng.standard_normal((*shape, cpd.child.dimension))
+    return mean + apply(roots.root(cov), noise)
+
+
+def _unflat(rows: Array, lead: tuple[int, ...]) -> Array:
+    """(rows, runs, d) as (*lead, rows, d)."""
+    return rows.swapaxes(0, 1).reshape(*lead, rows.shape[0], rows.shape[-1])
