@@ -1,5 +1,7 @@
 """pgm: cluster-graph inference for (dynamic) Bayesian networks."""
 
+from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.compile import compile
 from pgm.cpds import GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD, noise
 from pgm.errors import (
     EvidenceError,
@@ -11,8 +13,57 @@ from pgm.errors import (
 )
 from pgm.evidence import constant, sightings
 from pgm.factors import AffineGaussian, CanonicalForm, Gaussian
+from pgm.inference import (
+    Filtering,
+    OnlineBelief,
+    OnlineFilter,
+    Posterior,
+    Smoothing,
+    Status,
+    filter,
+    infer,
+    smooth,
+)
 from pgm.linearisers import Cubature, MonteCarlo, StatisticalRegression, Taylor, Unscented
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable, variables
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "AffineGaussian",
+    "CanonicalForm",
+    "Cluster",
+    "ClusterGraph",
+    "Cubature",
+    "DynamicBayesianNetwork",
+    "EvidenceError",
+    "Filtering",
+    "Gaussian",
+    "GaussianCPD",
+    "GraphError",
+    "LinearGaussianCPD",
+    "LinearisationError",
+    "ModelError",
+    "MonteCarlo",
+    "NonlinearGaussianCPD",
+    "NumericalError",
+    "OnlineBelief",
+    "OnlineFilter",
+    "PgmError",
+    "Posterior",
+    "Smoothing",
+    "StatisticalRegression",
+    "Status",
+    "Taylor",
+    "Unscented",
+    "Variable",
+    "compile",
+    "constant",
+    "filter",
+    "infer",
+    "noise",
+    "sightings",
+    "smooth",
+    "variables",
+]

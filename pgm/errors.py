@@ -49,4 +49,4 @@ class LinearisationError(PgmError, ValueError):
 
 
 class NumericalError(PgmError, ArithmeticError):
-    """A quantity that does not exist for these numbers, such as the inverse of a singular matrix."""
+    """A quantity that does not exist for these numbers, like the inverse of a singular matrix."""

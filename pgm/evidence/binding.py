@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -72,7 +73,7 @@ class BoundEvidence:
     @property
     def runs(self) -> int:
         """Number of runs."""
-        return int(np.prod(self.lead, dtype=int))
+        return math.prod(self.lead)
 
 
 def bind(
@@ -82,6 +83,7 @@ def bind(
     steps: int | None,
     lead: tuple[int, ...] = (),
     *,
+    transition_inputs: bool = True,
     drawing: bool = False,
 ) -> BoundEvidence:
     """Check evidence against a dynamic network's CPDs and lay it out by step.
@@ -95,6 +97,8 @@ def bind(
         T; None to take it from the plain arrays.
     lead : tuple of int
         Leading axes that the runs have at least.
+    transition_inputs : bool
+        Whether the transition is to be used, so that its inputs must be there.
     drawing : bool
         Whether readings are to be drawn: sightings then have no values.
 
@@ -103,7 +107,8 @@ def bind(
     EvidenceError
         If evidence is missing, unknown, of a wrong shape, or disagrees about T or the runs.
     """
-    return _Binder(transition, observation, evidence, steps, lead, drawing).bind()
+    binder = _Binder(transition, observation, evidence, steps, lead, drawing)
+    return binder.bind(transition if transition_inputs else ())
 
 
 class _Binder:
@@ -118,10 +123,10 @@ class _Binder:
         lead: tuple[int, ...],
         drawing: bool,
     ) -> None:
-        self.transition, self.evidence, self.drawing = transition, evidence, drawing
+        self.evidence, self.drawing = evidence, drawing
         self.hidden = {cpd.child for cpd in transition}
         self.sensors = {cpd.child: cpd for cpd in observation}
-        self._check_known(observation)
+        self._check_known((*transition, *observation))
         self.arrays = {
             variable: as_rows(variable, value, "T")
             for variable, value in evidence.items()
@@ -130,10 +135,10 @@ class _Binder:
         self.steps = self._length(steps)
         self.shapes = [lead]
 
-    def bind(self) -> BoundEvidence:
+    def bind(self, transition: Sequence[CPD]) -> BoundEvidence:
         span = np.arange(1, self.steps + 1)
         self._check_inputs()
-        transition = [self._inputs(cpd, {}, span) for cpd in self.transition]
+        inputs = [self._inputs(cpd, {}, span) for cpd in transition]
         readings = [self._reading(z) for z in self.sensors if z in self.evidence or self._drawn(z)]
         try:
             lead = np.broadcast_shapes(*self.shapes)
@@ -145,12 +150,12 @@ class _Binder:
         return BoundEvidence(
             self.steps,
             lead,
-            tuple({v: _flat(a, lead) for v, a in inputs.items()} for inputs in transition),
+            tuple({v: _flat(a, lead) for v, a in each.items()} for each in inputs),
             tuple(_flat_reading(reading, lead) for reading in readings),
         )
 
-    def _check_known(self, observation: Sequence[CPD]) -> None:
-        known = {v for cpd in (*self.transition, *observation) for v in cpd.scope}
+    def _check_known(self, cpds: Sequence[CPD]) -> None:
+        known = {v for cpd in cpds for v in cpd.scope}
         for variable in self.evidence:
             if variable in self.hidden:
                 raise EvidenceError(
@@ -182,7 +187,7 @@ class _Binder:
                     variable=variable,
                 )
         if steps is None:
-            return next(iter(lengths.values()))
+            return int(next(iter(lengths.values())))
         if steps < 0:
             raise EvidenceError(f"steps must be 0 or more, not {steps}")
         return int(steps)
@@ -211,8 +216,8 @@ class _Binder:
     def _reading(self, sensor: Variable) -> Reading:
         cpd, value = self.sensors[sensor], self.evidence.get(sensor)
         if isinstance(value, Sightings):
-            given = value.given
-            count = None
+            given, count = value.given, None
+            rows: Array | None = None
             if value.values is not None:
                 rows = as_rows(sensor, value.values, "M")
                 count = rows.shape[-2]
@@ -303,7 +308,8 @@ def _flat(array: Array, lead: tuple[int, ...]) -> Array:
     if all(length == 1 for length in array.shape[:-2]):
         return array.reshape(array.shape[-2:])[:, None, :]
     full = np.broadcast_to(array, (*lead, *array.shape[-2:]))
-    return np.ascontiguousarray(full.reshape(-1, *array.shape[-2:]).swapaxes(0, 1))
+    runs = math.prod(lead)
+    return np.ascontiguousarray(full.reshape(runs, *array.shape[-2:]).swapaxes(0, 1))
 
 
 def _flat_reading(reading: Reading, lead: tuple[int, ...]) -> Reading:
@@ -312,6 +318,6 @@ def _flat_reading(reading: Reading, lead: tuple[int, ...]) -> Reading:
         reading.step,
         reading.order,
         _flat(reading.values, lead),
-        _flat(reading.taken[..., None], lead)[..., 0].astype(bool),
+        _flat(reading.taken[..., None].astype(float), lead)[..., 0].astype(bool),
         {v: _flat(a, lead) for v, a in reading.inputs.items()},
     )

@@ -12,7 +12,7 @@ from pgm.errors import ModelError, NumericalError
 from pgm.factors.gaussian import Gaussian
 from pgm.factors.scope import Scope, as_scope, as_value, dimension, names, positions
 from pgm.kernels import canonical as kernel
-from pgm.kernels.arrays import Array, frozen, inner, transpose
+from pgm.kernels.arrays import Array, apply, frozen, inner, transpose
 from pgm.variables import Variable
 
 
@@ -240,7 +240,7 @@ class CanonicalForm:
     def log_value(self, x: npt.ArrayLike) -> Array:
         """Ln C(x) at stacked values x, (..., n)."""
         x = np.asarray(x, dtype=float)
-        return inner(self.h, x) - 0.5 * np.einsum("...i,...ij,...j->...", x, self.K, x) + self.g
+        return inner(self.h, x) - 0.5 * inner(apply(self.K, x), x) + self.g
 
     def __repr__(self) -> str:
         lead = f", {self.g.shape} of them" if self.g.shape else ""

@@ -26,7 +26,8 @@ def apply(matrix: Array, vector: Array) -> Array:
 
 def inner(a: Array, b: Array) -> Array:
     """Inner product of stacked vectors, (...)."""
-    return np.einsum("...i,...i->...", a, b)
+    product: Array = np.einsum("...i,...i->...", a, b)
+    return product
 
 
 def symmetric(matrix: Array) -> Array:
@@ -42,8 +43,9 @@ def sandwich(factor: Array, matrix: Array) -> Array:
 def as_index(positions: npt.ArrayLike) -> Index:
     """Positions as a slice where they are consecutive, else as an array."""
     array = np.asarray(positions, dtype=np.intp)
-    if array.size and np.array_equal(array, np.arange(array[0], array[0] + array.size)):
-        return slice(int(array[0]), int(array[0] + array.size))
+    first = int(array[0]) if array.size else 0
+    if np.array_equal(array, np.arange(first, first + array.size)):
+        return slice(first, first + array.size)
     return array
 
 

@@ -13,6 +13,7 @@ from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
     Index,
+    Mask,
     apply,
     block,
     inner,
@@ -27,7 +28,7 @@ Canonical = tuple[Array, Array, Array]
 def strict_root(matrix: Array) -> Array:
     """The root of positive definite matrices; NaN where one is singular or indefinite."""
     lower = roots.root(matrix)
-    singular = roots.determined(lower).any(axis=-1)
+    singular: Mask = np.asarray(roots.determined(lower).any(axis=-1))
     if singular.any():
         lower = np.where(singular[..., None, None], np.nan, lower)
     return lower
@@ -89,7 +90,7 @@ def reduce(
 
 def from_affine(matrix: Array, offset: Array, noise: Array) -> Canonical:
     """N(y; F x + b, noise) over the stacked (y, x)."""
-    size, inputs = matrix.shape[-2:]
+    size = matrix.shape[-2]
     lower = strict_root(noise)
     joint = np.concatenate([np.broadcast_to(np.eye(size), (*matrix.shape[:-1], size)), -matrix], -1)
     white = roots.solve_lower(lower, joint)

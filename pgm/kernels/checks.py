@@ -8,7 +8,7 @@ from pgm.kernels.arrays import Array, transpose
 
 
 def covariance_fault(cov: Array) -> str | None:
-    """What keeps a stacked square matrix from being a covariance, in words; None if nothing does."""
+    """What keeps stacked square matrices from being covariances, in words; None if nothing."""
     if not np.isfinite(cov).all():
         return "has entries that are NaN or infinite"
     scale = np.abs(cov).max(initial=0.0)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.kernels import roots
-from pgm.kernels.arrays import LOG_2PI, Array, apply, inner, sandwich, symmetric, transpose
+from pgm.kernels.arrays import LOG_2PI, Array, Index, apply, inner, sandwich, symmetric, transpose
 
 
 class Update(NamedTuple):
@@ -21,15 +21,16 @@ class Update(NamedTuple):
         Of the reading; a component that an exact model determines adds nothing.
     lower : ndarray
         The root of the reading's predictive covariance; NaN where that is indefinite.
-    left : ndarray
-        (..., D): how far each determined component is from what the model says it is.
+    left : ndarray or None
+        (..., D): how far each determined component is from what the model says it is; None
+        where nothing is determined.
     """
 
     mean: Array
     cov: Array
     log_density: Array
     lower: Array
-    left: Array
+    left: Array | None
 
 
 def update(mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array) -> Update:
@@ -46,7 +47,7 @@ def update(mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
     white = roots.solve_lower(lower, np.concatenate([residual[..., None], cross], axis=-1))
     gain = np.ascontiguousarray(transpose(roots.solve_upper(lower, white[..., 1:])))
     white_residual = white[..., 0]
-    left = np.zeros_like(white_residual)
+    left = None
     dimension: int | Array = size
     if fixed.any():
         left = np.where(fixed, np.abs(white_residual), 0.0)
@@ -113,3 +114,33 @@ def kl(difference: Array, cov: Array, other_cov: Array) -> Array:
         + inner(white, white)
     )
     return np.where(singular, np.nan, value)
+
+
+def extend(
+    mean: Array,
+    cov: Array,
+    child: slice,
+    parents: Index,
+    matrix: Array,
+    offset: Array,
+    noise: Array,
+) -> None:
+    """Write the child y = F x + b + n into a joint of which it is a part, in place.
+
+    The joint's covariance must be zero where its components are not yet written.
+    """
+    cross = matrix @ cov[..., parents, :]
+    mean[..., child] = apply(matrix, mean[..., parents]) + offset
+    cov[..., child, :] = cross
+    cov[..., :, child] = transpose(cross)
+    cov[..., child, child] = symmetric(cross[..., parents] @ transpose(matrix) + noise)
+
+
+def marginal_error(mean: Array, other: Array, std: Array) -> Array:
+    """The largest |mean − other| in standard deviations over the last axis and the first.
+
+    Where the deviation is zero, as a part of the mean's size.
+    """
+    unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
+    largest: Array = (np.abs(mean - other) / unit).max(axis=(0, -1), initial=0.0)
+    return largest

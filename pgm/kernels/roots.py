@@ -21,7 +21,7 @@ _MANY = 16
 def root(matrix: Array) -> Array:
     """The lower triangular root of stacked matrices; NaN where one is indefinite or not finite."""
     try:
-        lower = np.linalg.cholesky(matrix)
+        lower = np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
         return _semidefinite_root(matrix)
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)
@@ -55,7 +55,8 @@ def _semidefinite_root(matrix: Array) -> Array:
 
 def determined(lower: Array) -> Mask:
     """Which components a root shows to be determined by those before them, (..., n)."""
-    return np.diagonal(lower, axis1=-2, axis2=-1) == 0.0
+    fixed: Mask = np.diagonal(lower, axis1=-2, axis2=-1) == 0.0
+    return fixed
 
 
 def _regular(lower: Array, fixed: Mask) -> Array:
@@ -72,7 +73,7 @@ def solve_lower(lower: Array, right: Array) -> Array:
     """
     regular = _regular(lower, determined(lower))
     if lower.size < _MANY * lower.shape[-1] ** 2:
-        return np.linalg.solve(regular, right)
+        return np.asarray(np.linalg.solve(regular, right), dtype=np.float64)
     batch = np.broadcast_shapes(lower.shape[:-2], right.shape[:-2])
     solution = np.empty((*batch, *right.shape[-2:]))
     for j in range(lower.shape[-1]):
@@ -90,7 +91,7 @@ def solve_upper(lower: Array, right: Array) -> Array:
     if fixed.any():
         right = np.where(fixed[..., None], 0.0, right)
     if lower.size < _MANY * lower.shape[-1] ** 2:
-        return np.linalg.solve(transpose(regular), right)
+        return np.asarray(np.linalg.solve(transpose(regular), right), dtype=np.float64)
     size = lower.shape[-1]
     batch = np.broadcast_shapes(lower.shape[:-2], right.shape[:-2])
     solution = np.empty((*batch, *right.shape[-2:]))
@@ -115,7 +116,8 @@ def gain(cross: Array, lower: Array) -> Array:
 def log_determinant(lower: Array) -> Array:
     """Ln |L Lᵀ| over the components that are not determined, (...)."""
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)
-    return 2.0 * np.log(np.where(pivots == 0.0, 1.0, pivots)).sum(axis=-1)
+    total: Array = np.log(np.where(pivots == 0.0, 1.0, pivots)).sum(axis=-1)
+    return 2.0 * total
 
 
 def is_proper(lower: Array) -> bool:

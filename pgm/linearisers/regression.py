@@ -82,9 +82,8 @@ class StatisticalRegression(ABC):
         s_mean = mean_weights @ s
         ds = s - s_mean[..., None, :]
         weighted = cov_weights[:, None] * ds
-        slope = transpose(
-            np.linalg.solve(transpose(weighted) @ ds, transpose(weighted) @ deviation)
-        )
+        normal, moment = transpose(weighted) @ ds, transpose(weighted) @ deviation
+        slope = transpose(np.asarray(np.linalg.solve(normal, moment), dtype=np.float64))
         left = deviation - ds @ transpose(slope)
         noise = transpose(cov_weights[:, None] * left) @ left
         matrix = _divide(slope, lower, function, at)

@@ -8,7 +8,7 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from pgm.cpds import CPD
+from pgm.cpds import CPD, AffineCPD
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
@@ -134,6 +134,13 @@ class DynamicBayesianNetwork:
     def variables(self) -> Scope:
         """All variables: states, controls, sensors, inputs."""
         return (*self.states, *self.controls, *self.sensors, *self.inputs)
+
+    @property
+    def lead(self) -> tuple[int, ...]:
+        """The leading axes of runs that the prior has, where its means differ by run."""
+        means = [cpd.offset.shape[:-1] for cpd in self.prior if isinstance(cpd, AffineCPD)]
+        covs = [cpd.cov.shape[:-2] for cpd in self.prior if isinstance(cpd.cov, np.ndarray)]
+        return np.broadcast_shapes(*means, *covs)
 
     def sample(
         self,

@@ -52,13 +52,12 @@ def draw(
     rng: np.random.Generator,
 ) -> Sample:
     """Draw states forward in time, then the readings."""
-    priors = [cpd.offset.shape[:-1] for cpd in model.prior if isinstance(cpd, AffineCPD)]
     bound = bind(
         model.transition,
         model.observation,
         inputs,
         steps,
-        np.broadcast_shapes(runs, *priors),
+        np.broadcast_shapes(runs, model.lead),
         drawing=True,
     )
     count = bound.runs

@@ -1,0 +1,114 @@
+"""The two properties that make a graph of clusters a cluster graph of a network."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+
+import networkx as nx
+
+from pgm.errors import GraphError
+from pgm.factors.scope import Scope, names
+from pgm.variables import Variable
+
+Edge = tuple[int, int]
+
+
+def check_families(
+    scopes: Sequence[Iterable[Variable]],
+    assigned: Sequence[Iterable[Scope]],
+    families: Iterable[Scope] | None = None,
+) -> None:
+    """Family preservation: each CPD's family stands in exactly one cluster, which holds it.
+
+    Parameters
+    ----------
+    scopes : sequence of iterable of Variable
+        Of each cluster.
+    assigned : sequence of iterable of tuple of Variable
+        The families assigned to each cluster.
+    families : iterable of tuple of Variable, optional
+        All families of the network; those assigned without.
+
+    Raises
+    ------
+    GraphError
+        Naming the family and the cluster.
+    """
+    for index, (scope, inside) in enumerate(zip(scopes, assigned, strict=True)):
+        held = set(scope)
+        for family in inside:
+            lost = [variable for variable in family if variable not in held]
+            if lost:
+                raise GraphError(
+                    f"family preservation fails: cluster {index} is assigned the CPD of "
+                    f"{family[0]!r}, but lacks {names(lost)} of its family {names(family)}; add "
+                    "them to the cluster or move the CPD",
+                    variable=lost[0],
+                    cluster=index,
+                )
+    counts = Counter(family for inside in assigned for family in inside)
+    for family in counts if families is None else families:
+        if counts[family] != 1:
+            raise GraphError(
+                f"family preservation fails: the CPD of {family[0]!r}, with family "
+                f"{names(family)}, is assigned to {counts[family]} clusters; one was due",
+                variable=family[0],
+            )
+
+
+def check_running_intersection(
+    scopes: Sequence[Iterable[Variable]], sepsets: Mapping[Edge, Iterable[Variable]]
+) -> None:
+    """Running intersection: for each variable, the clusters and sepsets that carry it form a tree.
+
+    Parameters
+    ----------
+    scopes : sequence of iterable of Variable
+        Of each cluster.
+    sepsets : mapping of (int, int) to iterable of Variable
+        Of each pair of joined clusters.
+
+    Raises
+    ------
+    GraphError
+        Naming the variable and the clusters.
+    """
+    holders: dict[Variable, set[int]] = defaultdict(set)
+    for index, scope in enumerate(scopes):
+        for variable in scope:
+            holders[variable].add(index)
+    carriers: dict[Variable, list[Edge]] = defaultdict(list)
+    for (i, j), sepset in sepsets.items():
+        for variable in sepset:
+            for end in (i, j):
+                if end not in holders.get(variable, ()):
+                    raise GraphError(
+                        f"the sepset between clusters {i} and {j} holds {variable!r}, which "
+                        f"cluster {end} does not",
+                        variable=variable,
+                        cluster=end,
+                    )
+            carriers[variable].append((i, j))
+    for variable, clusters in holders.items():
+        if len(carriers[variable]) == len(clusters) - 1 <= 1:
+            continue  # one cluster, or two that are joined
+        graph = nx.Graph(carriers[variable])
+        graph.add_nodes_from(clusters)
+        pieces = list(nx.connected_components(graph))
+        if len(pieces) > 1:
+            apart = " and ".join(str(sorted(piece)) for piece in pieces)
+            raise GraphError(
+                f"running intersection fails: {variable!r} is in clusters {apart}, which no "
+                "path of sepsets carrying it joins; add it to the sepsets between them",
+                variable=variable,
+                cluster=min(pieces[1]),
+            )
+        if len(carriers[variable]) >= len(clusters):
+            loop = [edge[0] for edge in nx.find_cycle(graph)]
+            raise GraphError(
+                f"running intersection fails: the sepsets carry {variable!r} around the loop of "
+                f"clusters {loop}; take it out of one of them",
+                variable=variable,
+                cluster=loop[0],
+            )

@@ -1,0 +1,71 @@
+"""Where the hidden variables of a slice stand in its vectors: compiled once for all steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgm.cpds import CPD
+from pgm.factors.scope import Scope, dimension, positions
+from pgm.kernels.arrays import Index, Integers
+from pgm.networks import DynamicBayesianNetwork
+
+
+@dataclass(frozen=True, eq=False)
+class SliceLayout:
+    """The vectors of a dynamic network's slice.
+
+    A *slice* stacks the hidden variables of one step, states and controls, parents before
+    children. A *pair* stacks the states of the step before, then the slice: the hidden scope of
+    a cluster.
+    """
+
+    model: DynamicBayesianNetwork
+
+    @cached_property
+    def slice(self) -> Scope:
+        """The hidden variables of a step, in the order of the slice vector."""
+        return tuple(cpd.child for cpd in self.model.transition)
+
+    @cached_property
+    def states(self) -> Scope:
+        """The states, in the order of the slice vector."""
+        return self.model.states
+
+    @cached_property
+    def pair(self) -> Scope:
+        """The states of the step before, then the slice."""
+        return (*(state.previous for state in self.states), *self.slice)
+
+    @cached_property
+    def state_size(self) -> int:
+        """Components of the states."""
+        return dimension(self.states)
+
+    @cached_property
+    def slice_size(self) -> int:
+        """Components of the slice."""
+        return dimension(self.slice)
+
+    @cached_property
+    def state_places(self) -> Index:
+        """Where the states stand in the slice vector; everywhere, where there are no controls."""
+        return positions(self.slice, self.states)
+
+    @cached_property
+    def control_places(self) -> Integers:
+        """Where the controls stand in the slice vector."""
+        everywhere = np.arange(self.slice_size)
+        return np.setdiff1d(everywhere, everywhere[self.state_places])
+
+    @cached_property
+    def single(self) -> bool:
+        """Whether one CPD makes the whole slice of the whole slice before."""
+        return len(self.slice) == 1 and self.hidden(self.model.transition[0]) == self.pair[:1]
+
+    def hidden(self, cpd: CPD) -> Scope:
+        """The parents of a CPD's mean that no evidence gives, in the order of its function."""
+        slice_ = set(self.slice)
+        return tuple(parent for parent in cpd.given if parent.template in slice_)

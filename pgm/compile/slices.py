@@ -1,0 +1,137 @@
+"""The cluster graph of a dynamic network: one cluster a step, compiled once as a template."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.clustergraph.checks import Edge
+from pgm.compile.layout import SliceLayout
+from pgm.errors import GraphError, ModelError
+from pgm.factors.scope import Scope
+from pgm.networks import DynamicBayesianNetwork
+
+
+class SliceGraph(ClusterGraph):
+    """The chain of clusters 0..T of a dynamic network.
+
+    Cluster 0 holds the states at step 0, the prior and the families of the sensors; cluster t
+    holds the states of steps t−1 and t and the other variables of the CPDs at t. The sepset
+    between t and t+1 is all states at t. Clusters are views, made on request from one template.
+
+    Attributes
+    ----------
+    model : DynamicBayesianNetwork
+    steps : int
+        T, the last step.
+    """
+
+    model: DynamicBayesianNetwork
+    steps: int
+    layout: SliceLayout
+
+    def __init__(self, model: DynamicBayesianNetwork, steps: int) -> None:
+        for name, value in (
+            ("model", model),
+            ("steps", steps),
+            ("layout", SliceLayout(model)),
+        ):
+            object.__setattr__(self, name, value)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"a cluster graph is immutable; compile another to change {name}")
+
+    @property
+    def clusters(self) -> Sequence[Cluster]:
+        """Clusters 0..T."""
+        return _Clusters(self)
+
+    @property
+    def sepsets(self) -> Mapping[Edge, Scope]:
+        """The states at t, for each edge (t, t+1)."""
+        return _Sepsets(self)
+
+    def neighbours(self, index: int) -> tuple[int, ...]:
+        """The clusters of the steps before and after."""
+        return tuple(k for k in (index - 1, index + 1) if 0 <= k <= self.steps)
+
+    def cluster(self, step: int) -> Cluster:
+        """The cluster of a step."""
+        cpds = self.model.at(step)
+        families = tuple(tuple(v.at(step) for v in cpd.scope) for cpd in cpds)
+        hidden = self.layout.pair if step else self.layout.states
+        scope = dict.fromkeys(v.at(step) for v in hidden)
+        scope |= dict.fromkeys(v for family in families for v in family)
+        return Cluster(step, tuple(scope), cpds, families)
+
+    def __repr__(self) -> str:
+        return f"SliceGraph(clusters 0..{self.steps}, sepsets of {list(self.model.states)})"
+
+
+class _Clusters(Sequence[Cluster]):
+    def __init__(self, graph: SliceGraph) -> None:
+        self._graph = graph
+
+    def __len__(self) -> int:
+        return self._graph.steps + 1
+
+    def __getitem__(self, index: Any) -> Any:
+        found = range(len(self))[index]
+        if isinstance(found, range):
+            return tuple(map(self._graph.cluster, found))
+        return self._graph.cluster(found)
+
+    def __repr__(self) -> str:
+        return f"<clusters 0..{self._graph.steps}>"
+
+
+class _Sepsets(Mapping[Edge, Scope]):
+    def __init__(self, graph: SliceGraph) -> None:
+        self._graph = graph
+
+    def __len__(self) -> int:
+        return self._graph.steps
+
+    def __iter__(self) -> Iterator[Edge]:
+        return ((step, step + 1) for step in range(self._graph.steps))
+
+    def __getitem__(self, edge: Edge) -> Scope:
+        first = min(edge)
+        if edge not in ((first, first + 1), (first + 1, first)) or not 0 <= first < len(self):
+            raise GraphError(
+                f"clusters {edge[0]} and {edge[1]} are not joined; neighbours in 0.."
+                f"{len(self)} are",
+                cluster=edge[0],
+            )
+        return tuple(state.at(first) for state in self._graph.layout.states)
+
+
+def compile(model: DynamicBayesianNetwork, steps: int | None = None) -> SliceGraph:
+    """Compile a network into a cluster graph.
+
+    Parameters
+    ----------
+    model : DynamicBayesianNetwork
+    steps : int
+        T: the graph has the clusters 0..T.
+
+    Raises
+    ------
+    ModelError
+        If the model is no network.
+    GraphError
+        If the number of steps is missing or negative.
+
+    Examples
+    --------
+    >>> graph = compile(model, steps=100)  # doctest: +SKIP
+    >>> graph.check()  # doctest: +SKIP
+    """
+    if not isinstance(model, DynamicBayesianNetwork):
+        raise ModelError(f"compile takes a network, not {model!r}")
+    if not isinstance(steps, int) or isinstance(steps, bool) or steps < 0:
+        raise GraphError(
+            f"a dynamic network is compiled for steps 0..T; give steps=T, 0 or more, not {steps!r}"
+        )
+    return SliceGraph(model, steps)

@@ -1,0 +1,264 @@
+"""One CPD at all its rows: its evidence, its noise, and what the lineariser made of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pgm.cpds import CPD, AffineCPD, Noise, NonlinearGaussianCPD
+from pgm.errors import LinearisationError, ModelError, PgmError
+from pgm.factors import AffineGaussian, Gaussian
+from pgm.factors.scope import Scope, dimension
+from pgm.kernels.angles import nearest_branch
+from pgm.kernels.arrays import Array, Integers, Mask, apply
+from pgm.kernels.checks import covariance_fault
+from pgm.linearisers import BoundFunction, FunctionTemplate, Lineariser, Taylor
+from pgm.variables import Variable
+
+Rows = int | slice
+
+
+@dataclass(eq=False)
+class Family:
+    """A CPD at its rows, steps for a transition, sightings for a sensor; the engine's own.
+
+    Attributes
+    ----------
+    cpd : CPD
+    hidden : tuple of Variable
+        The parents without evidence, stacked.
+    step : ndarray of int
+        (rows,): the step of each row.
+    inputs : mapping of Variable to ndarray
+        Values of the parents with evidence, (rows, runs or 1, d).
+    lineariser : Lineariser
+        The CPD's own, or the one given to `infer`.
+    template : FunctionTemplate or None
+        None where the CPD is affine, so that there is nothing to linearise.
+    matrix, offset : ndarray
+        F (rows, runs, d, n) and b (rows, runs, d).
+    noise : ndarray
+        (rows, runs, d, d): the CPD's own and the lineariser's error.
+    """
+
+    cpd: CPD
+    hidden: Scope
+    step: Integers
+    inputs: Mapping[Variable, Array]
+    lineariser: Lineariser
+    template: FunctionTemplate | None
+    matrix: Array
+    offset: Array
+    noise: Array
+    own_noise: Array
+    approximate: bool = False
+
+    @classmethod
+    def make(
+        cls,
+        cpd: CPD,
+        hidden: Scope,
+        step: Integers,
+        inputs: Mapping[Variable, Array],
+        lineariser: Lineariser,
+        lead: tuple[int, ...],
+    ) -> Family:
+        """Lay out a CPD; an affine one is ready for use."""
+        rows, runs = step.size, math.prod(lead)
+        height, width = cpd.child.dimension, dimension(hidden)
+        own_noise = _own_noise(cpd, step, inputs, lead)
+        template = None
+        if isinstance(cpd, AffineCPD):
+            constant, shift = cpd._affine(hidden, inputs)
+            if not cpd.given and shift.ndim > 1:
+                shift = np.broadcast_to(shift, (*lead, height)).reshape(1, runs, height)
+            matrix = np.broadcast_to(constant, (rows, runs, height, width))
+            offset = np.broadcast_to(shift, (rows, runs, height))
+        elif isinstance(cpd, NonlinearGaussianCPD):
+            template = cpd._template(hidden)
+            lineariser = cpd.lineariser or lineariser
+            matrix = np.empty((rows, runs, height, width))
+            offset = np.empty((rows, runs, height))
+        else:
+            raise ModelError(f"{cpd!r} is of no kind that inference knows", cpd=cpd)
+        noise = np.broadcast_to(own_noise, (rows, runs, height, height))
+        return cls(
+            cpd, hidden, step, inputs, lineariser, template, matrix, offset, noise, own_noise
+        )
+
+    @property
+    def exact(self) -> bool:
+        """Whether the CPD is affine, so that no linearisation is needed."""
+        return self.template is None
+
+    @property
+    def taylor(self) -> bool:
+        """Whether the CPD is affine or expanded to first order at a point."""
+        return self.exact or isinstance(self.lineariser, Taylor)
+
+    def linearise(self, rows: Rows, mean: Array, cov: Array, active: Mask | None = None) -> None:
+        """Linearise some rows at beliefs over the hidden parents, (runs, n) or (k, runs, n).
+
+        `active` says which runs take the new linearisation; the others keep theirs.
+        """
+        if self.template is None:
+            return
+        function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
+        affine = self._call(function, mean, cov)
+        matrix, offset, error = affine.F, affine.b, affine.cov
+        if not np.isfinite(matrix.sum() + offset.sum() + error.sum()):
+            self._refuse_non_finite(rows, mean, affine)
+        if active is not None:
+            keep = ~active
+            matrix = np.array(np.broadcast_to(matrix, self.matrix[rows].shape))
+            offset = np.array(np.broadcast_to(offset, self.offset[rows].shape))
+            error = np.array(np.broadcast_to(error, self.noise[rows].shape))
+            matrix[..., keep, :, :] = self.matrix[rows][..., keep, :, :]
+            offset[..., keep, :] = self.offset[rows][..., keep, :]
+            old = self.noise[rows] - np.broadcast_to(self.own_noise, self.noise.shape)[rows]
+            error[..., keep, :, :] = old[..., keep, :, :]
+        self.matrix[rows] = matrix
+        self.offset[rows] = offset
+        if self.approximate or error.any():
+            if not self.approximate:
+                self.noise, self.approximate = np.array(self.noise), True
+            own = self.own_noise
+            self.noise[rows] = error + (own[rows] if own.shape[0] > 1 else own[0])
+
+    def bound(self, rows: Rows, lead: int, shape: tuple[int, ...]) -> BoundFunction:
+        """The CPD's function with the evidence of some rows bound."""
+        assert self.template is not None
+        step: int | Integers
+        if isinstance(rows, int):
+            step = int(self.step[rows])
+        else:
+            steps = self.step[rows]
+            if steps.size and steps[0] == steps[-1]:
+                step = int(steps[0])
+            else:
+                step = np.broadcast_to(steps[:, None], shape)
+        known = tuple(
+            self.inputs[parent][rows] if place is None else None
+            for parent, place in zip(self.template.given, self.template.places, strict=True)
+        )
+        return BoundFunction(self.template, known, lead, step)
+
+    def value(self, rows: Rows, mean: Array) -> Array:
+        """F mean + b of some rows."""
+        return apply(self.matrix[rows], mean) + self.offset[rows]
+
+    def to_chart(self, parents: Array, child: Array) -> None:
+        """Move offsets of angles by whole turns, so that values lie near the child's mean.
+
+        Beliefs live on one unwrapped chart; a function that wraps its angles must not leave it.
+        """
+        angles = self.cpd.child.angle_mask
+        if self.template is not None and angles.any():
+            value = self.value(slice(None), parents)
+            self.offset += nearest_branch(value, child, angles) - value
+
+    def _call(self, function: BoundFunction, mean: Array, cov: Array) -> AffineGaussian:
+        if not self.hidden:
+            value = function(mean)
+            size = value.shape[-1]
+            return AffineGaussian(np.empty((*value.shape, 0)), value, np.zeros((size, size)))
+        affine = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
+        if not isinstance(affine, AffineGaussian):
+            raise LinearisationError(
+                f"the lineariser {self.lineariser!r} returned {type(affine).__name__} for "
+                f"{self.cpd!r}; it must return a pgm.AffineGaussian",
+                cpd=self.cpd,
+            )
+        if affine.F.shape[-2:] != self.matrix.shape[-2:]:
+            raise LinearisationError(
+                f"the lineariser {self.lineariser!r} returned an F of shape {affine.F.shape} for "
+                f"{self.cpd!r}; it must end in {self.matrix.shape[-2:]}",
+                cpd=self.cpd,
+            )
+        return affine
+
+    def _refuse_non_finite(self, rows: Rows, mean: Array, affine: AffineGaussian) -> None:
+        shape = mean.shape[:-1]
+        bad = np.broadcast_to(~np.isfinite(affine.b).all(axis=-1), shape)
+        bad = bad | ~np.isfinite(affine.F).all(axis=(-2, -1))
+        bad = bad | ~np.isfinite(affine.cov).all(axis=(-2, -1))
+        where = tuple(int(axis[0]) for axis in np.nonzero(bad))
+        steps = np.atleast_1d(self.step[rows])
+        step = int(steps[where[0]]) if len(where) > 1 else int(steps[0])
+        raise LinearisationError(
+            f"{self.cpd!r}: its linearisation at step {step}, run {where[-1]}, has values that "
+            f"are NaN or infinite, at {self.hidden} = {mean[where]}; is the function defined "
+            "there, and its Jacobian?",
+            variable=self.cpd.child,
+            cpd=self.cpd,
+            step=step,
+        )
+
+    def probe(self, means: Mapping[Variable, Array]) -> None:
+        """Call the functions once with axes that give wrong indexing away, before inference."""
+        if self.template is None or not self.step.size:
+            return
+        axes = (2, 3)
+        parts = [means.get(v.template, np.zeros(v.dimension)) for v in self.hidden]
+        x = np.broadcast_to(np.concatenate([np.zeros(0), *parts]), (*axes, dimension(self.hidden)))
+        known = tuple(
+            np.broadcast_to(self.inputs[parent][0, 0], (*axes, parent.dimension))
+            if place is None
+            else None
+            for parent, place in zip(self.template.given, self.template.places, strict=True)
+        )
+        function = BoundFunction(self.template, known, 2, None)
+        with np.errstate(all="ignore"):
+            try:
+                function(x)
+                if len(self.template.numerical) < self.template.size:
+                    function.jacobian(x)
+            except PgmError as error:
+                error.cpd = self.cpd
+                raise
+            except Exception as error:
+                raise ModelError(
+                    f"{self.cpd!r}: its function failed on a trial call with arrays of leading "
+                    f"axes {axes}: {type(error).__name__}: {error}",
+                    variable=self.cpd.child,
+                    cpd=self.cpd,
+                ) from error
+
+
+def _own_noise(
+    cpd: CPD, step: Integers, inputs: Mapping[Variable, Array], lead: tuple[int, ...]
+) -> Array:
+    """The CPD's own noise covariance, (rows or 1, runs or 1, d, d)."""
+    size = cpd.child.dimension
+    if not isinstance(cpd.cov, Noise):
+        if cpd.cov.ndim == 2:
+            return cpd.cov[None, None]
+        return np.broadcast_to(cpd.cov, (*lead, size, size)).reshape(1, math.prod(lead), size, size)
+    known = [inputs[parent] for parent in cpd.cov.given]
+    shape = np.broadcast_shapes((step.size, 1), *(array.shape[:2] for array in known))
+    if not step.size:
+        return np.zeros((1, 1, size, size))
+    known = [np.broadcast_to(array, (*shape, array.shape[-1])) for array in known]
+    value: Any = cpd.cov.function(*known)
+    cov = np.asarray(value, dtype=float)
+    if cov.shape != (*shape, size, size):
+        raise ModelError(
+            f"the noise of {cpd!r} returned shape {cov.shape} where {(*shape, size, size)} was "
+            "due; it is called with arrays that have leading axes",
+            variable=cpd.child,
+            cpd=cpd,
+        )
+    if covariance_fault(cov):
+        for row, each in enumerate(cov):
+            if fault := covariance_fault(each):
+                raise ModelError(
+                    f"the noise of {cpd!r} at step {step[row]} {fault}",
+                    variable=cpd.child,
+                    cpd=cpd,
+                    step=int(step[row]),
+                )
+    return cov

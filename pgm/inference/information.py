@@ -1,0 +1,89 @@
+"""Backward messages in information form, for those who want to read them.
+
+Marginals and joints do not need them: they come from the reversed chain, which exists where these
+do not (a static state read exactly).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.inference.backward import transition
+from pgm.inference.forward import Forward, stack
+from pgm.inference.plan import ChainPlan
+from pgm.kernels import canonical, roots
+from pgm.kernels.arrays import LOG_2PI, Array, apply, inner, sandwich, transpose
+from pgm.kernels.canonical import Canonical
+
+
+def backward_message(plan: ChainPlan, forward: Forward, step: int) -> Canonical:
+    """The likelihood of the readings after a step, as a function of the states at it.
+
+    Messages are carried about the filtered mean, so that large coordinates cost no digits, and
+    moved to the origin at the end. NaN in runs where the message does not exist.
+    """
+    layout = plan.layout
+    states, size = layout.state_places, layout.state_size
+    select = np.eye(layout.slice_size)[states]
+    matrices, _, noises = transition(plan)
+    message: Canonical = (
+        np.zeros((plan.runs, size, size)),
+        np.zeros((plan.runs, size)),
+        np.zeros(plan.runs),
+    )
+    for later in range(plan.steps, step, -1):
+        predicted, filtered = forward.predicted_mean[later], forward.mean[later]
+        matrix, noise = matrices[later - 1], noises[later - 1]
+        offset = np.zeros_like(predicted)
+        likelihood: Canonical | None = None
+        due = [
+            (sensor, slice(sensor.bounds[later], sensor.bounds[later + 1]))
+            for sensor in plan.sensors
+            if sensor.bounds[later] < sensor.bounds[later + 1]
+        ]
+        if due:
+            h_matrix, residual, reading_noise, missing = stack(due, predicted)
+            matrix, offset, noise, likelihood = _absorb(
+                matrix, noise, h_matrix, residual, reading_noise, missing
+            )
+        shift = offset + predicted - filtered
+        message = canonical.backward(
+            select @ matrix, apply(select, shift), sandwich(select, noise), *message
+        )
+        if likelihood is not None:
+            message = tuple(a + b for a, b in zip(message, likelihood, strict=True))  # type: ignore[assignment]
+    return canonical.shift(*message, forward.mean[step][..., states])
+
+
+def _absorb(
+    matrix: Array,
+    noise: Array,
+    h_matrix: Array,
+    residual: Array,
+    reading_noise: Array,
+    missing: Array | None,
+) -> tuple[Array, Array, Array, Canonical]:
+    """Bring a step's readings into its transition w = A x + q, both about predicted means.
+
+    Returns the conditional of w given x and the readings, and their likelihood as a function of
+    x, through S = H Q Hᵀ + noise of the reading, which has to be regular.
+    """
+    cross = h_matrix @ noise
+    lower = canonical.strict_root(cross @ transpose(h_matrix) + reading_noise)
+    gain = roots.gain(transpose(cross), lower)
+    reach = h_matrix @ matrix
+    white = roots.solve_lower(lower, reach)
+    white_residual = roots.solve_lower(lower, residual[..., None])
+    keep = np.eye(noise.shape[-1]) - gain @ h_matrix
+    absorbed = sandwich(keep, noise) + sandwich(gain, reading_noise)
+    h = (transpose(white) @ white_residual)[..., 0]
+    white_residual = white_residual[..., 0]
+    g = -0.5 * (
+        inner(white_residual, white_residual)
+        + roots.log_determinant(lower)
+        + residual.shape[-1] * LOG_2PI
+    )
+    if missing is not None:
+        g = g + 0.5 * LOG_2PI * missing
+    likelihood = (transpose(white) @ white, h, g)
+    return keep @ matrix, apply(gain, residual), absorbed, likelihood

@@ -1,0 +1,100 @@
+"""Innovations: what readings add to what was predicted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.inference.forward import Forward
+from pgm.inference.plan import Sensor
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, Integers, block, inner, sandwich
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    """The innovations of one sensor, one row a sighting, in the order of the evidence.
+
+    Attributes
+    ----------
+    residual : ndarray
+        (..., M, d): reading less prediction; NaN where not taken.
+    cov : ndarray
+        (..., M, d, d): its predictive covariance, S = H P Hᵀ + noise; NaN where not taken.
+    step : ndarray of int
+        (M,).
+    nis : ndarray
+        (..., T+1): the normalised innovation squared of each step, rᵀS⁻¹r with the joint
+        covariance of the sensor's sightings at the step; NaN without any.
+    dof : ndarray of int
+        (..., T+1): the number of components read at each step.
+    """
+
+    residual: Array
+    cov: Array
+    step: Integers
+    nis: Array
+    dof: Integers
+
+
+def innovations(sensor: Sensor, forward: Forward, lead: tuple[int, ...]) -> Innovations:
+    """The innovations of a sensor at the predicted beliefs of a forward sweep."""
+    family, parents = sensor.family, sensor.parents
+    mean = forward.predicted_mean[family.step][..., parents]
+    residual = sensor.moved - family.value(slice(None), mean)
+    spread = block(forward.predicted_cov[family.step], parents, parents)
+    cov = sandwich(family.matrix, spread) + family.noise
+    taken = np.broadcast_to(True if sensor.taken is None else sensor.taken, residual.shape[:2])
+    nis, dof = _by_step(sensor, forward, residual, taken)
+    back = np.argsort(sensor.order)
+
+    def out(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return array.swapaxes(0, 1).reshape(*lead, array.shape[0], *array.shape[2:])
+
+    return Innovations(
+        out(np.where(taken[..., None], residual, np.nan)[back]),
+        out(np.where(taken[..., None, None], cov, np.nan)[back]),
+        family.step[back],
+        out(nis),
+        out(dof),
+    )
+
+
+def _by_step(
+    sensor: Sensor, forward: Forward, residual: Array, taken: np.ndarray
+) -> tuple[Array, Integers]:
+    """Normalised innovations squared, (T+1, runs): steps with equally many sightings at once."""
+    family, parents = sensor.family, sensor.parents
+    bounds = np.array(sensor.bounds)
+    counts = np.diff(bounds)
+    runs, height = residual.shape[1:]
+    nis = np.full((counts.size, runs), np.nan)
+    dof = np.zeros((counts.size, runs), dtype=np.intp)
+    for count in np.unique(counts[counts > 0]):
+        steps = np.flatnonzero(counts == count)
+        rows = bounds[steps][:, None] + np.arange(count)
+
+        def stacked(array: Array, rows: Integers = rows) -> Array:
+            """(steps, runs, sightings, ...) with the sightings' components in one axis."""
+            each = np.moveaxis(array[rows], 1, 2)
+            return each.reshape(*each.shape[:2], -1, *each.shape[4:])
+
+        seen = np.repeat(np.moveaxis(taken[rows], 1, 2), height, axis=-1)
+        matrix = stacked(family.matrix) * seen[..., None]
+        r = stacked(residual) * seen
+        spread = block(forward.predicted_cov[steps], parents, parents)
+        cov = sandwich(matrix, spread)
+        noise = np.moveaxis(family.noise[rows], 1, 2)
+        for k in range(int(count)):
+            each = slice(k * height, (k + 1) * height)
+            cov[..., each, each] += noise[..., k, :, :]
+        cov = np.where(seen[..., None] & seen[..., None, :], cov, np.eye(cov.shape[-1]))
+        lower = roots.root(cov)
+        white = roots.solve_lower(lower, r[..., None])[..., 0]
+        white = np.where(roots.determined(lower), 0.0, white)
+        dof[steps] = seen.sum(axis=-1)
+        nis[steps] = np.where(dof[steps] > 0, inner(white, white), np.nan)
+    return nis, dof

@@ -1,0 +1,226 @@
+"""Filtering in a robot's loop: the same rounds as a forward sweep, one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pgm.compile import SliceLayout, compile
+from pgm.errors import EvidenceError, ModelError
+from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
+from pgm.factors import Gaussian
+from pgm.factors.scope import positions
+from pgm.inference import forward
+from pgm.inference.plan import ChainPlan
+from pgm.kernels.arrays import Array, block
+from pgm.linearisers import Lineariser, Taylor
+from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineBelief:
+    """The belief of an online filter at one step.
+
+    Attributes
+    ----------
+    step : int
+    log_evidence : ndarray
+        (...): ln p of all readings so far.
+    """
+
+    step: int
+    layout: SliceLayout
+    lead: tuple[int, ...]
+    mean: Array
+    cov: Array
+    log_density: Array
+
+    @property
+    def log_evidence(self) -> Array:
+        """Ln p of all readings so far, (...)."""
+        return self.log_density.reshape(self.lead)
+
+    def __getitem__(self, variable: Variable) -> Gaussian:
+        """The marginal of a hidden variable at the belief's step."""
+        slice_ = self.layout.slice
+        known = slice_ if self.step else self.layout.states
+        if variable.template not in known or variable.step not in (None, self.step):
+            raise EvidenceError(
+                f"the belief at step {self.step} is over {list(known)}, not {variable!r}",
+                variable=variable,
+                step=self.step,
+            )
+        places = positions(slice_, [variable.template])
+        mean, cov = self.mean[:, places], block(self.cov, places, places)
+        return Gaussian._make(
+            (variable,),
+            mean.reshape(*self.lead, -1),
+            cov.reshape(*self.lead, *cov.shape[-2:]),
+        )
+
+    def __repr__(self) -> str:
+        return f"OnlineBelief(step {self.step}, over {list(self.layout.slice)})"
+
+
+class OnlineFilter:
+    """A filter for one step at a time; immutable, and so are its beliefs.
+
+    Parameters
+    ----------
+    model : DynamicBayesianNetwork
+    lineariser : Lineariser, optional
+        For every CPD that has none of its own; `Taylor()` without.
+
+    Examples
+    --------
+    >>> robot = OnlineFilter(model)  # doctest: +SKIP
+    >>> belief = robot.initial()  # doctest: +SKIP
+    >>> belief = robot.predict(belief, {u: odometry})  # doctest: +SKIP
+    >>> belief = robot.update(belief, {z: sightings(zs, given={m: ms})})  # doctest: +SKIP
+    """
+
+    model: DynamicBayesianNetwork
+    lineariser: Lineariser
+
+    def __init__(self, model: DynamicBayesianNetwork, lineariser: Lineariser | None = None) -> None:
+        if not isinstance(model, DynamicBayesianNetwork):
+            raise ModelError(f"a dynamic network was due, not {model!r}")
+        if lineariser is not None and not callable(lineariser):
+            raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
+        object.__setattr__(self, "model", model)
+        object.__setattr__(self, "lineariser", lineariser or Taylor())
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"an OnlineFilter is immutable; make a new one to change {name}")
+
+    @cached_property
+    def _graph(self) -> Any:
+        return compile(self.model, 1)
+
+    def initial(self) -> OnlineBelief:
+        """The prior, at step 0."""
+        layout, lead = self._graph.layout, self.model.lead
+        plan = self._plan(BoundEvidence(0, lead, (), ()), 0, prior=True)
+        states = layout.state_places
+        slice_mean = np.zeros((plan.runs, layout.slice_size))
+        slice_cov = np.zeros((plan.runs, layout.slice_size, layout.slice_size))
+        mean, cov = forward.start(plan, linearise=True)
+        slice_mean[:, states] = mean
+        forward.put(slice_cov, states, cov)
+        return OnlineBelief(0, layout, lead, slice_mean, slice_cov, np.zeros(plan.runs))
+
+    def predict(
+        self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None = None
+    ) -> OnlineBelief:
+        """The belief one step later.
+
+        Parameters
+        ----------
+        belief : OnlineBelief
+        inputs : mapping of Variable to array_like
+            Values (..., d) of the transition's inputs.
+
+        Raises
+        ------
+        EvidenceError
+            If an input is missing or of a wrong shape, or something is no input.
+        """
+        needed = {v for cpd in self.model.transition for v in cpd.parents}
+        for variable in inputs or {}:
+            if variable not in needed or variable not in self.model.inputs:
+                raise EvidenceError(
+                    f"predict takes inputs of the transition, not {variable!r}; "
+                    "readings go to update",
+                    variable=variable,
+                    step=belief.step + 1,
+                )
+        evidence = {v: _constant(value) for v, value in (inputs or {}).items()}
+        bound = bind(self.model.transition, (), evidence, 1, belief.lead)
+        plan = self._plan(bound, belief.step + 1)
+        mean, cov, log_density = _wide(belief, bound)
+        states = plan.layout.state_places
+        mean, cov = forward.predict(
+            plan, 0, mean[:, states], block(cov, states, states), linearise=True
+        )
+        return OnlineBelief(belief.step + 1, plan.layout, bound.lead, mean, cov, log_density)
+
+    def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
+        """The belief given readings of its step; a further update goes on from the first.
+
+        Parameters
+        ----------
+        belief : OnlineBelief
+        readings : mapping of Variable
+            For a sensor ``pgm.sightings(values, given=...)`` without steps, any number, or one
+            reading (..., d); for inputs that the sensors need, values (..., d).
+
+        Raises
+        ------
+        EvidenceError
+            If a reading does not fit its sensor.
+        NumericalError
+            If a reading contradicts an exact model.
+        """
+        evidence = {v: self._reading(v, value) for v, value in readings.items()}
+        bound = bind(
+            self.model.transition,
+            self.model.observation,
+            evidence,
+            0,
+            belief.lead,
+            transition_inputs=False,
+        )
+        plan = self._plan(bound, belief.step)
+        if not belief.step:
+            for sensor in plan.sensors:
+                for parent in sensor.family.hidden:
+                    if parent not in self.model.states:
+                        raise EvidenceError(
+                            f"a sighting of {sensor.variable!r} at step 0, where its parent "
+                            f"{parent!r} does not yet exist; predict first",
+                            variable=sensor.variable,
+                            step=0,
+                        )
+        mean, cov, log_density = _wide(belief, bound)
+        mean, cov, gained = forward.update(plan.sensors, 0, mean, cov, linearise=True)
+        return OnlineBelief(belief.step, plan.layout, bound.lead, mean, cov, log_density + gained)
+
+    def _reading(self, variable: Variable, value: Any) -> Any:
+        if variable not in self.model.sensors:
+            return _constant(value)
+        if not isinstance(value, Sightings):
+            value = sightings(np.asarray(value, dtype=float)[..., None, :])
+        if value.step is not None:
+            raise EvidenceError(
+                f"sightings of {variable!r} online belong to the belief's step; leave step= out",
+                variable=variable,
+            )
+        count = np.shape(value.values)[-2] if np.ndim(value.values) > 1 else 0
+        return Sightings(value.values, np.zeros(count, dtype=np.intp), value.given)
+
+    def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
+        return ChainPlan.make(
+            self._graph, bound, self.lineariser, first=step, prior=prior, probe=False
+        )
+
+
+def _constant(value: Any) -> Constant:
+    return value if isinstance(value, Constant) else constant(value)
+
+
+def _wide(belief: OnlineBelief, bound: BoundEvidence) -> tuple[Array, Array, Array]:
+    """The belief's arrays for the runs of the evidence."""
+    if belief.lead == bound.lead:
+        return belief.mean, belief.cov, belief.log_density
+
+    def wide(array: Array) -> Array:
+        rest = array.shape[1:]
+        full = np.broadcast_to(array.reshape((*belief.lead, *rest)), (*bound.lead, *rest))
+        return full.reshape((bound.runs, *rest))
+
+    return wide(belief.mean), wide(belief.cov), wide(belief.log_density)

@@ -1,0 +1,185 @@
+"""Plans: what a schedule on a chain will do, laid out once, before any number flows.
+
+A sweep is a list of rounds, one a step; a round is a few batched kernel calls on rows of arrays
+that have the time axis first and the runs second.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pgm.compile import SliceGraph, SliceLayout
+from pgm.cpds import AffineCPD
+from pgm.evidence import BoundEvidence, Reading
+from pgm.factors.scope import Scope, positions
+from pgm.inference.family import Family
+from pgm.kernels.angles import nearest_branch
+from pgm.kernels.arrays import Array, Index, Integers, Mask
+from pgm.linearisers import Lineariser
+from pgm.variables import Variable
+
+
+@dataclass(eq=False)
+class Link:
+    """A family in place: where its hidden parents and its child stand.
+
+    For the prior both stand in the vector of states, for the transition in that of the pair.
+    """
+
+    family: Family
+    parents: Index
+    child: slice
+
+
+@dataclass(eq=False)
+class Sensor:
+    """A sensor's family in place, with its readings sorted by step.
+
+    Attributes
+    ----------
+    parents : Index
+        Where its hidden parents stand in the slice vector.
+    taken : ndarray of bool or None
+        (M, runs or 1); None where no reading is missing.
+    values : ndarray
+        (M, runs or 1, d), as given.
+    moved : ndarray
+        (M, runs, d): the values, angles moved to the branch nearest the CPD's value at the
+        point of linearisation.
+    bounds : list of int
+        The readings of step t are the rows bounds[t] to bounds[t + 1].
+    """
+
+    family: Family
+    parents: Index
+    order: Integers
+    taken: Mask | None
+    values: Array
+    moved: Array
+    bounds: list[int]
+
+    @property
+    def variable(self) -> Variable:
+        """The reading's variable."""
+        return self.family.cpd.child
+
+    def move(self, rows: slice, predicted: Array) -> None:
+        """Move angles to the branch nearest the CPD's values at the point of linearisation."""
+        angles = self.variable.angle_mask
+        self.moved[rows] = nearest_branch(self.values[rows], predicted, angles)
+
+    def reading(self, rows: slice) -> tuple[Array, Array, Array, Mask | None]:
+        """F, value as moved, noise and who was taken of some rows."""
+        family = self.family
+        taken = None if self.taken is None else self.taken[rows]
+        return family.matrix[rows], self.moved[rows], family.noise[rows], taken
+
+
+@dataclass(eq=False)
+class ChainPlan:
+    """A chain of slices with its evidence, ready to be swept.
+
+    Attributes
+    ----------
+    layout : SliceLayout
+    steps, runs : int
+        T, and the number of runs, flattened to one axis.
+    lead : tuple of int
+        The axes of runs as the user gave them.
+    prior, transition : list of Link
+    sensors : list of Sensor
+    """
+
+    layout: SliceLayout
+    steps: int
+    lead: tuple[int, ...]
+    prior: list[Link]
+    transition: list[Link]
+    sensors: list[Sensor]
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return math.prod(self.lead)
+
+    @property
+    def families(self) -> list[Family]:
+        """All families."""
+        links = [link.family for link in (*self.prior, *self.transition)]
+        return links + [sensor.family for sensor in self.sensors]
+
+    @property
+    def exact(self) -> bool:
+        """Whether every CPD is affine."""
+        return all(family.exact for family in self.families)
+
+    @classmethod
+    def make(
+        cls,
+        graph: SliceGraph,
+        bound: BoundEvidence,
+        lineariser: Lineariser,
+        *,
+        first: int = 0,
+        prior: bool = True,
+        probe: bool = True,
+    ) -> ChainPlan:
+        """Lay out the families of a graph with evidence, and probe their functions.
+
+        Online, where a plan is for one step alone, `first` is that step.
+        """
+        layout, lead = graph.layout, bound.lead
+
+        def family(cpd: Any, step: Integers, inputs: Any) -> Family:
+            return Family.make(cpd, layout.hidden(cpd), step, inputs, lineariser, lead)
+
+        def link(made: Family, scope: Scope) -> Link:
+            child = positions(scope, [made.cpd.child])
+            assert isinstance(child, slice)
+            return Link(made, positions(scope, made.hidden), child)
+
+        start, later = np.zeros(1, dtype=np.intp), np.arange(bound.steps) + max(first, 1)
+        priors = layout.model.prior if prior else ()
+        links = [link(family(cpd, start, {}), layout.states) for cpd in priors]
+        transition = [
+            link(family(cpd, later, inputs), layout.pair)
+            for cpd, inputs in zip(layout.model.transition, bound.transition, strict=False)
+        ]
+        sensors = [
+            _sensor(
+                family(reading.cpd, reading.step + first, reading.inputs),
+                reading,
+                layout,
+                bound.steps,
+            )
+            for reading in bound.readings
+        ]
+        plan = cls(layout, bound.steps, lead, links, transition, sensors)
+        if not probe:
+            return plan
+        means = {
+            cpd.child: cpd.offset.reshape(-1, cpd.child.dimension)[0]
+            for cpd in layout.model.prior
+            if isinstance(cpd, AffineCPD)
+        }
+        for made in plan.families:
+            made.probe(means)
+        return plan
+
+
+def _sensor(family: Family, reading: Reading, layout: SliceLayout, steps: int) -> Sensor:
+    bounds = np.searchsorted(reading.step, np.arange(steps + 2)).tolist()
+    shape = (reading.step.size, family.matrix.shape[1], family.matrix.shape[2])
+    return Sensor(
+        family,
+        positions(layout.slice, family.hidden),
+        reading.order,
+        None if reading.taken.all() else reading.taken,
+        reading.values,
+        np.array(np.broadcast_to(reading.values, shape)),
+        bounds,
+    )
