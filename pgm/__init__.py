@@ -24,7 +24,14 @@ from pgm.inference import (
     infer,
     smooth,
 )
-from pgm.linearisers import Cubature, MonteCarlo, StatisticalRegression, Taylor, Unscented
+from pgm.linearisers import (
+    Cubature,
+    Lineariser,
+    MonteCarlo,
+    StatisticalRegression,
+    Taylor,
+    Unscented,
+)
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable, variables
 
@@ -44,6 +51,7 @@ __all__ = [
     "GraphError",
     "LinearGaussianCPD",
     "LinearisationError",
+    "Lineariser",
     "ModelError",
     "MonteCarlo",
     "NonlinearGaussianCPD",

@@ -143,6 +143,13 @@ class Gaussian:
             tuple(keep), self.mean[..., places], block(self.cov, places, places), self.steps
         )
 
+    def run(self, *index: int) -> Gaussian:
+        """One run of several: the leading axes of runs, or the first of them, indexed."""
+        lead = self.mean.ndim - 1 - (self.steps is not None)
+        if len(index) > lead:
+            raise ModelError(f"{self!r} has {lead} axes of runs, not {len(index)}")
+        return self._make(self.scope, self.mean[index], self.cov[index], self.steps)
+
     def wrapped(self) -> Gaussian:
         """The same Gaussian with the means of angles in [−π, π), for display."""
         mean = self.mean.copy()

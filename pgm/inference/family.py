@@ -12,7 +12,7 @@ import numpy as np
 from pgm.cpds import CPD, AffineCPD, Noise, NonlinearGaussianCPD
 from pgm.errors import LinearisationError, ModelError, PgmError
 from pgm.factors import AffineGaussian, Gaussian
-from pgm.factors.scope import Scope, dimension
+from pgm.factors.scope import Scope, dimension, names
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Integers, Mask, apply
 from pgm.kernels.checks import covariance_fault
@@ -105,29 +105,30 @@ class Family:
 
         `active` says which runs take the new linearisation; the others keep theirs.
         """
-        if self.template is None:
-            return
-        function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
-        affine = self._call(function, mean, cov)
-        matrix, offset, error = affine.F, affine.b, affine.cov
-        if not np.isfinite(matrix.sum() + offset.sum() + error.sum()):
-            self._refuse_non_finite(rows, mean, affine)
-        if active is not None:
-            keep = ~active
-            matrix = np.array(np.broadcast_to(matrix, self.matrix[rows].shape))
-            offset = np.array(np.broadcast_to(offset, self.offset[rows].shape))
-            error = np.array(np.broadcast_to(error, self.noise[rows].shape))
-            matrix[..., keep, :, :] = self.matrix[rows][..., keep, :, :]
-            offset[..., keep, :] = self.offset[rows][..., keep, :]
-            old = self.noise[rows] - np.broadcast_to(self.own_noise, self.noise.shape)[rows]
-            error[..., keep, :, :] = old[..., keep, :, :]
-        self.matrix[rows] = matrix
-        self.offset[rows] = offset
-        if self.approximate or error.any():
-            if not self.approximate:
-                self.noise, self.approximate = np.array(self.noise), True
+        if self.template is not None:
+            function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
+            affine = self.call(function, mean, cov)
+            self.store(rows, affine.F, affine.b, affine.cov, active)
+
+    def store(
+        self, rows: Rows | Integers, matrix: Array, offset: Array, error: Array, active: Mask | None
+    ) -> None:
+        """Keep what a lineariser made of some rows, for the runs that are active."""
+        if error.any() and not self.approximate:
+            self.noise, self.approximate = np.array(self.noise), True
+        self._put(self.matrix, rows, matrix, active)
+        self._put(self.offset, rows, offset, active)
+        if self.approximate:
             own = self.own_noise
-            self.noise[rows] = error + (own[rows] if own.shape[0] > 1 else own[0])
+            total = error + (own[rows] if own.shape[0] > 1 else own[0])
+            self._put(self.noise, rows, total, active)
+
+    @staticmethod
+    def _put(kept: Array, rows: Rows | Integers, new: Array, active: Mask | None) -> None:
+        if active is not None:
+            tail = (1,) * (kept.ndim - 2)
+            new = np.where(active.reshape(-1, *tail), new, kept[rows])
+        kept[rows] = new
 
     def bound(self, rows: Rows, lead: int, shape: tuple[int, ...]) -> BoundFunction:
         """The CPD's function with the evidence of some rows bound."""
@@ -161,7 +162,8 @@ class Family:
             value = self.value(slice(None), parents)
             self.offset += nearest_branch(value, child, angles) - value
 
-    def _call(self, function: BoundFunction, mean: Array, cov: Array) -> AffineGaussian:
+    def call(self, function: BoundFunction, mean: Array, cov: Array) -> AffineGaussian:
+        """What the lineariser makes of the function at a belief, checked."""
         if not self.hidden:
             value = function(mean)
             size = value.shape[-1]
@@ -173,26 +175,30 @@ class Family:
                 f"{self.cpd!r}; it must return a pgm.AffineGaussian",
                 cpd=self.cpd,
             )
-        if affine.F.shape[-2:] != self.matrix.shape[-2:]:
+        due = (function.angles.size, self.matrix.shape[-1])
+        if affine.F.shape[-2:] != due:
             raise LinearisationError(
                 f"the lineariser {self.lineariser!r} returned an F of shape {affine.F.shape} for "
-                f"{self.cpd!r}; it must end in {self.matrix.shape[-2:]}",
+                f"{self.cpd!r}; it must end in {due}",
                 cpd=self.cpd,
             )
+        if not np.isfinite(affine.F.sum() + affine.b.sum() + affine.cov.sum()):
+            self._refuse_non_finite(function, mean, affine)
         return affine
 
-    def _refuse_non_finite(self, rows: Rows, mean: Array, affine: AffineGaussian) -> None:
+    def _refuse_non_finite(
+        self, function: BoundFunction, mean: Array, affine: AffineGaussian
+    ) -> None:
         shape = mean.shape[:-1]
         bad = np.broadcast_to(~np.isfinite(affine.b).all(axis=-1), shape)
         bad = bad | ~np.isfinite(affine.F).all(axis=(-2, -1))
         bad = bad | ~np.isfinite(affine.cov).all(axis=(-2, -1))
         where = tuple(int(axis[0]) for axis in np.nonzero(bad))
-        steps = np.atleast_1d(self.step[rows])
-        step = int(steps[where[0]]) if len(where) > 1 else int(steps[0])
+        step = int(np.broadcast_to(function.step or 0, shape)[where])
         raise LinearisationError(
             f"{self.cpd!r}: its linearisation at step {step}, run {where[-1]}, has values that "
-            f"are NaN or infinite, at {self.hidden} = {mean[where]}; is the function defined "
-            "there, and its Jacobian?",
+            f"are NaN or infinite, at {names(self.hidden)} = {mean[where]}; is the function "
+            "defined there, and its Jacobian?",
             variable=self.cpd.child,
             cpd=self.cpd,
             step=step,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.errors import NumericalError
+from pgm.inference import grouped
 from pgm.inference.plan import ChainPlan, Link, Sensor
 from pgm.kernels import moments, roots
 from pgm.kernels.arrays import LOG_2PI, Array, Index, Mask, apply, block
@@ -143,16 +144,12 @@ def update(
     sensors: list[Sensor], step: int, mean: Array, cov: Array, *, linearise: bool
 ) -> tuple[Array, Array, Array]:
     """Moments of the slice given the readings of a step, and the readings' log-density."""
-    due = [
-        (sensor, slice(sensor.bounds[step], sensor.bounds[step + 1]))
-        for sensor in sensors
-        if sensor.bounds[step] < sensor.bounds[step + 1]
-    ]
+    due = sensors_due(sensors, step)
     if not due:
         return mean, cov, np.zeros(mean.shape[0])
-    for sensor, rows in due if linearise else ():
-        linearise_sensor(sensor, rows, mean, cov)
-    matrix, residual, noise, missing = stack(due, mean)
+    for sensor, _ in due if linearise else ():
+        linearise_sensor(sensor, step, mean, cov)
+    matrix, residual, noise, missing = stack(due, step, mean)
     result = moments.update(mean, cov, matrix, residual, noise)
     if not np.isfinite(result.log_density.sum()):
         _refuse_indefinite(due, step)
@@ -164,18 +161,31 @@ def update(
     return result.mean, result.cov, log_density
 
 
-def linearise_sensor(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> None:
-    """Linearise each of some sightings by itself at the same belief over the slice."""
-    family, parents = sensor.family, sensor.parents
+def sensors_due(sensors: list[Sensor], step: int) -> list[tuple[Sensor, slice]]:
+    """The sensors that read at a step, with the rows of their readings."""
+    return [
+        (sensor, sensor.rows(step))
+        for sensor in sensors
+        if sensor.bounds[step] < sensor.bounds[step + 1]
+    ]
+
+
+def linearise_sensor(sensor: Sensor, step: int, mean: Array, cov: Array) -> None:
+    """Linearise each sighting of a step by itself, or all as one where they are grouped."""
+    family, parents, rows = sensor.family, sensor.parents, sensor.rows(step)
     count = rows.stop - rows.start
     at = np.broadcast_to(mean[:, parents], (count, *mean[:, parents].shape))
-    if not family.exact:
+    if sensor.grouped:
+        grouped.linearise(sensor, np.array([step]), mean[None], cov[None])
+    elif not family.exact:
         spread = block(cov, parents, parents)
         family.linearise(rows, at, np.broadcast_to(spread, (count, *spread.shape)))
     sensor.move(rows, family.value(rows, at))
 
 
-def stack(due: list[tuple[Sensor, slice]], mean: Array) -> tuple[Array, Array, Array, Array | None]:
+def stack(
+    due: list[tuple[Sensor, slice]], step: int, mean: Array
+) -> tuple[Array, Array, Array, Array | None]:
     """One reading of all sightings of a step: H, residual, noise, number of missing components.
 
     A missing reading becomes one of unit variance that says nothing.
@@ -194,6 +204,9 @@ def stack(due: list[tuple[Sensor, slice]], mean: Array) -> tuple[Array, Array, A
     top = 0
     for (sensor, _), (matrix, residual, noise, taken) in zip(due, parts, strict=True):
         size = residual.shape[2]
+        if step in sensor.cross:
+            every = slice(top, top + residual.shape[0] * size)
+            noises[:, every, every] = sensor.cross[step]
         for k in range(residual.shape[0]):
             rows = slice(top, top + size)
             top += size
@@ -204,6 +217,8 @@ def stack(due: list[tuple[Sensor, slice]], mean: Array) -> tuple[Array, Array, A
                 lost = np.broadcast_to(~taken[k], (runs,))
                 matrices[lost, rows] = 0.0
                 residuals[lost, rows] = 0.0
+                noises[lost, rows, :] = 0.0
+                noises[lost, :, rows] = 0.0
                 noises[lost, rows, rows] = np.eye(size)
                 missing += size * lost
     return matrices, residuals, noises, missing if missing.any() else None

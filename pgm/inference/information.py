@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.inference.backward import transition
-from pgm.inference.forward import Forward, stack
+from pgm.inference.forward import Forward, sensors_due, stack
 from pgm.inference.plan import ChainPlan
 from pgm.kernels import canonical, roots
 from pgm.kernels.arrays import LOG_2PI, Array, apply, inner, sandwich, transpose
@@ -36,13 +36,9 @@ def backward_message(plan: ChainPlan, forward: Forward, step: int) -> Canonical:
         matrix, noise = matrices[later - 1], noises[later - 1]
         offset = np.zeros_like(predicted)
         likelihood: Canonical | None = None
-        due = [
-            (sensor, slice(sensor.bounds[later], sensor.bounds[later + 1]))
-            for sensor in plan.sensors
-            if sensor.bounds[later] < sensor.bounds[later + 1]
-        ]
+        due = sensors_due(plan.sensors, later)
         if due:
-            h_matrix, residual, reading_noise, missing = stack(due, predicted)
+            h_matrix, residual, reading_noise, missing = stack(due, later, predicted)
             matrix, offset, noise, likelihood = _absorb(
                 matrix, noise, h_matrix, residual, reading_noise, missing
             )

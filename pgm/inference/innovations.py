@@ -91,6 +91,9 @@ def _by_step(
         for k in range(int(count)):
             each = slice(k * height, (k + 1) * height)
             cov[..., each, each] += noise[..., k, :, :]
+        for index, step in enumerate(steps.tolist()):
+            if step in sensor.cross:
+                cov[index] += sensor.cross[step]
         cov = np.where(seen[..., None] & seen[..., None, :], cov, np.eye(cov.shape[-1]))
         lower = roots.root(cov)
         white = roots.solve_lower(lower, r[..., None])[..., 0]

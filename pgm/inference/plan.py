@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pgm.compile import SliceGraph, SliceLayout
-from pgm.cpds import AffineCPD
+from pgm.cpds import AffineCPD, NonlinearGaussianCPD
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import Scope, positions
 from pgm.inference.family import Family
@@ -52,6 +52,9 @@ class Sensor:
         point of linearisation.
     bounds : list of int
         The readings of step t are the rows bounds[t] to bounds[t + 1].
+    cross : dict of int to ndarray
+        By step, the covariances between different sightings' approximation errors, (runs, D, D),
+        of a grouped sensor.
     """
 
     family: Family
@@ -61,6 +64,17 @@ class Sensor:
     values: Array
     moved: Array
     bounds: list[int]
+    cross: dict[int, Array]
+
+    @property
+    def grouped(self) -> bool:
+        """Whether the sightings of a step are linearised as one vector."""
+        cpd = self.family.cpd
+        return isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped
+
+    def rows(self, step: int) -> slice:
+        """The readings of a step."""
+        return slice(self.bounds[step], self.bounds[step + 1])
 
     @property
     def variable(self) -> Variable:
@@ -182,4 +196,5 @@ def _sensor(family: Family, reading: Reading, layout: SliceLayout, steps: int) -
         reading.values,
         np.array(np.broadcast_to(reading.values, shape)),
         bounds,
+        {},
     )

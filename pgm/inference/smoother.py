@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.inference import backward, forward
+from pgm.inference import backward, forward, grouped
 from pgm.inference.backward import Beliefs, Reverse
 from pgm.inference.forward import Forward
 from pgm.inference.plan import ChainPlan
@@ -71,7 +71,12 @@ def relinearise(plan: ChainPlan, beliefs: Beliefs, pairs: Beliefs, active: Mask 
         if not family.step.size:
             continue
         mean = beliefs.mean[family.step][..., parents]
-        if not family.exact:
+        if sensor.grouped:
+            counts = np.diff(sensor.bounds)
+            for count in np.unique(counts[counts > 0]):
+                steps = np.flatnonzero(counts == count)
+                grouped.linearise(sensor, steps, beliefs.mean[steps], beliefs.cov[steps], active)
+        elif not family.exact:
             cov = block(beliefs.cov[family.step], parents, parents)
             family.linearise(everything, mean, cov, active)
         kept = sensor.moved.copy()

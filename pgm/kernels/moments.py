@@ -7,7 +7,17 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.kernels import roots
-from pgm.kernels.arrays import LOG_2PI, Array, Index, apply, inner, sandwich, symmetric, transpose
+from pgm.kernels.arrays import (
+    LOG_2PI,
+    Array,
+    Index,
+    apply,
+    inner,
+    sandwich,
+    symmetric,
+    times_transposed,
+    transpose,
+)
 
 
 class Update(NamedTuple):
@@ -41,7 +51,7 @@ def update(mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
     """
     size = residual.shape[-1]
     cross = matrix @ cov
-    predictive = cross @ transpose(matrix) + noise
+    predictive = times_transposed(cross, matrix) + noise
     lower = roots.root(predictive)
     fixed = roots.determined(lower)
     white = roots.solve_lower(lower, np.concatenate([residual[..., None], cross], axis=-1))
@@ -133,7 +143,7 @@ def extend(
     mean[..., child] = apply(matrix, mean[..., parents]) + offset
     cov[..., child, :] = cross
     cov[..., :, child] = transpose(cross)
-    cov[..., child, child] = symmetric(cross[..., parents] @ transpose(matrix) + noise)
+    cov[..., child, child] = symmetric(times_transposed(cross[..., parents], matrix) + noise)
 
 
 def marginal_error(mean: Array, other: Array, std: Array) -> Array:
