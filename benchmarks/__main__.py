@@ -1,0 +1,93 @@
+"""`make bench`: every row on this machine, in this run, on one thread."""
+
+from __future__ import annotations
+
+import json
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import pgm
+from benchmarks import filterpy_ekf, work
+from experiments.record import note, table, versions
+from models.networks import landmark, pose, sighting, velocity
+
+ROBOTS, STEPS, REPEATS = 1_000, 200, 7
+FILTERPY_ROBOTS = 10  # filterpy's cost a robot does not depend on how many there are
+OUT = Path("results") / "bench"
+
+
+def seconds(call: Callable[[], object], repeats: int = REPEATS) -> float:
+    """Median time of a call, after one to warm up."""
+    call()
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def online(task: work.Work) -> pgm.OnlineBelief:
+    """One robot in its loop."""
+    robot = pgm.OnlineFilter(task.network)
+    belief = robot.initial()
+    for k, control in enumerate(task.controls):
+        belief = robot.predict(belief, {velocity: control})
+        seen = pgm.sightings(
+            task.readings[0, k : k + 1], given={landmark: task.landmarks[k : k + 1]}
+        )
+        belief = robot.update(belief, {sighting: seen})
+    return belief
+
+
+def check(task: work.Work) -> None:
+    """The libraries must agree before their times mean anything."""
+    posterior = pgm.filter(task.network, task.evidence(slice(0, 2)))
+    means, covs = filterpy_ekf.run(task, 2)
+    np.testing.assert_allclose(posterior[pose].mean[:, 1:], means, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(posterior[pose].cov[:, 1:], covs, rtol=0, atol=1e-9)
+
+
+def main() -> None:
+    """Run every row, print the table, write results/bench/summary.json."""
+    task = work.range_bearing(ROBOTS, STEPS)
+    check(task)
+    many, one = task.evidence(slice(None)), task.evidence(0)
+    filterpy = seconds(lambda: filterpy_ekf.run(task, FILTERPY_ROBOTS), 5) / (
+        FILTERPY_ROBOTS * STEPS
+    )
+    rows = {
+        "ekf_1000_robots": seconds(lambda: pgm.filter(task.network, many)) / (ROBOTS * STEPS),
+        "ekf_one_robot": seconds(lambda: pgm.filter(task.network, one)) / STEPS,
+        "rts_one_robot": seconds(lambda: pgm.smooth(task.network, one)) / STEPS,
+        "online_step": seconds(lambda: online(task), 3) / STEPS,
+    }
+    peer = {"ekf_1000_robots": filterpy, "ekf_one_robot": filterpy, "online_step": filterpy}
+    table(
+        f"Taylor, range-bearing, {ROBOTS} robots x {STEPS} steps: microseconds a robot and step",
+        ("row", "pgm", "filterpy", "filterpy / pgm"),
+        [
+            (
+                row,
+                1e6 * value,
+                1e6 * peer[row] if row in peer else "",
+                peer[row] / value if row in peer else "",
+            )
+            for row, value in rows.items()
+        ],
+    )
+    note(f"versions: {versions()}")
+    summary: dict[str, object] = {
+        row: {"pgm": value} | ({"filterpy": peer[row]} if row in peer else {})
+        for row, value in rows.items()
+    }
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / "summary.json").write_text(json.dumps({"versions": versions(), **summary}, indent=2))
+
+
+if __name__ == "__main__":
+    main()
