@@ -1,5 +1,8 @@
 """pgm: cluster-graph inference for (dynamic) Bayesian networks."""
 
+from importlib import import_module
+from types import ModuleType
+
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.compile import compile
 from pgm.cpds import GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD, noise
@@ -37,6 +40,14 @@ from pgm.variables import Variable, variables
 
 __version__ = "0.1.0"
 
+
+def __getattr__(name: str) -> ModuleType:
+    """Load `pgm.plot` when it is first asked for, since matplotlib is slow to import."""
+    if name == "plot":
+        return import_module("pgm.plot")
+    raise AttributeError(f"module 'pgm' has no attribute {name!r}")
+
+
 __all__ = [
     "AffineGaussian",
     "CanonicalForm",
@@ -72,6 +83,7 @@ __all__ = [
     "infer",
     "noise",
     "sightings",
+    "plot",
     "smooth",
     "variables",
 ]

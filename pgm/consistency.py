@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from pgm.errors import ModelError, NumericalError
 from pgm.factors import Gaussian
@@ -80,5 +80,5 @@ def mean_band(dof: int, count: int, confidence: float = 0.99) -> tuple[float, fl
         Probability of the band.
     """
     tail = 0.5 * (1.0 - confidence)
-    total = chi2(dof * count)
-    return float(total.ppf(tail)) / count, float(total.ppf(1.0 - tail)) / count
+    low, high = (2.0 * float(gammaincinv(0.5 * dof * count, p)) for p in (tail, 1.0 - tail))
+    return low / count, high / count

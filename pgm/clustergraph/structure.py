@@ -89,8 +89,9 @@ class ClusterGraph(ABC):
         GraphError
             Naming the variable and the clusters concerned.
         """
-        scopes = [cluster.scope for cluster in self.clusters]
-        check_families(scopes, [cluster.families for cluster in self.clusters])
+        clusters = list(self.clusters)
+        scopes = [cluster.scope for cluster in clusters]
+        check_families(scopes, [cluster.families for cluster in clusters])
         check_running_intersection(scopes, self.sepsets)
 
     def to_networkx(self) -> nx.Graph:

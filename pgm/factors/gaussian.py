@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, names, positions
@@ -26,7 +25,7 @@ class Ellipse(NamedTuple):
     centre : ndarray
         (..., 2).
     half_axes : ndarray
-        (..., 2), the longer one first: √(χ²₂(confidence) λᵢ).
+        (..., 2), the longer one first: √(χ²₂(c) λᵢ), with χ²₂(c) = −2 ln(1 − c).
     orientation : ndarray
         (...), of the longer axis, in radians, atan2(v₁₂, v₁₁).
     """
@@ -236,7 +235,7 @@ class Gaussian:
                 )
         i, j = (labels.index(label) for label in pair)
         values, vectors = np.linalg.eigh(self.cov[..., [[i], [j]], [i, j]])
-        half_axes = np.sqrt(chi2.ppf(confidence, 2) * np.maximum(values[..., ::-1], 0.0))
+        half_axes = np.sqrt(-2.0 * np.log1p(-confidence) * np.maximum(values[..., ::-1], 0.0))
         orientation = np.arctan2(vectors[..., 1, 1], vectors[..., 0, 1])
         return Ellipse(self.mean[..., [i, j]], half_axes, orientation)
 

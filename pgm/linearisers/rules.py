@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import ndtri
 
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers, frozen
@@ -136,6 +135,8 @@ def _draw(seed: int, name: str, first: int, steps: int, shape: tuple[int, int]) 
     The generator counts, so that each step has its own stretch of one stream, wherever a call
     starts.
     """
+    from scipy.special import ndtri  # here, since it is half of the time that importing pgm takes
+
     size = shape[0] * shape[1]
     stretch = -(-size // 4)  # Philox makes four numbers a count
     bits = np.random.Philox(key=[seed, zlib.crc32(name.encode())], counter=first * stretch)
