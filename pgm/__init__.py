@@ -27,6 +27,7 @@ from pgm.inference import (
     infer,
     smooth,
 )
+from pgm.io import Stamped, Timeline, stamped, timeline
 from pgm.linearisers import (
     Cubature,
     Lineariser,
@@ -72,9 +73,11 @@ __all__ = [
     "PgmError",
     "Posterior",
     "Smoothing",
+    "Stamped",
     "StatisticalRegression",
     "Status",
     "Taylor",
+    "Timeline",
     "Unscented",
     "Variable",
     "compile",
@@ -83,7 +86,8 @@ __all__ = [
     "infer",
     "noise",
     "sightings",
-    "plot",
     "smooth",
+    "stamped",
+    "timeline",
     "variables",
 ]

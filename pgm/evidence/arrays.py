@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pgm.errors import EvidenceError
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 
@@ -33,32 +33,49 @@ def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
     return array
 
 
-def require_finite(variable: Variable, array: Array) -> Array:
-    """Refuse NaN and infinity in evidence that must be complete."""
-    if not np.isfinite(array).all():
-        raise EvidenceError(
-            f"evidence for {variable!r} has entries that are NaN or infinite; only a sensor's "
-            "reading may be missing, as a whole row of NaN",
-            variable=variable,
-        )
+def require_finite(variable: Variable, array: Array, step: Integers | None = None) -> Array:
+    """Refuse NaN and infinity in evidence that must be complete, (..., rows, d)."""
+    _refuse(
+        variable,
+        ~np.isfinite(array).all(axis=-1),
+        step,
+        "entries that are NaN or infinite",
+        "only a sensor's reading may be missing, as a whole row of NaN",
+    )
     return array
 
 
-def require_readings(variable: Variable, array: Array) -> Array:
+def require_readings(variable: Variable, array: Array, step: Integers | None = None) -> Array:
     """Refuse infinity, and rows that are only partly NaN, in a sensor's readings."""
     missing = np.isnan(array)
-    if np.isinf(array).any():
-        raise EvidenceError(
-            f"evidence for {variable!r} has infinite entries; a reading not taken is a row of NaN",
-            variable=variable,
-        )
-    if (missing.any(axis=-1) != missing.all(axis=-1)).any():
-        raise EvidenceError(
-            f"evidence for {variable!r} has rows that are partly NaN; a reading not taken is a "
-            "whole row of NaN, and a part of one needs a sensor of its own",
-            variable=variable,
-        )
+    _refuse(
+        variable,
+        np.isinf(array).any(axis=-1),
+        step,
+        "infinite entries",
+        "a reading not taken is a row of NaN",
+    )
+    _refuse(
+        variable,
+        missing.any(axis=-1) != missing.all(axis=-1),
+        step,
+        "a row that is partly NaN",
+        "a reading not taken is a whole row of NaN, and a part of one needs a sensor of its own",
+    )
     return array
+
+
+def _refuse(
+    variable: Variable, bad: Mask | np.bool_, step: Integers | None, what: str, advice: str
+) -> None:
+    """Raise if any row, (..., rows), is bad, naming the step of the first."""
+    if not bad.any():
+        return
+    first = None if step is None else int(step[np.nonzero(bad)[-1]].min())
+    where = "" if first is None else f", first at step {first}"
+    raise EvidenceError(
+        f"evidence for {variable!r} has {what}{where}; {advice}", variable=variable, step=first
+    )
 
 
 def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Integers:

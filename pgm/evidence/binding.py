@@ -132,6 +132,9 @@ class _Binder:
             for variable, value in evidence.items()
             if not isinstance(value, (Constant, Sightings))
         }
+        for variable, value in evidence.items():
+            if isinstance(value, Constant):
+                _constant_row(variable, value)
         self.steps = self._length(steps)
         self.shapes = [lead]
 
@@ -172,6 +175,8 @@ class _Binder:
                 )
 
     def _length(self, steps: int | None) -> int:
+        if steps is not None and (not isinstance(steps, int | np.integer) or steps < 0):
+            raise EvidenceError(f"steps must be a whole number, 0 or more, not {steps!r}")
         lengths = {variable: array.shape[-2] for variable, array in self.arrays.items()}
         if len(set(lengths.values())) > 1:
             listed = ", ".join(f"{variable!r} {length}" for variable, length in lengths.items())
@@ -186,11 +191,7 @@ class _Binder:
                     f"evidence for {variable!r} has {length} steps where there are {steps}",
                     variable=variable,
                 )
-        if steps is None:
-            return int(next(iter(lengths.values())))
-        if steps < 0:
-            raise EvidenceError(f"steps must be 0 or more, not {steps}")
-        return int(steps)
+        return int(next(iter(lengths.values()))) if steps is None else steps
 
     def _check_inputs(self) -> None:
         for variable, value in self.evidence.items():
@@ -232,12 +233,11 @@ class _Binder:
             raise EvidenceError(
                 f"sightings of {sensor!r} have no values; only sample() draws them", variable=sensor
             )
-        rows = require_readings(sensor, rows)
         self.shapes.append(rows.shape[:-2])
         order = np.argsort(step, kind="stable")
         step = step[order]
         inputs = self._inputs(cpd, given, step, order)
-        rows = rows[..., order, :]
+        rows = require_readings(sensor, rows[..., order, :], step)
         taken = ~np.isnan(rows[..., 0])
         return Reading(cpd, step, order, np.where(taken[..., None], rows, 0.0), taken, inputs)
 
@@ -276,7 +276,7 @@ class _Binder:
                     cpd=cpd,
                 )
             if isinstance(value, Constant):
-                row = require_finite(variable, as_rows(variable, value.value, None))[..., None, :]
+                row = _constant_row(variable, value)[..., None, :]
                 rows = np.broadcast_to(row, (*row.shape[:-2], step.size, row.shape[-1]))
             elif variable in given and order is not None:
                 rows = as_rows(variable, value, "M")
@@ -287,7 +287,7 @@ class _Binder:
                         variable=variable,
                         cpd=cpd,
                     )
-                rows = require_finite(variable, rows)[..., order, :]
+                rows = require_finite(variable, rows[..., order, :], step)
             else:
                 if step.size and step[0] == 0:
                     raise EvidenceError(
@@ -297,10 +297,16 @@ class _Binder:
                         cpd=cpd,
                         step=0,
                     )
-                rows = require_finite(variable, self.arrays[variable])[..., step - 1, :]
+                every = np.arange(1, self.steps + 1)
+                rows = require_finite(variable, self.arrays[variable], every)[..., step - 1, :]
             self.shapes.append(rows.shape[:-2])
             inputs[variable] = rows
         return inputs
+
+
+def _constant_row(variable: Variable, value: Constant) -> Array:
+    """A constant's value, (..., d)."""
+    return require_finite(variable, as_rows(variable, value.value, None))
 
 
 def _flat(array: Array, lead: tuple[int, ...]) -> Array:

@@ -43,7 +43,7 @@ class AffineGaussian:
     cov: Array
 
     def __init__(self, F: npt.ArrayLike, b: npt.ArrayLike, cov: npt.ArrayLike) -> None:
-        F, b, cov = (np.asarray(value, dtype=float) for value in (F, b, cov))
+        F, b, cov = (np.array(value, dtype=float) for value in (F, b, cov))
         size = F.shape[-2] if F.ndim >= 2 else -1
         if b.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
             raise ModelError(
@@ -60,6 +60,7 @@ class AffineGaussian:
 
     def forward(self, x: Gaussian, child: Variable) -> Gaussian:
         """The child's marginal: mean F μ + b and covariance F P Fᵀ + Σ."""
+        self._fits((child,), x.scope)
         mean, cov = moments.push(x.mean, x.cov, moments.Conditional(self.F, self.b, self.cov))
         return Gaussian._make((child,), mean, cov)
 
@@ -68,10 +69,19 @@ class AffineGaussian:
 
         With M = I + K Σ and e = h − K b: FᵀM⁻¹K F, FᵀM⁻¹e and
         g − ½ ln|M| + hᵀb − ½ bᵀK b + ½ eᵀΣM⁻¹e.
+
+        Raises
+        ------
+        NumericalError
+            If the integral diverges, which only an indefinite K can bring about.
         """
         given = as_scope(given)
         self._fits(message.scope, given)
         parts = canonical.backward(self.F, self.b, self.cov, message.K, message.h, message.g)
+        if np.isnan(parts[2]).any():
+            raise NumericalError(
+                f"no message over {names(given)}: the integral over {names(message.scope)} diverges"
+            )
         return CanonicalForm._make(given, *parts)
 
     def canonical(

@@ -98,12 +98,18 @@ class Gaussian:
             )
         if fault := covariance_fault(cov):
             raise ModelError(f"Gaussian over {names(scope)}: the covariance {fault}")
-        lead = np.broadcast_shapes(mean.shape[:-1], cov.shape[:-2])
+        try:
+            lead = np.broadcast_shapes(mean.shape[:-1], cov.shape[:-2])
+        except ValueError:
+            raise ModelError(
+                f"Gaussian over {names(scope)}: the leading axes of the mean {mean.shape} and the "
+                f"covariance {cov.shape} do not broadcast"
+            ) from None
         self._set(
             scope,
             np.broadcast_to(mean, (*lead, size)),
             np.broadcast_to(cov, (*lead, size, size)),
-            None if steps is None else np.asarray(steps, dtype=np.intp),
+            None if steps is None else np.array(steps, dtype=np.intp),
         )
 
     def _set(self, scope: Scope, mean: Array, cov: Array, steps: Integers | None) -> None:
@@ -111,6 +117,8 @@ class Gaussian:
         set_(self, "scope", scope)
         set_(self, "mean", frozen(mean))
         set_(self, "cov", frozen(cov))
+        if steps is not None:
+            steps.flags.writeable = False
         set_(self, "steps", steps)
 
     @classmethod
@@ -137,9 +145,10 @@ class Gaussian:
 
     def marginal(self, *keep: Variable) -> Gaussian:
         """The Gaussian over some of the variables, in the order asked for."""
-        places = positions(self.scope, keep)
+        scope = as_scope(keep)
+        places = positions(self.scope, scope)
         return self._make(
-            tuple(keep), self.mean[..., places], block(self.cov, places, places), self.steps
+            scope, self.mean[..., places], block(self.cov, places, places), self.steps
         )
 
     def run(self, *index: int) -> Gaussian:
@@ -201,7 +210,13 @@ class Gaussian:
         return self._exists(moments.kl(offset, self.cov, other.cov), "divergence")
 
     def _offset(self, x: npt.ArrayLike) -> Array:
-        return difference(np.asarray(x, dtype=float), self.mean, self.angles)
+        values = np.asarray(x, dtype=float)
+        if values.shape[-1:] != self.mean.shape[-1:]:
+            raise ModelError(
+                f"values of shape {values.shape} for a Gaussian over {names(self.scope)}; the last "
+                f"axis must hold its {self.mean.shape[-1]} components"
+            )
+        return difference(values, self.mean, self.angles)
 
     def _exists(self, value: Array, what: str) -> Array:
         if np.isnan(value).any():
@@ -229,7 +244,7 @@ class Gaussian:
             raise ModelError(f"{names(self.scope)} has one component; an ellipse needs two")
         pair = components or (labels[0], labels[1])
         for label in pair:
-            if labels.count(label) != 1:
+            if labels.count(label) != 1 or pair[0] == pair[1]:
                 raise ModelError(
                     f"{names(self.scope)} has no single component {label!r}; it has {labels}"
                 )

@@ -68,4 +68,8 @@ def as_value(variable: Variable, value: object, what: str = "value") -> Array:
             f"{variable.dimension} components {variable.components}",
             variable=variable,
         )
+    if not np.isfinite(array).all():
+        raise ModelError(
+            f"{variable!r}: the {what} has entries that are NaN or infinite", variable=variable
+        )
     return array

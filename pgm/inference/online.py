@@ -16,6 +16,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import positions
 from pgm.inference import forward
 from pgm.inference.plan import ChainPlan
+from pgm.inference.update import update
 from pgm.kernels.arrays import Array, block
 from pgm.linearisers import Lineariser, Taylor
 from pgm.networks import DynamicBayesianNetwork
@@ -176,18 +177,8 @@ class OnlineFilter:
             transition_inputs=False,
         )
         plan = self._plan(bound, belief.step)
-        if not belief.step:
-            for sensor in plan.sensors:
-                for parent in sensor.family.hidden:
-                    if parent not in self.model.states:
-                        raise EvidenceError(
-                            f"a sighting of {sensor.variable!r} at step 0, where its parent "
-                            f"{parent!r} does not yet exist; predict first",
-                            variable=sensor.variable,
-                            step=0,
-                        )
         mean, cov, log_density = _wide(belief, bound)
-        mean, cov, gained = forward.update(plan.sensors, 0, mean, cov, linearise=True)
+        mean, cov, gained = update(plan.sensors, 0, mean, cov, linearise=True)
         return OnlineBelief(belief.step, plan.layout, bound.lead, mean, cov, log_density + gained)
 
     def _reading(self, variable: Variable, value: Any) -> Any:

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pgm.compile import SliceGraph, SliceLayout
 from pgm.cpds import AffineCPD, NonlinearGaussianCPD
+from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import Scope, positions
 from pgm.inference.family import Family
@@ -71,6 +73,12 @@ class Sensor:
         """Whether the sightings of a step are linearised as one vector."""
         cpd = self.family.cpd
         return isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped
+
+    @cached_property
+    def exact(self) -> bool:
+        """Whether a component of some reading has no noise of its own."""
+        noise = self.family.own_noise
+        return bool((np.diagonal(noise, axis1=-2, axis2=-1) == 0.0).any())
 
     def rows(self, step: int) -> slice:
         """The readings of a step."""
@@ -186,6 +194,16 @@ class ChainPlan:
 
 
 def _sensor(family: Family, reading: Reading, layout: SliceLayout, steps: int) -> Sensor:
+    number = int(family.step[0]) if family.step.size else 1
+    for parent in family.hidden:
+        if number == 0 and parent not in layout.states:
+            raise EvidenceError(
+                f"a sighting of {family.cpd.child!r} at step 0, where its parent {parent!r} does "
+                "not exist; controls begin at step 1",
+                variable=family.cpd.child,
+                cpd=family.cpd,
+                step=0,
+            )
     bounds = np.searchsorted(reading.step, np.arange(steps + 2)).tolist()
     shape = (reading.step.size, family.matrix.shape[1], family.matrix.shape[2])
     return Sensor(

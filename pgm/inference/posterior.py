@@ -273,7 +273,9 @@ class Posterior:
                 step=cluster,
             )
         lead = self._plan.lead
-        return CanonicalForm._make(scope, *(part.reshape(*lead, *part.shape[1:]) for part in parts))
+        return CanonicalForm._make(
+            scope, *(part.reshape((*lead, *part.shape[1:])) for part in parts)
+        )
 
     def __repr__(self) -> str:
         kind = "filtered" if self._smoothed is None else "smoothed"

@@ -11,7 +11,9 @@ TURN = 2.0 * np.pi
 
 def wrap(angle: Array) -> Array:
     """The equal angle in [−π, π)."""
-    return (angle + np.pi) % TURN - np.pi
+    wrapped = (angle + np.pi) % TURN - np.pi
+    # Just below −π the remainder rounds to a whole turn.
+    return np.where(wrapped >= np.pi, -np.pi, wrapped)
 
 
 def difference(a: Array, b: Array, angles: Mask) -> Array:

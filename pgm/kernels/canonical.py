@@ -110,14 +110,18 @@ def backward(
     from K either, so a vague noise after a sharp message costs no digits.
     """
     root = roots.root(precision)
+    if not roots.is_proper(root):
+        return _backward_indefinite(matrix, offset, noise, precision, h, g)
     spread = noise @ root
     inside = transpose(root) @ spread
     lower = strict_root(inside + np.eye(inside.shape[-1]))
     rest = h - apply(precision, offset)
-    # M⁻¹K = R (I + RᵀΣR)⁻¹ Rᵀ and M⁻¹e = e − R (I + RᵀΣR)⁻¹ RᵀΣ e, with M = I + KΣ.
+    # M⁻¹K = R (I + RᵀΣR)⁻¹ Rᵀ with M = I + KΣ, and for e = R q + r: M⁻¹e = R (I + RᵀΣR)⁻¹ q +
+    # (r − R (I + RᵀΣR)⁻¹ RᵀΣ r). What evidence says has no r, and nothing is subtracted.
     white = roots.solve_lower(lower, transpose(root) @ matrix)
-    damped = roots.solve(lower, transpose(spread) @ _column(rest))
-    solved = rest - (root @ damped)[..., 0]
+    inside_range, outside = _split(root, rest)
+    damped = roots.solve(lower, _column(inside_range) - transpose(spread) @ _column(outside))
+    solved = outside + (root @ damped)[..., 0]
     log_integral = (
         g
         - 0.5 * roots.log_determinant(lower)
@@ -126,6 +130,43 @@ def backward(
         + 0.5 * inner(rest, apply(noise, solved))
     )
     return transpose(white) @ white, apply(transpose(matrix), solved), log_integral
+
+
+def _split(root: Array, vector: Array) -> tuple[Array, Array]:
+    """Q and r with vector = R q + r, where r is zero if the vector lies in the range of R."""
+    fixed = roots.determined(root)
+    found = roots.solve_lower(root, _column(vector))[..., 0]
+    q = np.where(fixed, 0.0, found)
+    size = np.abs(vector) + apply(np.abs(root), np.abs(q))
+    outside = fixed & (np.abs(found) > 1e-9 * size)
+    return q, np.where(outside, found, 0.0)
+
+
+def _backward_indefinite(
+    matrix: Array, offset: Array, noise: Array, precision: Array, h: Array, g: Array
+) -> Canonical:
+    """`backward` for an indefinite K, such as a quotient's: with a root of the noise instead.
+
+    The integral converges where I + LᵀKL is positive definite, for Σ = L Lᵀ.
+    """
+    root = roots.root(noise)
+    reach = precision @ root
+    inside = transpose(root) @ reach
+    lower = strict_root(inside + np.eye(inside.shape[-1]))
+    rest = h - apply(precision, offset)
+    white = roots.solve_lower(lower, transpose(reach))
+    white_rest = roots.solve_lower(lower, transpose(root) @ _column(rest))
+    solved = rest - (transpose(white) @ white_rest)[..., 0]
+    white_rest = white_rest[..., 0]
+    log_integral = (
+        g
+        - 0.5 * roots.log_determinant(lower)
+        + inner(h, offset)
+        - 0.5 * inner(apply(precision, offset), offset)
+        + 0.5 * inner(white_rest, white_rest)
+    )
+    back = transpose(matrix) @ (precision - transpose(white) @ white) @ matrix
+    return symmetric(back), apply(transpose(matrix), solved), log_integral
 
 
 def combine(

@@ -81,8 +81,13 @@ class StatisticalRegression(ABC):
         deviation = offset - mean_offset[..., None, :]
         s_mean = mean_weights @ s
         ds = s - s_mean[..., None, :]
+        unused = roots.determined(lower)
+        if unused.any():  # x does not vary with these, whatever a sample says
+            ds = np.where(unused[..., None, :], 0.0, ds)
         weighted = cov_weights[:, None] * ds
         normal, moment = transpose(weighted) @ ds, transpose(weighted) @ deviation
+        if unused.any():
+            normal = normal + unused[..., None] * np.eye(unused.shape[-1])
         slope = transpose(np.asarray(np.linalg.solve(normal, moment), dtype=np.float64))
         left = deviation - ds @ transpose(slope)
         noise = transpose(cov_weights[:, None] * left) @ left

@@ -1,0 +1,52 @@
+"""`python -m experiments` lists the experiments; with a name it runs one."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+
+import matplotlib as mpl
+import typer
+
+from experiments import localisation, plaza
+from experiments.record import note
+from pgm import PgmError
+
+# One line each, in the order in which a newcomer would run them.
+EXPERIMENTS: dict[str, Callable[..., None]] = {
+    "localisation": localisation.run,
+    "plaza": plaza.run,
+}
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+def summary_line(experiment: Callable[..., None]) -> str:
+    """The first line of an experiment's docstring."""
+    return (inspect.getdoc(experiment) or "").splitlines()[0]
+
+
+@app.callback(invoke_without_command=True)
+def listing(context: typer.Context) -> None:
+    """Experiments with filters, smoothers and linearisers."""
+    mpl.use("Agg")
+    if context.invoked_subcommand is None:
+        for name, experiment in EXPERIMENTS.items():
+            note(f"{name:<14} {summary_line(experiment)}")
+
+
+for _name, _experiment in EXPERIMENTS.items():
+    app.command(_name, help=summary_line(_experiment))(_experiment)
+
+
+def main() -> None:
+    """Run the command line; an error of pgm's is told in a line."""
+    try:
+        app()
+    except PgmError as error:
+        note(f"[red]{type(error).__name__}[/red]: {error}")
+        raise SystemExit(1) from error
+
+
+if __name__ == "__main__":
+    main()

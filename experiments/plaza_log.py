@@ -1,0 +1,92 @@
+"""The Plaza recordings: a lawn mower with odometry that hears its distance to four beacons.
+
+Recorded by J. Djugash, B. Hamner and S. Roth (Navigating with ranging radios, 2009); the gtsam
+wheel carries them.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.io import loadmat
+
+from models.networks import distance, landmark, travelled
+from pgm.errors import EvidenceError
+from pgm.io import Timeline, stamped, timeline
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is known of one recording.
+
+    The range calibration, range = scale · distance + offset, was fitted with the truth, and the
+    noise was tuned: results check an engine, they claim no accuracy.
+    """
+
+    file: str
+    scale: float
+    offset: float
+    heading_shift: float  # what its true headings lack [rad]
+    heading_rate: float  # rad after one second
+    sensor_std: float  # m
+
+
+SETTINGS = {
+    "plaza1": Setting("Plaza1_.mat", 1.0693, 0.034, 0.0, 0.001, 0.508),
+    "plaza2": Setting("Plaza2_.mat", 1.0694, 0.020, np.pi, 0.02, 0.529),
+}
+POSITION_RATE = 0.05  # m after one second
+START_STD = (0.2, 0.2, 0.05)  # m, m, rad
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A recording on the times of its states.
+
+    Attributes
+    ----------
+    timeline : Timeline
+        Controls and ranges as evidence, and what became of every row.
+    truth : ndarray
+        (T+1, 3): satellite positions [m] and headings [rad].
+    beacons : ndarray
+        (4, 2) [m].
+    """
+
+    timeline: Timeline
+    truth: Array
+    beacons: Array
+
+
+def find(name: str) -> Path | None:
+    """The recording inside the gtsam package; None where that is not installed."""
+    try:
+        gtsam = importlib.import_module("gtsam")
+    except ImportError:
+        return None
+    return Path(gtsam.findExampleDataFile(SETTINGS[name].file))
+
+
+def load(path: Path, setting: Setting) -> Log:
+    """Read a recording, calibrate its ranges, and lay it on the times of the true positions."""
+    data = loadmat(path)
+    lost = [key for key in ("GT", "DR", "TL", "TD") if key not in data]
+    if lost:
+        raise EvidenceError(f"{path} has no tables {lost}; is it a Plaza recording?")
+    truth, moved, heard = (np.asarray(data[key], dtype=float) for key in ("GT", "DR", "TD"))
+    place = {int(beacon): (east, north) for beacon, east, north in data["TL"]}
+    ranges = (heard[:, 3] - setting.offset) / setting.scale
+    beacons = np.array([place[int(beacon)] for beacon in heard[:, 2]])
+    laid = timeline(
+        truth[:, 0],
+        odometry={travelled: stamped(moved[:, 0], moved[:, 1:])},
+        sensors={distance: stamped(heard[:, 0], ranges, {landmark: beacons})},
+    )
+    poses = truth[:, 1:] + np.array([0.0, 0.0, setting.heading_shift])
+    return Log(laid, poses, np.array(list(place.values())))

@@ -1,0 +1,96 @@
+"""What every experiment leaves: a summary in numbers, figures, and a table."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Iterable, Iterator, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+Out = Annotated[Path | None, typer.Option(help="Folder for results; results/NAME without.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of everything that is drawn.")]
+
+Item = TypeVar("Item")
+
+_console = Console()
+
+
+class Record:
+    """The results of one run of an experiment, written below one folder.
+
+    Parameters
+    ----------
+    name : str
+        The experiment's.
+    out : Path or None
+        The folder; ``results/NAME`` without.
+    settings : Any
+        Everything that the run depends on, the seed among it.
+    """
+
+    def __init__(self, name: str, out: Path | None, **settings: Any) -> None:
+        self.name = name
+        self.folder = out or Path("results") / name
+        self.settings = settings
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def figure(self, figure: Figure, name: str) -> None:
+        """Write a figure as PNG and PDF."""
+        for ending in ("png", "pdf"):
+            figure.savefig(self.folder / f"{name}.{ending}", dpi=150, bbox_inches="tight")
+
+    def summary(self, **values: Any) -> Path:
+        """Write summary.json: settings, versions, and every figure in numbers."""
+        path = self.folder / "summary.json"
+        content = {
+            "experiment": self.name,
+            "settings": self.settings,
+            "versions": versions(),
+            **values,
+        }
+        path.write_text(json.dumps(content, indent=2, default=_plain) + "\n")
+        _console.print(f"[dim]{self.folder}/[/dim]", highlight=False)
+        return path
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on."""
+    packages = ("sepset", "numpy", "scipy", "networkx", "matplotlib")
+    return {"python": platform.python_version()} | {p: metadata.version(p) for p in packages}
+
+
+def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print a table; numbers to four digits."""
+    shown = Table(title=title, title_justify="left")
+    for k, column in enumerate(columns):
+        shown.add_column(column, justify="left" if k == 0 else "right")
+    for row in rows:
+        shown.add_row(*(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row))
+    _console.print(shown)
+
+
+def note(text: str) -> None:
+    """Print a line."""
+    _console.print(text, highlight=False)
+
+
+def progress(items: Sequence[Item], what: str) -> Iterator[Item]:
+    """Go through items with a progress bar on a terminal, quietly elsewhere."""
+    yield from track(
+        items, what, console=_console, transient=True, disable=not _console.is_terminal
+    )
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's numbers and arrays as JSON's."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return str(value)

@@ -1,0 +1,216 @@
+"""Stamped readings, each put at the state nearest in time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.errors import EvidenceError
+from pgm.evidence import Constant, Sightings, sightings
+from pgm.evidence.arrays import as_rows, require_readings
+from pgm.io.stamped import (
+    SAME,
+    Stamped,
+    as_stamps,
+    as_table,
+    clock,
+    nearest,
+    require_finite_rows,
+    require_stamped,
+    rows_text,
+    sealed,
+)
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.variables import Variable
+
+NOT_TAKEN, BEFORE, AFTER, FAR = (
+    "not taken",
+    "before the first state",
+    "after the last state",
+    "too far from any state",
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ReadingReport:
+    """What became of the readings of one sensor; arrays are in the order of the log.
+
+    Attributes
+    ----------
+    stamps : ndarray
+        (M,), seconds; the logs of a list of them one after the other.
+    step : ndarray of int
+        (M,): the state nearest in time.
+    shift : ndarray
+        (M,): how far [s] that state is from the reading, positive where it is later.
+    reason : ndarray of str
+        (M,): why the reading was dropped, empty where it was kept.
+    repeated : ndarray of bool
+        (M,): whether a reading kept has the stamp and the landmark of an earlier one kept. Both
+        count in the evidence.
+    backwards : int
+        How many rows are stamped before the row above them.
+    """
+
+    stamps: Array
+    step: Integers
+    shift: Array
+    reason: npt.NDArray[np.str_]
+    repeated: Mask
+    backwards: int
+
+    @property
+    def kept(self) -> Mask:
+        """Which readings are in the evidence, (M,); there they stand in the same order."""
+        kept: Mask = self.reason == ""
+        return kept
+
+    @property
+    def moved(self) -> Mask:
+        """Which of the readings kept are not of the moment of their state, (M,)."""
+        return self.kept & (np.abs(self.shift) > SAME)
+
+    @property
+    def dropped(self) -> Integers:
+        """The rows of the readings that are not in the evidence."""
+        return np.flatnonzero(~self.kept)
+
+    def __repr__(self) -> str:
+        text = f"{self.kept.size} readings, {self.kept.sum()} kept, {self.moved.sum()} moved"
+        if self.moved.any():
+            by = np.abs(self.shift[self.moved])
+            text += f" by {np.median(by):.4g} s (median), {by.max():.4g} s at most"
+        lines = [text]
+        if self.repeated.any():
+            lines.append(f"{self.repeated.sum()} kept that repeat a stamp and landmark")
+        if self.backwards:
+            lines.append(f"{self.backwards} stamped before the row above")
+        for why in (NOT_TAKEN, BEFORE, AFTER, FAR):
+            rows = np.flatnonzero(self.reason == why)
+            if rows.size:
+                gap = f", by {np.abs(self.shift[rows]).max():.4g} s"
+                gap = "" if why == NOT_TAKEN else gap + " at most" * (rows.size > 1)
+                lines.append(f"{rows.size} dropped: {why}{gap} ({rows_text(rows)})")
+        return "\n".join(lines)
+
+
+def readings(
+    variable: Variable, value: Any, times: Array, tolerance: float | None
+) -> tuple[Sightings, ReadingReport]:
+    """The sightings of a sensor's log, or of a list of logs, and the report."""
+    logs = _logs(variable, value)
+    each = [as_stamps(f"stamps of {variable!r}", log.stamps, variable) for log in logs]
+    counts = [part.size for part in each]
+    stamps, values = np.concatenate(each), _values(variable, logs, counts)
+    taken = ~np.isnan(values[:, 0])  # a row of NaN is NaN throughout
+    given = {
+        parent: _given(variable, parent, logs, counts, taken) for parent in _parents(variable, logs)
+    }
+
+    step = nearest(times, stamps)
+    shift = times[step] - stamps
+    reason = _reasons(stamps, shift, taken, times, tolerance)
+    kept = reason == ""
+    if taken.any() and not kept.any():
+        raise EvidenceError(
+            f"no reading of {variable!r} is near a state: stamps from {clock(stamps.min())} to "
+            f"{clock(stamps.max())}, states from {clock(times[0])} to {clock(times[-1])}"
+            f"{'' if tolerance is None else f', tolerance {tolerance:.4g} s'}; are both in "
+            "seconds of the same clock?",
+            variable=variable,
+        )
+    report = ReadingReport(
+        stamps=sealed(stamps),
+        step=sealed(step),
+        shift=sealed(shift),
+        reason=sealed(reason),
+        repeated=sealed(_repeated(np.column_stack([stamps, *given.values()]), kept)),
+        backwards=sum(int((np.diff(part) < 0.0).sum()) for part in each),
+    )
+    seen = {parent: sealed(table[kept]) for parent, table in given.items()}
+    return sightings(sealed(values[kept]), step=sealed(step[kept]), given=seen), report
+
+
+def _logs(variable: Variable, value: Any) -> list[Stamped]:
+    logs = list(value) if isinstance(value, (list, tuple)) else [value]
+    if not logs:
+        raise EvidenceError(
+            f"sensor {variable!r} has an empty list of logs; leave it out", variable=variable
+        )
+    return [require_stamped(variable, log) for log in logs]
+
+
+def _parents(variable: Variable, logs: Sequence[Stamped]) -> tuple[Variable, ...]:
+    """What the logs are given, the same in each."""
+    for log in logs:
+        if set(log.given) != set(logs[0].given):
+            raise EvidenceError(
+                f"the logs of {variable!r} are given {list(logs[0].given)} and {list(log.given)}; "
+                "every log of a sensor must be given the same variables",
+                variable=variable,
+            )
+    for parent in logs[0].given:
+        if not isinstance(parent, Variable):
+            raise EvidenceError(
+                f"readings of {variable!r} are given {parent!r}, which is no variable",
+                variable=variable,
+            )
+    return tuple(logs[0].given)
+
+
+def _values(variable: Variable, logs: Sequence[Stamped], counts: Sequence[int]) -> Array:
+    what = f"readings of {variable!r}"
+    tables = [
+        as_table(what, log.values, count, variable.components, variable)
+        for log, count in zip(logs, counts, strict=True)
+    ]
+    return require_readings(variable, np.concatenate(tables))
+
+
+def _given(
+    variable: Variable,
+    parent: Variable,
+    logs: Sequence[Stamped],
+    counts: Sequence[int],
+    taken: Mask,
+) -> Array:
+    """What each reading is given, (M, d)."""
+    what = f"{parent!r}, given for the readings of {variable!r}"
+    tables = []
+    for log, count in zip(logs, counts, strict=True):
+        value = log.given[parent]
+        if isinstance(value, Constant):
+            table = np.broadcast_to(as_rows(parent, value.value, None), (count, parent.dimension))
+        else:
+            table = as_table(what, value, count, parent.components, parent)
+        tables.append(table)
+    table = np.concatenate(tables)
+    needed = np.where(taken[:, None], table, 0.0)
+    require_finite_rows(what, needed, parent, "a reading is explained only by what is known")
+    return table
+
+
+def _reasons(
+    stamps: Array, shift: Array, taken: Mask, times: Array, tolerance: float | None
+) -> npt.NDArray[np.str_]:
+    """Why each reading is dropped, empty where it is kept."""
+    before, after = stamps < times[0], stamps > times[-1]
+    if tolerance is None:
+        first, last = 0.5 * np.diff(times)[[0, -1]]
+        reach = np.select([before, after], [first, last], default=np.inf)
+    else:
+        reach = np.full(stamps.shape, tolerance)
+    far = np.abs(shift) > reach + SAME
+    return np.select([~taken, far & before, far & after, far], [NOT_TAKEN, BEFORE, AFTER, FAR], "")
+
+
+def _repeated(keys: Array, kept: Mask) -> Mask:
+    """Which of the rows kept equal an earlier one kept."""
+    rows = np.flatnonzero(kept)
+    result = kept.copy()
+    result[rows[np.unique(keys[rows], axis=0, return_index=True)[1]]] = False
+    return result

@@ -1,0 +1,200 @@
+"""The front door for a user's own log: stamped rows in, evidence of a dynamic network out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.errors import EvidenceError
+from pgm.io.controls import ControlReport, Kind, controls
+from pgm.io.readings import ReadingReport, readings
+from pgm.io.stamped import Stamped, as_stamps, clock, sealed
+from pgm.kernels.arrays import Array
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Timeline:
+    """A log laid on the times of the states; printed, it says what became of every row.
+
+    Attributes
+    ----------
+    times : ndarray
+        (T+1,): of the states x[0..T], seconds.
+    dt : ndarray
+        (T,): the durations of the steps 1..T, seconds.
+    evidence : mapping of Variable
+        Controls (T, d) and sightings, ready for `filter` and `smooth`.
+    controls : mapping of Variable to ControlReport
+        What became of each control's rows.
+    readings : mapping of Variable to ReadingReport
+        What became of each sensor's readings.
+    """
+
+    times: Array
+    dt: Array
+    evidence: Mapping[Variable, Any]
+    controls: Mapping[Variable, ControlReport]
+    readings: Mapping[Variable, ReadingReport]
+
+    @property
+    def steps(self) -> int:
+        """T, the last step."""
+        return self.dt.size
+
+    def __repr__(self) -> str:
+        first, last = self.times[[0, -1]]
+        lines = [
+            f"Timeline of {self.times.size} states, {clock(first)} to {clock(last)}; steps of "
+            f"{np.median(self.dt):.4g} s (median), {self.dt.min():.4g} to {self.dt.max():.4g} s"
+        ]
+        for variable, report in {**self.controls, **self.readings}.items():
+            for k, line in enumerate(repr(report).splitlines()):
+                lines.append(f"  {'' if k else variable.name:<10} {line}")
+        return "\n".join(lines)
+
+
+def timeline(
+    times: npt.ArrayLike,
+    *,
+    odometry: Mapping[Variable, Stamped] | None = None,
+    velocities: Mapping[Variable, Stamped] | None = None,
+    sensors: Mapping[Variable, Stamped | Sequence[Stamped]] | None = None,
+    tolerance: float | None = None,
+) -> Timeline:
+    """Lay a log of stamped rows on the times of the states: controls by step, readings by state.
+
+    Rows may come in any order, and every control and sensor has its own stamps. Stamps less than
+    a microsecond apart are of one moment.
+
+    Parameters
+    ----------
+    times : array_like
+        (T+1,): of the states x[0..T], seconds, increasing; often the odometry's own stamps.
+    odometry : mapping of Variable to Stamped, optional
+        ``{u: pgm.stamped(stamps, increments)}``: each increment is the motion since the previous
+        stamp. A step's control is the sum of its increments; one that a state divides is divided
+        in proportion to time. An increment that coincides with a step is taken over digit for
+        digit. Where the log begins after the first state, the first increment is taken to count
+        from that state on, if it covers no longer than the longest of the others.
+    velocities : mapping of Variable to Stamped, optional
+        ``{u: pgm.stamped(stamps, values)}``: each value holds until the next stamp, the last one
+        at most as long as the longest of the others. A step's control is the average over time.
+    sensors : mapping of Variable to Stamped or list of Stamped, optional
+        ``{z: pgm.stamped(stamps, values, {m: landmarks})}``: each reading goes to the state
+        nearest in time; midway, to the earlier one. Repeated readings all count.
+    tolerance : float, optional
+        Seconds: a reading farther than this from every state is dropped. Without it, every
+        reading between the first and the last state is kept, and one outside them if it is within
+        half of the first or the last step.
+
+    Returns
+    -------
+    Timeline
+        The evidence, and a report on every row: how far it was moved, or why it was dropped.
+
+    Raises
+    ------
+    EvidenceError
+        If times do not increase, rows do not fit their stamps or their variable, numbers are NaN
+        or infinite (a reading may be a row of NaN: it is dropped as not taken), controls do not
+        reach from the first state to the last, two rows of a control have one stamp, or none of a
+        sensor's readings is kept.
+
+    Notes
+    -----
+    Where a control has a component called ``dt``, it is filled with the duration of the step in
+    seconds; the rows hold its other components, in order. Where it has none, the rows hold all.
+
+    Sums and averages are right for motion that is steady within a step, and for small turns. What
+    does not add up, such as (first turn, translation, second turn), needs a state at every stamp.
+
+    A moved reading is in error by what the robot does meanwhile. So that none is moved, let there
+    be a state at every stamp, of odometry and readings, in the time that the odometry covers.
+
+    Examples
+    --------
+    >>> from pgm import Variable
+    >>> from pgm.io import stamped, timeline
+    >>> u, z = Variable("u", components=("distance", "turn", "dt")), Variable("z")
+    >>> log = timeline(
+    ...     [0.0, 1.0, 2.0],
+    ...     odometry={u: stamped([0.5, 1.5, 2.0], [[1.0, 0.0], [2.0, 0.2], [3.0, 0.0]])},
+    ...     sensors={z: stamped([1.9, 0.1, 7.0], [4.0, 5.0, 6.0])},
+    ... )
+    >>> log.evidence[u]
+    array([[2. , 0.1, 1. ],
+           [4. , 0.1, 1. ]])
+    >>> log.evidence[z].step
+    array([2, 0])
+    >>> log
+    Timeline of 3 states, 0 s to 2 s; steps of 1 s (median), 1 to 1 s
+      u          3 increments, 3 used, 1 of them divided at a state; the longest covers 1 s
+                 the first is taken to count from the first state on, 0.5 s
+      z          3 readings, 2 kept, 2 moved by 0.1 s (median), 0.1 s at most
+                 1 stamped before the row above
+                 1 dropped: after the last state, by 5 s (row 2)
+    """
+    states = _as_times(times)
+    if tolerance is not None and not tolerance >= 0.0:
+        raise EvidenceError(f"tolerance must be 0 or more seconds, not {tolerance!r}")
+    groups = {"odometry": odometry or {}, "velocities": velocities or {}, "sensors": sensors or {}}
+    _check_variables(groups)
+    kinds: dict[Variable, Kind] = {
+        **dict.fromkeys(groups["odometry"], "odometry"),
+        **dict.fromkeys(groups["velocities"], "velocities"),
+    }
+    driven = {u: controls(u, kind, groups[kind][u], states) for u, kind in kinds.items()}
+    seen = {z: readings(z, log, states, tolerance) for z, log in groups["sensors"].items()}
+    return Timeline(
+        times=sealed(states),
+        dt=sealed(np.diff(states)),
+        evidence=MappingProxyType({v: made for v, (made, _) in {**driven, **seen}.items()}),
+        controls=MappingProxyType({u: report for u, (_, report) in driven.items()}),
+        readings=MappingProxyType({z: report for z, (_, report) in seen.items()}),
+    )
+
+
+def _as_times(times: npt.ArrayLike) -> Array:
+    states = as_stamps("times", times)
+    if states.size < 2:
+        raise EvidenceError(f"times has {states.size} states; a timeline needs two or more")
+    back = np.flatnonzero(np.diff(states) <= 0.0)
+    if back.size:
+        row = int(back[0]) + 1
+        raise EvidenceError(
+            f"times: row {row} ({float(states[row])!r} s) is not after row {row - 1} "
+            f"({float(states[row - 1])!r} s); np.unique(times) puts states in order, each once",
+            step=row,
+        )
+    return states
+
+
+def _check_variables(groups: Mapping[str, Mapping[Variable, Any]]) -> None:
+    """Every key a variable, and in one group only."""
+    found: dict[Variable, str] = {}
+    for group, logs in groups.items():
+        if not isinstance(logs, Mapping):
+            raise EvidenceError(
+                f"{group} are given by variable, {{variable: pgm.stamped(stamps, values)}}, not as "
+                f"{type(logs).__name__}"
+            )
+        for variable in logs:
+            if not isinstance(variable, Variable) or variable != variable.template:
+                raise EvidenceError(
+                    f"{group} are given by variable; {variable!r} is none, or is one of a single "
+                    "step",
+                    variable=variable,
+                )
+            if variable in found:
+                raise EvidenceError(
+                    f"{variable!r} is given both as {found[variable]} and as {group}; a log of two "
+                    "kinds of rows needs two variables",
+                    variable=variable,
+                )
+            found[variable] = group
