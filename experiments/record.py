@@ -12,6 +12,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 from matplotlib.figure import Figure
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 
@@ -69,9 +70,9 @@ def versions() -> dict[str, str]:
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Print a table; numbers to four digits."""
-    shown = Table(title=title, title_justify="left")
+    shown = Table(title=escape(title), title_justify="left")
     for k, column in enumerate(columns):
-        shown.add_column(column, justify="left" if k == 0 else "right")
+        shown.add_column(escape(column), justify="left" if k == 0 else "right", no_wrap=True)
     for row in rows:
         shown.add_row(*(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row))
     _console.print(shown)
@@ -79,7 +80,7 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) 
 
 def note(text: str) -> None:
     """Print a line."""
-    _console.print(text, highlight=False)
+    _console.print(text, highlight=False, soft_wrap=True)
 
 
 def progress(items: Sequence[Item], what: str) -> Iterator[Item]:

@@ -78,6 +78,14 @@ def check_running_intersection(
     for index, scope in enumerate(scopes):
         for variable in scope:
             holders[variable].add(index)
+    edges = set(sepsets)
+    for i, j in edges:
+        if i == j or (j, i) in edges:
+            raise GraphError(
+                f"clusters {i} and {j} are joined twice, or one to itself; one sepset joins two "
+                "clusters",
+                cluster=i,
+            )
     carriers: dict[Variable, list[Edge]] = defaultdict(list)
     for (i, j), sepset in sepsets.items():
         for variable in sepset:

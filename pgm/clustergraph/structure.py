@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import networkx as nx
+import numpy as np
 
 from pgm.clustergraph.checks import Edge, check_families, check_running_intersection
 from pgm.cpds import CPD
@@ -74,12 +75,12 @@ class ClusterGraph(ABC):
     def index(self, cluster: int | Cluster) -> int:
         """The index of a cluster, given by index or value."""
         found = cluster.index if isinstance(cluster, Cluster) else cluster
-        if not isinstance(found, int) or not 0 <= found < len(self.clusters):
+        if not isinstance(found, int | np.integer) or not 0 <= found < len(self.clusters):
             raise GraphError(
                 f"there is no cluster {cluster!r}; clusters are 0..{len(self.clusters) - 1}",
                 cluster=cluster,
             )
-        return found
+        return int(found)
 
     def check(self) -> None:
         """Prove family preservation and running intersection.

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.checks import Edge
 from pgm.compile.layout import SliceLayout
@@ -96,15 +98,26 @@ class _Sepsets(Mapping[Edge, Scope]):
     def __iter__(self) -> Iterator[Edge]:
         return ((step, step + 1) for step in range(self._graph.steps))
 
+    def __contains__(self, edge: object) -> bool:
+        steps = range(self._graph.steps)
+        return any(edge in ((k, k + 1), (k + 1, k)) for k in _numbers(edge) if k in steps)
+
+    def get(self, edge: Edge, default: Any = None) -> Any:
+        return self[edge] if edge in self else default
+
     def __getitem__(self, edge: Edge) -> Scope:
         first = min(edge)
-        if edge not in ((first, first + 1), (first + 1, first)) or not 0 <= first < len(self):
+        if edge not in self:
             raise GraphError(
                 f"clusters {edge[0]} and {edge[1]} are not joined; neighbours in 0.."
                 f"{len(self)} are",
                 cluster=edge[0],
             )
         return tuple(state.at(first) for state in self._graph.layout.states)
+
+
+def _numbers(edge: object) -> tuple[Any, ...]:
+    return edge if isinstance(edge, tuple) else ()
 
 
 def compile(model: DynamicBayesianNetwork, steps: int | None = None) -> SliceGraph:
@@ -130,8 +143,9 @@ def compile(model: DynamicBayesianNetwork, steps: int | None = None) -> SliceGra
     """
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"compile takes a network, not {model!r}")
-    if not isinstance(steps, int) or isinstance(steps, bool) or steps < 0:
+    whole = isinstance(steps, int | np.integer) and not isinstance(steps, bool)
+    if steps is None or not whole or steps < 0:
         raise GraphError(
             f"a dynamic network is compiled for steps 0..T; give steps=T, 0 or more, not {steps!r}"
         )
-    return SliceGraph(model, steps)
+    return SliceGraph(model, int(steps))

@@ -31,7 +31,12 @@ class CPD:
     cov: Array | Noise
 
     def _set_family(
-        self, child: Variable, given: Iterable[Variable], cov: npt.ArrayLike | Noise
+        self,
+        child: Variable,
+        given: Iterable[Variable],
+        cov: npt.ArrayLike | Noise,
+        *,
+        lead: bool = False,
     ) -> None:
         if not isinstance(child, Variable):
             raise ModelError(f"a CPD's child is a variable, not {child!r}")
@@ -47,7 +52,7 @@ class CPD:
                 variable=child,
             )
         self._set(child=child, given=given)
-        self._set(cov=cov if isinstance(cov, Noise) else as_covariance(child, cov))
+        self._set(cov=cov if isinstance(cov, Noise) else as_covariance(child, cov, lead=lead))
 
     def _set(self, **values: Any) -> None:
         for name, value in values.items():

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds.base import CPD
-from pgm.cpds.noise import Noise, as_covariance
+from pgm.cpds.noise import Noise
 from pgm.errors import ModelError
 from pgm.factors.scope import as_value
 from pgm.kernels.arrays import Array, apply, frozen
@@ -75,13 +75,22 @@ class GaussianCPD(AffineCPD):
     """
 
     def __init__(self, child: Variable, mean: npt.ArrayLike, cov: npt.ArrayLike) -> None:
-        self._set_family(child, (), np.zeros((child.dimension, child.dimension)))
+        self._set_family(child, (), cov, lead=True)
         offset = np.array(as_value(child, mean, "mean"))
-        self._set(
-            matrices=MappingProxyType({}),
-            offset=_finite(child, offset, "mean"),
-            cov=as_covariance(child, cov, lead=True),
-        )
+        self._set(matrices=MappingProxyType({}), offset=frozen(offset))
+        try:
+            self._lead()
+        except ValueError:
+            raise ModelError(
+                f"GaussianCPD of {child!r}: the axes of runs of the mean, {offset.shape}, and of "
+                "the covariance do not broadcast",
+                variable=child,
+            ) from None
+
+    def _lead(self) -> tuple[int, ...]:
+        """The axes of runs."""
+        covs = self.cov.shape[:-2] if isinstance(self.cov, np.ndarray) else ()
+        return np.broadcast_shapes(self.offset.shape[:-1], covs)
 
     @property
     def mean(self) -> Array:
@@ -133,7 +142,7 @@ class LinearGaussianCPD(AffineCPD):
             )
         self._set_family(child, given, cov)
         matrices = {parent: _matrix(child, parent, value) for parent, value in given.items()}
-        shift = np.asarray(offset, dtype=float)
+        shift = _numbers(child, offset, "offset")
         shift = np.full(child.dimension, shift) if shift.ndim == 0 else shift
         if shift.shape != (child.dimension,):
             raise ModelError(
@@ -146,8 +155,18 @@ class LinearGaussianCPD(AffineCPD):
         )
 
 
+def _numbers(child: Variable, value: npt.ArrayLike, what: str) -> Array:
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ModelError(
+            f"LinearGaussianCPD of {child!r}: the {what} must be numbers, not {value!r}",
+            variable=child,
+        ) from None
+
+
 def _matrix(child: Variable, parent: Variable, value: npt.ArrayLike) -> Array:
-    matrix = np.array(value, dtype=float)
+    matrix = _numbers(child, value, f"matrix of {parent!r}")
     due = (child.dimension, parent.dimension)
     if matrix.ndim == 0 and due[0] == due[1]:
         matrix = matrix * np.eye(due[0])

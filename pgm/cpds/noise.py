@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,6 +43,44 @@ def noise(function: Callable[..., Any], given: Variable | Iterable[Variable]) ->
     if not callable(function):
         raise ModelError(f"noise takes a function of the parents, not {function!r}")
     return Noise(function, as_scope(given))
+
+
+def evaluate(
+    cov: Noise, child: Variable, known: Mapping[Variable, Array], shape: tuple[int, ...], step: Any
+) -> Array:
+    """The covariance for given values of the parents, (*shape, n, n), checked.
+
+    Parameters
+    ----------
+    cov : Noise
+    child : Variable
+        Whose noise it is.
+    known : mapping of Variable to ndarray
+        Values of the parents, which broadcast to (*shape, d).
+    shape : tuple of int
+        The leading axes.
+    step : array_like of int
+        The step of each, which broadcasts to the shape; for messages.
+    """
+    arguments = [np.broadcast_to(known[v], (*shape, v.dimension)) for v in cov.given]
+    value = np.asarray(cov.function(*arguments), dtype=float)
+    due = (*shape, child.dimension, child.dimension)
+    if value.shape != due:
+        raise ModelError(
+            f"the noise of the CPD of {child!r} returned shape {value.shape} where {due} was due; "
+            "it is called with arrays that have leading axes",
+            variable=child,
+        )
+    if covariance_fault(value):
+        for index in np.ndindex(shape):
+            if fault := covariance_fault(value[index]):
+                at = int(np.broadcast_to(step, shape)[index])
+                raise ModelError(
+                    f"the noise of the CPD of {child!r} at step {at} {fault}",
+                    variable=child,
+                    step=at,
+                )
+    return value
 
 
 def as_covariance(child: Variable, cov: npt.ArrayLike, *, lead: bool = False) -> Array:

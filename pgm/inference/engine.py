@@ -177,7 +177,14 @@ def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Beliefs:
                 f"{first}..{bound.steps}",
                 variable=variable,
             )
-        wide = np.broadcast_to(rows, (*bound.lead, *rows.shape[-2:]))
+        try:
+            wide = np.broadcast_to(rows, (*bound.lead, *rows.shape[-2:]))
+        except ValueError:
+            raise EvidenceError(
+                f"start for {variable!r} has the axes of runs {rows.shape[:-2]}, which do not "
+                f"broadcast to those of the evidence, {bound.lead}",
+                variable=variable,
+            ) from None
         wide = wide.reshape(bound.runs, *rows.shape[-2:]).swapaxes(0, 1)
         mean[first:][..., positions(layout.slice, [variable])] = wide
     return Beliefs(mean, np.zeros((*mean.shape, mean.shape[-1])))

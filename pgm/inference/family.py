@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from pgm.cpds import CPD, AffineCPD, Noise, NonlinearGaussianCPD
+from pgm.cpds.noise import evaluate
 from pgm.errors import LinearisationError, ModelError, PgmError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.scope import Scope, dimension, names
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Integers, Mask, apply
-from pgm.kernels.checks import covariance_fault
 from pgm.linearisers import BoundFunction, FunctionTemplate, Lineariser, Taylor
 from pgm.variables import Variable
 
@@ -168,11 +167,13 @@ class Family:
             value = function(mean)
             size = value.shape[-1]
             return AffineGaussian(np.empty((*value.shape, 0)), value, np.zeros((size, size)))
-        affine = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
+        with np.errstate(invalid="ignore", over="ignore"):  # non-finite values are refused below
+            affine = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
         if not isinstance(affine, AffineGaussian):
             raise LinearisationError(
                 f"the lineariser {self.lineariser!r} returned {type(affine).__name__} for "
                 f"{self.cpd!r}; it must return a pgm.AffineGaussian",
+                variable=self.cpd.child,
                 cpd=self.cpd,
             )
         due = (function.angles.size, self.matrix.shape[-1])
@@ -180,6 +181,7 @@ class Family:
             raise LinearisationError(
                 f"the lineariser {self.lineariser!r} returned an F of shape {affine.F.shape} for "
                 f"{self.cpd!r}; it must end in {due}",
+                variable=self.cpd.child,
                 cpd=self.cpd,
             )
         if not np.isfinite(affine.F.sum() + affine.b.sum() + affine.cov.sum()):
@@ -194,7 +196,7 @@ class Family:
         bad = bad | ~np.isfinite(affine.F).all(axis=(-2, -1))
         bad = bad | ~np.isfinite(affine.cov).all(axis=(-2, -1))
         where = tuple(int(axis[0]) for axis in np.nonzero(bad))
-        step = int(np.broadcast_to(function.step or 0, shape)[where])
+        step = 0 if function.step is None else int(np.broadcast_to(function.step, shape)[where])
         raise LinearisationError(
             f"{self.cpd!r}: its linearisation at step {step}, run {where[-1]}, has values that "
             f"are NaN or infinite, at {names(self.hidden)} = {mean[where]}; is the function "
@@ -244,27 +246,12 @@ def _own_noise(
         if cpd.cov.ndim == 2:
             return cpd.cov[None, None]
         return np.broadcast_to(cpd.cov, (*lead, size, size)).reshape(1, math.prod(lead), size, size)
-    known = [inputs[parent] for parent in cpd.cov.given]
-    shape = np.broadcast_shapes((step.size, 1), *(array.shape[:2] for array in known))
     if not step.size:
         return np.zeros((1, 1, size, size))
-    known = [np.broadcast_to(array, (*shape, array.shape[-1])) for array in known]
-    value: Any = cpd.cov.function(*known)
-    cov = np.asarray(value, dtype=float)
-    if cov.shape != (*shape, size, size):
-        raise ModelError(
-            f"the noise of {cpd!r} returned shape {cov.shape} where {(*shape, size, size)} was "
-            "due; it is called with arrays that have leading axes",
-            variable=cpd.child,
-            cpd=cpd,
-        )
-    if covariance_fault(cov):
-        for row, each in enumerate(cov):
-            if fault := covariance_fault(each):
-                raise ModelError(
-                    f"the noise of {cpd!r} at step {step[row]} {fault}",
-                    variable=cpd.child,
-                    cpd=cpd,
-                    step=int(step[row]),
-                )
-    return cov
+    known = {parent: inputs[parent] for parent in cpd.cov.given}
+    shape = np.broadcast_shapes((step.size, 1), *(array.shape[:2] for array in known.values()))
+    try:
+        return evaluate(cpd.cov, cpd.child, known, shape, step[:, None])
+    except ModelError as error:
+        error.cpd = cpd
+        raise

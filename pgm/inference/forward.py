@@ -10,6 +10,7 @@ from pgm.errors import NumericalError
 from pgm.inference.plan import ChainPlan, Link
 from pgm.inference.update import update
 from pgm.kernels import moments, roots
+from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Index, block
 
 
@@ -95,6 +96,7 @@ def predict(
             family.linearise(row, mean, cov)
         conditional = moments.Conditional(family.matrix[row], family.offset[row], family.noise[row])
         slice_mean, slice_cov = moments.push(mean, cov, conditional)
+        _keep_chart(link, row, mean, slice_mean)
         _check_predicted(link, row, slice_cov)
         return slice_mean, slice_cov
     front = plan.layout.state_size
@@ -120,7 +122,22 @@ def _extend(link: Link, row: int, step: int, mean: Array, cov: Array, linearise:
         family.offset[row],
         family.noise[row],
     )
+    _keep_chart(link, row, mean, mean[:, link.child])
     _check_predicted(link, row, block(cov, link.child, link.child))
+
+
+def _keep_chart(link: Link, row: int, before: Array, child: Array) -> None:
+    """Undo, in place, whole turns that a function which wraps its angles has made in a step.
+
+    Beliefs live on one unwrapped chart, on which an angle stays within π of that before it.
+    """
+    if not link.before.size:
+        return
+    turned = child[:, link.angles] - before[:, link.before]
+    if np.abs(turned).max() > np.pi:
+        turns = TURN * np.round(turned / TURN)
+        child[:, link.angles] -= turns
+        link.family.offset[row][:, link.angles] -= turns
 
 
 def _check_predicted(link: Link, row: int, cov: Array) -> None:

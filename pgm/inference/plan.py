@@ -17,7 +17,7 @@ from pgm.compile import SliceGraph, SliceLayout
 from pgm.cpds import AffineCPD, NonlinearGaussianCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
-from pgm.factors.scope import Scope, positions
+from pgm.factors.scope import Scope, dimension, positions
 from pgm.inference.family import Family
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Index, Integers, Mask
@@ -30,11 +30,21 @@ class Link:
     """A family in place: where its hidden parents and its child stand.
 
     For the prior both stand in the vector of states, for the transition in that of the pair.
+
+    Attributes
+    ----------
+    family : Family
+    parents, child : Index
+    angles, before : ndarray of int
+        The child's components that are angles, and where those of the step before stand; empty
+        where the child does not depend on itself.
     """
 
     family: Family
     parents: Index
     child: slice
+    angles: Integers
+    before: Integers
 
 
 @dataclass(eq=False)
@@ -162,7 +172,12 @@ class ChainPlan:
         def link(made: Family, scope: Scope) -> Link:
             child = positions(scope, [made.cpd.child])
             assert isinstance(child, slice)
-            return Link(made, positions(scope, made.hidden), child)
+            angles = np.flatnonzero(made.cpd.child.angle_mask)
+            before = angles[:0]
+            if not made.exact and made.cpd.child.previous in made.hidden:
+                first_place = positions(scope, [made.cpd.child.previous])
+                before = np.arange(dimension(scope))[first_place][angles]
+            return Link(made, positions(scope, made.hidden), child, angles[: before.size], before)
 
         start, later = np.zeros(1, dtype=np.intp), np.arange(bound.steps) + max(first, 1)
         priors = layout.model.prior if prior else ()

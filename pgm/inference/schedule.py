@@ -39,8 +39,8 @@ class Smoothing:
     tolerance: float = 1e-9
 
     def __post_init__(self) -> None:
-        whole = isinstance(self.iterations, int) and not isinstance(self.iterations, bool)
-        if not whole or self.iterations < 1:
+        whole = isinstance(self.iterations, int | np.integer)
+        if not whole or isinstance(self.iterations, bool) or self.iterations < 1:
             raise ModelError(
                 f"Smoothing(iterations={self.iterations!r}): iterations count linearisations and "
                 "must be 1 or more"

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.factors.scope import angle_mask
 from pgm.inference import backward, forward, grouped
 from pgm.inference.backward import Beliefs, Reverse
 from pgm.inference.forward import Forward
 from pgm.inference.plan import ChainPlan
 from pgm.inference.schedule import Smoothing, Status
 from pgm.kernels import moments
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, block
 
 
@@ -28,6 +30,7 @@ class Smoothed:
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Beliefs | None) -> Smoothed:
     """Run a smoothing schedule; `start` are means of the slices for the first linearisation."""
     if start is not None:
+        start = _on_chart(plan, start)
         relinearise(plan, start, _start_pairs(plan, start), None)
     ahead = forward.sweep(plan, linearise=start is None)
     reverse = Reverse.make(plan, ahead)
@@ -83,6 +86,22 @@ def relinearise(plan: ChainPlan, beliefs: Beliefs, pairs: Beliefs, active: Mask 
         sensor.move(everything, family.value(everything, mean))
         if active is not None:
             sensor.moved[:, ~active] = kept[:, ~active]
+
+
+def _on_chart(plan: ChainPlan, start: Beliefs) -> Beliefs:
+    """A start whose angles run on without whole turns, from the prior's on."""
+    layout = plan.layout
+    angles = angle_mask(layout.slice)
+    angles[layout.control_places] = False
+    if not angles.any():
+        return start
+    mean = start.mean.copy()
+    first, _ = forward.start(plan, linearise=True)
+    prior = mean[0].copy()
+    prior[:, layout.state_places] = first
+    mean[0] = nearest_branch(mean[0], prior, angles)
+    mean[..., angles] = np.unwrap(mean[..., angles], axis=0)
+    return Beliefs(mean, start.cov)
 
 
 def _start_pairs(plan: ChainPlan, start: Beliefs) -> Beliefs:

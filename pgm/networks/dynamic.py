@@ -8,7 +8,7 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from pgm.cpds import CPD, AffineCPD
+from pgm.cpds import CPD, GaussianCPD
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
@@ -95,6 +95,7 @@ class DynamicBayesianNetwork:
         sensors = tuple(cpd.child for cpd in observation)
         _check_states(prior, transition, states, hidden)
         _check_parents(prior, transition, observation, states, hidden, set(sensors))
+        _lead(everything)
         transition = checks.in_order(transition, lambda cpd: cpd.given)
         parents = (v for cpd in (*transition, *observation) for v in cpd.parents)
         inputs = tuple(dict.fromkeys(v for v in parents if v.template not in hidden))
@@ -137,10 +138,8 @@ class DynamicBayesianNetwork:
 
     @property
     def lead(self) -> tuple[int, ...]:
-        """The leading axes of runs that the prior has, where its means differ by run."""
-        means = [cpd.offset.shape[:-1] for cpd in self.prior if isinstance(cpd, AffineCPD)]
-        covs = [cpd.cov.shape[:-2] for cpd in self.prior if isinstance(cpd.cov, np.ndarray)]
-        return np.broadcast_shapes(*means, *covs)
+        """The axes of runs of the model itself, where a `GaussianCPD` differs by run."""
+        return _lead(self.cpds)
 
     def sample(
         self,
@@ -217,6 +216,16 @@ class DynamicBayesianNetwork:
         )
 
 
+def _lead(cpds: Iterable[CPD]) -> tuple[int, ...]:
+    shapes = {cpd.child: cpd._lead() for cpd in cpds if isinstance(cpd, GaussianCPD)}
+    try:
+        return np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        raise ModelError(
+            f"the CPDs have axes of runs that do not broadcast: {shapes}; give each the same"
+        ) from None
+
+
 def _density(cpd: CPD) -> str:
     parents = ", ".join(map(repr, cpd.parents))
     return f"p({cpd.child!r}{' | ' if parents else ''}{parents})"
@@ -287,7 +296,7 @@ def _check_parents(
                     "cannot be a sensor's parent; carry it along as a state of this step "
                     "(LinearGaussianCPD(older, given={x.previous: 1.0}, cov=0))",
                 )
-    for cpd in (*transition, *observation):
+    for cpd in (*prior, *transition, *observation):
         for parent in cpd.parents:
             if parent.template in sensors:
                 refuse(

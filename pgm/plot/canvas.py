@@ -1,0 +1,124 @@
+"""A canvas for diagrams, which are laid out in points so that every label fits its shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.font_manager import FontProperties
+from matplotlib.text import Text
+from matplotlib.textpath import text_to_path
+
+from pgm.plot.axes import check_axes
+from pgm.plot.colours import INK
+
+Point = tuple[float, float]
+
+FONT = 9.0
+_LINE = 1.25 * FONT
+_MARGIN = 8.0
+# Small diagrams are not blown up to more than this part of their own size.
+_LARGEST = 1.6
+# The longest side of a figure that is made, in points; larger diagrams shrink to it.
+_LONGEST = 18.0 * 72.0
+_TITLE = 24.0
+
+
+class Size(NamedTuple):
+    """Width and height, in points."""
+
+    width: float
+    height: float
+
+
+class Box(NamedTuple):
+    """Bounds, in points."""
+
+    left: float
+    bottom: float
+    right: float
+    top: float
+
+    @property
+    def size(self) -> Size:
+        """Width and height with the margins of the canvas."""
+        return Size(self.right - self.left + 2.0 * _MARGIN, self.top - self.bottom + 2.0 * _MARGIN)
+
+
+def text_size(text: str) -> Size:
+    """How much room a text of some lines takes at the size `FONT`."""
+    lines = text.split("\n")
+    font = FontProperties(size=FONT)
+    widths = [
+        text_to_path.get_text_width_height_descent(line, font, ismath=False)[0] for line in lines
+    ]
+    return Size(max(widths), _LINE * len(lines))
+
+
+def room(ax: Axes) -> Size:
+    """The size of an axes on paper, in points."""
+    unit = 72.0 / ax.figure.dpi
+    return Size(ax.bbox.width * unit, ax.bbox.height * unit)
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """An axes whose data are points of a diagram.
+
+    Attributes
+    ----------
+    ax : matplotlib.axes.Axes
+    scale : float
+        Points on paper for a point of the diagram; texts and lines shrink and grow with it.
+    """
+
+    ax: Axes
+    scale: float
+
+    def text(self, at: Point, text: str, *, colour: str = INK, size: float = FONT) -> Text:
+        """Write a text about a point."""
+        return self.ax.text(
+            *at,
+            text,
+            color=colour,
+            fontsize=size * self.scale,
+            linespacing=1.2,
+            ha="center",
+            va="center",
+            parse_math=False,
+            zorder=4.0,
+        )
+
+    def width(self, points: float) -> float:
+        """The width of a line."""
+        return points * min(self.scale, 1.0)
+
+
+def open_canvas(ax: Axes | None, box: Box) -> Canvas:
+    """Make an axes, or take one, show the box in it, and hide its frame."""
+    size = box.size
+    if ax is None:
+        scale = min(1.0, _LONGEST / max(size))
+        width, height = max(size.width * scale, 72.0), max(size.height * scale, 36.0)
+        ax = plt.subplots(
+            figsize=(width / 72.0, (height + _TITLE) / 72.0),
+            gridspec_kw={
+                "left": 0.0,
+                "right": 1.0,
+                "bottom": 0.0,
+                "top": height / (height + _TITLE),
+            },
+        )[1]
+        paper = Size(width, height)
+    else:
+        paper = room(check_axes(ax))
+        scale = min(paper.width / size.width, paper.height / size.height, _LARGEST)
+    x, y = 0.5 * (box.left + box.right), 0.5 * (box.bottom + box.top)
+    half = 0.5 / scale
+    ax.set_xlim(x - half * paper.width, x + half * paper.width)
+    ax.set_ylim(y - half * paper.height, y + half * paper.height)
+    ax.set_aspect("equal", adjustable="box")
+    ax.axis("off")
+    return Canvas(ax, scale)

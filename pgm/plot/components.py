@@ -1,0 +1,102 @@
+"""Which components of a belief to draw, and the columns of a truth that go with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.errors import ModelError
+from pgm.factors import Gaussian
+from pgm.factors.scope import names
+from pgm.kernels.arrays import Array
+
+
+def check_gaussian(belief: Any) -> Gaussian:
+    """The Gaussian; refuses anything else."""
+    if not isinstance(belief, Gaussian):
+        raise ModelError(
+            f"a Gaussian is drawn, like posterior[x], not {type(belief).__name__}; take the "
+            "marginal of one variable first"
+        )
+    return belief
+
+
+def one_run(belief: Gaussian) -> Gaussian:
+    """The belief with one leading axis, of steps; refuses several runs.
+
+    Raises
+    ------
+    ModelError
+        If there are leading axes besides that of the steps.
+    """
+    belief = check_gaussian(belief)
+    lead = belief.mean.shape[: -1 if belief.steps is None else -2]
+    if math.prod(lead) != 1:
+        hint = " (or give steps= if they are steps)" if belief.steps is None else ""
+        raise ModelError(
+            f"{belief!r} has the leading axes {lead}, which are {math.prod(lead)} runs{hint}; "
+            "pick one with .run(0)",
+            variable=belief.scope[0],
+        )
+    size = belief.mean.shape[-1]
+    return Gaussian._make(
+        belief.scope,
+        belief.mean.reshape(-1, size),
+        belief.cov.reshape(-1, size, size),
+        belief.steps,
+    )
+
+
+def component_names(belief: Gaussian) -> list[str]:
+    """The components of the stacked vector, by name."""
+    return [name for variable in belief.scope for name in variable.components]
+
+
+def component_places(belief: Gaussian, components: Sequence[str]) -> list[int]:
+    """Where components stand in the stacked vector.
+
+    Raises
+    ------
+    ModelError
+        If a component is not there, or there twice.
+    """
+    if isinstance(components, str):
+        raise ModelError(f"components must be a sequence of names, not {components!r} alone")
+    known = component_names(belief)
+    for name in components:
+        if known.count(name) != 1:
+            raise ModelError(
+                f"{names(belief.scope)} has no single component {name!r}; it has {known}"
+            )
+    return [known.index(name) for name in components]
+
+
+def truth_columns(belief: Gaussian, truth: npt.ArrayLike, places: Sequence[int]) -> Array:
+    """The components of a truth that stand at some places of the belief's vector.
+
+    Parameters
+    ----------
+    belief : Gaussian
+    truth : array_like
+        (..., rows, k), its columns the belief's components in order; columns that are not
+        drawn may be missing at the end.
+    places : sequence of int
+
+    Raises
+    ------
+    ModelError
+        If the truth is no such array.
+    """
+    array = np.asarray(truth, dtype=float)
+    array = array[None] if array.ndim == 1 else array
+    needed = max(places) + 1
+    if array.ndim < 2 or array.shape[-1] < needed:
+        raise ModelError(
+            f"the truth has shape {array.shape}; (..., steps, components) was due, at least "
+            f"{needed} of them, in the order {component_names(belief)}"
+        )
+    return array[..., list(places)]

@@ -1,0 +1,118 @@
+"""Trajectories: the path of a belief, how sure it is, and what was true."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+
+from pgm.errors import ModelError
+from pgm.factors import Gaussian
+from pgm.plot.axes import equal_aspect, given_or_new, name_axes, useful_legend
+from pgm.plot.colours import INK, next_colour
+from pgm.plot.components import component_names, component_places, one_run, truth_columns
+from pgm.plot.confidence import ellipses
+
+# More ellipses than this along a path hide each other.
+_ELLIPSES = 25
+
+
+def trajectory(
+    belief: Gaussian,
+    *,
+    truth: npt.ArrayLike | None = None,
+    landmarks: npt.ArrayLike | None = None,
+    confidence: float = 0.95,
+    every: int | None = None,
+    components: tuple[str, str] | None = None,
+    label: str | None = None,
+    colour: str | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the path of a belief in the plane, with confidence ellipses.
+
+    Call it again with the same `ax` to compare beliefs: each takes the next colour.
+
+    Parameters
+    ----------
+    belief : Gaussian
+        Over steps, as ``posterior[x]``, or at one step, as ``posterior[x.at(3)]``; of one run.
+    truth : array_like, optional
+        (..., rows, k), columns in the order of the belief's components; leading axes are drawn
+        as further lines.
+    landmarks : array_like, optional
+        (L, 2), in the two components drawn.
+    confidence : float
+        Probability of an ellipse's inside.
+    every : int, optional
+        An ellipse at every so many steps; without, as many steps as leave at most 25 ellipses.
+    components : pair of str, optional
+        Which components are the plane's, by name; the first two without.
+    label : str, optional
+        In the legend, which is drawn where there are two things or more to tell apart.
+    colour : str, optional
+        The next of a colour-blind-safe palette without.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's without.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ModelError
+        If the belief has several runs or lacks the components, or an argument does not fit.
+
+    Examples
+    --------
+    >>> ax = trajectory(filtered[x], label="filtered", truth=truth)  # doctest: +SKIP
+    >>> trajectory(smoothed[x], label="smoothed", ax=ax)  # doctest: +SKIP
+    """
+    belief = one_run(belief)
+    if every is None:
+        every = max(1, math.ceil(len(belief.mean) / _ELLIPSES))
+    elif not isinstance(every, (int, np.integer)) or every < 1:
+        raise ModelError(f"every must be a number of steps, 1 or more, not {every!r}")
+    thinned = Gaussian._make(belief.scope, belief.mean[::every], belief.cov[::every])
+    pair = tuple(components or component_names(belief)[:2])
+    thinned.ellipse(confidence, components)  # refuses bad arguments before anything is drawn
+    places = component_places(belief, pair)
+    lines = None if truth is None else truth_columns(belief, truth, places)
+    marks = None if landmarks is None else _as_landmarks(landmarks)
+
+    ax = given_or_new(ax)
+    colour = colour or next_colour(ax)
+    if marks is not None:
+        ax.plot(*marks.T, "^", color=INK, markersize=6, zorder=1.5, label="landmarks")
+    if lines is not None:
+        lines = lines.reshape(-1, *lines.shape[-2:])
+        mark = "x" if lines.shape[1] == 1 else None
+        drawn = ax.plot(*lines.transpose(2, 1, 0), color=INK, lw=0.7, marker=mark, zorder=2.4)
+        if drawn:
+            drawn[0].set_label("truth")
+    ellipses(
+        thinned, confidence=confidence, components=components, colour=colour, ax=ax, zorder=1.8
+    )
+    ax.plot(
+        *belief.mean[:, places].T,
+        color=colour,
+        lw=1.8,
+        marker="o" if len(belief.mean) == 1 else None,
+        markersize=5,
+        zorder=2.3,
+        label=f"estimate of {belief.scope[0]!r}" if label is None else label,
+    )
+    name_axes(ax, pair[0], pair[1])
+    equal_aspect(ax)
+    useful_legend(ax)
+    return ax
+
+
+def _as_landmarks(landmarks: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    array = np.asarray(landmarks, dtype=float)
+    if array.ndim != 2 or array.shape[-1] != 2:
+        raise ModelError(f"landmarks have shape {array.shape}; (L, 2) was due, one a row")
+    return array
