@@ -22,9 +22,10 @@ LINEARISERS: dict[str, pgm.Lineariser] = {
     "MonteCarlo": pgm.MonteCarlo(100),
 }
 DT = 0.25  # s
-REACH = 6.0  # m, how far the sensor sees
-LANDMARKS = 12
-FIELD = (-9.0, 9.0, -6.0, 14.0)  # west, east, south, north [m]
+REACH = 4.0  # m, how far the sensor sees
+MOTION_STD = (0.06, 0.06, 0.04)  # m, m, rad a step
+LANDMARKS = 8
+FIELD = (-8.0, 9.0, -9.0, 10.0)  # west, east, south, north [m]
 
 
 def run(
@@ -39,8 +40,8 @@ def run(
     results, posteriors = compare(network, drive)
     linear = linear_check(seed)
     table(
-        f"{runs} simulated drives of {steps} steps",
-        ("lineariser", "belief", "RMSE xy [m]", "RMSE heading [rad]", "mean NEES (3)", "ln p(z)"),
+        f"RMSE and mean NEES, {runs} simulated drives of {steps} steps",
+        ("lineariser", "belief", "xy [m]", "heading [rad]", "NEES (3)", "ln p(z)"),
         [
             (name, kind, *(results[key][name][kind] for key in results))
             for name in LINEARISERS
@@ -65,7 +66,7 @@ def simulate(
 ) -> tuple[pgm.DynamicBayesianNetwork, simulation.Drive]:
     """A network, and drives drawn from it."""
     rng = np.random.default_rng(seed)
-    network = networks.range_bearing(DT)
+    network = networks.range_bearing(DT, motion_std=MOTION_STD)
     controls = simulation.figure_of_eight(steps, DT)
     landmarks = simulation.scatter(LANDMARKS, FIELD, rng)
     return network, simulation.drive(network, controls, landmarks, reach=REACH, runs=runs, rng=rng)
@@ -132,7 +133,7 @@ def _graph_figure(
 
 def _trajectory_figure(posteriors: dict[str, pgm.Posterior], drive: simulation.Drive) -> Figure:
     figure, axes = plt.subplots(
-        1, len(posteriors), figsize=(15, 5.2), sharex=True, sharey=True, layout="constrained"
+        1, len(posteriors), figsize=(13, 5.2), sharex=True, sharey=True, layout="constrained"
     )
     for ax, (name, posterior) in zip(axes, posteriors.items(), strict=True):
         pgm.plot.trajectory(
@@ -144,7 +145,10 @@ def _trajectory_figure(posteriors: dict[str, pgm.Posterior], drive: simulation.D
         )
         pgm.plot.trajectory(posterior[pose].run(0), label="smoother", ax=ax)
         ax.set_title(name)
-    axes[0].legend(loc="best", fontsize="small")
+        ax.set_xlabel("east [m]")
+        ax.set_ylabel("north [m]" if ax is axes[0] else "")
+        if ax is not axes[-1] and (legend := ax.get_legend()):
+            legend.remove()
     plt.close(figure)
     return figure
 

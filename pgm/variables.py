@@ -53,7 +53,11 @@ class Variable:
             raise ModelError(f"a variable's name must be a non-empty string, not {self.name!r}")
         for field in ("components", "angles"):
             value = getattr(self, field)
-            if isinstance(value, str) or not all(isinstance(name, str) for name in value):
+            if (
+                isinstance(value, str)
+                or not isinstance(value, Iterable)
+                or not all(isinstance(name, str) for name in value)
+            ):
                 raise ModelError(
                     f"variable {self.name}: {field} must be a tuple of names, not {value!r}",
                     variable=self,
@@ -74,10 +78,13 @@ class Variable:
                 f"{self.components}",
                 variable=self,
             )
-        if self.step is not None and self.step < 0:
-            raise ModelError(
-                f"variable {self.name}: step {self.step} is before the first, 0", variable=self
-            )
+        for field, value in (("step", self.step), ("lag", self.lag)):
+            if value is not None and (not isinstance(value, int | np.integer) or value < 0):
+                raise ModelError(
+                    f"variable {self.name}: {field} must be a whole number, 0 or more, not "
+                    f"{value!r}",
+                    variable=self,
+                )
 
     @property
     def dimension(self) -> int:
@@ -127,4 +134,7 @@ def variables(names: str | Iterable[str]) -> tuple[Variable, ...]:
     """
     if isinstance(names, str):
         names = names.replace(",", " ").split()
+    names = tuple(names)
+    if len(set(names)) < len(names):
+        raise ModelError(f"the names {names} repeat; each variable needs one of its own")
     return tuple(Variable(name) for name in names)

@@ -103,7 +103,10 @@ class _Sepsets(Mapping[Edge, Scope]):
         return any(edge in ((k, k + 1), (k + 1, k)) for k in _numbers(edge) if k in steps)
 
     def get(self, edge: Edge, default: Any = None) -> Any:
-        return self[edge] if edge in self else default
+        try:
+            return self[edge]
+        except GraphError:
+            return default
 
     def __getitem__(self, edge: Edge) -> Scope:
         first = min(edge)

@@ -50,6 +50,13 @@ class AffineGaussian:
                 f"affine Gaussian: F {F.shape}, b {b.shape} and cov {cov.shape} must end in "
                 "(d, n), (d,) and (d, d)"
             )
+        try:
+            np.broadcast_shapes(F.shape[:-2], b.shape[:-1], cov.shape[:-2])
+        except ValueError:
+            raise ModelError(
+                f"affine Gaussian: the leading axes of F {F.shape}, b {b.shape} and cov "
+                f"{cov.shape} do not broadcast"
+            ) from None
         set_ = object.__setattr__
         set_(self, "F", frozen(F))
         set_(self, "b", frozen(b))

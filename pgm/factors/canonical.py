@@ -152,6 +152,12 @@ class CanonicalForm:
 
     def _aligned(self, other: CanonicalForm) -> tuple[CanonicalForm, CanonicalForm]:
         scope = self.scope + tuple(v for v in other.scope if v not in self.scope)
+        try:
+            np.broadcast_shapes(self.g.shape, other.g.shape)
+        except ValueError:
+            raise ModelError(
+                f"the leading axes of {self!r} and {other!r} do not broadcast"
+            ) from None
         return self.extend(scope), other.extend(scope)
 
     def __mul__(self, other: CanonicalForm) -> CanonicalForm:

@@ -34,6 +34,19 @@ def strict_root(matrix: Array) -> Array:
     return lower
 
 
+def _invertible_root(cov: Array) -> Array:
+    """The root of covariances that have an inverse; NaN where an eigenvalue is rounding.
+
+    Pivots alone can miss that where leading components are strongly correlated.
+    """
+    lower = strict_root(cov)
+    variances = np.diagonal(cov, axis1=-2, axis2=-1)
+    std = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    scaled = np.where(np.isnan(lower), 0.0, cov / (std[..., None] * std[..., None, :]))
+    singular = np.linalg.eigvalsh(scaled)[..., :1] < roots.NEGLIGIBLE
+    return np.where(singular[..., None], np.nan, lower)
+
+
 def _column(vector: Array) -> Array:
     return vector[..., None]
 
@@ -41,7 +54,7 @@ def _column(vector: Array) -> Array:
 def from_moments(mean: Array, cov: Array, log_weight: Array) -> Canonical:
     """exp(log_weight) N(x; mean, cov) in canonical form."""
     size = mean.shape[-1]
-    lower = strict_root(cov)
+    lower = _invertible_root(cov)
     precision = symmetric(roots.solve(lower, np.broadcast_to(np.eye(size), cov.shape)))
     h = apply(precision, mean)
     white = roots.solve_lower(lower, _column(mean))[..., 0]
@@ -91,7 +104,7 @@ def reduce(
 def from_affine(matrix: Array, offset: Array, noise: Array) -> Canonical:
     """N(y; F x + b, noise) over the stacked (y, x)."""
     size = matrix.shape[-2]
-    lower = strict_root(noise)
+    lower = _invertible_root(noise)
     joint = np.concatenate([np.broadcast_to(np.eye(size), (*matrix.shape[:-1], size)), -matrix], -1)
     white = roots.solve_lower(lower, joint)
     white_offset = roots.solve_lower(lower, _column(offset))

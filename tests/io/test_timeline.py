@@ -541,7 +541,7 @@ BAD = {
     "a reading partly NaN": (
         {"sensors": {gps: stamped([0.0, 1.0], [[1, 2], [np.nan, 2]])}},
         gps,
-        r"gps has rows that are partly NaN",
+        r"partly NaN",
     ),
     "a reading infinite": ({"sensors": {z: stamped([0.0], [np.inf])}}, z, r"range has infinite"),
     "a reading of a wrong shape": (

@@ -1,0 +1,129 @@
+"""Imports inside pgm point one way, and `import pgm` stays light."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "pgm"
+LAYERS = [
+    {"errors", "variables", "kernels"},
+    {"factors"},
+    {"linearisers"},
+    {"cpds"},
+    {"evidence"},
+    {"networks"},
+    {"clustergraph"},
+    {"compile"},
+    {"inference"},
+    {"io", "consistency", "plot"},
+]
+HEIGHT = {name: height for height, layer in enumerate(LAYERS) for name in layer}
+
+
+def imported(tree, package):
+    """List what a module imports, lazily and for type checking too."""
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = [node.module] if node.module else []
+            if node.level:
+                parts = package.split(".")
+                base = parts[: len(parts) - node.level + 1] + base
+            if base == ["pgm"]:  # from pgm import factors
+                found += [f"pgm.{alias.name}" for alias in node.names]
+            else:
+                found.append(".".join(base))
+    return found
+
+
+def faults(source, module):
+    """List what a module, like ``pgm.factors.scope``, must not import."""
+    own = module.split(".")[1]
+    found = []
+    for name in imported(ast.parse(source), module.rpartition(".")[0]):
+        parts = name.split(".")
+        if parts[0] != "pgm":
+            continue
+        other = parts[1] if len(parts) > 1 else ""
+        if other not in HEIGHT:
+            found.append(f"{module} imports {name}, which is in no layer")
+        elif own == "kernels" and other != "kernels":
+            found.append(f"{module} imports {name}; kernels know nothing but kernels")
+        elif HEIGHT[other] > HEIGHT[own]:
+            found.append(f"{module} imports {name}, from a layer above")
+    return found
+
+
+def modules():
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        if parts != ("pgm", "__init__"):
+            yield path, ".".join(parts)
+
+
+def test_imports_point_one_way():
+    found = [fault for path, name in modules() for fault in faults(path.read_text(), name)]
+    assert not found, "\n".join(found)
+
+
+def test_every_module_has_a_layer():
+    names = {name.split(".")[1] for _, name in modules()}
+    assert names <= set(HEIGHT)
+    assert {"kernels", "factors", "inference"} <= names
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("pgm.factors.scope", "import pgm.inference"),
+        ("pgm.factors.scope", "from pgm.cpds import CPD"),
+        ("pgm.factors.scope", "from pgm import linearisers"),
+        ("pgm.factors.scope", "from pgm import Gaussian"),
+        ("pgm.factors.scope", "def f():\n    from ..networks import checks"),
+        ("pgm.factors.scope", "if TYPE_CHECKING:\n    from pgm.cpds import CPD"),
+        ("pgm.kernels.roots", "from pgm.errors import ModelError"),
+        ("pgm.kernels.roots", "from ..factors.scope import Scope"),
+        ("pgm.inference.result", "from pgm import io"),
+    ],
+)
+def test_the_check_finds_faults(module, source):
+    assert faults(source, module)
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("pgm.networks.sampling", "from pgm.cpds import CPD\nimport numpy"),
+        (
+            "pgm.networks.sampling",
+            "if TYPE_CHECKING:\n    from pgm.networks.dynamic import DynamicBayesianNetwork",
+        ),
+        ("pgm.kernels.roots", "from .arrays import Array"),
+        ("pgm.variables", "from pgm.errors import ModelError"),
+        ("pgm.plot.networks", "from pgm.inference import Posterior"),
+    ],
+)
+def test_the_check_lets_the_rest_pass(module, source):
+    assert not faults(source, module)
+
+
+def test_importing_pgm_loads_no_plots_and_nothing_of_the_repository():
+    code = (
+        "import sys, pgm; "
+        "heavy = {'matplotlib', 'experiments', 'models', 'pandas', 'gtsam', 'filterpy'}; "
+        "print(sorted({name.split('.')[0] for name in sys.modules} & heavy))"
+    )
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        cwd=PACKAGE.parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.strip() == "[]"

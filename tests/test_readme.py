@@ -1,0 +1,49 @@
+"""Every program in the README runs as it is written, one after the other."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_programs_run_as_written(tmp_path, monkeypatch, capsys):
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    namespace: dict[str, object] = {}
+    for block in blocks("python"):
+        exec(compile(block, "README.md", "exec"), namespace)
+    matplotlib.pyplot.close("all")
+    assert Path("drive.png").stat().st_size > 10_000
+    printed = capsys.readouterr().out
+    rmse = {name: float(value) for name, value in re.findall(r"(\w+) +RMSE ([\d.]+)", printed)}
+    assert rmse["smoother"] < rmse["filter"]
+    (report,) = re.findall(r"^```\n(Timeline.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
+    shown, pose = report.strip().rsplit("\n", 1)
+    assert shown in printed
+    last = np.fromstring(printed.rsplit("[", 1)[1].rstrip("]\n"), sep=" ")
+    np.testing.assert_allclose(last, np.fromstring(pose.strip("[]"), sep=" "), atol=1e-5)
+
+
+def test_pictures_exist():
+    for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", README):
+        assert (ROOT / path).is_file(), path
+
+
+def test_the_log_shown_is_the_log():
+    (head,) = blocks("csv")
+    assert (ROOT / "docs" / "log.csv").read_text(encoding="utf-8").startswith(head)
+
+
+def test_both_commands_are_named():
+    assert "make demo" in README
+    assert "make test" in README

@@ -1,0 +1,124 @@
+"""Variables are values: they compare by what they are, and refuse what they cannot be."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import pgm
+
+X = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
+
+
+def test_components_and_angles():
+    assert X.dimension == 3
+    np.testing.assert_array_equal(X.angle_mask, [False, False, True])
+    assert X.angle_mask.dtype == bool
+
+
+def test_a_scalar_has_one_component_of_its_own_name():
+    a = pgm.Variable("a")
+    assert a.components == ("a",)
+    assert a.dimension == 1
+    assert not a.angle_mask.any()
+    assert pgm.Variable("phi", angles=("phi",)).angle_mask.all()
+
+
+def test_lists_of_names_are_taken_as_tuples():
+    assert pgm.Variable("x", ["east", "north", "heading"], ["heading"]) == X
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        pgm.Variable("y", X.components, X.angles),
+        pgm.Variable("x", ("east", "north", "angle"), ("angle",)),
+        pgm.Variable("x", ("north", "east", "heading"), ("heading",)),
+        pgm.Variable("x", X.components),
+        X.previous,
+        X.at(0),
+    ],
+)
+def test_each_attribute_distinguishes(other):
+    assert other != X
+    assert len({X, other}) == 2
+
+
+def test_equal_variables_are_one_key():
+    twin = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
+    assert twin == X
+    assert {X: 1}[twin] == 1
+
+
+def test_steps_and_lags():
+    assert X.at(3).previous == X.at(2) == X.previous.at(3)
+    assert X.previous.previous.at(5) == X.at(3)
+    assert X.at(np.int64(3)) == X.at(3)
+    assert X.previous != X
+    for copy in (X.at(3), X.previous, X):
+        assert copy.template == X
+
+
+def test_repr_tells_the_step():
+    assert [repr(v) for v in (X, X.at(3), X.previous, X.previous.previous)] == [
+        "x",
+        "x[3]",
+        "x[t-1]",
+        "x[t-2]",
+    ]
+
+
+def test_a_variable_is_immutable():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        X.name = "y"
+
+
+@pytest.mark.parametrize("names", ["a b c", "a, b, c", "a,b , c", ["a", "b", "c"], iter("abc")])
+def test_variables_of_names(names):
+    assert pgm.variables(names) == (pgm.Variable("a"), pgm.Variable("b"), pgm.Variable("c"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"name": ""}, "non-empty"),
+        ({"name": 3}, "string"),
+        ({"name": "x", "components": "east"}, "tuple of names"),
+        ({"name": "x", "components": (1, 2)}, "tuple of names"),
+        ({"name": "x", "angles": "x"}, "tuple of names"),
+        ({"name": "x", "components": ("east", "east")}, "repeat"),
+        ({"name": "x", "components": ("east",), "angles": ("heading",)}, "heading"),
+        ({"name": "x", "step": -1}, "before the first"),
+    ],
+)
+def test_refusals(arguments, words):
+    with pytest.raises(pgm.ModelError, match=words) as caught:
+        pgm.Variable(**arguments)
+    if arguments["name"] == "x":
+        assert caught.value.variable.name == "x"
+        assert "x" in str(caught.value)
+
+
+def test_there_is_nothing_before_step_zero():
+    with pytest.raises(pgm.ModelError, match="before the first") as caught:
+        X.at(0).previous  # noqa: B018
+    assert caught.value.variable.name == "x"
+
+
+@pytest.mark.parametrize(
+    ("error", "base"),
+    [
+        (pgm.ModelError, ValueError),
+        (pgm.GraphError, ValueError),
+        (pgm.EvidenceError, ValueError),
+        (pgm.LinearisationError, ValueError),
+        (pgm.NumericalError, ArithmeticError),
+    ],
+)
+def test_errors_say_what_they_are_about(error, base):
+    caught = error("words", variable=X, cpd="cpd", cluster=4, step=2)
+    assert isinstance(caught, pgm.PgmError)
+    assert isinstance(caught, base)
+    assert (str(caught), caught.variable, caught.cpd) == ("words", X, "cpd")
+    assert (caught.cluster, caught.step) == (4, 2)
+    assert error("words").step is None
