@@ -95,7 +95,7 @@ def predict(
         if linearise and not family.exact:
             family.linearise(row, mean, cov)
         conditional = moments.Conditional(family.matrix[row], family.offset[row], family.noise[row])
-        slice_mean, slice_cov = moments.push(mean, cov, conditional)
+        slice_mean, slice_cov = moments.predict(mean, cov, conditional)
         _keep_chart(link, row, mean, slice_mean)
         _check_predicted(link, row, slice_cov)
         return slice_mean, slice_cov

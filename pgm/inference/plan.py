@@ -19,6 +19,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import Scope, dimension, positions
 from pgm.inference.family import Family
+from pgm.kernels import roots
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Index, Integers, Mask
 from pgm.linearisers import Lineariser
@@ -86,9 +87,8 @@ class Sensor:
 
     @cached_property
     def exact(self) -> bool:
-        """Whether a component of some reading has no noise of its own."""
-        noise = self.family.own_noise
-        return bool((np.diagonal(noise, axis1=-2, axis2=-1) == 0.0).any())
+        """Whether the noise of some reading is singular."""
+        return bool(roots.determined(roots.root(self.family.own_noise)).any())
 
     def rows(self, step: int) -> slice:
         """The readings of a step."""

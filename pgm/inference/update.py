@@ -46,7 +46,8 @@ def _absorb(
     but for rounding.
     """
     matrix, residual, noise, missing = stack(due, step, mean)
-    result = moments.update(mean, cov, matrix, residual, noise)
+    exact = any(sensor.exact for sensor, _ in due)
+    result = moments.update(mean, cov, matrix, residual, noise, exact=exact)
     if not np.isfinite(result.log_density.sum()):
         _refuse_indefinite(due, step)
     several = len(due) > 1 or due[0][1].stop - due[0][1].start > 1

@@ -12,6 +12,7 @@ from pgm.kernels.arrays import (
     Array,
     Index,
     apply,
+    block,
     inner,
     sandwich,
     symmetric,
@@ -19,8 +20,8 @@ from pgm.kernels.arrays import (
     transpose,
 )
 
-# The rest of a reversed transition is right for any gain, so only non-positive pivots have to go.
-BARELY = 1e-15
+# The part of what was summed up that rounding leaves of a zero.
+ROUNDING = 1e-14
 
 
 class Update(NamedTuple):
@@ -46,23 +47,19 @@ class Update(NamedTuple):
     left: Array | None
 
 
-def update(mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array) -> Update:
+def update(
+    mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array, *, exact: bool = True
+) -> Update:
     """Condition N(mean, cov) on a reading z = H x + n, n ~ N(0, noise), residual z − H mean.
 
     The covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of semidefinite terms, with the
-    gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise.
+    gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise. `exact` says whether the noise is singular, so that
+    zeros have to be told from their rounding.
     """
     size = residual.shape[-1]
     cross = matrix @ cov
     predictive = times_transposed(cross, matrix) + noise
-    exact = np.diagonal(noise, axis1=-2, axis2=-1) == 0.0
-    if exact.any():
-        # What an exact reading leaves open may be a difference of larger numbers.
-        size_of = np.abs(matrix)
-        scale = np.einsum("...ij,...jk,...ik->...i", size_of, np.abs(cov), size_of)
-        lower = roots.root(predictive, scale + np.diagonal(noise, axis1=-2, axis2=-1))
-    else:
-        lower = roots.root(predictive)
+    lower = roots.root(predictive, spread(matrix, cov, noise) if exact else None)
     fixed = roots.determined(lower)
     white = roots.solve_lower(lower, np.concatenate([residual[..., None], cross], axis=-1))
     gain = np.ascontiguousarray(transpose(roots.solve_upper(lower, white[..., 1:])))
@@ -78,19 +75,27 @@ def update(mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
     )
     keep = np.eye(mean.shape[-1]) - gain @ matrix
     posterior = symmetric(sandwich(keep, cov) + sandwich(gain, noise))
-    if exact.any():
-        posterior = _without_rounding(posterior, cov)
+    if exact:
+        # 1 − GH is rounded itself, which leaves about 1e-32 of what is certain now.
+        left_over = ROUNDING * spread(keep, cov, np.zeros_like(cov))
+        prior = np.diagonal(cov, axis1=-2, axis2=-1)
+        posterior = certain(posterior, np.maximum(left_over, ROUNDING**2 * prior))
     return Update(mean + apply(gain, residual), posterior, log_density, lower, left)
 
 
-def _without_rounding(posterior: Array, prior: Array) -> Array:
-    """A covariance in which components that became certain are so exactly.
+def spread(matrix: Array, cov: Array, noise: Array) -> Array:
+    """The size of the numbers that are added up to the variances of F P Fᵀ + noise, (..., d)."""
+    size = np.abs(matrix)
+    summed: Array = ((size @ np.abs(cov)) * size).sum(axis=-1)
+    return summed + np.diagonal(noise, axis1=-2, axis2=-1)
 
-    (I − GH) P (I − GH)ᵀ squares the rounding of 1 − GH, which leaves about 1e-32 of the prior.
-    """
-    left = np.diagonal(posterior, axis1=-2, axis2=-1)
-    open_ = left > 1e-28 * np.diagonal(prior, axis1=-2, axis2=-1)
-    return np.where(open_[..., None] & open_[..., None, :], posterior, 0.0)
+
+def certain(cov: Array, rounding: Array) -> Array:
+    """A covariance without the components whose variance is no more than rounding, (..., n)."""
+    open_ = np.diagonal(cov, axis1=-2, axis2=-1) > rounding
+    if open_.all():
+        return cov
+    return np.where(open_[..., None] & open_[..., None, :], cov, 0.0)
 
 
 class Conditional(NamedTuple):
@@ -109,7 +114,9 @@ def reverse(
     Gain G = P Aᵀ (P_y)⁺; the rest is (I − GA) P (I − GA)ᵀ + G noise Gᵀ, which does not subtract.
     """
     cross = transpose(matrix @ cov)
-    gain = roots.gain(cross, roots.root(forward_cov, negligible=BARELY))
+    # The rest is right for any gain: only what is no more than rounding has to go.
+    lower = roots.root(forward_cov, spread(matrix, cov, noise), negligible=0.1 * ROUNDING)
+    gain = roots.gain(cross, lower)
     keep = np.eye(mean.shape[-1]) - gain @ matrix
     rest = symmetric(sandwich(keep, cov) + sandwich(gain, noise))
     return Conditional(gain, mean - apply(gain, forward_mean), rest)
@@ -121,8 +128,17 @@ def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Arra
     return apply(matrix, mean) + offset, symmetric(sandwich(matrix, cov) + noise)
 
 
+def predict(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
+    """`push`, with zeros told from their rounding where the noise leaves components out."""
+    result, result_cov = push(mean, cov, conditional)
+    matrix, _, noise = conditional
+    if (np.diagonal(noise, axis1=-2, axis2=-1) == 0.0).any():
+        result_cov = certain(result_cov, ROUNDING * spread(matrix, cov, noise))
+    return result, result_cov
+
+
 def log_density(residual: Array, cov: Array) -> Array:
-    """Ln N(residual; 0, cov), (...); NaN where the covariance is singular or indefinite."""
+    """The log-density ln N(residual; 0, cov), (...); NaN where the covariance is singular or indefinite."""
     lower = roots.root(cov)
     singular = roots.determined(lower).any(axis=-1)
     white = roots.solve_lower(lower, residual[..., None])[..., 0]
@@ -161,11 +177,15 @@ def extend(
 
     The joint's covariance must be zero where its components are not yet written.
     """
+    inside = block(cov, parents, parents)
+    part = Conditional(matrix, offset, noise)
+    mean[..., child], own = predict(mean[..., parents], inside, part)
     cross = matrix @ cov[..., parents, :]
-    mean[..., child] = apply(matrix, mean[..., parents]) + offset
+    variances = np.diagonal(own, axis1=-2, axis2=-1)
+    cross = np.where(variances[..., None] > 0.0, cross, 0.0)
     cov[..., child, :] = cross
     cov[..., :, child] = transpose(cross)
-    cov[..., child, child] = symmetric(times_transposed(cross[..., parents], matrix) + noise)
+    cov[..., child, child] = own
 
 
 def marginal_error(mean: Array, other: Array, std: Array) -> Array:

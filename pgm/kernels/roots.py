@@ -46,7 +46,7 @@ def _semidefinite_root(matrix: Array, diagonal: Array, negligible: float) -> Arr
     size = matrix.shape[-1]
     lower = np.zeros_like(matrix)
     indefinite = ~np.isfinite(matrix).all(axis=(-2, -1)) | (diagonal < 0.0).any(axis=-1)
-    scale = np.sqrt(np.abs(diagonal))
+    scale = np.sqrt(np.maximum(diagonal, 0.0))
     for j in range(size):
         column = matrix[..., j:, j] - np.einsum(
             "...ik,...k->...i", lower[..., j:, :j], lower[..., j, :j]
