@@ -79,11 +79,16 @@ class Variable:
                 variable=self,
             )
         for field, value in (("step", self.step), ("lag", self.lag)):
-            if value is not None and (not isinstance(value, int | np.integer) or value < 0):
+            if value is None:
+                continue
+            if not isinstance(value, int | np.integer):
                 raise ModelError(
-                    f"variable {self.name}: {field} must be a whole number, 0 or more, not "
-                    f"{value!r}",
+                    f"variable {self.name}: {field} must be a whole number, not {value!r}",
                     variable=self,
+                )
+            if value < 0:
+                raise ModelError(
+                    f"variable {self.name}: {field} {value} is before the first, 0", variable=self
                 )
 
     @property
@@ -110,6 +115,8 @@ class Variable:
 
     def at(self, step: int) -> Variable:
         """The copy at a step; for a template with a lag, that many steps before it."""
+        if not isinstance(step, int | np.integer):
+            raise ModelError(f"{self!r}.at({step!r}): a step is a whole number", variable=self)
         return replace(self, step=int(step) - self.lag, lag=0)
 
     def __repr__(self) -> str:

@@ -112,8 +112,8 @@ class _Sepsets(Mapping[Edge, Scope]):
         first = min(edge)
         if edge not in self:
             raise GraphError(
-                f"clusters {edge[0]} and {edge[1]} are not joined; neighbours in 0.."
-                f"{len(self)} are",
+                f"clusters {edge[0]} and {edge[1]} are not joined; an edge joins t and t+1, in "
+                f"0..{len(self)}",
                 cluster=edge[0],
             )
         return tuple(state.at(first) for state in self._graph.layout.states)

@@ -63,7 +63,14 @@ def evaluate(
         The step of each, which broadcasts to the shape; for messages.
     """
     arguments = [np.broadcast_to(known[v], (*shape, v.dimension)) for v in cov.given]
-    value = np.asarray(cov.function(*arguments), dtype=float)
+    try:
+        value = np.asarray(cov.function(*arguments), dtype=float)
+    except Exception as error:
+        raise ModelError(
+            f"the noise of the CPD of {child!r} failed on arrays of leading axes {shape}: "
+            f"{type(error).__name__}: {error}",
+            variable=child,
+        ) from error
     due = (*shape, child.dimension, child.dimension)
     if value.shape != due:
         raise ModelError(

@@ -14,6 +14,8 @@ from pgm.variables import Variable
 def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
     """Evidence as an array (..., rows, d), or (..., d) where there is no axis of rows."""
     try:
+        if np.iscomplexobj(value):
+            raise TypeError
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise EvidenceError(

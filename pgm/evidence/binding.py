@@ -136,7 +136,7 @@ class _Binder:
             if isinstance(value, Constant):
                 _constant_row(variable, value)
         self.steps = self._length(steps)
-        self.shapes = [lead]
+        self.shapes: dict[str, tuple[int, ...]] = {"the model's priors": lead}
 
     def bind(self, transition: Sequence[CPD]) -> BoundEvidence:
         span = np.arange(1, self.steps + 1)
@@ -144,11 +144,11 @@ class _Binder:
         inputs = [self._inputs(cpd, {}, span) for cpd in transition]
         readings = [self._reading(z) for z in self.sensors if z in self.evidence or self._drawn(z)]
         try:
-            lead = np.broadcast_shapes(*self.shapes)
+            lead = np.broadcast_shapes(*self.shapes.values())
         except ValueError:
+            listed = ", ".join(f"{name} {shape}" for name, shape in self.shapes.items() if shape)
             raise EvidenceError(
-                f"the leading axes of the evidence, {sorted(set(self.shapes))}, do not broadcast "
-                "to one set of runs"
+                f"the leading axes of the evidence do not broadcast to one set of runs: {listed}"
             ) from None
         return BoundEvidence(
             self.steps,
@@ -233,7 +233,7 @@ class _Binder:
             raise EvidenceError(
                 f"sightings of {sensor!r} have no values; only sample() draws them", variable=sensor
             )
-        self.shapes.append(rows.shape[:-2])
+        self.shapes[repr(sensor)] = rows.shape[:-2]
         order = np.argsort(step, kind="stable")
         step = step[order]
         inputs = self._inputs(cpd, given, step, order)
@@ -299,7 +299,7 @@ class _Binder:
                     )
                 every = np.arange(1, self.steps + 1)
                 rows = require_finite(variable, self.arrays[variable], every)[..., step - 1, :]
-            self.shapes.append(rows.shape[:-2])
+            self.shapes[repr(variable)] = rows.shape[:-2]
             inputs[variable] = rows
         return inputs
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy.typing as npt
 
+from pgm.errors import EvidenceError
 from pgm.variables import Variable
 
 
@@ -66,4 +67,9 @@ def sightings(
     >>> m = Variable("m", components=("east", "north"))
     >>> seen = sightings([[2.0, 0.1], [3.0, -0.2]], step=[4, 4], given={m: [[0, 1], [5, 1]]})
     """
+    if given is not None and not isinstance(given, Mapping):
+        raise EvidenceError(
+            f"sightings: given maps parents to their values, given={{m: landmarks}}; found "
+            f"{type(given).__name__}"
+        )
     return Sightings(values, step, MappingProxyType(dict(given or {})))

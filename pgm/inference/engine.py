@@ -156,6 +156,8 @@ def _run(
 
 
 def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Beliefs:
+    if not isinstance(start, Mapping):
+        raise EvidenceError(f"start maps variables to means; found {type(start).__name__}")
     for variable in start:
         if variable not in layout.slice:
             raise EvidenceError(

@@ -167,8 +167,15 @@ class Family:
             value = function(mean)
             size = value.shape[-1]
             return AffineGaussian(np.empty((*value.shape, 0)), value, np.zeros((size, size)))
-        with np.errstate(invalid="ignore", over="ignore"):  # non-finite values are refused below
-            affine = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
+        try:
+            with np.errstate(invalid="ignore", over="ignore"):  # non-finite values: see below
+                affine = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
+        except PgmError as error:
+            error.cpd = error.cpd or self.cpd
+            error.variable = error.variable or self.cpd.child
+            if error.step is None and isinstance(function.step, int):
+                error.step = function.step
+            raise
         if not isinstance(affine, AffineGaussian):
             raise LinearisationError(
                 f"the lineariser {self.lineariser!r} returned {type(affine).__name__} for "

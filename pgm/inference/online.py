@@ -16,6 +16,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import positions
 from pgm.inference import forward
 from pgm.inference.plan import ChainPlan
+from pgm.inference.posterior import require_variable
 from pgm.inference.update import update
 from pgm.kernels.arrays import Array, block
 from pgm.linearisers import Lineariser, Taylor
@@ -50,6 +51,7 @@ class OnlineBelief:
         """The marginal of a hidden variable at the belief's step."""
         slice_ = self.layout.slice
         known = slice_ if self.step else self.layout.states
+        require_variable(variable)
         if variable.template not in known or variable.step not in (None, self.step):
             raise EvidenceError(
                 f"the belief at step {self.step} is over {list(known)}, not {variable!r}",

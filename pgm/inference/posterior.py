@@ -13,7 +13,7 @@ from pgm.clustergraph import Cluster
 from pgm.compile import SliceGraph, SliceLayout
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import Scope, names, positions
+from pgm.factors.scope import Scope, as_scope, names, positions
 from pgm.inference import backward
 from pgm.inference.backward import Beliefs, Reverse
 from pgm.inference.forward import Forward
@@ -24,6 +24,23 @@ from pgm.inference.schedule import Status
 from pgm.kernels import canonical
 from pgm.kernels.arrays import Array, block
 from pgm.variables import Variable
+
+
+def require_variable(variable: Variable) -> Variable:
+    """Refuse what is no variable, such as a name."""
+    if not isinstance(variable, Variable):
+        raise EvidenceError(f"results are asked for by variable, not by {variable!r}: posterior[x]")
+    return variable
+
+
+class BySensor(dict[Variable, Innovations]):
+    """The innovations of each sensor that was read."""
+
+    def __missing__(self, variable: Variable) -> Innovations:
+        raise EvidenceError(
+            f"there are no innovations of {variable!r}; readings were given of {list(self)}",
+            variable=variable,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +54,12 @@ class Marginals:
     def __getitem__(self, variable: Variable) -> Gaussian:
         """Of ``x`` at all its steps, stacked; of ``x.at(3)`` at one."""
         layout = self.layout
-        template = variable.template
+        template = require_variable(variable).template
+        if template in layout.model.sensors:
+            raise EvidenceError(
+                f"{variable!r} is observed; see posterior.innovations[{variable.name}]",
+                variable=variable,
+            )
         if variable.lag or template not in layout.slice:
             raise EvidenceError(
                 f"{variable!r} is not among the hidden variables, {list(layout.slice)}",
@@ -97,12 +119,7 @@ class Posterior:
 
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a hidden variable, at all its steps or at one."""
-        if variable.template in self.graph.model.sensors:
-            raise EvidenceError(
-                f"{variable!r} is observed; see posterior.innovations[{variable.name}]",
-                variable=variable,
-            )
-        if variable.template in self.graph.model.inputs:
+        if require_variable(variable).template in self.graph.model.inputs:
             raise EvidenceError(
                 f"{variable!r} is observed: its value is its evidence", variable=variable
             )
@@ -128,10 +145,10 @@ class Posterior:
     @cached_property
     def innovations(self) -> Mapping[Variable, Innovations]:
         """The innovations of each sensor with evidence."""
-        return {
-            sensor.variable: innovations(sensor, self._forward, self._plan.lead)
+        return BySensor(
+            (sensor.variable, innovations(sensor, self._forward, self._plan.lead))
             for sensor in self._plan.sensors
-        }
+        )
 
     @property
     def log_evidence(self) -> Array:
@@ -162,7 +179,7 @@ class Posterior:
         """
         if not variables:
             raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
-        for variable in variables:
+        for variable in as_scope(variables):
             if variable.step is None:
                 raise EvidenceError(
                     f"a joint is of variables at steps; write {variable.name}.at(3)",

@@ -149,10 +149,16 @@ def _residual(sensor: Sensor, rows: slice, mean: Array) -> tuple[Array, Array, A
 
 def _refuse_indefinite(due: Due, step: int) -> None:
     names = ", ".join(sensor.variable.name for sensor, _ in due)
-    sensor = due[0][0]
+    blamed = [sensor for sensor, _ in due if sensor.family.approximate]
+    sensor = blamed[0] if blamed else due[0][0]
+    advice = (
+        f"with {sensor.family.lineariser!r} it may be: use positive weights or more samples"
+        if blamed
+        else "are the belief before it and the reading of a size that float64 can hold?"
+    )
     raise NumericalError(
-        f"the predictive covariance of {names} at step {step} is indefinite or not finite, with "
-        f"{sensor.family.lineariser!r}; use a rule with positive weights or more samples",
+        f"the predictive covariance of {names} at step {step} is indefinite or not "
+        f"finite; {advice}",
         variable=sensor.variable,
         cpd=sensor.family.cpd,
         step=step,

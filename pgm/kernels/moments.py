@@ -138,7 +138,7 @@ def predict(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, A
 
 
 def log_density(residual: Array, cov: Array) -> Array:
-    """The log-density ln N(residual; 0, cov), (...); NaN where the covariance is singular or indefinite."""
+    """The log-density ln N(residual; 0, cov), (...); NaN where it does not exist."""
     lower = roots.root(cov)
     singular = roots.determined(lower).any(axis=-1)
     white = roots.solve_lower(lower, residual[..., None])[..., 0]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.errors import LinearisationError
+from pgm.errors import NumericalError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, apply, transpose
@@ -69,9 +69,10 @@ class StatisticalRegression(ABC):
         """Linearise a function at a belief."""
         lower = roots.root(at.cov)
         if not roots.is_proper(lower):
-            raise LinearisationError(
-                f"the belief at which the CPD of {function.name} is linearised has an indefinite "
-                "covariance; use a rule with positive weights or more samples"
+            when = f" at step {function.step}" if isinstance(function.step, int) else ""
+            raise NumericalError(
+                f"the belief at which the CPD of {function.name} is linearised{when} has an "
+                "indefinite covariance; use a rule with positive weights or more samples"
             )
         s, mean_weights, cov_weights, centred = self.points(
             at.mean.shape[-1], function.name, function.step

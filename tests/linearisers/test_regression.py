@@ -258,7 +258,7 @@ def test_several_parents_are_stacked_in_the_order_of_the_function():
 @sigma_rules
 def test_an_indefinite_belief_is_refused(rule):
     at = pgm.Gaussian._make((X,), np.zeros(3), np.diag([1.0, -1.0, 1.0]))
-    with pytest.raises(pgm.LinearisationError, match=r"CPD of y.*indefinite"):
+    with pytest.raises(pgm.NumericalError, match=r"CPD of y.*indefinite"):
         rule(bound_function(cpd_of(curved)), at)
 
 
