@@ -1,0 +1,114 @@
+"""Every experiment runs, and leaves what it promises."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import localisation, plaza, plaza_log
+from experiments.__main__ import EXPERIMENTS, app, summary_line
+from pgm import EvidenceError, consistency
+
+ROOT = Path(__file__).parent.parent.parent
+
+# The baselines of textbook implementations on the same data, metres.
+BASELINES = {
+    "plaza1": {
+        "dead_reckoning": 1.935,
+        "Taylor": {"filter": 0.256, "smoother": 0.184},
+        "Unscented": {"filter": 0.256, "smoother": 0.184},
+    },
+    "plaza2": {
+        "dead_reckoning": 31.65,
+        "Taylor": {"filter": 0.367, "smoother": 0.208},
+        "Unscented": {"filter": 0.364, "smoother": 0.207},
+    },
+}
+
+
+def test_the_list_has_a_line_for_each():
+    found = subprocess.run(
+        [sys.executable, "-m", "experiments"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    lines = found.stdout.strip().splitlines()
+    assert [line.split()[0] for line in lines] == list(EXPERIMENTS)
+    for line, experiment in zip(lines, EXPERIMENTS.values(), strict=True):
+        assert line.endswith(summary_line(experiment))
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    out = tmp_path_factory.mktemp("localisation")
+    localisation.run(out=out, seed=0, runs=20, steps=120)
+    return out, json.loads((out / "summary.json").read_text())
+
+
+def test_the_smoother_beats_the_filter_with_every_lineariser(drive):
+    _, summary = drive
+    assert set(summary["rmse"]) == {"Taylor", "Unscented", "MonteCarlo"}
+    for rmse in summary["rmse"].values():
+        assert rmse["smoother"] < rmse["filter"]
+
+
+def test_a_summary_says_how_it_came_about(drive):
+    _, summary = drive
+    assert summary["settings"]["seed"] == 0
+    assert {"python", "sepset", "numpy"} <= set(summary["versions"])
+    assert {"nees", "log_evidence", "rmse_heading", "linear"} <= set(summary)
+
+
+def test_figures_are_png_and_pdf(drive):
+    out, _ = drive
+    for name in ("network", "cluster_graph", "trajectories", "errors"):
+        assert (out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert (out / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_the_same_seed_gives_the_same_numbers():
+    first, second, other = (
+        localisation.compare(*localisation.simulate(seed, 2, 20))[0] for seed in (1, 1, 2)
+    )
+    assert first == second != other
+
+
+def test_the_linear_check_is_inside_its_band():
+    check = localisation.linear_check(0)
+    low, high = check["band"]
+    assert all(low < value < high for value in check["nees"].values())
+    assert check["rmse"]["smoother"] < check["rmse"]["filter"]
+    assert check["band"] == consistency.mean_band(2, check["runs"])
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_plaza_meets_the_baselines(name):
+    path = plaza_log.find(name)
+    if path is None:
+        pytest.skip("the recordings come with gtsam, which is not installed")
+    setting = plaza_log.SETTINGS[name]
+    log = plaza_log.load(path, setting)
+    results, _ = plaza.localise(log, setting, name)
+    due = BASELINES[name]
+    assert results["dead_reckoning"] == pytest.approx(due["dead_reckoning"], rel=0.03)
+    for label in ("Taylor", "Unscented"):
+        for kind in ("filter", "smoother"):
+            assert results[label][kind] == pytest.approx(due[label][kind], rel=0.03)
+    moved = np.abs(next(iter(log.timeline.readings.values())).shift)
+    assert moved.max() < 0.2
+
+
+def test_plaza_without_recordings_says_so(monkeypatch, capsys):
+    monkeypatch.setattr(plaza_log, "find", lambda name: None)
+    plaza.run(out=None, seed=0, data=None, path=None)
+    assert "gtsam" in capsys.readouterr().out
+
+
+def test_plaza_refuses_a_file_of_unknown_kind(tmp_path):
+    with pytest.raises(EvidenceError, match="--data"):
+        plaza.run(out=tmp_path, seed=0, data=None, path=tmp_path / "log.mat")
+
+
+def test_the_command_line_knows_them_all():
+    assert {command.name for command in app.registered_commands} == set(EXPERIMENTS)
