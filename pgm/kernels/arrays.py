@@ -26,7 +26,10 @@ def times_transposed(a: Array, b: Array) -> Array:
 
 def apply(matrix: Array, vector: Array) -> Array:
     """Matrix times vector, stacked: (..., d, n) and (..., n) give (..., d)."""
-    return (matrix @ vector[..., None])[..., 0]
+    if vector.size < 256:
+        return (matrix @ vector[..., None])[..., 0]
+    product: Array = np.einsum("...ij,...j->...i", matrix, vector)  # twice as fast for many
+    return product
 
 
 def inner(a: Array, b: Array) -> Array:
