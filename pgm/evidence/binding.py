@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,68 +10,10 @@ import numpy as np
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
 from pgm.evidence.arrays import as_rows, as_steps, require_finite, require_readings
+from pgm.evidence.bound import BoundEvidence, Inputs, Reading, flat, flat_reading
 from pgm.evidence.values import Constant, Evidence, Sightings
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
-
-# Values of parents with evidence, (rows, runs or 1, d): a row is a step or a sighting.
-Inputs = Mapping[Variable, Array]
-
-
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """All readings of one sensor, sorted by step.
-
-    Attributes
-    ----------
-    cpd : CPD
-        The sensor.
-    step : ndarray of int
-        (M,), ascending.
-    order : ndarray of int
-        (M,): which row of the user's evidence each one was.
-    values : ndarray
-        (M, runs or 1, d); zero where missing.
-    taken : ndarray of bool
-        (M, runs or 1).
-    inputs : mapping of Variable to ndarray
-        Values of the sensor's observed parents, (M, runs or 1, d).
-    """
-
-    cpd: CPD
-    step: Integers
-    order: Integers
-    values: Array
-    taken: Mask
-    inputs: Inputs
-
-
-@dataclass(frozen=True, eq=False)
-class BoundEvidence:
-    """Evidence laid out by step.
-
-    Attributes
-    ----------
-    steps : int
-        T.
-    lead : tuple of int
-        The leading axes, of runs; inside, they are flattened to one.
-    transition : tuple of mapping
-        For each transition CPD the values of its observed parents, (T, runs or 1, d); row k is
-        that of step k + 1.
-    readings : tuple of Reading
-        Of the sensors that have evidence.
-    """
-
-    steps: int
-    lead: tuple[int, ...]
-    transition: tuple[Inputs, ...]
-    readings: tuple[Reading, ...]
-
-    @property
-    def runs(self) -> int:
-        """Number of runs."""
-        return math.prod(self.lead)
 
 
 def bind(
@@ -153,8 +93,8 @@ class _Binder:
         return BoundEvidence(
             self.steps,
             lead,
-            tuple({v: _flat(a, lead) for v, a in each.items()} for each in inputs),
-            tuple(_flat_reading(reading, lead) for reading in readings),
+            tuple({v: flat(a, lead) for v, a in each.items()} for each in inputs),
+            tuple(flat_reading(reading, lead) for reading in readings),
         )
 
     def _check_known(self, cpds: Sequence[CPD]) -> None:
@@ -307,23 +247,3 @@ class _Binder:
 def _constant_row(variable: Variable, value: Constant) -> Array:
     """A constant's value, (..., d)."""
     return require_finite(variable, as_rows(variable, value.value, None))
-
-
-def _flat(array: Array, lead: tuple[int, ...]) -> Array:
-    """(..., rows, *rest) as (rows, runs or 1, *rest), where rest is one axis."""
-    if all(length == 1 for length in array.shape[:-2]):
-        return array.reshape(array.shape[-2:])[:, None, :]
-    full = np.broadcast_to(array, (*lead, *array.shape[-2:]))
-    runs = math.prod(lead)
-    return np.ascontiguousarray(full.reshape(runs, *array.shape[-2:]).swapaxes(0, 1))
-
-
-def _flat_reading(reading: Reading, lead: tuple[int, ...]) -> Reading:
-    return Reading(
-        reading.cpd,
-        reading.step,
-        reading.order,
-        _flat(reading.values, lead),
-        _flat(reading.taken[..., None].astype(float), lead)[..., 0].astype(bool),
-        {v: _flat(a, lead) for v, a in reading.inputs.items()},
-    )

@@ -2,8 +2,9 @@
 
 from pgm.inference.engine import filter, infer, smooth
 from pgm.inference.innovations import Innovations
+from pgm.inference.marginals import Marginals
 from pgm.inference.online import OnlineBelief, OnlineFilter
-from pgm.inference.posterior import Marginals, Posterior
+from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Filtering, Schedule, Smoothing, Status
 
 __all__ = [

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.errors import EvidenceError
 from pgm.inference.forward import Forward
 from pgm.inference.plan import Sensor
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, block, inner, sandwich
+from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +40,16 @@ class Innovations:
     step: Integers
     nis: Array
     dof: Integers
+
+
+class BySensor(dict[Variable, Innovations]):
+    """The innovations of each sensor that was read."""
+
+    def __missing__(self, variable: Variable) -> Innovations:
+        raise EvidenceError(
+            f"there are no innovations of {variable!r}; readings were given of {list(self)}",
+            variable=variable,
+        )
 
 
 def innovations(sensor: Sensor, forward: Forward, lead: tuple[int, ...]) -> Innovations:

@@ -15,8 +15,8 @@ from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sig
 from pgm.factors import Gaussian
 from pgm.factors.scope import positions
 from pgm.inference import forward
+from pgm.inference.marginals import require_variable
 from pgm.inference.plan import ChainPlan
-from pgm.inference.posterior import require_variable
 from pgm.inference.update import update
 from pgm.kernels.arrays import Array, block
 from pgm.linearisers import Lineariser, Taylor

@@ -8,13 +8,12 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from pgm.cpds import CPD, GaussianCPD
+from pgm.cpds import CPD
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
-from pgm.networks import checks
+from pgm.networks import checks, declaration
 from pgm.networks.sampling import Sample, draw
-from pgm.variables import Variable
 
 
 class DynamicBayesianNetwork:
@@ -86,16 +85,16 @@ class DynamicBayesianNetwork:
         transition = checks.as_cpds(transition, "transition")
         observation = checks.as_cpds(observation, "observation")
         everything = (*prior, *transition, *observation)
-        _check_templates(everything)
+        declaration.check_templates(everything)
         checks.one_name_each(v for cpd in everything for v in cpd.scope)
         checks.one_cpd_each(prior)
         checks.one_cpd_each((*transition, *observation))
         states = {cpd.child for cpd in prior}
         hidden = {cpd.child for cpd in transition}
         sensors = tuple(cpd.child for cpd in observation)
-        _check_states(prior, transition, states, hidden)
-        _check_parents(prior, transition, observation, states, hidden, set(sensors))
-        _lead(everything)
+        declaration.check_states(prior, transition, states, hidden)
+        declaration.check_parents(prior, transition, observation, states, hidden, set(sensors))
+        declaration.runs(everything)
         transition = checks.in_order(transition, lambda cpd: cpd.given)
         parents = (v for cpd in (*transition, *observation) for v in cpd.parents)
         inputs = tuple(dict.fromkeys(v for v in parents if v.template not in hidden))
@@ -139,7 +138,7 @@ class DynamicBayesianNetwork:
     @property
     def lead(self) -> tuple[int, ...]:
         """The axes of runs of the model itself, where a `GaussianCPD` differs by run."""
-        return _lead(self.cpds)
+        return declaration.runs(self.cpds)
 
     def sample(
         self,
@@ -216,99 +215,6 @@ class DynamicBayesianNetwork:
         )
 
 
-def _lead(cpds: Iterable[CPD]) -> tuple[int, ...]:
-    shapes = {cpd.child: cpd._lead() for cpd in cpds if isinstance(cpd, GaussianCPD)}
-    try:
-        return np.broadcast_shapes(*shapes.values())
-    except ValueError:
-        raise ModelError(
-            f"the CPDs have axes of runs that do not broadcast: {shapes}; give each the same"
-        ) from None
-
-
 def _density(cpd: CPD) -> str:
     parents = ", ".join(map(repr, cpd.parents))
     return f"p({cpd.child!r}{' | ' if parents else ''}{parents})"
-
-
-def _check_templates(cpds: Iterable[CPD]) -> None:
-    for cpd in cpds:
-        for variable in cpd.scope:
-            if variable.step is not None:
-                raise ModelError(
-                    f"{cpd!r}: a dynamic network is declared for {variable.template!r} and "
-                    f"{variable.template.previous!r}, not for the single step of {variable!r}",
-                    variable=variable,
-                    cpd=cpd,
-                )
-            if variable.lag > 1:
-                raise ModelError(
-                    f"{cpd!r}: {variable!r} is more than one step back; carry it along as a "
-                    "state of its own (LinearGaussianCPD(older, given={x.previous: 1.0}, cov=0))",
-                    variable=variable,
-                    cpd=cpd,
-                )
-
-
-def _check_states(
-    prior: Iterable[CPD], transition: Iterable[CPD], states: set[Variable], hidden: set[Variable]
-) -> None:
-    for cpd in prior:
-        if cpd.child not in hidden:
-            raise ModelError(
-                f"state {cpd.child!r} has a prior but no transition; add a CPD of it given "
-                f"{cpd.child.previous!r} (cov=0 for a static unknown)",
-                variable=cpd.child,
-                cpd=cpd,
-            )
-    for cpd in transition:
-        for parent in cpd.parents:
-            if parent.lag and parent.template not in states:
-                raise ModelError(
-                    f"{cpd!r} needs {parent!r}, but {parent.template!r} has no prior; add a CPD "
-                    "of it to the prior",
-                    variable=parent.template,
-                    cpd=cpd,
-                )
-
-
-def _check_parents(
-    prior: Iterable[CPD],
-    transition: Iterable[CPD],
-    observation: Iterable[CPD],
-    states: set[Variable],
-    hidden: set[Variable],
-    sensors: set[Variable],
-) -> None:
-    def refuse(cpd: CPD, parent: Variable, why: str) -> None:
-        raise ModelError(f"{cpd!r}: {parent!r} {why}", variable=parent, cpd=cpd)
-
-    for cpd in prior:
-        for parent in cpd.parents:
-            if parent not in states:
-                refuse(cpd, parent, "cannot be a parent in the prior; only other states can")
-    for cpd in observation:
-        for parent in cpd.parents:
-            if parent.lag:
-                refuse(
-                    cpd,
-                    parent,
-                    "cannot be a sensor's parent; carry it along as a state of this step "
-                    "(LinearGaussianCPD(older, given={x.previous: 1.0}, cov=0))",
-                )
-    for cpd in (*prior, *transition, *observation):
-        for parent in cpd.parents:
-            if parent.template in sensors:
-                refuse(
-                    cpd,
-                    parent,
-                    "is a sensor's reading, which cannot be a parent; add a "
-                    "state that both depend on",
-                )
-        for parent in cpd.noise_given:
-            if parent.template in hidden:
-                refuse(
-                    cpd,
-                    parent,
-                    "is hidden, so the noise cannot depend on it; noise may depend on inputs alone",
-                )

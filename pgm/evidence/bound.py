@@ -1,0 +1,93 @@
+"""Evidence laid out by step: arrays with the time axis first and the runs second."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.cpds import CPD
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.variables import Variable
+
+# Values of parents with evidence, (rows, runs or 1, d): a row is a step or a sighting.
+Inputs = Mapping[Variable, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """All readings of one sensor, sorted by step.
+
+    Attributes
+    ----------
+    cpd : CPD
+        The sensor.
+    step : ndarray of int
+        (M,), ascending.
+    order : ndarray of int
+        (M,): which row of the user's evidence each one was.
+    values : ndarray
+        (M, runs or 1, d); zero where missing.
+    taken : ndarray of bool
+        (M, runs or 1).
+    inputs : mapping of Variable to ndarray
+        Values of the sensor's observed parents, (M, runs or 1, d).
+    """
+
+    cpd: CPD
+    step: Integers
+    order: Integers
+    values: Array
+    taken: Mask
+    inputs: Inputs
+
+
+@dataclass(frozen=True, eq=False)
+class BoundEvidence:
+    """Evidence laid out by step.
+
+    Attributes
+    ----------
+    steps : int
+        T.
+    lead : tuple of int
+        The leading axes, of runs; inside, they are flattened to one.
+    transition : tuple of mapping
+        For each transition CPD the values of its observed parents, (T, runs or 1, d); row k is
+        that of step k + 1.
+    readings : tuple of Reading
+        Of the sensors that have evidence.
+    """
+
+    steps: int
+    lead: tuple[int, ...]
+    transition: tuple[Inputs, ...]
+    readings: tuple[Reading, ...]
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return math.prod(self.lead)
+
+
+def flat(array: Array, lead: tuple[int, ...]) -> Array:
+    """(..., rows, *rest) as (rows, runs or 1, *rest), where rest is one axis."""
+    if all(length == 1 for length in array.shape[:-2]):
+        return array.reshape(array.shape[-2:])[:, None, :]
+    full = np.broadcast_to(array, (*lead, *array.shape[-2:]))
+    runs = math.prod(lead)
+    return np.ascontiguousarray(full.reshape(runs, *array.shape[-2:]).swapaxes(0, 1))
+
+
+def flat_reading(reading: Reading, lead: tuple[int, ...]) -> Reading:
+    """A reading whose arrays have the user's axes, with the axes of runs as one, rows first."""
+    return Reading(
+        reading.cpd,
+        reading.step,
+        reading.order,
+        flat(reading.values, lead),
+        flat(reading.taken[..., None].astype(float), lead)[..., 0].astype(bool),
+        {v: flat(a, lead) for v, a in reading.inputs.items()},
+    )

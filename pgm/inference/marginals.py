@@ -1,0 +1,72 @@
+"""Marginals over time, asked for by variable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.compile import SliceLayout
+from pgm.errors import EvidenceError
+from pgm.factors import Gaussian
+from pgm.factors.scope import positions
+from pgm.inference.backward import Beliefs
+from pgm.kernels.arrays import block
+from pgm.variables import Variable
+
+
+def require_variable(variable: Variable) -> Variable:
+    """Refuse what is no variable, such as a name."""
+    if not isinstance(variable, Variable):
+        raise EvidenceError(f"results are asked for by variable, not by {variable!r}: posterior[x]")
+    return variable
+
+
+@dataclass(frozen=True, eq=False)
+class Marginals:
+    """The marginals of hidden variables over all steps, by variable."""
+
+    layout: SliceLayout
+    beliefs: Beliefs
+    lead: tuple[int, ...]
+
+    def __getitem__(self, variable: Variable) -> Gaussian:
+        """Of ``x`` at all its steps, stacked; of ``x.at(3)`` at one."""
+        layout = self.layout
+        template = require_variable(variable).template
+        if template in layout.model.sensors:
+            raise EvidenceError(
+                f"{variable!r} is observed; see posterior.innovations[{variable.name}]",
+                variable=variable,
+            )
+        if variable.lag or template not in layout.slice:
+            raise EvidenceError(
+                f"{variable!r} is not among the hidden variables, {list(layout.slice)}",
+                variable=variable,
+            )
+        places = positions(layout.slice, [template])
+        first = 0 if template in layout.states else 1
+        last = self.beliefs.mean.shape[0] - 1
+        if variable.step is not None:
+            if not first <= variable.step <= last:
+                raise EvidenceError(
+                    f"{template!r} has steps {first}..{last}; there is no {variable!r}",
+                    variable=variable,
+                    step=variable.step,
+                )
+            mean = self.beliefs.mean[variable.step][:, places]
+            cov = block(self.beliefs.cov[variable.step], places, places)
+            shape = self.lead
+            return Gaussian._make(
+                (variable,),
+                mean.reshape(*shape, mean.shape[-1]),
+                cov.reshape(*shape, *cov.shape[-2:]),
+            )
+        mean = self.beliefs.mean[first:][..., places].swapaxes(0, 1)
+        cov = block(self.beliefs.cov[first:], places, places).swapaxes(0, 1)
+        return Gaussian._make(
+            (variable,),
+            mean.reshape(*self.lead, *mean.shape[1:]),
+            cov.reshape(*self.lead, *cov.shape[1:]),
+            np.arange(first, last + 1),
+        )
