@@ -19,7 +19,7 @@ from pgm.inference.plan import ChainPlan
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Filtering, Schedule, Smoothing, Status
 from pgm.inference.smoother import smooth as run_smoothing
-from pgm.linearisers import Lineariser, Taylor
+from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
@@ -31,7 +31,7 @@ def infer(
     evidence: Evidence,
     *,
     schedule: Schedule | None = None,
-    lineariser: Lineariser | None = None,
+    lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
 ) -> Posterior:
     """Send the messages of a schedule on a cluster graph.
@@ -45,7 +45,7 @@ def infer(
     schedule : Filtering or Smoothing, optional
         `Smoothing()` without.
     lineariser : Lineariser, optional
-        For every CPD that has none of its own; `Taylor()` without.
+        For every CPD that has none of its own; `Taylor()` if not given.
     start : mapping of Variable to array_like, optional
         Means (..., T+1, d) of the states, (..., T, d) of hidden controls, at which everything is
         linearised first, in place of the filter's beliefs.
@@ -73,7 +73,7 @@ def filter(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
     *,
-    lineariser: Lineariser | None = None,
+    lineariser: Lineariser = TAYLOR,
     steps: int | None = None,
 ) -> Posterior:
     """Compile a network and filter: `infer` with `Filtering()`.
@@ -84,7 +84,7 @@ def filter(
     evidence : mapping of Variable
         As for `infer`.
     lineariser : Lineariser, optional
-        `Taylor()` without.
+        `Taylor()` if not given.
     steps : int, optional
         T, where no plain array of the evidence tells.
     """
@@ -96,7 +96,7 @@ def smooth(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
     *,
-    lineariser: Lineariser | None = None,
+    lineariser: Lineariser = TAYLOR,
     steps: int | None = None,
     start: Start | None = None,
     iterations: int = 1,
@@ -110,7 +110,7 @@ def smooth(
     evidence : mapping of Variable
         As for `infer`.
     lineariser : Lineariser, optional
-        `Taylor()` without.
+        `Taylor()` if not given.
     steps : int, optional
         T, where no plain array of the evidence tells.
     start : mapping of Variable to array_like, optional
@@ -135,18 +135,18 @@ def _run(
     graph: SliceGraph,
     bound: BoundEvidence,
     schedule: Schedule | None,
-    lineariser: Lineariser | None,
+    lineariser: Lineariser,
     start: Start | None,
 ) -> Posterior:
     schedule = Smoothing() if schedule is None else schedule
     if not isinstance(schedule, (Filtering, Smoothing)):
         raise ModelError(f"{schedule!r} is no schedule; give pgm.Filtering() or pgm.Smoothing()")
-    if lineariser is not None and not callable(lineariser):
+    if not callable(lineariser):
         raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
     if start is not None and isinstance(schedule, Filtering):
         raise EvidenceError("a start is for smoothing; a filter linearises at its own beliefs")
     given = None if start is None else _start(graph.layout, bound, start)
-    plan = ChainPlan.make(graph, bound, lineariser or Taylor())
+    plan = ChainPlan.make(graph, bound, lineariser)
     if isinstance(schedule, Filtering):
         ahead = forward.sweep(plan, linearise=True)
         status = Status(1, np.empty((0, *plan.lead)), np.full(plan.lead, plan.exact))

@@ -19,7 +19,7 @@ from pgm.inference.marginals import require_variable
 from pgm.inference.plan import ChainPlan
 from pgm.inference.update import update
 from pgm.kernels.arrays import Array, block
-from pgm.linearisers import Lineariser, Taylor
+from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
@@ -90,13 +90,13 @@ class OnlineFilter:
     model: DynamicBayesianNetwork
     lineariser: Lineariser
 
-    def __init__(self, model: DynamicBayesianNetwork, lineariser: Lineariser | None = None) -> None:
+    def __init__(self, model: DynamicBayesianNetwork, lineariser: Lineariser = TAYLOR) -> None:
         if not isinstance(model, DynamicBayesianNetwork):
             raise ModelError(f"a dynamic network was due, not {model!r}")
-        if lineariser is not None and not callable(lineariser):
+        if not callable(lineariser):
             raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
         object.__setattr__(self, "model", model)
-        object.__setattr__(self, "lineariser", lineariser or Taylor())
+        object.__setattr__(self, "lineariser", lineariser)
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"an OnlineFilter is immutable; make a new one to change {name}")

@@ -3,9 +3,10 @@
 from pgm.linearisers.function import BoundFunction, FunctionTemplate, Lineariser
 from pgm.linearisers.regression import Points, StatisticalRegression
 from pgm.linearisers.rules import Cubature, MonteCarlo, Unscented
-from pgm.linearisers.taylor import Taylor
+from pgm.linearisers.taylor import TAYLOR, Taylor
 
 __all__ = [
+    "TAYLOR",
     "BoundFunction",
     "Cubature",
     "FunctionTemplate",

@@ -26,3 +26,7 @@ class Taylor:
         slope = function.jacobian(at.mean, None if function.analytic else at.std)
         size = value.shape[-1]
         return AffineGaussian(slope, value - apply(slope, at.mean), np.zeros((size, size)))
+
+
+# The default of everything that takes a lineariser.
+TAYLOR = Taylor()
