@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.cpds import CPD
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.variables import Variable
 
 # Values of parents with evidence, (rows, runs or 1, d): a row is a step or a sighting.
@@ -73,12 +73,12 @@ class BoundEvidence:
 
 
 def flat(array: Array, lead: tuple[int, ...]) -> Array:
-    """(..., rows, *rest) as (rows, runs or 1, *rest), where rest is one axis."""
+    """(..., rows, d) as (rows, runs or 1, d); read-only, since functions of users see it."""
     if all(length == 1 for length in array.shape[:-2]):
-        return array.reshape(array.shape[-2:])[:, None, :]
+        return frozen(array.reshape(array.shape[-2:])[:, None, :])
     full = np.broadcast_to(array, (*lead, *array.shape[-2:]))
     runs = math.prod(lead)
-    return np.ascontiguousarray(full.reshape(runs, *array.shape[-2:]).swapaxes(0, 1))
+    return frozen(np.ascontiguousarray(full.reshape(runs, *array.shape[-2:]).swapaxes(0, 1)))
 
 
 def flat_reading(reading: Reading, lead: tuple[int, ...]) -> Reading:

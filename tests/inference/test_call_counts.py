@@ -209,3 +209,19 @@ def test_what_a_lineariser_is_given():
     assert motion[3][1].ravel().tolist() == [1, 2, 3]
     assert sensor[3][1].ravel().tolist() == [0, 2, 2, 3]
     assert motion[3][1].shape == motion[3][3][:-1]
+
+
+@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()])
+def test_a_function_cannot_write_into_the_evidence(rule):
+    def greedy(x, u):
+        u[..., 0] = 7.0
+        return x
+
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, [0, 0, 0], P0)],
+        transition=[pgm.NonlinearGaussianCPD(x, (x.previous, u), greedy, Q)],
+    )
+    given = controls(3).copy()
+    with pytest.raises((pgm.ModelError, ValueError), match="read-only"):
+        pgm.smooth(model, {u: given}, lineariser=rule)
+    np.testing.assert_array_equal(given, controls(3))
