@@ -35,12 +35,12 @@ $(PY):
 
 # gtsam only brings recordings; where it has no wheel everything else still works.
 define install
-	$(PIP) --editable '.[$(1),data]' || { echo "gtsam has no wheel for this Python: installing without the recordings it carries"; $(PIP) --editable '.[$(1)]'; }
+	@$(PIP) --editable '.[$(1),data]' || { echo "gtsam has no wheel for this Python: installing without the recordings it carries"; $(PIP) --editable '.[$(1)]'; }
 	@touch $@
 endef
 
 $(VENV)/.demo: pyproject.toml | $(PY)
-	$(PIP) --editable '.[data]' || { echo "gtsam has no wheel for this Python: the plaza experiment will say so and stop"; $(PIP) --editable .; }
+	@$(PIP) --editable '.[data]' || { echo "gtsam has no wheel for this Python: the plaza experiment will say so and stop"; $(PIP) --editable .; }
 	@touch $@
 
 $(VENV)/.test: pyproject.toml | $(PY)

@@ -44,7 +44,7 @@ def main() -> None:
     try:
         app()
     except PgmError as error:
-        note(f"[red]{type(error).__name__}[/red]: {error}")
+        note(f"{type(error).__name__}: {error}", style="red")
         raise SystemExit(1) from error
 
 

@@ -54,7 +54,7 @@ def run(
         f"{linear['band'][0]:.3f} to {linear['band'][1]:.3f}"
     )
     record.figure(_network_figure(network), "network")
-    record.figure(_graph_figure(network, drive, steps), "cluster_graph")
+    record.figure(_graph_figure(network, steps), "cluster_graph")
     one = simulation.Drive(drive.truth[0], drive.landmarks, drive.evidence)
     record.figure(_trajectory_figure(posteriors, one), "trajectories")
     record.figure(_error_figure(posteriors, one), "errors")
@@ -121,12 +121,10 @@ def _network_figure(network: pgm.DynamicBayesianNetwork) -> Figure:
     return figure
 
 
-def _graph_figure(
-    network: pgm.DynamicBayesianNetwork, drive: simulation.Drive, steps: int
-) -> Figure:
+def _graph_figure(network: pgm.DynamicBayesianNetwork, steps: int) -> Figure:
     figure, ax = plt.subplots(figsize=(12, 3))
     graph = pgm.compile(network, steps=steps)
-    pgm.plot.cluster_graph(graph, steps=min(4, steps), evidence=drive.evidence, ax=ax)
+    pgm.plot.cluster_graph(graph, steps=min(4, steps), ax=ax)
     plt.close(figure)
     return figure
 
@@ -154,7 +152,7 @@ def _trajectory_figure(posteriors: dict[str, pgm.Posterior], drive: simulation.D
 
 
 def _error_figure(posteriors: dict[str, pgm.Posterior], drive: simulation.Drive) -> Figure:
-    posterior = posteriors["Taylor"]
+    posterior = posteriors["Unscented"]
     figure, axes = plt.subplots(
         3, 2, figsize=(11, 6.5), sharex=True, sharey="row", layout="constrained"
     )
@@ -163,7 +161,7 @@ def _error_figure(posteriors: dict[str, pgm.Posterior], drive: simulation.Drive)
         (("filter", posterior.filtered[pose]), ("smoother", posterior[pose]))
     ):
         pgm.plot.errors(belief.run(0), drive.truth, times=times, axes=axes[:, column])
-        axes[0, column].set_title(f"Taylor, {name}")
+        axes[0, column].set_title(f"Unscented, {name}")
         axes[-1, column].set_xlabel("time [s]")
     plt.close(figure)
     return figure

@@ -19,6 +19,7 @@ from models import networks
 from models.networks import distance, pose
 from pgm import consistency
 
+COLOURS = {"filter": "#0072B2", "smoother": "#D55E00"}
 LINEARISERS: dict[str, pgm.Lineariser] = {"Taylor": pgm.Taylor(), "Unscented": pgm.Unscented()}
 
 
@@ -29,7 +30,8 @@ def run(
         Literal["plaza1", "plaza2"] | None, typer.Option(help="Which recording; both without.")
     ] = None,
     path: Annotated[
-        Path | None, typer.Option(help="The .mat file; that of the gtsam package without.")
+        Path | None,
+        typer.Option(help="The .mat file; that of the gtsam package without.", exists=True),
     ] = None,
 ) -> None:
     """Filter and smooth a recorded mower that hears its distance to four beacons."""
@@ -49,7 +51,7 @@ def run(
     for name, file in files.items():
         assert file is not None
         log = plaza_log.load(file, SETTINGS[name])
-        note(f"[bold]{name}[/bold]: {log.timeline!r}")
+        note(f"{name}: {log.timeline!r}")
         results[name], posteriors = localise(log, SETTINGS[name], name)
         record.figure(_path_figure(log, posteriors["Taylor"], name), f"{name}_path")
         record.figure(_error_figure(log, posteriors["Taylor"], name), f"{name}_errors")
@@ -100,7 +102,9 @@ def _path_figure(log: Log, posterior: pgm.Posterior, name: str) -> Figure:
     )
     beliefs = {"filter": posterior.filtered[pose], "smoother": posterior[pose]}
     for ax, (kind, belief) in zip(axes, beliefs.items(), strict=True):
-        pgm.plot.trajectory(belief, truth=log.truth, landmarks=log.beacons, label=kind, ax=ax)
+        pgm.plot.trajectory(
+            belief, truth=log.truth, landmarks=log.beacons, label=kind, colour=COLOURS[kind], ax=ax
+        )
         ax.set_title(f"{name}, Taylor, {kind}")
         ax.set_xlabel("east [m]")
         ax.set_ylabel("north [m]")

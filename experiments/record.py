@@ -58,7 +58,7 @@ class Record:
             **values,
         }
         path.write_text(json.dumps(content, indent=2, default=_plain) + "\n")
-        _console.print(f"[dim]{self.folder}/[/dim]", highlight=False)
+        note(f"{self.folder}/", style="dim")
         return path
 
 
@@ -78,9 +78,9 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) 
     _console.print(shown)
 
 
-def note(text: str) -> None:
-    """Print a line."""
-    _console.print(text, highlight=False, soft_wrap=True)
+def note(text: str, style: str = "") -> None:
+    """Print a line, word for word."""
+    _console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def progress(items: Sequence[Item], what: str) -> Iterator[Item]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import networkx as nx
@@ -82,6 +82,10 @@ class ClusterGraph(ABC):
             )
         return int(found)
 
+    @abstractmethod
+    def families(self) -> Iterable[Scope]:
+        """The families of all CPDs of the network, each of which needs a cluster."""
+
     def check(self) -> None:
         """Prove family preservation and running intersection.
 
@@ -92,7 +96,7 @@ class ClusterGraph(ABC):
         """
         clusters = list(self.clusters)
         scopes = [cluster.scope for cluster in clusters]
-        check_families(scopes, [cluster.families for cluster in clusters])
+        check_families(scopes, [cluster.families for cluster in clusters], self.families())
         check_running_intersection(scopes, self.sepsets)
 
     def to_networkx(self) -> nx.Graph:

@@ -12,10 +12,11 @@ from pgm.clustergraph.checks import Edge
 from pgm.compile.layout import SliceLayout
 from pgm.errors import GraphError, ModelError
 from pgm.factors.scope import Scope
+from pgm.immutable import Immutable
 from pgm.networks import DynamicBayesianNetwork
 
 
-class SliceGraph(ClusterGraph):
+class SliceGraph(Immutable, ClusterGraph):
     """The chain of clusters 0..T of a dynamic network.
 
     Cluster 0 holds the states at step 0, the prior and the families of the sensors; cluster t
@@ -34,15 +35,7 @@ class SliceGraph(ClusterGraph):
     layout: SliceLayout
 
     def __init__(self, model: DynamicBayesianNetwork, steps: int) -> None:
-        for name, value in (
-            ("model", model),
-            ("steps", steps),
-            ("layout", SliceLayout(model)),
-        ):
-            object.__setattr__(self, name, value)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"a cluster graph is immutable; compile another to change {name}")
+        self._set(model=model, steps=steps, layout=SliceLayout(model))
 
     @property
     def clusters(self) -> Sequence[Cluster]:
@@ -58,9 +51,17 @@ class SliceGraph(ClusterGraph):
         """The clusters of the steps before and after."""
         return tuple(k for k in (index - 1, index + 1) if 0 <= k <= self.steps)
 
+    def families(self) -> Iterator[Scope]:
+        """Of the prior at step 0, the transition at 1..T, the sensors where their parents are."""
+        model = self.model
+        for step in range(self.steps + 1):
+            for cpd in (*(model.transition if step else model.prior), *model.observation):
+                if step or not set(cpd.parents) & set(model.controls):
+                    yield tuple(variable.at(step) for variable in cpd.scope)
+
     def cluster(self, step: int) -> Cluster:
         """The cluster of a step."""
-        cpds = self.model.at(step)
+        cpds = self.model.cpds_at(step)
         families = tuple(tuple(v.at(step) for v in cpd.scope) for cpd in cpds)
         hidden = self.layout.pair if step else self.layout.states
         scope = dict.fromkeys(v.at(step) for v in hidden)

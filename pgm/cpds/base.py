@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy.typing as npt
 
 from pgm.cpds.noise import Noise, as_covariance
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, as_scope
+from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class CPD:
+class CPD(Immutable):
     """The density of a child given its parents; an immutable value.
 
     Attributes
@@ -53,13 +53,6 @@ class CPD:
             )
         self._set(child=child, given=given)
         self._set(cov=cov if isinstance(cov, Noise) else as_covariance(child, cov, lead=lead))
-
-    def _set(self, **values: Any) -> None:
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"a CPD is immutable; make a new one to change {name}")
 
     @property
     def noise_given(self) -> Scope:

@@ -61,6 +61,12 @@ class NonlinearGaussianCPD(CPD):
         grouped: bool = False,
     ) -> None:
         self._set_family(child, (given,) if isinstance(given, Variable) else given, cov)
+        if jacobian is not None and not isinstance(jacobian, Mapping):
+            raise ModelError(
+                f"{self!r}: jacobian maps parents to functions, jacobian={{x: by_state}}; found "
+                f"{jacobian!r}",
+                cpd=self,
+            )
         derivatives = dict(jacobian or {})
         strangers = [parent for parent in derivatives if parent not in self.given]
         if strangers:
@@ -73,7 +79,7 @@ class NonlinearGaussianCPD(CPD):
             if not callable(value):
                 name = what if what == "function" else f"Jacobian by {what!r}"
                 raise ModelError(f"{self!r}: the {name} must be callable, not {value!r}", cpd=self)
-        if lineariser is not None and not callable(lineariser):
+        if lineariser is not None and (not callable(lineariser) or isinstance(lineariser, type)):
             raise ModelError(
                 f"{self!r}: a lineariser is called with a function and a belief; {lineariser!r} "
                 "cannot be called",

@@ -22,6 +22,8 @@ def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
             f"evidence for {variable!r} must be numbers, not {type(value).__name__}",
             variable=variable,
         ) from None
+    if axis == "M" and array.shape == (0,):
+        array = np.empty((0, variable.dimension))  # no readings, written as []
     if axis is None and array.ndim == 0 and variable.dimension == 1:
         array = array[None]
     due = f"(..., {axis}, {variable.dimension})" if axis else f"(..., {variable.dimension})"
@@ -87,7 +89,12 @@ def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Int
             f"sightings of {variable!r} have no steps; give step=, one for each reading",
             variable=variable,
         )
-    array = np.asarray(step)
+    try:
+        array = np.asarray(step)
+    except ValueError:
+        raise EvidenceError(
+            f"sightings of {variable!r}: step must be a row of whole numbers", variable=variable
+        ) from None
     if array.size == 0:
         array = array.astype(np.intp)
     if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):

@@ -76,7 +76,7 @@ class _Binder:
             if isinstance(value, Constant):
                 _constant_row(variable, value)
         self.steps = self._length(steps)
-        self.shapes: dict[str, tuple[int, ...]] = {"the model's priors": lead}
+        self.shapes: list[tuple[str, tuple[int, ...]]] = [("the model's priors", lead)]
 
     def bind(self, transition: Sequence[CPD]) -> BoundEvidence:
         span = np.arange(1, self.steps + 1)
@@ -84,12 +84,16 @@ class _Binder:
         inputs = [self._inputs(cpd, {}, span) for cpd in transition]
         readings = [self._reading(z) for z in self.sensors if z in self.evidence or self._drawn(z)]
         try:
-            lead = np.broadcast_shapes(*self.shapes.values())
+            lead = np.broadcast_shapes(*(shape for _, shape in self.shapes))
         except ValueError:
-            listed = ", ".join(f"{name} {shape}" for name, shape in self.shapes.items() if shape)
+            listed = ", ".join(
+                f"{name} {shape}" for name, shape in dict(self.shapes).items() if shape
+            )
             raise EvidenceError(
                 f"the leading axes of the evidence do not broadcast to one set of runs: {listed}"
             ) from None
+        if 0 in lead:
+            raise EvidenceError(f"the evidence has the axes of runs {lead}: there is no run in it")
         return BoundEvidence(
             self.steps,
             lead,
@@ -173,7 +177,7 @@ class _Binder:
             raise EvidenceError(
                 f"sightings of {sensor!r} have no values; only sample() draws them", variable=sensor
             )
-        self.shapes[repr(sensor)] = rows.shape[:-2]
+        self.shapes.append((repr(sensor), rows.shape[:-2]))
         order = np.argsort(step, kind="stable")
         step = step[order]
         inputs = self._inputs(cpd, given, step, order)
@@ -239,7 +243,7 @@ class _Binder:
                     )
                 every = np.arange(1, self.steps + 1)
                 rows = require_finite(variable, self.arrays[variable], every)[..., step - 1, :]
-            self.shapes[repr(variable)] = rows.shape[:-2]
+            self.shapes.append((repr(variable), rows.shape[:-2]))
             inputs[variable] = rows
         return inputs
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy.typing as npt
 
 from pgm.errors import EvidenceError
+from pgm.immutable import Immutable
 from pgm.variables import Variable
 
 
@@ -21,7 +22,7 @@ class Constant:
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class Sightings(Immutable):
     """Readings of one sensor at any steps; made by `sightings`."""
 
     values: Any

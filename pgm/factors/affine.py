@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,12 +11,13 @@ from pgm.errors import ModelError, NumericalError
 from pgm.factors.canonical import CanonicalForm
 from pgm.factors.gaussian import Gaussian
 from pgm.factors.scope import as_scope, dimension, names
+from pgm.immutable import Immutable
 from pgm.kernels import canonical, moments
 from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Variable
 
 
-class AffineGaussian:
+class AffineGaussian(Immutable):
     r"""An affine Gaussian conditional.
 
     .. math:: y = F x + b + n, \qquad n \sim N(0, \Sigma)
@@ -57,13 +57,7 @@ class AffineGaussian:
                 f"affine Gaussian: the leading axes of F {F.shape}, b {b.shape} and cov "
                 f"{cov.shape} do not broadcast"
             ) from None
-        set_ = object.__setattr__
-        set_(self, "F", frozen(F))
-        set_(self, "b", frozen(b))
-        set_(self, "cov", frozen(cov))
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"an AffineGaussian is immutable; make a new one to change {name}")
+        self._set(F=frozen(F), b=frozen(b), cov=frozen(cov))
 
     def forward(self, x: Gaussian, child: Variable) -> Gaussian:
         """The child's marginal: mean F μ + b and covariance F P Fᵀ + Σ."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,12 +10,13 @@ import numpy.typing as npt
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.gaussian import Gaussian
 from pgm.factors.scope import Scope, as_scope, as_value, dimension, names, positions
+from pgm.immutable import Immutable
 from pgm.kernels import canonical as kernel
 from pgm.kernels.arrays import Array, apply, frozen, inner, transpose
 from pgm.variables import Variable
 
 
-class CanonicalForm:
+class CanonicalForm(Immutable):
     r"""A Gaussian factor in canonical form.
 
     .. math:: C(x; K, h, g) = \exp(-\tfrac12 x^\top K x + h^\top x + g)
@@ -78,9 +78,9 @@ class CanonicalForm:
             raise ModelError(f"canonical form over {names(scope)}: K, h and g must be finite")
         if np.abs(K - transpose(K)).max(initial=0.0) > 1e-9 * np.abs(K).max(initial=0.0):
             raise ModelError(f"canonical form over {names(scope)}: K is not symmetric")
-        self._set(scope, K, h, g)
+        self._put(scope, K, h, g)
 
-    def _set(self, scope: Scope, K: Array, h: Array, g: Array) -> None:
+    def _put(self, scope: Scope, K: Array, h: Array, g: Array) -> None:
         try:
             lead = np.broadcast_shapes(K.shape[:-2], h.shape[:-1], g.shape)
         except ValueError:
@@ -88,21 +88,19 @@ class CanonicalForm:
                 f"canonical form over {names(scope)}: the leading axes of K {K.shape}, "
                 f"h {h.shape} and g {g.shape} do not broadcast"
             ) from None
-        set_ = object.__setattr__
-        set_(self, "scope", scope)
-        set_(self, "K", frozen(np.broadcast_to(K, (*lead, *K.shape[-2:]))))
-        set_(self, "h", frozen(np.broadcast_to(h, (*lead, h.shape[-1]))))
-        set_(self, "g", frozen(np.broadcast_to(g, lead)))
+        self._set(
+            scope=scope,
+            K=frozen(np.broadcast_to(K, (*lead, *K.shape[-2:]))),
+            h=frozen(np.broadcast_to(h, (*lead, h.shape[-1]))),
+            g=frozen(np.broadcast_to(g, lead)),
+        )
 
     @classmethod
     def _make(cls, scope: Scope, K: Array, h: Array, g: Array) -> CanonicalForm:
         """A form of arrays that are known to be right."""
         form = object.__new__(cls)
-        form._set(scope, K, h, np.asarray(g))
+        form._put(scope, K, h, np.asarray(g))
         return form
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"a CanonicalForm is immutable; make a new one to change {name}")
 
     @classmethod
     def vacuous(cls, scope: Variable | Iterable[Variable]) -> CanonicalForm:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, names, positions
+from pgm.immutable import Immutable
 from pgm.kernels import moments, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, apply, block, frozen
@@ -35,7 +36,7 @@ class Ellipse(NamedTuple):
     orientation: Array
 
 
-class Gaussian:
+class Gaussian(Immutable):
     r"""A normal density in moment form.
 
     .. math:: N(x; \mu, P) = |2\pi P|^{-1/2} \exp(-\tfrac12 (x-\mu)^\top P^{-1} (x-\mu))
@@ -105,21 +106,17 @@ class Gaussian:
                 f"Gaussian over {names(scope)}: the leading axes of the mean {mean.shape} and the "
                 f"covariance {cov.shape} do not broadcast"
             ) from None
-        self._set(
+        self._put(
             scope,
             np.broadcast_to(mean, (*lead, size)),
             np.broadcast_to(cov, (*lead, size, size)),
             None if steps is None else np.array(steps, dtype=np.intp),
         )
 
-    def _set(self, scope: Scope, mean: Array, cov: Array, steps: Integers | None) -> None:
-        set_ = object.__setattr__
-        set_(self, "scope", scope)
-        set_(self, "mean", frozen(mean))
-        set_(self, "cov", frozen(cov))
+    def _put(self, scope: Scope, mean: Array, cov: Array, steps: Integers | None) -> None:
         if steps is not None:
             steps.flags.writeable = False
-        set_(self, "steps", steps)
+        self._set(scope=scope, mean=frozen(mean), cov=frozen(cov), steps=steps)
 
     @classmethod
     def _make(
@@ -127,11 +124,8 @@ class Gaussian:
     ) -> Gaussian:
         """A Gaussian of arrays that are known to be right."""
         gaussian = object.__new__(cls)
-        gaussian._set(scope, mean, cov, steps)
+        gaussian._put(scope, mean, cov, steps)
         return gaussian
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"a Gaussian is immutable; make a new one to change {name}")
 
     @property
     def std(self) -> Array:
@@ -243,6 +237,8 @@ class Gaussian:
         if len(labels) < 2:
             raise ModelError(f"{names(self.scope)} has one component; an ellipse needs two")
         pair = components or (labels[0], labels[1])
+        if len(pair) != 2:
+            raise ModelError(f"an ellipse is of two components, not of {pair}")
         for label in pair:
             if labels.count(label) != 1 or pair[0] == pair[1]:
                 raise ModelError(

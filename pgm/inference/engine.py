@@ -141,7 +141,7 @@ def _run(
     schedule = Smoothing() if schedule is None else schedule
     if not isinstance(schedule, (Filtering, Smoothing)):
         raise ModelError(f"{schedule!r} is no schedule; give pgm.Filtering() or pgm.Smoothing()")
-    if not callable(lineariser):
+    if not callable(lineariser) or isinstance(lineariser, type):
         raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
     if start is not None and isinstance(schedule, Filtering):
         raise EvidenceError("a start is for smoothing; a filter linearises at its own beliefs")

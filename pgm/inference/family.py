@@ -163,13 +163,14 @@ class Family:
 
     def call(self, function: BoundFunction, mean: Array, cov: Array) -> AffineGaussian:
         """What the lineariser makes of the function at a belief, checked."""
-        if not self.hidden:
-            value = function(mean)
-            size = value.shape[-1]
-            return AffineGaussian(np.empty((*value.shape, 0)), value, np.zeros((size, size)))
         try:
             with np.errstate(invalid="ignore", over="ignore"):  # non-finite values: see below
-                affine = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
+                if self.hidden:
+                    affine = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
+                else:
+                    value = function(mean)
+                    none, zero = np.empty((*value.shape, 0)), np.zeros((value.shape[-1],) * 2)
+                    affine = AffineGaussian(none, value, zero)
         except PgmError as error:
             error.cpd = error.cpd or self.cpd
             error.variable = error.variable or self.cpd.child
@@ -188,6 +189,14 @@ class Family:
             raise LinearisationError(
                 f"the lineariser {self.lineariser!r} returned an F of shape {affine.F.shape} for "
                 f"{self.cpd!r}; it must end in {due}",
+                variable=self.cpd.child,
+                cpd=self.cpd,
+            )
+        lead = np.broadcast_shapes(affine.F.shape[:-2], affine.b.shape[:-1], affine.cov.shape[:-2])
+        if lead and lead != mean.shape[:-1]:
+            raise LinearisationError(
+                f"the lineariser {self.lineariser!r} returned the leading axes {lead} for "
+                f"{self.cpd!r}; those of the belief are {mean.shape[:-1]}",
                 variable=self.cpd.child,
                 cpd=self.cpd,
             )

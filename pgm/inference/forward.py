@@ -129,13 +129,19 @@ def _extend(link: Link, row: int, step: int, mean: Array, cov: Array, linearise:
 def _keep_chart(link: Link, row: int, before: Array, child: Array) -> None:
     """Undo, in place, whole turns that a function which wraps its angles has made in a step.
 
-    Beliefs live on one unwrapped chart, on which an angle stays within π of that before it.
+    Beliefs live on one unwrapped chart.
     """
     if not link.before.size:
         return
     turned = child[:, link.angles] - before[:, link.before]
     if np.abs(turned).max() > np.pi:
-        turns = TURN * np.round(turned / TURN)
+        # A function that wraps gives the same for an angle a whole turn on; another turns too.
+        further = before.copy()
+        further[:, link.before] += TURN
+        function = link.family.bound(row, 1, before.shape[:1])
+        gained = function(further[:, link.parents]) - function(before[:, link.parents])
+        wraps = np.abs(gained[:, link.angles]) < 0.5 * TURN
+        turns = np.where(wraps, TURN * np.round(turned / TURN), 0.0)
         child[:, link.angles] -= turns
         link.family.offset[row][:, link.angles] -= turns
 

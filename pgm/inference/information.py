@@ -17,8 +17,8 @@ from pgm.kernels.arrays import LOG_2PI, Array, apply, inner, sandwich, transpose
 from pgm.kernels.canonical import Canonical
 
 
-def backward_message(plan: ChainPlan, forward: Forward, step: int) -> Canonical:
-    """The likelihood of the readings after a step, as a function of the states at it.
+def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
+    """The likelihood of the readings after each step, as a function of the states at it.
 
     Messages are carried about the filtered mean, so that large coordinates cost no digits, and
     moved to the origin at the end. NaN in runs where the message does not exist.
@@ -32,7 +32,8 @@ def backward_message(plan: ChainPlan, forward: Forward, step: int) -> Canonical:
         np.zeros((plan.runs, size)),
         np.zeros(plan.runs),
     )
-    for later in range(plan.steps, step, -1):
+    messages = [message]
+    for later in range(plan.steps, 0, -1):
         predicted, filtered = forward.predicted_mean[later], forward.mean[later]
         matrix, noise = matrices[later - 1], noises[later - 1]
         offset = np.zeros_like(predicted)
@@ -49,7 +50,11 @@ def backward_message(plan: ChainPlan, forward: Forward, step: int) -> Canonical:
         )
         if likelihood is not None:
             message = tuple(a + b for a, b in zip(message, likelihood, strict=True))  # type: ignore[assignment]
-    return canonical.shift(*message, forward.mean[step][..., states])
+        messages.append(message)
+    return [
+        canonical.shift(*message, forward.mean[step][..., states])
+        for step, message in enumerate(reversed(messages))
+    ]
 
 
 def _absorb(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,14 +43,28 @@ class Innovations:
     dof: Integers
 
 
-class BySensor(dict[Variable, Innovations]):
+class BySensor(Mapping[Variable, Innovations]):
     """The innovations of each sensor that was read."""
 
-    def __missing__(self, variable: Variable) -> Innovations:
-        raise EvidenceError(
-            f"there are no innovations of {variable!r}; readings were given of {list(self)}",
-            variable=variable,
-        )
+    def __init__(self, innovations: Mapping[Variable, Innovations]) -> None:
+        self._innovations = dict(innovations)
+
+    def __getitem__(self, variable: Variable) -> Innovations:
+        if variable not in self._innovations:
+            raise EvidenceError(
+                f"there are no innovations of {variable!r}; readings were given of {list(self)}",
+                variable=variable,
+            )
+        return self._innovations[variable]
+
+    def __contains__(self, variable: object) -> bool:
+        return variable in self._innovations
+
+    def __iter__(self) -> Iterator[Variable]:
+        return iter(self._innovations)
+
+    def __len__(self) -> int:
+        return len(self._innovations)
 
 
 def innovations(sensor: Sensor, forward: Forward, lead: tuple[int, ...]) -> Innovations:
@@ -64,7 +79,9 @@ def innovations(sensor: Sensor, forward: Forward, lead: tuple[int, ...]) -> Inno
     back = np.argsort(sensor.order)
 
     def out(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return array.swapaxes(0, 1).reshape(*lead, array.shape[0], *array.shape[2:])
+        result = array.swapaxes(0, 1).reshape(*lead, array.shape[0], *array.shape[2:])
+        result.flags.writeable = False
+        return result
 
     return Innovations(
         out(np.where(taken[..., None], residual, np.nan)[back]),
@@ -88,11 +105,12 @@ def _by_step(
     for count in np.unique(counts[counts > 0]):
         steps = np.flatnonzero(counts == count)
         rows = bounds[steps][:, None] + np.arange(count)
+        width = int(count) * height
 
-        def stacked(array: Array, rows: Integers = rows) -> Array:
+        def stacked(array: Array, rows: Integers = rows, width: int = width) -> Array:
             """(steps, runs, sightings, ...) with the sightings' components in one axis."""
             each = np.moveaxis(array[rows], 1, 2)
-            return each.reshape(*each.shape[:2], -1, *each.shape[4:])
+            return each.reshape(*each.shape[:2], width, *each.shape[4:])
 
         seen = np.repeat(np.moveaxis(taken[rows], 1, 2), height, axis=-1)
         matrix = stacked(family.matrix) * seen[..., None]

@@ -14,11 +14,12 @@ from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
 from pgm.factors import Gaussian
 from pgm.factors.scope import positions
+from pgm.immutable import Immutable
 from pgm.inference import forward
 from pgm.inference.marginals import require_variable
 from pgm.inference.plan import ChainPlan
 from pgm.inference.update import update
-from pgm.kernels.arrays import Array, block
+from pgm.kernels.arrays import Array, block, frozen
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -41,6 +42,10 @@ class OnlineBelief:
     mean: Array
     cov: Array
     log_density: Array
+
+    def __post_init__(self) -> None:
+        for name in ("mean", "cov", "log_density"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
     def log_evidence(self) -> Array:
@@ -70,7 +75,7 @@ class OnlineBelief:
         return f"OnlineBelief(step {self.step}, over {list(self.layout.slice)})"
 
 
-class OnlineFilter:
+class OnlineFilter(Immutable):
     """A filter for one step at a time; immutable, and so are its beliefs.
 
     Parameters
@@ -93,13 +98,9 @@ class OnlineFilter:
     def __init__(self, model: DynamicBayesianNetwork, lineariser: Lineariser = TAYLOR) -> None:
         if not isinstance(model, DynamicBayesianNetwork):
             raise ModelError(f"a dynamic network was due, not {model!r}")
-        if not callable(lineariser):
+        if not callable(lineariser) or isinstance(lineariser, type):
             raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
-        object.__setattr__(self, "model", model)
-        object.__setattr__(self, "lineariser", lineariser)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"an OnlineFilter is immutable; make a new one to change {name}")
+        self._set(model=model, lineariser=lineariser)
 
     @cached_property
     def _graph(self) -> Any:
@@ -133,6 +134,7 @@ class OnlineFilter:
         EvidenceError
             If an input is missing or of a wrong shape, or something is no input.
         """
+        self._check(belief)
         needed = {v for cpd in self.model.transition for v in cpd.parents}
         for variable in inputs or {}:
             if variable not in needed or variable not in self.model.inputs:
@@ -169,6 +171,11 @@ class OnlineFilter:
         NumericalError
             If a reading contradicts an exact model.
         """
+        self._check(belief)
+        if not isinstance(readings, Mapping):
+            raise EvidenceError(
+                f"update takes a mapping of sensors to readings, not {type(readings).__name__}"
+            )
         evidence = {v: self._reading(v, value) for v, value in readings.items()}
         bound = bind(
             self.model.transition,
@@ -182,6 +189,12 @@ class OnlineFilter:
         mean, cov, log_density = _wide(belief, bound)
         mean, cov, gained = update(plan.sensors, 0, mean, cov, linearise=True)
         return OnlineBelief(belief.step, plan.layout, bound.lead, mean, cov, log_density + gained)
+
+    def _check(self, belief: OnlineBelief) -> None:
+        if not isinstance(belief, OnlineBelief) or belief.layout.model is not self.model:
+            raise ModelError(
+                f"{belief!r} is no belief of this filter's model; begin with initial()"
+            )
 
     def _reading(self, variable: Variable, value: Any) -> Any:
         if variable not in self.model.sensors:

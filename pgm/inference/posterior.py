@@ -17,7 +17,7 @@ from pgm.factors.scope import Scope, as_scope, names, positions
 from pgm.inference import backward
 from pgm.inference.backward import Beliefs, Reverse
 from pgm.inference.forward import Forward
-from pgm.inference.information import backward_message
+from pgm.inference.information import backward_messages
 from pgm.inference.innovations import BySensor, Innovations, innovations
 from pgm.inference.marginals import Marginals, require_variable
 from pgm.inference.plan import ChainPlan
@@ -80,8 +80,10 @@ class Posterior:
     def innovations(self) -> Mapping[Variable, Innovations]:
         """The innovations of each sensor with evidence."""
         return BySensor(
-            (sensor.variable, innovations(sensor, self._forward, self._plan.lead))
-            for sensor in self._plan.sensors
+            {
+                sensor.variable: innovations(sensor, self._forward, self._plan.lead)
+                for sensor in self._plan.sensors
+            }
         )
 
     @property
@@ -102,6 +104,10 @@ class Posterior:
     @cached_property
     def _reverse(self) -> Reverse:
         return self._reverse_given or Reverse.make(self._plan, self._forward)
+
+    @cached_property
+    def _backward_messages(self) -> list[canonical.Canonical]:
+        return backward_messages(self._plan, self._forward)
 
     def joint(self, *variables: Variable) -> Gaussian:
         """The joint of hidden variables at any steps, given what the latest of them knows.
@@ -183,7 +189,7 @@ class Posterior:
                 cluster=source,
             )
         else:
-            parts = backward_message(self._plan, self._forward, target)
+            parts = self._backward_messages[target]
         what = f"the message from cluster {source} to {target}"
         return self._form(scope, parts, what, source)
 

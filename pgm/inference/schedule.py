@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.errors import ModelError
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,11 @@ class Status:
 
     iterations: int
     residuals: Array
-    converged: np.ndarray
+    converged: Mask
+
+    def __post_init__(self) -> None:
+        self.residuals.flags.writeable = False
+        self.converged.flags.writeable = False
 
     def __repr__(self) -> str:
         last = f", last move {self.residuals[-1].max():.3g} std" if len(self.residuals) else ""

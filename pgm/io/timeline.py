@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import EvidenceError
+from pgm.immutable import Immutable
 from pgm.io.controls import ControlReport, Kind, controls
 from pgm.io.readings import ReadingReport, readings
 from pgm.io.stamped import Stamped, as_stamps, clock, sealed
@@ -19,7 +20,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Timeline:
+class Timeline(Immutable):
     """A log laid on the times of the states; printed, it says what became of every row.
 
     Attributes

@@ -200,6 +200,11 @@ class BoundFunction:
         return arguments, shape
 
     def _checked(self, value: Any, shape: tuple[int, ...], what: str) -> Array:
+        if np.iscomplexobj(value):
+            raise ModelError(
+                f"the {what} of the CPD of {self.name} returned complex numbers",
+                variable=self.template.child,
+            )
         array = np.asarray(value, dtype=float)
         if array.shape != shape:
             raise ModelError(

@@ -42,7 +42,7 @@ class StatisticalRegression(ABC):
     Σ w Y, F solves F L = J with J the regression of Y on s, b makes the line pass through both
     means, and the covariance is that of what the line leaves, Σ w r rᵀ. In directions in which P
     is zero F takes the limit P → 0, the Jacobian at μ. Angles of y are averaged as the value at
-    the centre plus the mean of wrapped offsets.
+    the centre plus the mean of offsets, wrapped about the tangent where they exceed half a turn.
 
     A subclass gives `points`.
 
@@ -77,7 +77,7 @@ class StatisticalRegression(ABC):
         s, mean_weights, cov_weights, centred = self.points(
             at.mean.shape[-1], function.name, function.step
         )
-        offset, value = self._values(function, at.mean, s @ transpose(lower), centred)
+        offset, value = self._values(function, at, s @ transpose(lower), centred)
         mean_offset = mean_weights @ offset
         deviation = offset - mean_offset[..., None, :]
         s_mean = mean_weights @ s
@@ -98,18 +98,27 @@ class StatisticalRegression(ABC):
 
     @staticmethod
     def _values(
-        function: BoundFunction, mean: Array, offsets: Array, centred: bool
+        function: BoundFunction, at: Gaussian, offsets: Array, centred: bool
     ) -> tuple[Array, Array]:
         """Offsets of the values from a reference, (..., N, d), angles wrapped; the reference."""
+        mean = at.mean
         points = mean[..., None, :] + offsets
-        angles = function.angles.any()
-        if angles and not centred:
+        angles = function.angles
+        extra = angles.any() and not centred
+        if extra:
             points = np.concatenate([mean[..., None, :], points], axis=-2)
         values = function(points)
         reference = values[..., :1, :]
-        if angles and not centred:
+        if extra:
             values = values[..., 1:, :]
-        return function.residual(values, reference), reference[..., 0, :]
+        raw = values - reference
+        wide = np.asarray((np.abs(raw[..., angles]) > np.pi).any(axis=(-2, -1)))
+        if wide.any():
+            # An angle that turns far with the state, as a heading does, is wrapped about its line.
+            line = offsets @ transpose(function.jacobian(mean, at.std))
+            line = np.where(wide[..., None, None], line, 0.0)
+            raw = function.residual(raw, line) + line
+        return raw, reference[..., 0, :]
 
 
 def _divide(slope: Array, lower: Array, function: BoundFunction, at: Gaussian) -> Array:

@@ -38,6 +38,13 @@ class Unscented(StatisticalRegression):
     beta: float = 2.0
     kappa: float = 0.0
 
+    def __post_init__(self) -> None:
+        if self.alpha is None and self.kappa != 0.0:
+            raise LinearisationError(
+                f"Unscented(alpha=None, kappa={self.kappa}): without alpha λ is n − 1, and kappa "
+                "has no part in it; give both"
+            )
+
     def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
         """The 2n + 1 points."""
         return _unscented(dimension, self.alpha, self.beta, self.kappa)
@@ -46,10 +53,10 @@ class Unscented(StatisticalRegression):
 @lru_cache(maxsize=128)
 def _unscented(n: int, alpha: float | None, beta: float, kappa: float) -> Points:
     total = 2.0 * n - 1.0 if alpha is None else alpha**2 * (n + kappa)
-    if total <= 0.0 or n + kappa == 0.0:
+    if total <= 0.0 or n + kappa <= 0.0:
         raise LinearisationError(
-            f"Unscented(alpha={alpha}, kappa={kappa}): n + λ is {total:.3g} for {n} components; "
-            "it must be positive"
+            f"Unscented(alpha={alpha}, kappa={kappa}): for {n} components α²(n + κ) is "
+            f"{total:.3g}; alpha and n + κ must be positive"
         )
     square = total / (n + kappa)
     mean_weights = np.full(2 * n + 1, 0.5 / total)
@@ -105,11 +112,12 @@ class MonteCarlo(StatisticalRegression):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.samples < 1 or self.seed < 0:
-            raise LinearisationError(
-                f"MonteCarlo(samples={self.samples}, seed={self.seed}): samples must be positive "
-                "and the seed not negative"
-            )
+        for what, value, least in (("samples", self.samples, 1), ("seed", self.seed, 0)):
+            if not isinstance(value, int | np.integer) or not least <= value < 2**63:
+                raise LinearisationError(
+                    f"MonteCarlo({what}={value!r}): {what} must be a whole number from {least} to "
+                    "2⁶³ − 1"
+                )
 
     def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
         """The sample, one for each step asked for."""

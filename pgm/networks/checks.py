@@ -14,6 +14,8 @@ from pgm.variables import Variable
 
 def as_cpds(cpds: CPD | Iterable[CPD], where: str) -> tuple[CPD, ...]:
     """CPDs as a tuple; refuses anything else."""
+    if not isinstance(cpds, CPD | Iterable):
+        raise ModelError(f"{where} is a sequence of CPDs, not {cpds!r}")
     result = (cpds,) if isinstance(cpds, CPD) else tuple(cpds)
     for cpd in result:
         if not isinstance(cpd, CPD):

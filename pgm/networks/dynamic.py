@@ -12,11 +12,12 @@ from pgm.cpds import CPD
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
+from pgm.immutable import Immutable
 from pgm.networks import checks, declaration
 from pgm.networks.sampling import Sample, draw
 
 
-class DynamicBayesianNetwork:
+class DynamicBayesianNetwork(Immutable):
     """A prior over the states, a transition from each slice to the next, and sensors.
 
     States are x[0..T]. The prior holds at step 0, transition CPDs at steps 1..T, observation
@@ -107,11 +108,7 @@ class DynamicBayesianNetwork:
             "sensors": sensors,
             "inputs": inputs,
         }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"a network is immutable; use replace({name}=...)")
+        self._set(**values)
 
     def replace(self, **changes: Iterable[CPD]) -> DynamicBayesianNetwork:
         """A variant with another prior, transition or observation."""
@@ -186,14 +183,14 @@ class DynamicBayesianNetwork:
         }
         graph = nx.DiGraph()
         for step in range(steps + 1):
-            for cpd in self.at(step):
+            for cpd in self.cpds_at(step):
                 for variable in cpd.scope:
                     node = variable.at(step)
                     graph.add_node(node, kind=kinds[variable.template], step=node.step)
                 graph.add_edges_from((p.at(step), cpd.child.at(step)) for p in cpd.parents)
         return graph
 
-    def at(self, step: int) -> tuple[CPD, ...]:
+    def cpds_at(self, step: int) -> tuple[CPD, ...]:
         """The CPDs that hold at a step, as templates."""
         if step == 0:
             possible = set(self.states) | set(self.inputs)

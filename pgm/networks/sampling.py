@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from pgm.cpds import CPD, AffineCPD, Noise, NonlinearGaussianCPD
 from pgm.cpds.noise import evaluate
 from pgm.errors import LinearisationError, ModelError
 from pgm.evidence import Evidence, Reading, Sightings, bind, sightings
+from pgm.immutable import Immutable
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, apply
 from pgm.variables import Variable
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class Sample(Immutable):
     """A draw from a dynamic network.
 
     Attributes
@@ -91,7 +93,7 @@ def draw(
             if isinstance(asked, Sightings)
             else values[child]
         )
-    return Sample(values, evidence)
+    return Sample(MappingProxyType(values), MappingProxyType(evidence))
 
 
 def _draw_reading(

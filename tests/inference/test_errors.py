@@ -723,7 +723,7 @@ SCHEDULES = [
         "kappa=-3.0",
         "positive",
     ),
-    refusal("no samples", lambda: pgm.MonteCarlo(0), LinearisationError, "samples=0", "positive"),
+    refusal("no samples", lambda: pgm.MonteCarlo(0), LinearisationError, "samples=0", "from 1"),
 ]
 
 ASKED = [

@@ -309,6 +309,12 @@ def test_random_networks_of_any_rank(seed):
     check(model, steps, {}, [(w, int(step), np.zeros(d), {}) for step in when])
 
 
+@pytest.mark.slow
+def test_many_random_networks_of_any_rank():
+    for seed in range(40, 1500):
+        test_random_networks_of_any_rank(seed)
+
+
 def test_a_start_of_rank_1_read_with_noise():
     """The plainest of them: a noisy reading leaves a belief of rank 1, then the motion goes on."""
     sensor = pgm.LinearGaussianCPD(fix, {x: [[1, -0.5], [1, 0]]}, cov=[[0.25, -0.5], [-0.5, 1.25]])

@@ -105,7 +105,7 @@ def test_replacing_makes_a_variant():
 
 def test_a_model_is_immutable():
     model = DynamicBayesianNetwork([start(A)], [walk(A)])
-    with pytest.raises(AttributeError, match="replace"):
+    with pytest.raises(AttributeError, match="immutable"):
         model.prior = ()
     assert isinstance(model.prior, tuple)
 

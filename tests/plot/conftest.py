@@ -129,6 +129,9 @@ class AnyGraph(ClusterGraph):
     def sepsets(self):
         return self._sepsets
 
+    def families(self):
+        return ()
+
 
 @pytest.fixture
 def any_graph():

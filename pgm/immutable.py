@@ -1,0 +1,34 @@
+"""Values that cannot be changed, but can be copied and pickled."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import Any
+
+
+class Immutable:
+    """Base of values whose attributes are set once, by `_set`, while they are made."""
+
+    __slots__ = ()
+
+    def _set(self, **values: Any) -> None:
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(
+            f"a {type(self).__name__} is immutable; make a new one to change {name}"
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        slots = [name for cls in type(self).__mro__ for name in getattr(cls, "__slots__", ())]
+        state = {name: getattr(self, name) for name in slots} | getattr(self, "__dict__", {})
+        # Read-only views of mappings cannot be pickled: they travel as what they show.
+        return {
+            name: dict(value) if isinstance(value, MappingProxyType) else value
+            for name, value in state.items()
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        views = {k: MappingProxyType(v) if isinstance(v, dict) else v for k, v in state.items()}
+        self._set(**views)
