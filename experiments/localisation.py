@@ -122,7 +122,7 @@ def _network_figure(network: pgm.DynamicBayesianNetwork) -> Figure:
 
 
 def _graph_figure(network: pgm.DynamicBayesianNetwork, steps: int) -> Figure:
-    figure, ax = plt.subplots(figsize=(12, 3))
+    figure, ax = plt.subplots(figsize=(12, 2))
     graph = pgm.compile(network, steps=steps)
     pgm.plot.cluster_graph(graph, steps=min(4, steps), ax=ax)
     plt.close(figure)

@@ -229,7 +229,7 @@ class CanonicalForm(Immutable):
 
     @property
     def log_integral(self) -> Array:
-        """Ln ∫ C(x) dx, (...); raises NumericalError where K is not positive definite."""
+        """The log-integral ln ∫ C(x) dx, (...); NumericalError where K is not positive definite."""
         return self._moments()[2]
 
     def gaussian(self) -> Gaussian:
@@ -242,7 +242,7 @@ class CanonicalForm(Immutable):
         return self._make(self.scope, self.K, self.h, self.g - self.log_integral)
 
     def log_value(self, x: npt.ArrayLike) -> Array:
-        """Ln C(x) at stacked values x, (..., n)."""
+        """The value ln C(x) at stacked values x, (..., n)."""
         x = np.asarray(x, dtype=float)
         return inner(self.h, x) - 0.5 * inner(apply(self.K, x), x) + self.g
 

@@ -41,7 +41,7 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
         due = sensors_due(plan.sensors, later)
         if due:
             h_matrix, residual, reading_noise, missing = stack(due, later, predicted)
-            matrix, offset, noise, likelihood = _absorb(
+            matrix, offset, noise, likelihood = _into_transition(
                 matrix, noise, h_matrix, residual, reading_noise, missing
             )
         shift = offset + predicted - filtered
@@ -49,7 +49,7 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
             select @ matrix, apply(select, shift), sandwich(select, noise), *message
         )
         if likelihood is not None:
-            message = tuple(a + b for a, b in zip(message, likelihood, strict=True))  # type: ignore[assignment]
+            message = canonical.product(message, likelihood)
         messages.append(message)
     return [
         canonical.shift(*message, forward.mean[step][..., states])
@@ -57,7 +57,7 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
     ]
 
 
-def _absorb(
+def _into_transition(
     matrix: Array,
     noise: Array,
     h_matrix: Array,

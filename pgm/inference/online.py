@@ -49,7 +49,7 @@ class OnlineBelief:
 
     @property
     def log_evidence(self) -> Array:
-        """Ln p of all readings so far, (...)."""
+        """The value ln p of all readings so far, (...)."""
         return self.log_density.reshape(self.lead)
 
     def __getitem__(self, variable: Variable) -> Gaussian:

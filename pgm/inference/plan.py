@@ -1,7 +1,8 @@
 """Plans: what a schedule on a chain will do, laid out once, before any number flows.
 
-A sweep is a list of rounds, one a step; a round is a few batched kernel calls on rows of arrays
-that have the time axis first and the runs second.
+A sweep goes through rounds, one a step; a round is a few batched kernel calls on rows of arrays
+that have the time axis first and the runs second. Reversing a chain, and relinearising it, is one
+round for all steps.
 """
 
 from __future__ import annotations

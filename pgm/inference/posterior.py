@@ -1,4 +1,4 @@
-"""What inference returns: beliefs over time, and every message that was sent."""
+"""What inference returns: beliefs over time, read as moments, and messages as canonical forms."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Posterior:
 
     @property
     def log_evidence(self) -> Array:
-        """Ln p(readings), (...): the sum of the innovations' log-densities."""
+        """The value ln p(readings), (...): the sum of the innovations' log-densities."""
         total: Array = self._forward.log_density.sum(axis=0)
         return total.reshape(self._plan.lead)
 

@@ -17,7 +17,7 @@ def wrap(angle: Array) -> Array:
 
 
 def difference(a: Array, b: Array, angles: Mask) -> Array:
-    """A − b, (..., d), with the components that are angles wrapped to [−π, π)."""
+    """The difference a − b, (..., d), with the components that are angles wrapped to [−π, π)."""
     delta = np.asarray(a - b)
     if angles.any():
         delta[..., angles] = wrap(delta[..., angles])

@@ -1,4 +1,4 @@
-"""Small helpers for stacks of vectors and matrices."""
+"""Types and small operations for stacks of vectors and matrices."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ def backward(
 
 
 def _split(root: Array, vector: Array) -> tuple[Array, Array]:
-    """Q and r with vector = R q + r, where r is zero if the vector lies in the range of R."""
+    """The q and r with vector = R q + r, where r is zero for a vector in the range of R."""
     fixed = roots.determined(root)
     found = roots.solve_lower(root, _column(vector))[..., 0]
     q = np.where(fixed, 0.0, found)
@@ -180,6 +180,11 @@ def _backward_indefinite(
     )
     back = transpose(matrix) @ (precision - transpose(white) @ white) @ matrix
     return symmetric(back), apply(transpose(matrix), solved), log_integral
+
+
+def product(a: Canonical, b: Canonical) -> Canonical:
+    """The product of two forms over the same variables."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def combine(

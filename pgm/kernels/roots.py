@@ -77,7 +77,7 @@ def _regular(lower: Array, fixed: Mask) -> Array:
 
 
 def solve_lower(lower: Array, right: Array) -> Array:
-    """Y with L Y = B, (..., n, m); in rows of determined components, what is left of B there.
+    """The Y with L Y = B, (..., n, m); in rows of determined components, what is left of B there.
 
     For a B in the range of L Lᵀ what is left is zero up to rounding.
     """
@@ -95,7 +95,7 @@ def solve_lower(lower: Array, right: Array) -> Array:
 
 
 def solve_upper(lower: Array, right: Array) -> Array:
-    """X with Lᵀ X = B, (..., n, m), zero in rows of determined components."""
+    """The X with Lᵀ X = B, (..., n, m), zero in rows of determined components."""
     fixed = determined(lower)
     regular = _regular(lower, fixed)
     if fixed.any():
@@ -114,7 +114,7 @@ def solve_upper(lower: Array, right: Array) -> Array:
 
 
 def solve(lower: Array, right: Array) -> Array:
-    """An X with L Lᵀ X = B, (..., n, m), for a B in the range of L Lᵀ."""
+    """Some X with L Lᵀ X = B, (..., n, m), for a B in the range of L Lᵀ."""
     return solve_upper(lower, solve_lower(lower, right))
 
 
@@ -124,7 +124,7 @@ def gain(cross: Array, lower: Array) -> Array:
 
 
 def log_determinant(lower: Array) -> Array:
-    """Ln |L Lᵀ| over the components that are not determined, (...)."""
+    """The value ln |L Lᵀ| over the components that are not determined, (...)."""
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)
     total: Array = np.log(np.where(pivots == 0.0, 1.0, pivots)).sum(axis=-1)
     return 2.0 * total
