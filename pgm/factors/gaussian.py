@@ -173,7 +173,9 @@ class Gaussian(Immutable):
         return self.mean + apply(roots.root(self.cov), noise)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
-        """The log-density ln N(x; mean, cov), (...), at values (..., n); differences of angles are wrapped.
+        """The log-density ln N(x; mean, cov), (...), at values (..., n).
+
+        Differences of angles are wrapped.
 
         Raises
         ------
