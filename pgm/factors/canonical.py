@@ -237,6 +237,33 @@ class CanonicalForm(Immutable):
         mean, cov, _ = self._moments()
         return Gaussian._make(self.scope, mean, cov)
 
+    def combine(self, gaussian: Gaussian) -> tuple[Gaussian, Array]:
+        """The product N(x; m, P) C(x; K, h, g) in moment form, and its log-integral, (...).
+
+        P may be singular and is never inverted: for a root P = L Lᵀ the covariance is
+        P⁺ = L (I + LᵀK L)⁻¹ Lᵀ and the mean m + P⁺ (h − K m).
+
+        Raises
+        ------
+        ModelError
+            If the scopes differ.
+        NumericalError
+            If the product has no integral, which only an indefinite K can bring about.
+        """
+        if set(gaussian.scope) != set(self.scope):
+            raise ModelError(
+                f"combine takes a Gaussian over {names(self.scope)}, not {names(gaussian.scope)}"
+            )
+        form = self.rearrange(gaussian.scope)
+        mean, cov, log_integral = kernel.combine(
+            gaussian.mean, gaussian.cov, form.K, form.h, form.g
+        )
+        if np.isnan(log_integral).any():
+            raise NumericalError(
+                f"the product of a Gaussian and a factor over {names(self.scope)} has no integral"
+            )
+        return Gaussian._make(gaussian.scope, mean, cov), log_integral
+
     def normalised(self) -> CanonicalForm:
         """The factor divided by its integral."""
         return self._make(self.scope, self.K, self.h, self.g - self.log_integral)
