@@ -247,9 +247,8 @@ class Gaussian(Immutable):
                     f"{names(self.scope)} has no single component {label!r}; it has {labels}"
                 )
         i, j = (labels.index(label) for label in pair)
-        values, vectors = np.linalg.eigh(self.cov[..., [[i], [j]], [i, j]])
-        half_axes = np.sqrt(-2.0 * np.log1p(-confidence) * np.maximum(values[..., ::-1], 0.0))
-        orientation = np.arctan2(vectors[..., 1, 1], vectors[..., 0, 1])
+        variances, orientation = moments.principal_axes(self.cov[..., [[i], [j]], [i, j]])
+        half_axes = np.sqrt(-2.0 * np.log1p(-confidence) * variances)
         return Ellipse(self.mean[..., [i, j]], half_axes, orientation)
 
     def __repr__(self) -> str:

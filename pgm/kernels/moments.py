@@ -148,6 +148,12 @@ def log_density(residual: Array, cov: Array) -> Array:
     return np.where(singular, np.nan, value)
 
 
+def principal_axes(cov: Array) -> tuple[Array, Array]:
+    """Variances along the axes of (..., 2, 2), the larger first, and the angle of the first."""
+    values, vectors = np.linalg.eigh(cov)
+    return np.maximum(values[..., ::-1], 0.0), np.arctan2(vectors[..., 1, 1], vectors[..., 0, 1])
+
+
 def kl(difference: Array, cov: Array, other_cov: Array) -> Array:
     """KL(N(μ, cov) ‖ N(μ', other_cov)) for μ' − μ = difference (8.4); NaN where it is undefined."""
     lower, other = roots.root(cov), roots.root(other_cov)

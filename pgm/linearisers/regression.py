@@ -12,6 +12,7 @@ from pgm.errors import NumericalError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, apply, transpose
+from pgm.kernels.regression import range_inverse, regress
 from pgm.linearisers.function import BoundFunction
 
 
@@ -78,23 +79,9 @@ class StatisticalRegression(ABC):
             at.mean.shape[-1], function.name, function.step
         )
         offset, value = self._values(function, at, s @ transpose(lower), centred)
-        mean_offset = mean_weights @ offset
-        deviation = offset - mean_offset[..., None, :]
-        s_mean = mean_weights @ s
-        ds = s - s_mean[..., None, :]
-        unused = roots.determined(lower)
-        if unused.any():  # x does not vary with these, whatever a sample says
-            ds = np.where(unused[..., None, :], 0.0, ds)
-        weighted = cov_weights[:, None] * ds
-        normal, moment = transpose(weighted) @ ds, transpose(weighted) @ deviation
-        if unused.any():
-            normal = normal + unused[..., None] * np.eye(unused.shape[-1])
-        slope = transpose(np.asarray(np.linalg.solve(normal, moment), dtype=np.float64))
-        left = deviation - ds @ transpose(slope)
-        noise = transpose(cov_weights[:, None] * left) @ left
+        slope, centre, noise = regress(s, offset, mean_weights, cov_weights, lower)
         matrix = _divide(slope, lower, function, at)
-        centre = value + mean_offset - apply(slope, s_mean)
-        return AffineGaussian(matrix, centre - apply(matrix, at.mean), noise)
+        return AffineGaussian(matrix, value + centre - apply(matrix, at.mean), noise)
 
     @staticmethod
     def _values(
@@ -127,8 +114,5 @@ def _divide(slope: Array, lower: Array, function: BoundFunction, at: Gaussian) -
     if not fixed.any():
         return transpose(roots.solve_upper(lower, transpose(slope)))
     std = at.std
-    unit = np.where(std > 0.0, std, 1.0)
-    scaled = lower / unit[..., None]
-    inverse = np.linalg.pinv(scaled, rcond=1e-10) / unit[..., None, :]
-    null = np.eye(lower.shape[-1]) - lower @ inverse
+    inverse, null = range_inverse(lower, std)
     return slope @ inverse + function.jacobian(at.mean, std) @ null

@@ -1,0 +1,42 @@
+"""Weighted linear regression on sigma points, stacked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, apply, transpose
+
+
+def regress(
+    s: Array, values: Array, mean_weights: Array, cov_weights: Array, lower: Array
+) -> tuple[Array, Array, Array]:
+    """The line through values (..., N, d) at points s (..., N, n) of N(0, I).
+
+    Returns the slope J (..., d, n), the line's value at s = 0, (..., d), and the covariance of what
+    the line leaves, (..., d, d). Components of s that a root L does not use have no part in it: x
+    does not vary with them, whatever a sample says.
+    """
+    value_mean, s_mean = mean_weights @ values, mean_weights @ s
+    deviation, ds = values - value_mean[..., None, :], s - s_mean[..., None, :]
+    unused = roots.determined(lower)
+    if unused.any():
+        ds = np.where(unused[..., None, :], 0.0, ds)
+    weighted = cov_weights[:, None] * ds
+    normal, moment = transpose(weighted) @ ds, transpose(weighted) @ deviation
+    if unused.any():
+        normal = normal + unused[..., None] * np.eye(unused.shape[-1])
+    slope = transpose(np.asarray(np.linalg.solve(normal, moment), dtype=np.float64))
+    left = deviation - ds @ transpose(slope)
+    noise = transpose(cov_weights[:, None] * left) @ left
+    return slope, value_mean - apply(slope, s_mean), noise
+
+
+def range_inverse(lower: Array, std: Array) -> tuple[Array, Array]:
+    """A pseudo-inverse of a root, and the projector onto what it does not reach.
+
+    Components are measured in their own standard deviations, so that units do not matter.
+    """
+    unit = np.where(std > 0.0, std, 1.0)
+    inverse = np.linalg.pinv(lower / unit[..., None], rcond=1e-10) / unit[..., None, :]
+    return inverse, np.eye(lower.shape[-1]) - lower @ inverse
