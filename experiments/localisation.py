@@ -74,7 +74,7 @@ def simulate(
 
 def compare(
     network: pgm.DynamicBayesianNetwork, drive: simulation.Drive
-) -> tuple[dict[str, dict[str, dict[str, float]]], dict[str, pgm.Posterior]]:
+) -> tuple[dict[str, dict[str, dict[str, float]]], dict[str, pgm.ChainPosterior]]:
     """Errors of the filter and the smoother by lineariser, and the smoothed posteriors."""
     results: dict[str, dict[str, dict[str, float]]] = {
         key: {name: {} for name in LINEARISERS}
@@ -129,7 +129,9 @@ def _graph_figure(network: pgm.DynamicBayesianNetwork, steps: int) -> Figure:
     return figure
 
 
-def _trajectory_figure(posteriors: dict[str, pgm.Posterior], drive: simulation.Drive) -> Figure:
+def _trajectory_figure(
+    posteriors: dict[str, pgm.ChainPosterior], drive: simulation.Drive
+) -> Figure:
     figure, axes = plt.subplots(
         1, len(posteriors), figsize=(13, 5.2), sharex=True, sharey=True, layout="constrained"
     )
@@ -151,7 +153,7 @@ def _trajectory_figure(posteriors: dict[str, pgm.Posterior], drive: simulation.D
     return figure
 
 
-def _error_figure(posteriors: dict[str, pgm.Posterior], drive: simulation.Drive) -> Figure:
+def _error_figure(posteriors: dict[str, pgm.ChainPosterior], drive: simulation.Drive) -> Figure:
     posterior = posteriors["Unscented"]
     figure, axes = plt.subplots(
         3, 2, figsize=(11, 6.5), sharex=True, sharey="row", layout="constrained"

@@ -70,7 +70,7 @@ def run(
 
 def localise(
     log: Log, setting: Setting, name: str
-) -> tuple[dict[str, Any], dict[str, pgm.Posterior]]:
+) -> tuple[dict[str, Any], dict[str, pgm.ChainPosterior]]:
     """Position RMSE of dead reckoning, and of each lineariser's filter and smoother."""
     model = networks.range_only(
         start=log.truth[0],
@@ -96,7 +96,7 @@ def localise(
     return results, posteriors
 
 
-def _path_figure(log: Log, posterior: pgm.Posterior, name: str) -> Figure:
+def _path_figure(log: Log, posterior: pgm.ChainPosterior, name: str) -> Figure:
     figure, axes = plt.subplots(
         1, 2, figsize=(12, 6), sharex=True, sharey=True, layout="constrained"
     )
@@ -112,7 +112,7 @@ def _path_figure(log: Log, posterior: pgm.Posterior, name: str) -> Figure:
     return figure
 
 
-def _error_figure(log: Log, posterior: pgm.Posterior, name: str) -> Figure:
+def _error_figure(log: Log, posterior: pgm.ChainPosterior, name: str) -> Figure:
     figure, axes = plt.subplots(
         2, 2, figsize=(12, 5.5), sharex=True, sharey=True, layout="constrained"
     )

@@ -5,7 +5,7 @@ from types import ModuleType
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.compile import compile
-from pgm.cpds import GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD, noise
+from pgm.cpds import GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD, TableCPD, noise
 from pgm.errors import (
     EvidenceError,
     GraphError,
@@ -15,12 +15,17 @@ from pgm.errors import (
     PgmError,
 )
 from pgm.evidence import constant, sightings
-from pgm.factors import AffineGaussian, CanonicalForm, Gaussian
+from pgm.factors import AffineGaussian, CanonicalForm, Gaussian, Table
 from pgm.inference import (
+    Calibration,
+    ChainPosterior,
     Filtering,
+    Flooding,
     OnlineBelief,
     OnlineFilter,
     Posterior,
+    Residual,
+    Sequential,
     Smoothing,
     Status,
     filter,
@@ -36,8 +41,8 @@ from pgm.linearisers import (
     Taylor,
     Unscented,
 )
-from pgm.networks import DynamicBayesianNetwork
-from pgm.variables import Variable, variables
+from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
+from pgm.variables import Discrete, Variable, variables
 
 __version__ = "0.1.0"
 
@@ -51,13 +56,18 @@ def __getattr__(name: str) -> ModuleType:
 
 __all__ = [
     "AffineGaussian",
+    "BayesianNetwork",
+    "Calibration",
     "CanonicalForm",
+    "ChainPosterior",
     "Cluster",
     "ClusterGraph",
     "Cubature",
+    "Discrete",
     "DynamicBayesianNetwork",
     "EvidenceError",
     "Filtering",
+    "Flooding",
     "Gaussian",
     "GaussianCPD",
     "GraphError",
@@ -72,10 +82,14 @@ __all__ = [
     "OnlineFilter",
     "PgmError",
     "Posterior",
+    "Residual",
+    "Sequential",
     "Smoothing",
     "Stamped",
     "StatisticalRegression",
     "Status",
+    "Table",
+    "TableCPD",
     "Taylor",
     "Timeline",
     "Unscented",

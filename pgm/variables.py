@@ -1,4 +1,4 @@
-"""Random variables: a name, named components, which of them are angles, and a step in time."""
+"""Random variables: a name, named components or states, and a step in time."""
 
 from __future__ import annotations
 
@@ -106,23 +106,105 @@ class Variable:
         """The same variable one step before."""
         if self.step is not None:
             return self.at(self.step - 1)
-        return replace(self, lag=self.lag + 1)
+        return self._moved(None, self.lag + 1)
 
     @property
     def template(self) -> Variable:
         """The variable without a step or lag, which stands for all its copies."""
-        return replace(self, step=None, lag=0)
+        return self._moved(None, 0)
 
     def at(self, step: int) -> Variable:
         """The copy at a step; for a template with a lag, that many steps before it."""
         if not isinstance(step, int | np.integer):
             raise ModelError(f"{self!r}.at({step!r}): a step is a whole number", variable=self)
-        return replace(self, step=int(step) - self.lag, lag=0)
+        return self._moved(int(step) - self.lag, 0)
+
+    def _moved(self, step: int | None, lag: int) -> Variable:
+        return replace(self, step=step, lag=lag)
 
     def __repr__(self) -> str:
         if self.step is not None:
             return f"{self.name}[{self.step}]"
         return f"{self.name}[t-{self.lag}]" if self.lag else self.name
+
+
+@dataclass(frozen=True, slots=True, init=False, repr=False)
+class Discrete(Variable):
+    """A random variable with finitely many named states.
+
+    Parameters
+    ----------
+    name : str
+        Two different variables of one network may not share it.
+    states : tuple of str, or int
+        Names of the states, in order; a number n stands for ``"0"`` to ``"n−1"``.
+    step, lag : int, optional
+        As of a `Variable`.
+
+    Raises
+    ------
+    ModelError
+        If there is no state, or names repeat.
+
+    Examples
+    --------
+    >>> rain = Discrete("rain", states=("no", "yes"))
+    >>> rain.size, rain.index("yes")
+    (2, 1)
+    """
+
+    states: tuple[str, ...] = ()
+
+    def __init__(
+        self, name: str, states: Iterable[str] | int, *, step: int | None = None, lag: int = 0
+    ) -> None:
+        for field, value in (("name", name), ("step", step), ("lag", lag)):
+            object.__setattr__(self, field, value)
+        object.__setattr__(self, "components", ())
+        object.__setattr__(self, "angles", ())
+        Variable.__post_init__(self)
+        if isinstance(states, int | np.integer) and not isinstance(states, bool):
+            states = map(str, range(states))
+        known = isinstance(states, Iterable) and not isinstance(states, str)
+        found = tuple(states) if known else ()  # type: ignore[arg-type]
+        if not found or not all(isinstance(state, str) for state in found):
+            raise ModelError(
+                f"variable {name}: states must be a tuple of one or more names, or their number, "
+                f"not {states!r}",
+                variable=self,
+            )
+        if len(set(found)) < len(found):
+            twice = next(state for state in found if found.count(state) > 1)
+            raise ModelError(
+                f"variable {name}: two states are called {twice!r}; give each a name of its own",
+                variable=self,
+            )
+        object.__setattr__(self, "states", found)
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return len(self.states)
+
+    def index(self, state: str | int) -> int:
+        """The index of a state, given by name or index.
+
+        Raises
+        ------
+        ModelError
+            If there is no such state.
+        """
+        if isinstance(state, str) and state in self.states:
+            return self.states.index(state)
+        whole = isinstance(state, int | np.integer) and not isinstance(state, bool)
+        if whole and 0 <= int(state) < self.size:
+            return int(state)
+        raise ModelError(
+            f"{self!r} has no state {state!r}; its states are {self.states}", variable=self
+        )
+
+    def _moved(self, step: int | None, lag: int) -> Discrete:
+        return Discrete(self.name, self.states, step=step, lag=lag)
 
 
 def variables(names: str | Iterable[str]) -> tuple[Variable, ...]:

@@ -12,11 +12,10 @@ from pgm.clustergraph.checks import Edge
 from pgm.compile.layout import SliceLayout
 from pgm.errors import GraphError, ModelError
 from pgm.factors.scope import Scope
-from pgm.immutable import Immutable
 from pgm.networks import DynamicBayesianNetwork
 
 
-class SliceGraph(Immutable, ClusterGraph):
+class SliceGraph(ClusterGraph):
     """The chain of clusters 0..T of a dynamic network.
 
     Cluster 0 holds the states at step 0, the prior and the families of the sensors; cluster t

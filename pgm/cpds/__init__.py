@@ -1,16 +1,19 @@
 """Conditional probability distributions."""
 
-from pgm.cpds.base import CPD
+from pgm.cpds.base import CPD, ConditionalGaussian
 from pgm.cpds.linear import AffineCPD, GaussianCPD, LinearGaussianCPD
 from pgm.cpds.noise import Noise, noise
 from pgm.cpds.nonlinear import NonlinearGaussianCPD
+from pgm.cpds.table import TableCPD
 
 __all__ = [
     "CPD",
     "AffineCPD",
+    "ConditionalGaussian",
     "GaussianCPD",
     "LinearGaussianCPD",
     "Noise",
     "NonlinearGaussianCPD",
+    "TableCPD",
     "noise",
 ]

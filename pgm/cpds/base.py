@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
+from typing import Any, ClassVar, Self
 
 import numpy.typing as npt
 
@@ -11,7 +13,7 @@ from pgm.errors import ModelError
 from pgm.factors.scope import Scope, as_scope
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 
 class CPD(Immutable):
@@ -21,23 +23,18 @@ class CPD(Immutable):
     ----------
     child : Variable
     given : tuple of Variable
-        The parents, in the order of the function's arguments.
-    cov : ndarray or Noise
-        Covariance of the noise.
+        The parents, in the order of the function's arguments or the table's axes.
+    origin : CPD
+        The CPD of which this one is a copy at another step (see `at`); itself, if of none.
     """
 
     child: Variable
     given: Scope
-    cov: Array | Noise
+    # What kind of variables a CPD is about: mixed networks are not supported.
+    discrete: ClassVar[bool] = False
+    _origin: CPD | None = None
 
-    def _set_family(
-        self,
-        child: Variable,
-        given: Iterable[Variable],
-        cov: npt.ArrayLike | Noise,
-        *,
-        lead: bool = False,
-    ) -> None:
+    def _set_scope(self, child: Variable, given: Iterable[Variable]) -> None:
         if not isinstance(child, Variable):
             raise ModelError(f"a CPD's child is a variable, not {child!r}")
         if child.lag:
@@ -51,13 +48,21 @@ class CPD(Immutable):
                 f"{child!r} is given as its own parent; did you mean {child.name}.previous?",
                 variable=child,
             )
+        for variable in (child, *given):
+            if isinstance(variable, Discrete) != self.discrete:
+                found = "continuous" if self.discrete else "discrete"
+                advice = "a Gaussian CPD" if self.discrete else "a TableCPD"
+                raise ModelError(
+                    f"{type(self).__name__} of {child!r}: {variable!r} is {found}; networks of "
+                    f"both kinds are not supported, and {found} variables alone take {advice}",
+                    variable=variable,
+                )
         self._set(child=child, given=given)
-        self._set(cov=cov if isinstance(cov, Noise) else as_covariance(child, cov, lead=lead))
 
     @property
     def noise_given(self) -> Scope:
         """The parents that the noise covariance depends on."""
-        return self.cov.given if isinstance(self.cov, Noise) else ()
+        return ()
 
     @property
     def parents(self) -> Scope:
@@ -69,6 +74,55 @@ class CPD(Immutable):
         """The family: the child and its parents."""
         return (self.child, *self.parents)
 
+    @property
+    def origin(self) -> CPD:
+        """The CPD of which this one is a copy; itself, if of none."""
+        return self._origin or self
+
+    def at(self, step: int) -> Self:
+        """The copy for a concrete step, of a CPD declared for every step."""
+        placed = copy.copy(self)
+        placed._set(**self._placed(step), _origin=self.origin)
+        return placed
+
+    def _placed(self, step: int) -> dict[str, Any]:
+        """What a copy at a step has in place of the attributes of this one."""
+        return {"child": self.child.at(step), "given": tuple(v.at(step) for v in self.given)}
+
     def __repr__(self) -> str:
         parents = ", ".join(map(repr, self.parents))
         return f"{type(self).__name__}({self.child!r}{' | ' if parents else ''}{parents})"
+
+
+class ConditionalGaussian(CPD):
+    """A CPD that is a function of the parents plus Gaussian noise.
+
+    Attributes
+    ----------
+    cov : ndarray or Noise
+        Covariance of the noise.
+    """
+
+    cov: Array | Noise
+
+    def _set_family(
+        self,
+        child: Variable,
+        given: Iterable[Variable],
+        cov: npt.ArrayLike | Noise,
+        *,
+        lead: bool = False,
+    ) -> None:
+        self._set_scope(child, given)
+        self._set(cov=cov if isinstance(cov, Noise) else as_covariance(child, cov, lead=lead))
+
+    @property
+    def noise_given(self) -> Scope:
+        """The parents that the noise covariance depends on."""
+        return self.cov.given if isinstance(self.cov, Noise) else ()
+
+    def _placed(self, step: int) -> dict[str, Any]:
+        placed = super()._placed(step)
+        if isinstance(self.cov, Noise):
+            placed["cov"] = Noise(self.cov.function, tuple(v.at(step) for v in self.cov.given))
+        return placed

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pgm.cpds.base import CPD
+from pgm.cpds.base import ConditionalGaussian
 from pgm.cpds.noise import Noise
 from pgm.errors import ModelError
 from pgm.factors.scope import as_value
@@ -16,7 +17,7 @@ from pgm.kernels.arrays import Array, apply, frozen
 from pgm.variables import Variable
 
 
-class AffineCPD(CPD):
+class AffineCPD(ConditionalGaussian):
     """A CPD with mean Σ F_p p + offset over its parents p: exact without a lineariser.
 
     Attributes
@@ -41,6 +42,10 @@ class AffineCPD(CPD):
             if parent not in hidden:
                 offset = offset + apply(self.matrices[parent], inputs[parent])
         return matrix, offset
+
+    def _placed(self, step: int) -> dict[str, Any]:
+        matrices = {parent.at(step): matrix for parent, matrix in self.matrices.items()}
+        return super()._placed(step) | {"matrices": MappingProxyType(matrices)}
 
 
 def _finite(child: Variable, value: Array, what: str) -> Array:

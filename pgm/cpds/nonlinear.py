@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from pgm.cpds.base import CPD
+from pgm.cpds.base import ConditionalGaussian
 from pgm.cpds.noise import Noise
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope
@@ -16,7 +16,7 @@ from pgm.linearisers import FunctionTemplate, Lineariser
 from pgm.variables import Variable
 
 
-class NonlinearGaussianCPD(CPD):
+class NonlinearGaussianCPD(ConditionalGaussian):
     """A Gaussian density about a function: y = f(*given) + n, n ~ N(0, cov).
 
     Parameters
@@ -91,6 +91,10 @@ class NonlinearGaussianCPD(CPD):
             lineariser=lineariser,
             grouped=bool(grouped),
         )
+
+    def _placed(self, step: int) -> dict[str, Any]:
+        jacobian = {parent.at(step): derivative for parent, derivative in self.jacobian.items()}
+        return super()._placed(step) | {"jacobian": MappingProxyType(jacobian)}
 
     def _template(self, hidden: Scope) -> FunctionTemplate:
         return FunctionTemplate(

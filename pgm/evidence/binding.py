@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pgm.cpds import CPD
+from pgm.cpds import ConditionalGaussian
 from pgm.errors import EvidenceError
 from pgm.evidence.arrays import as_rows, as_steps, require_finite, require_readings
 from pgm.evidence.bound import BoundEvidence, Inputs, Reading, flat, flat_reading
@@ -17,8 +17,8 @@ from pgm.variables import Variable
 
 
 def bind(
-    transition: Sequence[CPD],
-    observation: Sequence[CPD],
+    transition: Sequence[ConditionalGaussian],
+    observation: Sequence[ConditionalGaussian],
     evidence: Evidence,
     steps: int | None,
     lead: tuple[int, ...] = (),
@@ -56,8 +56,8 @@ class _Binder:
 
     def __init__(
         self,
-        transition: Sequence[CPD],
-        observation: Sequence[CPD],
+        transition: Sequence[ConditionalGaussian],
+        observation: Sequence[ConditionalGaussian],
         evidence: Evidence,
         steps: int | None,
         lead: tuple[int, ...],
@@ -78,7 +78,7 @@ class _Binder:
         self.steps = self._length(steps)
         self.shapes: list[tuple[str, tuple[int, ...]]] = [("the model's priors", lead)]
 
-    def bind(self, transition: Sequence[CPD]) -> BoundEvidence:
+    def bind(self, transition: Sequence[ConditionalGaussian]) -> BoundEvidence:
         span = np.arange(1, self.steps + 1)
         self._check_inputs()
         inputs = [self._inputs(cpd, {}, span) for cpd in transition]
@@ -101,7 +101,7 @@ class _Binder:
             tuple(flat_reading(reading, lead) for reading in readings),
         )
 
-    def _check_known(self, cpds: Sequence[CPD]) -> None:
+    def _check_known(self, cpds: Sequence[ConditionalGaussian]) -> None:
         known = {v for cpd in cpds for v in cpd.scope}
         for variable in self.evidence:
             if variable in self.hidden:
@@ -187,7 +187,7 @@ class _Binder:
 
     def _inputs(
         self,
-        cpd: CPD,
+        cpd: ConditionalGaussian,
         given: Mapping[Variable, Any],
         step: Integers,
         order: Integers | None = None,

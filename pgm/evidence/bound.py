@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.cpds import CPD
+from pgm.cpds import ConditionalGaussian
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.variables import Variable
 
@@ -36,7 +36,7 @@ class Reading:
         Values of the sensor's observed parents, (M, runs or 1, d).
     """
 
-    cpd: CPD
+    cpd: ConditionalGaussian
     step: Integers
     order: Integers
     values: Array

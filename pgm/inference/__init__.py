@@ -1,20 +1,35 @@
 """Inference: schedules of messages, and what they leave."""
 
+from pgm.inference.chain.innovations import Innovations
+from pgm.inference.chain.marginals import Marginals
+from pgm.inference.chain.online import OnlineBelief, OnlineFilter
+from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.engine import filter, infer, smooth
-from pgm.inference.innovations import Innovations
-from pgm.inference.marginals import Marginals
-from pgm.inference.online import OnlineBelief, OnlineFilter
 from pgm.inference.posterior import Posterior
-from pgm.inference.schedule import Filtering, Schedule, Smoothing, Status
+from pgm.inference.schedule import (
+    Calibration,
+    Filtering,
+    Flooding,
+    Residual,
+    Schedule,
+    Sequential,
+    Smoothing,
+    Status,
+)
 
 __all__ = [
+    "Calibration",
+    "ChainPosterior",
     "Filtering",
+    "Flooding",
     "Innovations",
     "Marginals",
     "OnlineBelief",
     "OnlineFilter",
     "Posterior",
+    "Residual",
     "Schedule",
+    "Sequential",
     "Smoothing",
     "Status",
     "filter",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.cpds import CPD, AffineCPD, Noise, NonlinearGaussianCPD
+from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD
 from pgm.cpds.noise import evaluate
 from pgm.errors import LinearisationError, ModelError, PgmError
 from pgm.factors import AffineGaussian, Gaussian
@@ -44,7 +44,7 @@ class Family:
         (rows, runs, d, d): the CPD's own and the lineariser's error.
     """
 
-    cpd: CPD
+    cpd: ConditionalGaussian
     hidden: Scope
     step: Integers
     inputs: Mapping[Variable, Array]
@@ -59,7 +59,7 @@ class Family:
     @classmethod
     def make(
         cls,
-        cpd: CPD,
+        cpd: ConditionalGaussian,
         hidden: Scope,
         step: Integers,
         inputs: Mapping[Variable, Array],
@@ -254,7 +254,10 @@ class Family:
 
 
 def _own_noise(
-    cpd: CPD, step: Integers, inputs: Mapping[Variable, Array], lead: tuple[int, ...]
+    cpd: ConditionalGaussian,
+    step: Integers,
+    inputs: Mapping[Variable, Array],
+    lead: tuple[int, ...],
 ) -> Array:
     """The CPD's own noise covariance, (rows or 1, runs or 1, d, d)."""
     size = cpd.child.dimension

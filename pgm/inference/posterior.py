@@ -1,240 +1,62 @@
-"""What inference returns: beliefs over time, read as moments, and messages as canonical forms."""
+"""What inference returns, whatever the network."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
+from abc import ABC, abstractmethod
 
-import numpy as np
-
-from pgm.clustergraph import Cluster
-from pgm.compile import SliceGraph
-from pgm.errors import EvidenceError, GraphError, NumericalError
-from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import Scope, as_scope, names, positions
-from pgm.inference import backward
-from pgm.inference.backward import Beliefs, Reverse
-from pgm.inference.forward import Forward
-from pgm.inference.information import backward_messages
-from pgm.inference.innovations import BySensor, Innovations, innovations
-from pgm.inference.marginals import Marginals, require_variable
-from pgm.inference.plan import ChainPlan
+from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.errors import EvidenceError
+from pgm.factors import CanonicalForm, Gaussian, Table
 from pgm.inference.schedule import Status
-from pgm.kernels import canonical
-from pgm.kernels.arrays import Array, block
+from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
-    """The beliefs of a chain of clusters after a schedule of messages.
+class Posterior(ABC):
+    """The beliefs of a cluster graph after a schedule of messages; leading axes are runs.
 
-    ``posterior[x]`` is a stacked `Gaussian`: states at steps 0..T, hidden controls at 1..T
-    (``.steps`` says); ``posterior[x.at(3)]`` is that of one step. Leading axes are runs.
+    Marginals and joints are a `Gaussian` for continuous variables, a `Table` for discrete ones;
+    messages and cluster beliefs are a `CanonicalForm` or a `Table`, unnormalised.
 
     Attributes
     ----------
-    graph : SliceGraph
+    graph : ClusterGraph
     status : Status
-        Linearisations, residuals, and whether they converged.
-    log_evidence_kind : str
-        ``exact``; ``linearised``, of the linearised model; or ``laplace``, at the fixed point of
-        Taylor relinearisation.
+        Iterations, residuals, and whether they converged.
     """
 
-    graph: SliceGraph
+    graph: ClusterGraph
     status: Status
-    _plan: ChainPlan
-    _forward: Forward
-    _smoothed: Beliefs | None
-    _reverse_given: Reverse | None
 
-    def __getitem__(self, variable: Variable) -> Gaussian:
-        """The marginal of a hidden variable, at all its steps or at one."""
-        if require_variable(variable).template in self.graph.model.inputs:
-            raise EvidenceError(
-                f"{variable!r} is observed: its value is its evidence", variable=variable
-            )
-        return self._marginals(self._beliefs)[variable]
+    @abstractmethod
+    def __getitem__(self, variable: Variable) -> Gaussian | Table:
+        """The marginal of a variable without evidence."""
 
-    def _marginals(self, beliefs: Beliefs) -> Marginals:
-        return Marginals(self.graph.layout, beliefs, self._plan.lead)
+    @abstractmethod
+    def joint(self, *variables: Variable) -> Gaussian | Table:
+        """The joint of some variables, in the order given."""
 
-    @property
-    def _beliefs(self) -> Beliefs:
-        return self._smoothed or Beliefs(self._forward.mean, self._forward.cov)
+    @abstractmethod
+    def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm | Table:
+        """The message from one cluster to a neighbour, over their sepset, unnormalised."""
+
+    @abstractmethod
+    def belief(self, cluster: int | Cluster) -> CanonicalForm | Table:
+        """The belief of a cluster over its variables without evidence, unnormalised."""
 
     @property
-    def predicted(self) -> Marginals:
-        """Marginals given the readings before each step."""
-        return self._marginals(Beliefs(self._forward.predicted_mean, self._forward.predicted_cov))
-
-    @property
-    def filtered(self) -> Marginals:
-        """Marginals given the readings up to each step: the forward pass."""
-        return self._marginals(Beliefs(self._forward.mean, self._forward.cov))
-
-    @cached_property
-    def innovations(self) -> Mapping[Variable, Innovations]:
-        """The innovations of each sensor with evidence."""
-        return BySensor(
-            {
-                sensor.variable: innovations(sensor, self._forward, self._plan.lead)
-                for sensor in self._plan.sensors
-            }
-        )
-
-    @property
+    @abstractmethod
     def log_evidence(self) -> Array:
-        """The value ln p(readings), (...): the sum of the innovations' log-densities."""
-        total: Array = self._forward.log_density.sum(axis=0)
-        return total.reshape(self._plan.lead)
+        """The value ln p(evidence), (...)."""
 
     @property
+    @abstractmethod
     def log_evidence_kind(self) -> str:
-        """What `log_evidence` is: exact, linearised or laplace."""
-        if self._plan.exact:
-            return "exact"
-        fixed = self._smoothed is not None and bool(self.status.converged.all())
-        taylor = all(family.taylor for family in self._plan.families)
-        return "laplace" if fixed and taylor else "linearised"
+        """What `log_evidence` is: exact, linearised, laplace or bethe."""
 
-    @cached_property
-    def _reverse(self) -> Reverse:
-        return self._reverse_given or Reverse.make(self._plan, self._forward)
 
-    @cached_property
-    def _backward_messages(self) -> list[canonical.Canonical]:
-        return backward_messages(self._plan, self._forward)
-
-    def joint(self, *variables: Variable) -> Gaussian:
-        """The joint of hidden variables at any steps, given what the latest of them knows.
-
-        Parameters
-        ----------
-        *variables : Variable
-            Concrete ones, ``x.at(3)``, in the order of the result.
-        """
-        if not variables:
-            raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
-        for variable in as_scope(variables):
-            if variable.step is None:
-                raise EvidenceError(
-                    f"a joint is of variables at steps; write {variable.name}.at(3)",
-                    variable=variable,
-                )
-            self[variable]
-        slice_ = self.graph.layout.slice
-        runs = self._plan.runs
-        steps = [variable.step for variable in variables if variable.step is not None]
-        places = [positions(slice_, [variable.template]) for variable in variables]
-        starts = np.cumsum([0, *(variable.dimension for variable in variables)])
-        rows = [slice(int(a), int(b)) for a, b in pairwise(starts)]
-        mean = np.empty((runs, starts[-1]))
-        cov = np.empty((runs, starts[-1], starts[-1]))
-        # Going back from each wanted step in turn gives its covariance with all earlier ones.
-        beliefs = self._beliefs
-        latest = max(steps)
-        at: dict[int, tuple[Array, Array]] = {}
-        walk = backward.backwards(self._reverse, latest, beliefs.mean[latest], beliefs.cov[latest])
-        for step, slice_mean, slice_cov, _ in walk:
-            at[step] = slice_mean, slice_cov
-            if step == min(steps):
-                break
-        for i, later in enumerate(steps):
-            mean[:, rows[i]] = at[later][0][:, places[i]]
-            for step, _, _, factor in backward.backwards(self._reverse, later, *at[later]):
-                cross = factor @ at[later][1]
-                for j, earlier in enumerate(steps):
-                    if earlier == step:
-                        part = block(cross, places[j], places[i])
-                        cov[:, rows[j], rows[i]] = part
-                        cov[:, rows[i], rows[j]] = part.swapaxes(-1, -2)
-                if step == min(steps):
-                    break
-        shape = self._plan.lead
-        return Gaussian._make(
-            tuple(variables),
-            mean.reshape(*shape, -1),
-            cov.reshape(*shape, *cov.shape[1:]),
-        )
-
-    def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
-        """The message from one cluster to a neighbour, over their sepset, unnormalised.
-
-        Its g carries the evidence that went into it.
-
-        Raises
-        ------
-        GraphError
-            If the clusters are not joined, or the message was not sent: after filtering there
-            are no backward messages.
-        NumericalError
-            If the message has no canonical form.
-        """
-        source, target = self.graph.index(source), self.graph.index(target)
-        scope = self.graph.sepsets[source, target]
-        if source < target:
-            places = self.graph.layout.state_places
-            weight = self._forward.log_density[: source + 1].sum(axis=0)
-            mean = self._forward.mean[source][:, places]
-            cov = block(self._forward.cov[source], places, places)
-            parts = canonical.from_moments(mean, cov, weight)
-        elif self._smoothed is None:
-            raise GraphError(
-                f"the message from cluster {source} to {target} was not sent: filtering sends "
-                "forward messages only; use pgm.smooth, or schedule=pgm.Smoothing()",
-                cluster=source,
-            )
-        else:
-            parts = self._backward_messages[target]
-        what = f"the message from cluster {source} to {target}"
-        return self._form(scope, parts, what, source)
-
-    def belief(self, cluster: int | Cluster) -> CanonicalForm:
-        """The belief of a cluster over its hidden variables, unnormalised.
-
-        Its integral is the evidence that its messages know: all of it after smoothing.
-
-        Raises
-        ------
-        NumericalError
-            If the belief has no canonical form, since its covariance is singular.
-        """
-        step = self.graph.index(cluster)
-        layout, beliefs = self.graph.layout, self._beliefs
-        known = self._forward.log_density
-        weight = (known if self._smoothed is not None else known[: step + 1]).sum(axis=0)
-        if step:
-            pair = backward.pairs(beliefs, self._reverse, step - 1)
-            scope: Scope = tuple(variable.at(step) for variable in layout.pair)
-            parts = canonical.from_moments(pair.mean, pair.cov, weight)
-        else:
-            places = layout.state_places
-            scope = tuple(variable.at(0) for variable in layout.states)
-            parts = canonical.from_moments(
-                beliefs.mean[0][:, places], block(beliefs.cov[0], places, places), weight
-            )
-        return self._form(scope, parts, f"the belief of cluster {step}", step)
-
-    def _form(
-        self, scope: Scope, parts: canonical.Canonical, what: str, cluster: int
-    ) -> CanonicalForm:
-        if np.isnan(parts[2]).any():
-            raise NumericalError(
-                f"{what}, over {names(scope)}, has no canonical form: its covariance, or that of "
-                "what it is made of, is singular; posterior[...] and joint(...) have its moments",
-                cluster=cluster,
-                step=cluster,
-            )
-        lead = self._plan.lead
-        return CanonicalForm._make(
-            scope, *(part.reshape((*lead, *part.shape[1:])) for part in parts)
-        )
-
-    def __repr__(self) -> str:
-        kind = "filtered" if self._smoothed is None else "smoothed"
-        runs = f", runs {self._plan.lead}" if self._plan.lead else ""
-        return f"Posterior({kind}, steps 0..{self.graph.steps}{runs})"
+def require_variable(variable: Variable) -> Variable:
+    """Refuse what is no variable, such as a name."""
+    if not isinstance(variable, Variable):
+        raise EvidenceError(f"results are asked for by variable, not by {variable!r}: posterior[x]")
+    return variable

@@ -1,4 +1,4 @@
-"""Schedules: which messages a chain sends, and how often its CPDs are linearised."""
+"""Schedules: which messages are sent in which order, and how often CPDs are linearised."""
 
 from __future__ import annotations
 
@@ -8,6 +8,17 @@ import numpy as np
 
 from pgm.errors import ModelError
 from pgm.kernels.arrays import Array, Mask
+
+
+def _require_count(schedule: object, name: str, value: object) -> None:
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < 1:  # type: ignore[operator]
+        raise ModelError(f"{schedule!r}: {name} must be a whole number, 1 or more")
+
+
+def _require_tolerance(schedule: object, tolerance: float) -> None:
+    if not tolerance >= 0.0:
+        raise ModelError(f"{schedule!r}: a tolerance must be 0 or more")
 
 
 @dataclass(frozen=True)
@@ -20,38 +31,98 @@ class Filtering:
 
 
 @dataclass(frozen=True)
-class Smoothing:
-    """Forward and backward messages: each belief knows all readings.
+class Calibration:
+    """Both passes over a tree: towards the root and back, so that each belief knows all evidence.
 
-    The first linearisation is that of the filter. Each further one is of every CPD at the smoothed
-    belief over its hidden parents, all steps in one call, after which messages are sent again
-    from the prior: no reading is counted twice. With `Taylor` that is Gauss–Newton.
+    Without nonlinear CPDs one iteration is exact. The first linearisation of nonlinear ones is at
+    their parents' prior predictive moments, or at a given start; each further one is of every CPD
+    at the belief of its cluster, after which all messages are sent again: no evidence is counted
+    twice. With `Taylor` that is Gauss–Newton.
 
     Parameters
     ----------
     iterations : int
-        Linearisations at the most; 1 is the (extended, unscented) RTS smoother.
+        Linearisations at the most.
     tolerance : float
-        A run stops when no smoothed mean moves by more than this many standard deviations.
+        A run stops when no mean moves by more than this many standard deviations.
     """
 
     iterations: int = 1
     tolerance: float = 1e-9
 
     def __post_init__(self) -> None:
-        whole = isinstance(self.iterations, int | np.integer)
-        if not whole or isinstance(self.iterations, bool) or self.iterations < 1:
-            raise ModelError(
-                f"Smoothing(iterations={self.iterations!r}): iterations count linearisations and "
-                "must be 1 or more"
-            )
-        if not self.tolerance >= 0.0:
-            raise ModelError(
-                f"Smoothing(tolerance={self.tolerance!r}): a tolerance must be 0 or more"
-            )
+        _require_count(self, "iterations, which count linearisations,", self.iterations)
+        _require_tolerance(self, self.tolerance)
 
 
-Schedule = Filtering | Smoothing
+@dataclass(frozen=True)
+class Smoothing(Calibration):
+    """Forward and backward messages: the calibration of a chain, whose beliefs know all readings.
+
+    The first linearisation is that of the filter, so that one iteration is the (extended,
+    unscented) RTS smoother; the later ones are of every CPD at the smoothed belief over its hidden
+    parents, all steps in one call.
+
+    Parameters
+    ----------
+    iterations : int
+        Linearisations at the most.
+    tolerance : float
+        A run stops when no smoothed mean moves by more than this many standard deviations.
+    """
+
+
+@dataclass(frozen=True)
+class Loopy:
+    """What schedules for any graph, trees or not, have in common.
+
+    Messages are sent until none changes: the beliefs of neighbours then agree. On a tree they are
+    exact. On a graph with loops they need not converge; where they do, Gaussian means are exact,
+    variances and log-evidence approximate, and so are all beliefs of discrete variables.
+
+    Parameters
+    ----------
+    tolerance : float
+        A run has converged when no message changes by more than this: in standard deviations of
+        the belief it makes, or in probability.
+    damping : float
+        The share of the old message that is kept, in [0, 1): a new one is the geometric mean.
+    max_iterations : int
+        Iterations at the most; one sends as many messages as the graph has.
+    """
+
+    tolerance: float = 1e-10
+    damping: float = 0.0
+    max_iterations: int = 1000
+
+    def __post_init__(self) -> None:
+        _require_count(self, "max_iterations", self.max_iterations)
+        _require_tolerance(self, self.tolerance)
+        if not 0.0 <= self.damping < 1.0:
+            raise ModelError(f"{self!r}: damping is the share of the old message, in [0, 1)")
+
+
+@dataclass(frozen=True)
+class Flooding(Loopy):
+    """All messages at once, each from the messages of the iteration before."""
+
+
+@dataclass(frozen=True)
+class Sequential(Loopy):
+    """Cluster after cluster, forth and back, each message from the latest ones."""
+
+
+@dataclass(frozen=True)
+class Residual(Loopy):
+    """Always the message that would change most.
+
+    References
+    ----------
+    Elidan, McGraw & Koller, Residual belief propagation, 2006.
+    """
+
+
+Schedule = Filtering | Calibration | Loopy
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +132,13 @@ class Status:
     Attributes
     ----------
     iterations : int
-        Linearisations made.
+        Linearisations made of a tree; on other graphs, iterations of the schedule.
     residuals : ndarray
-        (iterations − 1, *runs): the largest move of a smoothed mean at each relinearisation, in
-        standard deviations.
+        The convergence record. Of a tree, (iterations − 1, *runs): the largest move of a mean at
+        each relinearisation, in standard deviations. Of other graphs, (iterations, *runs): the
+        largest change of a message in each iteration.
     converged : ndarray of bool
-        (*runs): whether the last move was within the tolerance, or no CPD needed linearising.
+        (*runs): whether the last residual was within the tolerance, or nothing was to iterate.
     """
 
     iterations: int
@@ -78,6 +150,6 @@ class Status:
         self.converged.flags.writeable = False
 
     def __repr__(self) -> str:
-        last = f", last move {self.residuals[-1].max():.3g} std" if len(self.residuals) else ""
+        last = f", last residual {self.residuals[-1].max():.3g}" if len(self.residuals) else ""
         share = f"{int(self.converged.sum())} of {self.converged.size} runs converged"
-        return f"Status({self.iterations} linearisations, {share}{last})"
+        return f"Status({self.iterations} iterations, {share}{last})"

@@ -2,5 +2,6 @@
 
 from pgm.networks.dynamic import DynamicBayesianNetwork
 from pgm.networks.sampling import Sample
+from pgm.networks.static import BayesianNetwork
 
-__all__ = ["DynamicBayesianNetwork", "Sample"]
+__all__ = ["BayesianNetwork", "DynamicBayesianNetwork", "Sample"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
 
 import networkx as nx
 
@@ -10,6 +11,8 @@ from pgm.cpds import CPD
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope
 from pgm.variables import Variable
+
+C = TypeVar("C", bound=CPD)
 
 
 def as_cpds(cpds: CPD | Iterable[CPD], where: str) -> tuple[CPD, ...]:
@@ -51,7 +54,7 @@ def one_cpd_each(cpds: Iterable[CPD]) -> None:
         seen[cpd.child] = cpd
 
 
-def in_order(cpds: Sequence[CPD], parents: Callable[[CPD], Scope]) -> tuple[CPD, ...]:
+def in_order(cpds: Sequence[C], parents: Callable[[C], Scope]) -> tuple[C, ...]:
     """CPDs with parents before children, in the given order where that leaves a choice."""
     by_child = {cpd.child: cpd for cpd in cpds}
     graph = nx.DiGraph()

@@ -6,9 +6,25 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pgm.cpds import CPD, GaussianCPD
+from pgm.cpds import CPD, ConditionalGaussian, GaussianCPD
 from pgm.errors import ModelError
+from pgm.networks.checks import as_cpds
 from pgm.variables import Variable
+
+
+def as_gaussian(cpds: CPD | Iterable[CPD], where: str) -> tuple[ConditionalGaussian, ...]:
+    """The CPDs of a dynamic network as a tuple; refuses anything but Gaussian ones."""
+    result = []
+    for cpd in as_cpds(cpds, where):
+        if not isinstance(cpd, ConditionalGaussian):
+            raise ModelError(
+                f"{where} holds {cpd!r}; dynamic networks are of Gaussian CPDs, and a discrete "
+                "one is a BayesianNetwork",
+                variable=cpd.child,
+                cpd=cpd,
+            )
+        result.append(cpd)
+    return tuple(result)
 
 
 def runs(cpds: Iterable[CPD]) -> tuple[int, ...]:

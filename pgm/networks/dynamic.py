@@ -8,7 +8,7 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from pgm.cpds import CPD
+from pgm.cpds import CPD, ConditionalGaussian
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
@@ -68,9 +68,9 @@ class DynamicBayesianNetwork(Immutable):
       observation  p(z | x)
     """
 
-    prior: tuple[CPD, ...]
-    transition: tuple[CPD, ...]
-    observation: tuple[CPD, ...]
+    prior: tuple[ConditionalGaussian, ...]
+    transition: tuple[ConditionalGaussian, ...]
+    observation: tuple[ConditionalGaussian, ...]
     states: Scope
     controls: Scope
     sensors: Scope
@@ -82,9 +82,9 @@ class DynamicBayesianNetwork(Immutable):
         transition: Iterable[CPD],
         observation: Iterable[CPD] = (),
     ) -> None:
-        prior = checks.as_cpds(prior, "prior")
-        transition = checks.as_cpds(transition, "transition")
-        observation = checks.as_cpds(observation, "observation")
+        prior = declaration.as_gaussian(prior, "prior")
+        transition = declaration.as_gaussian(transition, "transition")
+        observation = declaration.as_gaussian(observation, "observation")
         everything = (*prior, *transition, *observation)
         declaration.check_templates(everything)
         checks.one_name_each(v for cpd in everything for v in cpd.scope)
@@ -123,7 +123,7 @@ class DynamicBayesianNetwork(Immutable):
         return DynamicBayesianNetwork(**(parts | changes))
 
     @property
-    def cpds(self) -> tuple[CPD, ...]:
+    def cpds(self) -> tuple[ConditionalGaussian, ...]:
         """All CPDs: prior, transition, observation."""
         return (*self.prior, *self.transition, *self.observation)
 
@@ -190,7 +190,7 @@ class DynamicBayesianNetwork(Immutable):
                 graph.add_edges_from((p.at(step), cpd.child.at(step)) for p in cpd.parents)
         return graph
 
-    def cpds_at(self, step: int) -> tuple[CPD, ...]:
+    def cpds_at(self, step: int) -> tuple[ConditionalGaussian, ...]:
         """The CPDs that hold at a step, as templates."""
         if step == 0:
             possible = set(self.states) | set(self.inputs)
@@ -204,7 +204,7 @@ class DynamicBayesianNetwork(Immutable):
             if found:
                 rows.append((label, ", ".join(v.name for v in found)))
         for label in ("prior", "transition", "observation"):
-            cpds: tuple[CPD, ...] = getattr(self, label)
+            cpds: tuple[ConditionalGaussian, ...] = getattr(self, label)
             if cpds:
                 rows.append((label, "  ".join(map(_density, cpds))))
         return "\n".join(

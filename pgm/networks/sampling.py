@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.cpds import CPD, AffineCPD, Noise, NonlinearGaussianCPD
+from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD
 from pgm.cpds.noise import evaluate
 from pgm.errors import LinearisationError, ModelError
 from pgm.evidence import Evidence, Reading, Sightings, bind, sightings
@@ -115,7 +115,7 @@ def _draw_reading(
 
 
 def _draw(
-    cpd: CPD,
+    cpd: ConditionalGaussian,
     values: Mapping[Variable, Array],
     lead: tuple[int, ...],
     rng: np.random.Generator,

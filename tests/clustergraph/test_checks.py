@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import pgm
-from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.checks import check_families, check_running_intersection
 
 A, B, C, D, E, F = pgm.variables("a b c d e f")
@@ -150,8 +149,3 @@ def test_family_preservation_fails(assigned, families, words, variable, cluster)
     assert "family preservation" in str(caught.value)
     assert caught.value.variable == variable
     assert caught.value.cluster == cluster
-
-
-def test_cluster_graphs_are_abstract():
-    with pytest.raises((TypeError, pgm.PgmError)):
-        ClusterGraph()

@@ -118,16 +118,10 @@ class AnyGraph(ClusterGraph):
     """Clusters and edges as they are given; a sepset is the intersection."""
 
     def __init__(self, scopes, edges):
-        self._clusters = [Cluster(k, tuple(scope), (), ()) for k, scope in enumerate(scopes)]
-        self._sepsets = {(i, j): tuple(v for v in scopes[i] if v in scopes[j]) for i, j in edges}
-
-    @property
-    def clusters(self):
-        return self._clusters
-
-    @property
-    def sepsets(self):
-        return self._sepsets
+        self._set(
+            _clusters=[Cluster(k, tuple(scope), (), ()) for k, scope in enumerate(scopes)],
+            _sepsets={(i, j): tuple(v for v in scopes[i] if v in scopes[j]) for i, j in edges},
+        )
 
     def families(self):
         return ()

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import EvidenceError
-from pgm.inference.forward import Forward
-from pgm.inference.plan import Sensor
+from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.plan import Sensor
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, block, inner, sandwich
 from pgm.variables import Variable

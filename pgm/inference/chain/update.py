@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.errors import NumericalError
-from pgm.inference import grouped
-from pgm.inference.plan import Sensor
+from pgm.inference.chain import grouped
+from pgm.inference.chain.plan import Sensor
 from pgm.kernels import moments, roots
 from pgm.kernels.arrays import LOG_2PI, Array, Index, Mask, apply, block
 

@@ -10,16 +10,10 @@ from pgm.compile import SliceLayout
 from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
 from pgm.factors.scope import positions
-from pgm.inference.backward import Beliefs
+from pgm.inference.chain.backward import Beliefs
+from pgm.inference.posterior import require_variable
 from pgm.kernels.arrays import block
 from pgm.variables import Variable
-
-
-def require_variable(variable: Variable) -> Variable:
-    """Refuse what is no variable, such as a name."""
-    if not isinstance(variable, Variable):
-        raise EvidenceError(f"results are asked for by variable, not by {variable!r}: posterior[x]")
-    return variable
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.factors.scope import angle_mask
-from pgm.inference import backward, forward, grouped
-from pgm.inference.backward import Beliefs, Reverse
-from pgm.inference.forward import Forward
-from pgm.inference.plan import ChainPlan
-from pgm.inference.schedule import Smoothing, Status
+from pgm.inference.chain import backward, forward, grouped
+from pgm.inference.chain.backward import Beliefs, Reverse
+from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.schedule import Calibration, Status
 from pgm.kernels import moments
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, block
@@ -27,7 +27,7 @@ class Smoothed:
     status: Status
 
 
-def smooth(plan: ChainPlan, schedule: Smoothing, start: Beliefs | None) -> Smoothed:
+def smooth(plan: ChainPlan, schedule: Calibration, start: Beliefs | None) -> Smoothed:
     """Run a smoothing schedule; `start` are means of the slices for the first linearisation."""
     if start is not None:
         start = _on_chart(plan, start)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.inference.forward import Forward
-from pgm.inference.plan import ChainPlan
+from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels import moments, roots
 from pgm.kernels.arrays import Array, apply, block, sandwich, symmetric, transpose
 from pgm.kernels.moments import Conditional

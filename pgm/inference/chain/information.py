@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.inference.backward import transition
-from pgm.inference.forward import Forward
-from pgm.inference.plan import ChainPlan
-from pgm.inference.update import sensors_due, stack
+from pgm.inference.chain.backward import transition
+from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.update import sensors_due, stack
 from pgm.kernels import canonical, roots
 from pgm.kernels.arrays import LOG_2PI, Array, apply, inner, sandwich, transpose
 from pgm.kernels.canonical import Canonical

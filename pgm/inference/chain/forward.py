@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.errors import NumericalError
-from pgm.inference.plan import ChainPlan, Link
-from pgm.inference.update import update
+from pgm.inference.chain.plan import ChainPlan, Link
+from pgm.inference.chain.update import update
 from pgm.kernels import moments, roots
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Index, block

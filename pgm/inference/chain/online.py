@@ -15,10 +15,10 @@ from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sig
 from pgm.factors import Gaussian
 from pgm.factors.scope import positions
 from pgm.immutable import Immutable
-from pgm.inference import forward
-from pgm.inference.marginals import require_variable
-from pgm.inference.plan import ChainPlan
-from pgm.inference.update import update
+from pgm.inference.chain import forward
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.update import update
+from pgm.inference.posterior import require_variable
 from pgm.kernels.arrays import Array, block, frozen
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork

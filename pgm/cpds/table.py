@@ -1,0 +1,93 @@
+"""CPDs of discrete variables: tables of probabilities."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.cpds.base import CPD
+from pgm.errors import ModelError
+from pgm.factors.scope import names
+from pgm.kernels.arrays import Array, frozen
+from pgm.variables import Variable
+
+# How far the sum of a column may be from one: what decimals of a table's source leave.
+TOLERANCE = 1e-6
+
+
+class TableCPD(CPD):
+    """The probabilities of a discrete child for each combination of its parents' states.
+
+    Parameters
+    ----------
+    child : Discrete
+    given : Discrete or sequence of Discrete, optional
+        The parents, in the order of the table's axes.
+    table : array_like
+        (size of each parent..., size of the child): the last axis is the child, and sums to one.
+
+    Raises
+    ------
+    ModelError
+        If the shape does not fit, an entry is negative or not finite, or a column does not sum
+        to one.
+
+    Examples
+    --------
+    >>> from pgm.variables import Discrete
+    >>> cloudy = Discrete("cloudy", states=("no", "yes"))
+    >>> rain = Discrete("rain", states=("no", "yes"))
+    >>> TableCPD(rain, given=(cloudy,), table=[[0.8, 0.2], [0.2, 0.8]])
+    TableCPD(rain | cloudy)
+    """
+
+    discrete: ClassVar[bool] = True
+    table: Array
+
+    def __init__(
+        self,
+        child: Variable,
+        given: Variable | Iterable[Variable] = (),
+        *,
+        table: npt.ArrayLike,
+    ) -> None:
+        self._set_scope(child, (given,) if isinstance(given, Variable) else given)
+        axes = (*self.given, child)
+        due = tuple(len(v.states) for v in axes)  # type: ignore[attr-defined]
+        try:
+            array = np.array(table, dtype=float)
+        except (TypeError, ValueError):
+            raise ModelError(
+                f"{self!r}: the table must be numbers, in rows of equal length", cpd=self
+            ) from None
+        if array.shape != due:
+            raise ModelError(
+                f"{self!r}: the table has shape {array.shape}; the axes {names(axes)} need {due}, "
+                "the last one for the child",
+                variable=child,
+                cpd=self,
+            )
+        if not np.isfinite(array).all() or (array < 0.0).any():
+            raise ModelError(
+                f"{self!r}: the table has entries that are negative, NaN or infinite",
+                variable=child,
+                cpd=self,
+            )
+        total = array.sum(axis=-1)
+        if (np.abs(total - 1.0) > TOLERANCE).any():
+            worst = np.unravel_index(np.abs(total - 1.0).argmax(), total.shape)
+            states = ", ".join(
+                f"{v!r}={v.states[k]!r}"  # type: ignore[attr-defined]
+                for v, k in zip(self.given, worst, strict=True)
+            )
+            where = f" for {states}" if states else ""
+            raise ModelError(
+                f"{self!r}: the probabilities{where} sum to {total[worst]:.9g}; the last axis, "
+                "the child's, must sum to one",
+                variable=child,
+                cpd=self,
+            )
+        self._set(table=frozen(array))

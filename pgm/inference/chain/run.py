@@ -1,0 +1,99 @@
+"""Running a schedule on a chain of slices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.compile import SliceGraph, SliceLayout
+from pgm.errors import EvidenceError, ModelError
+from pgm.evidence import BoundEvidence, Evidence, bind
+from pgm.evidence.arrays import as_rows, require_finite
+from pgm.factors.scope import positions
+from pgm.inference.chain import forward
+from pgm.inference.chain.backward import Beliefs
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.smoother import smooth as run_smoothing
+from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing, Status
+from pgm.linearisers import Lineariser
+from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
+
+Start = Mapping[Variable, npt.ArrayLike]
+
+
+def bind_chain(model: Any, evidence: Evidence, steps: int | None) -> BoundEvidence:
+    """Check the evidence of a dynamic network."""
+    if not isinstance(model, DynamicBayesianNetwork):
+        raise ModelError(f"a dynamic network was due, not {model!r}")
+    if not isinstance(evidence, Mapping):
+        raise EvidenceError(f"evidence maps variables to values; found {type(evidence).__name__}")
+    return bind(model.transition, model.observation, evidence, steps, model.lead)
+
+
+def run(
+    graph: SliceGraph,
+    bound: BoundEvidence,
+    schedule: Schedule | None,
+    lineariser: Lineariser,
+    start: Start | None,
+) -> ChainPosterior:
+    """Send the messages of a filter or smoother."""
+    schedule = Smoothing() if schedule is None else schedule
+    if not isinstance(schedule, Filtering | Calibration):
+        raise ModelError(
+            f"a chain of slices takes pgm.Filtering() or pgm.Smoothing(), not {schedule!r}"
+        )
+    if start is not None and isinstance(schedule, Filtering):
+        raise EvidenceError("a start is for smoothing; a filter linearises at its own beliefs")
+    given = None if start is None else _start(graph.layout, bound, start)
+    plan = ChainPlan.make(graph, bound, lineariser)
+    if isinstance(schedule, Filtering):
+        ahead = forward.sweep(plan, linearise=True)
+        status = Status(1, np.empty((0, *plan.lead)), np.full(plan.lead, plan.exact))
+        return ChainPosterior(graph, status, plan, ahead, None, None)
+    result = run_smoothing(plan, schedule, given)
+    return ChainPosterior(
+        graph, result.status, plan, result.forward, result.beliefs, result.reverse
+    )
+
+
+def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Beliefs:
+    if not isinstance(start, Mapping):
+        raise EvidenceError(f"start maps variables to means; found {type(start).__name__}")
+    for variable in start:
+        if variable not in layout.slice:
+            raise EvidenceError(
+                f"start has {variable!r}, which is not hidden; it takes {list(layout.slice)}",
+                variable=variable,
+            )
+    mean = np.zeros((bound.steps + 1, bound.runs, layout.slice_size))
+    for variable in layout.slice:
+        if variable not in start:
+            raise EvidenceError(
+                f"start lacks {variable!r}; it takes means of all of {list(layout.slice)}",
+                variable=variable,
+            )
+        first = 0 if variable in layout.states else 1
+        rows = require_finite(variable, as_rows(variable, start[variable], "T+1"))
+        if rows.shape[-2] != bound.steps + 1 - first:
+            raise EvidenceError(
+                f"start for {variable!r} has {rows.shape[-2]} steps; it stands at steps "
+                f"{first}..{bound.steps}",
+                variable=variable,
+            )
+        try:
+            wide = np.broadcast_to(rows, (*bound.lead, *rows.shape[-2:]))
+        except ValueError:
+            raise EvidenceError(
+                f"start for {variable!r} has the axes of runs {rows.shape[:-2]}, which do not "
+                f"broadcast to those of the evidence, {bound.lead}",
+                variable=variable,
+            ) from None
+        wide = wide.reshape(bound.runs, *rows.shape[-2:]).swapaxes(0, 1)
+        mean[first:][..., positions(layout.slice, [variable])] = wide
+    return Beliefs(mean, np.zeros((*mean.shape, mean.shape[-1])))

@@ -1,0 +1,5 @@
+"""Discrete networks: messages as tables."""
+
+from pgm.inference.discrete.run import run
+
+__all__ = ["run"]
