@@ -5,6 +5,8 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 
 class Immutable:
     """Base of values whose attributes are set once, by `_set`, while they are made."""
@@ -30,5 +32,13 @@ class Immutable:
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        views = {k: MappingProxyType(v) if isinstance(v, dict) else v for k, v in state.items()}
-        self._set(**views)
+        self._set(**{name: _closed(value) for name, value in state.items()})
+
+
+def _closed(value: Any) -> Any:
+    """A value that came out of a pickle, where it is neither a view nor read-only."""
+    if isinstance(value, dict):
+        return MappingProxyType(value)
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    return value

@@ -91,6 +91,10 @@ class Variable:
                     f"variable {self.name}: {field} {value} is before the first, 0", variable=self
                 )
 
+    def __hash__(self) -> int:
+        # Enough to tell most variables apart, and quicker than all fields: scopes are hashed a lot.
+        return hash((self.name, self.step, self.lag))
+
     @property
     def dimension(self) -> int:
         """Number of components."""
@@ -163,10 +167,11 @@ class Discrete(Variable):
         object.__setattr__(self, "components", ())
         object.__setattr__(self, "angles", ())
         Variable.__post_init__(self)
+        found: tuple[str, ...] = ()
         if isinstance(states, int | np.integer) and not isinstance(states, bool):
-            states = map(str, range(states))
-        known = isinstance(states, Iterable) and not isinstance(states, str)
-        found = tuple(states) if known else ()  # type: ignore[arg-type]
+            found = tuple(map(str, range(states)))
+        elif isinstance(states, Iterable) and not isinstance(states, str):
+            found = tuple(states)
         if not found or not all(isinstance(state, str) for state in found):
             raise ModelError(
                 f"variable {name}: states must be a tuple of one or more names, or their number, "
@@ -180,6 +185,8 @@ class Discrete(Variable):
                 variable=self,
             )
         object.__setattr__(self, "states", found)
+
+    __hash__ = Variable.__hash__
 
     @property
     def size(self) -> int:

@@ -22,6 +22,13 @@ class Constant:
 
 
 @dataclass(frozen=True, eq=False)
+class Soft:
+    """Weights of the states of a discrete variable; made by `soft`."""
+
+    weights: Any
+
+
+@dataclass(frozen=True, eq=False)
 class Sightings(Immutable):
     """Readings of one sensor at any steps; made by `sightings`."""
 
@@ -30,7 +37,7 @@ class Sightings(Immutable):
     given: Mapping[Variable, Any] = field(default_factory=dict)
 
 
-# A plain array (..., T, d), a constant, or sightings, of each variable with evidence.
+# By variable: a plain array, a constant, or sightings; of a discrete one states, or soft weights.
 Evidence = Mapping[Variable, Any]
 
 
@@ -43,6 +50,26 @@ def constant(value: npt.ArrayLike) -> Constant:
         (..., d); leading axes are runs.
     """
     return Constant(value)
+
+
+def soft(weights: npt.ArrayLike) -> Soft:
+    """Soft (virtual, likelihood) evidence for a discrete variable.
+
+    The belief is multiplied by the weights, as by an observed child with p(reading | state)
+    proportional to them.
+
+    Parameters
+    ----------
+    weights : array_like
+        (..., size), one for each state, non-negative and not all zero; leading axes are runs.
+        They need not sum to one: marginals depend on their ratios alone, and a common factor
+        enters the log-evidence.
+
+    References
+    ----------
+    Pearl, Probabilistic Reasoning in Intelligent Systems, 1988, section 2.2.2.
+    """
+    return Soft(weights)
 
 
 def sightings(

@@ -2,8 +2,310 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Mapping
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.errors import ModelError, NumericalError
+from pgm.factors.axes import (
+    States,
+    as_entries,
+    as_states,
+    at,
+    axes_of,
+    listed,
+    sizes,
+    spread,
+    without,
+)
+from pgm.factors.scope import names
 from pgm.immutable import Immutable
+from pgm.kernels import tables as kernel
+from pgm.kernels.arrays import Array, Integers, frozen
+from pgm.variables import Discrete, Variable
 
 
 class Table(Immutable):
-    """A non-negative array times exp(log_scale)."""
+    r"""A discrete factor: a non-negative table times the exponential of a log-scale.
+
+    .. math:: \phi(x) = \text{values}[x] \, \exp(\text{log-scale})
+
+    - x: a state of each variable of the scope;
+    - values: (..., size of each variable...), in the order of the scope;
+    - log-scale: (...), so that products of thousands of small numbers stay above zero.
+
+    Leading axes are independent factors and broadcast. Two tables may be multiplied, divided,
+    summed and maximised over; what these operations return has one as its largest value, unless
+    it is all zero, which is legal. Entries below 1e-300 of the largest become zero.
+
+    Parameters
+    ----------
+    scope : Discrete or sequence of Discrete
+    values, log_scale : array_like
+        A log-scale of −∞ says that the table is all zero.
+
+    Raises
+    ------
+    ModelError
+        If shapes do not fit the scope, or an entry is negative or not finite.
+
+    References
+    ----------
+    Koller & Friedman, Probabilistic Graphical Models, 2009, sections 4.2 and 10.3.
+
+    Examples
+    --------
+    >>> rain = Discrete("rain", states=("no", "yes"))
+    >>> wet = Discrete("wet", states=("no", "yes"))
+    >>> f = Table(rain, [0.8, 0.2]) * Table((rain, wet), [[0.9, 0.1], [0.3, 0.7]])
+    >>> f.reduce({wet: "yes"}).normalised()
+    Table(rain: no 0.364, yes 0.636)
+    >>> float(round(f["yes", "no"], 6))
+    0.06
+    """
+
+    __slots__ = ("log_scale", "scope", "values")
+
+    # Python would else iterate by asking for the states 0, 1, ... until an IndexError.
+    __iter__: ClassVar[None] = None
+
+    scope: States
+    values: Array
+    log_scale: Array
+
+    def __init__(
+        self,
+        scope: Variable | Iterable[Variable],
+        values: npt.ArrayLike,
+        log_scale: npt.ArrayLike = 0.0,
+    ) -> None:
+        scope = as_states(scope)
+        self._put(scope, *as_entries(scope, values, log_scale))
+
+    def _put(self, scope: States, values: Array, log_scale: Array) -> None:
+        own = values.shape[: values.ndim - len(scope)]
+        try:
+            lead = np.broadcast_shapes(own, log_scale.shape)
+        except ValueError:
+            raise ModelError(
+                f"table over {names(scope)}: the leading axes of values {own} and log_scale "
+                f"{log_scale.shape} do not broadcast"
+            ) from None
+        # A log-scale of −∞ is put into the values, so that log-scales always add and subtract.
+        if (log_scale == -np.inf).any():
+            gone = log_scale == -np.inf
+            values = np.where(gone.reshape(gone.shape + (1,) * len(scope)), 0.0, values)
+            log_scale = np.where(gone, 0.0, log_scale)
+        self._set(
+            scope=scope,
+            values=frozen(np.broadcast_to(values, (*lead, *sizes(scope)))),
+            log_scale=frozen(np.broadcast_to(log_scale, lead)),
+        )
+
+    @classmethod
+    def _make(cls, scope: States, values: Array, log_scale: Array | float = 0.0) -> Table:
+        """A table of arrays that are known to be right; axes of length one are expanded."""
+        table = object.__new__(cls)
+        table._put(scope, values, np.asarray(log_scale, dtype=float))
+        return table
+
+    @classmethod
+    def vacuous(cls, scope: Variable | Iterable[Variable]) -> Table:
+        """The factor that is one everywhere."""
+        scope = as_states(scope)
+        return cls._make(scope, np.ones(sizes(scope)))
+
+    @classmethod
+    def uniform(cls, scope: Variable | Iterable[Variable]) -> Table:
+        """Equal probabilities of all combinations of states."""
+        return cls.vacuous(scope).normalised()
+
+    @property
+    def _rescaled(self) -> tuple[Array, Array]:
+        """Values with one as the largest entry, and their log-scale."""
+        return kernel.rescale(self.values, self.log_scale, len(self.scope))
+
+    def _combined(self, scope: States, values: Array, log_scale: Array) -> Table:
+        return self._make(scope, *kernel.rescale(values, log_scale, len(scope)))
+
+    def extend(self, scope: Variable | Iterable[Variable]) -> Table:
+        """The same factor over a wider or reordered scope; it is constant in new variables."""
+        scope = as_states(scope)
+        if scope == self.scope:
+            return self
+        missing = without(self.scope, scope)
+        if missing:
+            raise ModelError(
+                f"cannot extend to {names(scope)}: it lacks {names(missing)}; "
+                "marginalise, maximise or reduce them first"
+            )
+        return self._make(scope, spread(self.values, self.scope, scope), self.log_scale)
+
+    rearrange = extend
+
+    def _aligned(self, other: Table) -> tuple[States, Array, Array]:
+        """The common scope, and over it the values of both."""
+        scope = self.scope + without(other.scope, self.scope)
+        try:
+            np.broadcast_shapes(self.log_scale.shape, other.log_scale.shape)
+        except ValueError:
+            raise ModelError(
+                f"the leading axes of {self!r} and {other!r} do not broadcast"
+            ) from None
+        a, b = (spread(table.values, table.scope, scope) for table in (self, other))
+        return scope, a, b
+
+    def __mul__(self, other: Table) -> Table:
+        """Product of two factors on the common scope."""
+        if not isinstance(other, Table):
+            return NotImplemented
+        scope, a, b = self._aligned(other)
+        values, scale = kernel.multiply(a, b, len(scope))
+        return self._combined(scope, values, self.log_scale + other.log_scale + scale)
+
+    def __truediv__(self, other: Table) -> Table:
+        """Quotient of two factors on the common scope, where 0/0 is 0.
+
+        That is what belief propagation needs: it divides a message out of a belief that the
+        message is part of, so where the message is zero the belief is too.
+
+        Raises
+        ------
+        NumericalError
+            If the divisor is zero where the dividend is not.
+        """
+        if not isinstance(other, Table):
+            return NotImplemented
+        scope, a, b = self._aligned(other)
+        lost = np.argwhere((b == 0.0) & (a > 0.0))
+        if lost.shape[0]:
+            raise NumericalError(
+                f"cannot divide a table over {names(self.scope)} by one over "
+                f"{names(other.scope)}: where {at(scope, lost[0][lost.shape[1] - len(scope) :])}, "
+                "the divisor is zero and the dividend is not"
+            )
+        values, scale = kernel.divide(a, b, len(scope))
+        return self._combined(scope, values, self.log_scale - other.log_scale + scale)
+
+    def marginalise(self, *drop: Variable) -> Table:
+        """Sum some variables out."""
+        axes = axes_of(self.scope, drop)
+        if not drop:
+            return self
+        values, scale = self._rescaled
+        return self._combined(without(self.scope, drop), values.sum(axis=axes), scale)
+
+    def marginal(self, *keep: Variable) -> Table:
+        """Sum all but some variables out; the result is in the order asked for."""
+        axes_of(self.scope, keep)
+        return self.marginalise(*without(self.scope, keep)).rearrange(keep)
+
+    def maximise(self, *drop: Variable) -> Table:
+        """Maximise over some variables."""
+        axes = axes_of(self.scope, drop)
+        if not drop:
+            return self
+        return self._combined(without(self.scope, drop), self.values.max(axis=axes), self.log_scale)
+
+    def reduce(self, evidence: Mapping[Discrete, str | int]) -> Table:
+        """Put in the states of some variables, by name or index; entries stay as they are."""
+        axes_of(self.scope, evidence)
+        index = [v.index(evidence[v]) if v in evidence else slice(None) for v in self.scope]
+        values = self.values[(..., *index)]
+        return self._make(without(self.scope, evidence), values, self.log_scale)
+
+    @property
+    def log_values(self) -> Array:
+        """The entries ln φ(x), (..., size of each variable...); −∞ where φ is zero."""
+        return kernel.log_entries(self.values, self.log_scale, len(self.scope))
+
+    @property
+    def log_total(self) -> Array:
+        """The value ln Σ φ(x), (...); −∞ where the table is all zero."""
+        return kernel.log_sum(*self._rescaled, len(self.scope))
+
+    def normalised(self) -> Table:
+        """The table divided by its sum, with the log-scale zero.
+
+        Raises
+        ------
+        NumericalError
+            If the table is all zero.
+        """
+        return self._make(self.scope, kernel.normalise(self._positive(), len(self.scope)))
+
+    @property
+    def probabilities(self) -> Array:
+        """The values of the normalised table, (..., size of each variable...)."""
+        return self.normalised().values
+
+    def argmax(self) -> dict[Discrete, str] | dict[Discrete, Integers]:
+        """The states of the largest entry, the first one of several equal ones.
+
+        Returns
+        -------
+        dict
+            The name of each variable's state; for stacked tables, its indices (...).
+
+        Raises
+        ------
+        NumericalError
+            If the table is all zero.
+        """
+        lead = self.log_scale.shape
+        best = self._positive().reshape((*lead, math.prod(sizes(self.scope)))).argmax(axis=-1)
+        index = np.unravel_index(best, sizes(self.scope))
+        if lead:
+            return dict(zip(self.scope, index, strict=True))
+        return {v: v.states[k] for v, k in zip(self.scope, index, strict=True)}
+
+    def _positive(self) -> Array:
+        """Rescaled values, of which none may be all zero."""
+        values, _ = self._rescaled
+        empty = np.argwhere(kernel.largest(values, len(self.scope)) == 0.0)
+        if empty.shape[0]:
+            first = tuple(map(int, empty[0]))
+            where = f" (first in run {first[0] if len(first) == 1 else first})" if first else ""
+            raise NumericalError(
+                f"the table over {names(self.scope)} is all zero{where}: it has neither "
+                "probabilities nor a largest entry; the factors it is made of contradict each other"
+            )
+        return values
+
+    def __getitem__(self, states: str | int | tuple[str | int, ...]) -> Array:
+        """The entries φ at a state of each variable, in the order of the scope, (...).
+
+        Raises
+        ------
+        ModelError
+            If there is no such state, or not one for each variable.
+        NumericalError
+            If an entry is too large for a number; `log_values` has its logarithm.
+        """
+        wanted = states if isinstance(states, tuple) else (states,)
+        if len(wanted) != len(self.scope):
+            raise ModelError(
+                f"a table over {names(self.scope)} is read at one state of each of its variables, "
+                f"not at {wanted}"
+            )
+        index = tuple(v.index(state) for v, state in zip(self.scope, wanted, strict=True))
+        entries = kernel.entries(self.values[(..., *index)], self.log_scale)  # type: ignore[arg-type]
+        if np.isinf(entries).any():
+            raise NumericalError(
+                f"the entry of {self!r} at {at(self.scope, index)} is too large for a number; "
+                "take log_values"
+            )
+        return entries
+
+    def __repr__(self) -> str:
+        if self.log_scale.shape:
+            return f"Table{names(self.scope)}, {self.log_scale.shape} of them"
+        if len(self.scope) != 1:
+            return f"Table{names(self.scope)}"
+        values, scale = self.values, f"; times exp({self.log_scale:.6g})"
+        if abs(self.log_scale) < 10.0:
+            values, scale = kernel.entries(self.values, self.log_scale), ""
+        return f"Table({self.scope[0]!r}: {listed(self.scope[0], values)}{scale})"

@@ -1,0 +1,82 @@
+"""Evidence of a discrete variable as indices of its states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pgm.errors import EvidenceError
+from pgm.kernels.arrays import Integers, Mask
+from pgm.variables import Discrete
+
+# What stands for "not observed in this run".
+MISSING = -1
+# What stands, while names are looked up, for one that is no state's.
+STRANGER = -2
+
+
+def as_indices(variable: Discrete, value: Any) -> Integers:
+    """Names or indices of states as an array of indices (...); −1 is "not observed"."""
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise _malformed(variable, "rows of unequal length") from None
+    if array.dtype.kind == "U" and not isinstance(value, np.ndarray | str):
+        array = np.asarray(value, dtype=object)  # numpy makes names of a list's numbers
+    if array.size == 0:
+        return np.zeros(array.shape, dtype=np.intp)
+    if array.dtype.kind in "UTO":
+        return _looked_up(variable, array)
+    if array.dtype.kind not in "iu":
+        raise _malformed(variable, f"{_words(array)} of type {array.dtype}")
+    _refuse(variable, array, (array < MISSING) | (array >= variable.size))
+    return array.astype(np.intp)
+
+
+def _looked_up(variable: Discrete, array: Any) -> Integers:
+    """Indices of an array of names, among which may be Python's whole numbers."""
+    place = {state: index for index, state in enumerate(variable.states)}
+    found = [
+        place.get(name, STRANGER) if isinstance(name, str) else _whole(variable, name)
+        for name in array.ravel().tolist()
+    ]
+    indices = np.array(found, dtype=np.intp).reshape(array.shape)
+    _refuse(variable, array, indices == STRANGER)
+    return indices
+
+
+def _whole(variable: Discrete, value: Any) -> int:
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise _malformed(variable, repr(value))
+    return int(value) if MISSING <= value < variable.size else STRANGER
+
+
+def _refuse(variable: Discrete, array: Any, bad: Mask) -> None:
+    """Raise if any entry is bad, naming the first."""
+    if bad.any():
+        first = array[bad].ravel()[0]
+        shown = repr(str(first) if isinstance(first, str) else int(first))
+        raise EvidenceError(
+            f"evidence for {variable!r} is {shown}{in_run(bad)}, which is none of its states "
+            f"{variable.states}, 0 to {variable.size - 1}, nor −1 for not observed",
+            variable=variable,
+        )
+
+
+def _malformed(variable: Discrete, found: str) -> EvidenceError:
+    return EvidenceError(
+        f"evidence for {variable!r} must be names or indices of states, or soft weights, not "
+        f"{found}; its states are {variable.states}, and −1 is not observed",
+        variable=variable,
+    )
+
+
+def _words(array: Any) -> str:
+    return f"an array of shape {array.shape}" if array.ndim else "a value"
+
+
+def in_run(bad: Mask | np.bool_) -> str:
+    """Where the first bad one of some runs is, for messages."""
+    first = tuple(map(int, np.argwhere(bad)[0]))
+    return f" (first in run {first[0] if len(first) == 1 else first})" if first else ""

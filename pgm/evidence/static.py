@@ -1,0 +1,113 @@
+"""Evidence of a continuous network without time, checked against its CPDs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.cpds import CPD
+from pgm.errors import EvidenceError
+from pgm.evidence.arrays import as_rows, require_finite
+from pgm.evidence.values import Constant, Evidence, Sightings
+from pgm.kernels.arrays import Array, frozen
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False)
+class BoundValues:
+    """Values of the variables with evidence.
+
+    Attributes
+    ----------
+    lead : tuple of int
+        The leading axes, of runs; inside, they are flattened to one.
+    values : mapping of Variable to ndarray
+        (runs or 1, d).
+    """
+
+    lead: tuple[int, ...]
+    values: Mapping[Variable, Array]
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return math.prod(self.lead)
+
+
+def bind_values(
+    cpds: Sequence[CPD],
+    evidence: Evidence,
+    lead: tuple[int, ...] = (),
+    needed: Iterable[Variable] = (),
+) -> BoundValues:
+    """Check the evidence of a continuous network without time.
+
+    Parameters
+    ----------
+    cpds : sequence of CPD
+    evidence : mapping of Variable to array_like
+        (..., d); leading axes are runs.
+    lead : tuple of int
+        Leading axes that the runs have at least.
+    needed : iterable of Variable
+        Variables that must have evidence: inputs, and what the noise of a CPD depends on.
+
+    Raises
+    ------
+    EvidenceError
+        If evidence is missing, unknown, of a wrong shape, not finite, or the axes of runs do not
+        broadcast.
+    """
+    known = {v for cpd in cpds for v in cpd.scope}
+    arrays: dict[Variable, Array] = {}
+    for variable, value in evidence.items():
+        if variable not in known:
+            raise EvidenceError(
+                f"evidence for {variable!r}, which the network does not have; it has "
+                f"{sorted(map(repr, known))}",
+                variable=variable,
+            )
+        if isinstance(value, Sightings):
+            raise EvidenceError(
+                f"sightings of {variable!r} are for dynamic networks; give the value of "
+                f"{variable!r} itself, (..., {variable.dimension})",
+                variable=variable,
+            )
+        row = as_rows(variable, value.value if isinstance(value, Constant) else value, None)
+        arrays[variable] = require_finite(variable, row[..., None, :])[..., 0, :]
+    for variable in needed:
+        if variable not in arrays:
+            _refuse_missing(variable, cpds)
+    try:
+        shape = np.broadcast_shapes(lead, *(array.shape[:-1] for array in arrays.values()))
+    except ValueError:
+        listed = ", ".join(f"{v!r} {a.shape[:-1]}" for v, a in arrays.items() if a.ndim > 1)
+        raise EvidenceError(
+            "the leading axes of the evidence and the model do not broadcast to one set of runs: "
+            f"{listed}{f', the model {lead}' if lead else ''}"
+        ) from None
+    if 0 in shape:
+        raise EvidenceError(f"the evidence has the axes of runs {shape}: there is no run in it")
+    return BoundValues(shape, {v: _flat(a, shape) for v, a in arrays.items()})
+
+
+def _refuse_missing(variable: Variable, cpds: Iterable[CPD]) -> None:
+    cpd = next(cpd for cpd in cpds if variable in cpd.parents)
+    why = (
+        "on which its noise depends; a noise can depend on known values alone"
+        if variable in cpd.noise_given
+        else "a parent that no CPD explains; give its value, or a CPD of its own"
+    )
+    raise EvidenceError(
+        f"no evidence for {variable!r} in {cpd!r}, {why}", variable=variable, cpd=cpd
+    )
+
+
+def _flat(array: Array, lead: tuple[int, ...]) -> Array:
+    if all(length == 1 for length in array.shape[:-1]):
+        return frozen(array.reshape(1, array.shape[-1]))
+    full = np.broadcast_to(array, (*lead, array.shape[-1]))
+    return frozen(np.ascontiguousarray(full.reshape(math.prod(lead), array.shape[-1])))

@@ -1,0 +1,100 @@
+"""The axes of a table: one for each discrete variable of its scope, after the leading axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.errors import ModelError
+from pgm.factors.scope import as_scope, names
+from pgm.kernels.arrays import Array
+from pgm.variables import Discrete, Variable
+
+States = tuple[Discrete, ...]
+# How many states a repr lists.
+LISTED = 6
+
+
+def as_states(scope: Variable | Iterable[Variable]) -> States:
+    """A discrete variable or several, as a tuple; refuses all else."""
+    found = []
+    for variable in as_scope(scope):
+        if not isinstance(variable, Discrete):
+            raise ModelError(
+                f"a table is over discrete variables; {variable!r} is continuous", variable=variable
+            )
+        found.append(variable)
+    return tuple(found)
+
+
+def sizes(scope: States) -> tuple[int, ...]:
+    """The number of states of each variable."""
+    return tuple(variable.size for variable in scope)
+
+
+def as_entries(
+    scope: States, values: npt.ArrayLike, log_scale: npt.ArrayLike
+) -> tuple[Array, Array]:
+    """The values and log-scale of a table as arrays; refuses what no table can have."""
+    what = f"table over {names(scope)}"
+    try:
+        entries, scale = (np.array(part, dtype=float) for part in (values, log_scale))
+    except (TypeError, ValueError):
+        raise ModelError(
+            f"{what}: values and log_scale must be numbers, in rows of equal length"
+        ) from None
+    due = sizes(scope)
+    if entries.ndim < len(due) or entries.shape[entries.ndim - len(due) :] != due:
+        raise ModelError(
+            f"{what}: the values have shape {entries.shape}; it must end in {due}, the numbers of "
+            "states"
+        )
+    if not np.isfinite(entries).all() or (entries < 0.0).any():
+        raise ModelError(f"{what}: the values have entries that are negative, NaN or infinite")
+    if np.isnan(scale).any() or (scale == np.inf).any():
+        raise ModelError(f"{what}: log_scale must be finite, or −inf for a table of zeros")
+    return entries, scale
+
+
+def axes_of(scope: States, wanted: Iterable[Variable]) -> tuple[int, ...]:
+    """The axes of some variables, counted from the last."""
+    place: dict[Variable, int] = {v: k for k, v in enumerate(scope, -len(scope))}
+    wanted = as_scope(wanted)
+    for variable in wanted:
+        if variable not in place:
+            raise ModelError(f"{variable!r} is not in the scope {names(scope)}", variable=variable)
+    return tuple(place[variable] for variable in wanted)
+
+
+def without(scope: States, drop: Iterable[Variable]) -> States:
+    """The variables of a scope that are left."""
+    gone = set(drop)
+    return tuple(variable for variable in scope if variable not in gone)
+
+
+def spread(values: Array, own: States, scope: States) -> Array:
+    """A view of values with an axis for each variable of a wider scope, of length one if new."""
+    if own == scope:
+        return values
+    place = {variable: k for k, variable in enumerate(scope)}
+    order = sorted(range(len(own)), key=lambda k: place[own[k]])
+    lead = values.ndim - len(own)
+    values = values.transpose(*range(lead), *(lead + k for k in order))
+    known = set(own)
+    own_sizes = (v.size if v in known else 1 for v in scope)
+    return values.reshape((*values.shape[:lead], *own_sizes))
+
+
+def at(scope: States, index: Iterable[int]) -> str:
+    """A combination of states, for messages."""
+    return ", ".join(f"{v!r}={v.states[k]!r}" for v, k in zip(scope, index, strict=True))
+
+
+def listed(variable: Discrete, values: Array) -> str:
+    """The first states of a variable with their entries, for a repr."""
+    shown = [f"{s} {p:.3g}" for s, p in zip(variable.states[:LISTED], values, strict=False)]
+    if variable.size > LISTED:
+        shown.append(f"... {variable.size} states")
+    return ", ".join(shown)

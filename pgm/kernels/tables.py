@@ -1,0 +1,98 @@
+"""Stacked tables: non-negative arrays times exp(log-scale); the last `axes` axes are a table."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels.arrays import Array
+
+LOG_2 = float(np.log(2.0))
+# A product whose largest entry is above this has lost nothing but entries 1e-300 times smaller.
+SAFE = 1e-6
+# What stands for the exponent of zero: below all exponents, and sums of two of it fit 32 bits.
+NOWHERE = -(10**6)
+# Beyond this log-scale no entry of a double's range stays in it.
+OUTSIDE = 3000.0
+
+
+def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
+    """The same tables with one as the largest entry; all zero, they get the log-scale zero."""
+    top = largest(values, axes)
+    empty = top == 0.0
+    divisor = np.where(empty, 1.0, top)
+    return values / _over(divisor, axes), np.where(empty, 0.0, log_scale + np.log(divisor))
+
+
+def multiply(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
+    """Product of tables, as values and log-scale."""
+    with np.errstate(over="ignore"):
+        product = a * b
+    top = largest(product, axes)
+    if ((top > SAFE) & (top < np.inf)).all():
+        return product, np.zeros(top.shape)
+    (a, powers), (b, others) = _exponents(a), _exponents(b)
+    return _assemble(a * b, powers + others, axes)
+
+
+def divide(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
+    """Quotient of tables, zero wherever b is, as values and log-scale."""
+    (a, powers), (b, others) = _exponents(a), _exponents(b)
+    quotient = np.divide(a, b, out=np.zeros(np.broadcast_shapes(a.shape, b.shape)), where=b > 0.0)
+    return _assemble(quotient, np.where(quotient > 0.0, powers - others, NOWHERE), axes)
+
+
+def largest(values: Array, axes: int) -> Array:
+    """The largest entry of each table."""
+    result: Array = values.max(axis=_span(axes))
+    return result
+
+
+def normalise(values: Array, axes: int) -> Array:
+    """Each table divided by its sum; no table may be all zero."""
+    result: Array = values / values.sum(axis=_span(axes), keepdims=True)
+    return result
+
+
+def log_sum(values: Array, log_scale: Array, axes: int) -> Array:
+    """The value ln Σ φ of each table; −∞ if it is all zero. The values are rescaled ones."""
+    with np.errstate(divide="ignore"):
+        result: Array = np.log(values.sum(axis=_span(axes))) + log_scale
+    return result
+
+
+def log_entries(values: Array, log_scale: Array, axes: int) -> Array:
+    """The values ln φ; −∞ where φ is zero."""
+    with np.errstate(divide="ignore"):
+        result: Array = np.log(values) + _over(log_scale, axes)
+    return result
+
+
+def entries(values: Array, log_scale: Array) -> Array:
+    """The values v exp(s), which overflow or underflow only where the result does."""
+    held = np.clip(log_scale, -OUTSIDE, OUTSIDE)
+    powers = np.rint(held / LOG_2)
+    with np.errstate(over="ignore"):
+        result: Array = np.ldexp(values * np.exp(held - powers * LOG_2), powers.astype(np.int32))
+    return result
+
+
+def _span(axes: int) -> tuple[int, ...]:
+    return tuple(range(-axes, 0))
+
+
+def _over(stacked: Array, axes: int) -> Array:
+    """One number for each table, to be combined with all of its entries."""
+    return stacked.reshape(stacked.shape + (1,) * axes)
+
+
+def _exponents(values: Array) -> tuple[Array, Array]:
+    """Mantissas and powers of two."""
+    mantissa, power = np.frexp(values)
+    return mantissa, np.where(values > 0.0, power, NOWHERE)
+
+
+def _assemble(mantissa: Array, power: Array, axes: int) -> tuple[Array, Array]:
+    """Tables of mantissas and powers of two, with their largest power in the log-scale."""
+    top = power.max(axis=_span(axes))
+    values: Array = np.ldexp(mantissa, power - _over(top, axes))
+    return values, np.where(top > NOWHERE // 2, top * LOG_2, 0.0)
