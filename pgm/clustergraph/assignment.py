@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-
-import networkx as nx
+from heapq import heappop, heappush
 
 from pgm.clustergraph.checks import Edge
+from pgm.clustergraph.size import size
 from pgm.cpds import CPD
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope, dimension, names
+from pgm.factors.scope import Scope, names
 from pgm.variables import Variable
 
 
@@ -32,15 +32,16 @@ def assign(cpds: Iterable[CPD], scopes: Sequence[Scope]) -> list[tuple[CPD, ...]
         If no cluster does, naming the CPD.
     """
     holders = _holders(scopes)
-    sizes = [dimension(scope) for scope in scopes]
+    sizes = [size(scope) for scope in scopes]
     members = [set(scope) for scope in scopes]
     inside: list[list[CPD]] = [[] for _ in scopes]
     for cpd in cpds:
-        rarest = min(cpd.scope, key=lambda variable: len(holders[variable]))
-        fits = [k for k in holders[rarest] if members[k].issuperset(cpd.scope)]
+        family = cpd.scope
+        rarest = min((holders[variable] for variable in family), key=len)
+        fits = [k for k in rarest if members[k].issuperset(family)]
         if not fits:
             raise GraphError(
-                f"family preservation fails: no cluster holds the family {names(cpd.scope)} of "
+                f"family preservation fails: no cluster holds the family {names(family)} of "
                 f"the CPD of {cpd.child!r}; add a cluster that does",
                 variable=cpd.child,
                 cpd=cpd,
@@ -52,16 +53,58 @@ def assign(cpds: Iterable[CPD], scopes: Sequence[Scope]) -> list[tuple[CPD, ...]
 def spanning_tree(scopes: Sequence[Scope]) -> dict[Edge, Scope]:
     """The sepsets of a maximum-weight spanning tree, or forest: full intersections.
 
-    It has running intersection if any spanning tree has.
+    The weight of an edge is the number of variables that its clusters share. A tree carries a
+    variable of k clusters on at most k − 1 edges, and on as many only if these join all k: so if
+    any spanning tree has running intersection, those of maximum weight have it, and no others.
+    Maximum cardinality search finds one, in time about linear in the clusters' sizes: a variable
+    in a thousand clusters is not one in half a million edges.
+
+    Raises
+    ------
+    GraphError
+        If no spanning tree has running intersection, naming a variable and its clusters.
+
+    References
+    ----------
+    Tarjan and Yannakakis (1984), Simple linear-time algorithms to test chordality of graphs, test
+    acyclicity of hypergraphs, and selectively reduce acyclic hypergraphs, section 4. Jensen and
+    Jensen (1994), Optimal junction trees.
     """
-    weights: dict[Edge, int] = defaultdict(int)
-    for variable, found in _holders(scopes).items():
-        for a, i in enumerate(found):
-            for j in found[a + 1 :]:
-                weights[i, j] += variable.dimension if variable.dimension else 1
-    graph = nx.Graph()
-    graph.add_nodes_from(range(len(scopes)))
-    graph.add_weighted_edges_from((i, j, weight) for (i, j), weight in weights.items())
+    holders = _holders(scopes)
     members = [set(scope) for scope in scopes]
-    edges = (tuple(sorted(edge)) for edge in nx.maximum_spanning_edges(graph, data=False))
-    return {(i, j): tuple(v for v in scopes[i] if v in members[j]) for i, j in edges}
+    shared = [0] * len(scopes)
+    taken = [False] * len(scopes)
+    # Which cluster was the first to hold a variable, and when it was taken.
+    first: dict[Variable, tuple[int, int]] = {}
+    # Entries of clusters that share more by now stay until they come up.
+    heap = [(0, k) for k in range(len(scopes))]
+    joined: dict[Edge, Scope] = {}
+    while heap:
+        _, cluster = heappop(heap)
+        if taken[cluster]:
+            continue
+        taken[cluster] = True
+        scope = scopes[cluster]
+        old = tuple(variable for variable in scope if variable in first)
+        if old:
+            _, nearest = max(first[variable] for variable in old)
+            lost = [variable for variable in old if variable not in members[nearest]]
+            if lost:
+                ends = sorted((first[lost[0]][1], cluster))
+                raise GraphError(
+                    f"running intersection fails: no tree of these clusters carries each variable; "
+                    f"{lost[0]!r} is in clusters {ends[0]} and {ends[1]}, but not in {nearest} "
+                    "between them. Add it there, or give sepsets, for a graph with loops",
+                    variable=lost[0],
+                    cluster=nearest,
+                )
+            joined[min(cluster, nearest), max(cluster, nearest)] = old
+        when = len(first)
+        for variable in scope:
+            if variable not in first:
+                first[variable] = (when, cluster)
+                for other in holders[variable]:
+                    if not taken[other]:
+                        shared[other] += 1
+                        heappush(heap, (-shared[other], other))
+    return joined

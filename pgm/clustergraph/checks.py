@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import networkx as nx
 
@@ -98,25 +98,50 @@ def check_running_intersection(
                         cluster=end,
                     )
             carriers[variable].append((i, j))
+    loopless = is_forest(edges)
     for variable, clusters in holders.items():
-        if len(carriers[variable]) == len(clusters) - 1 <= 1:
-            continue  # one cluster, or two that are joined
-        graph = nx.Graph(carriers[variable])
+        carrying = carriers[variable]
+        if len(carrying) == len(clusters) - 1 and (loopless or is_forest(carrying)):
+            continue
+        graph = nx.Graph(carrying)
         graph.add_nodes_from(clusters)
         pieces = list(nx.connected_components(graph))
         if len(pieces) > 1:
-            apart = " and ".join(str(sorted(piece)) for piece in pieces)
+            apart = " and ".join(map(_some, pieces[:2]))
             raise GraphError(
                 f"running intersection fails: {variable!r} is in clusters {apart}, which no "
                 "path of sepsets carrying it joins; add it to the sepsets between them",
                 variable=variable,
                 cluster=min(pieces[1]),
             )
-        if len(carriers[variable]) >= len(clusters):
-            loop = [edge[0] for edge in nx.find_cycle(graph)]
-            raise GraphError(
-                f"running intersection fails: the sepsets carry {variable!r} around the loop of "
-                f"clusters {loop}; take it out of one of them",
-                variable=variable,
-                cluster=loop[0],
-            )
+        loop = [edge[0] for edge in nx.find_cycle(graph)]
+        raise GraphError(
+            f"running intersection fails: the sepsets carry {variable!r} around the loop of "
+            f"clusters {_some(loop)}; take it out of one of them",
+            variable=variable,
+            cluster=loop[0],
+        )
+
+
+def is_forest(edges: Iterable[Edge]) -> bool:
+    """Whether no edges form a loop: each joins two trees that were apart."""
+    above: dict[int, int] = {}
+
+    def root(index: int) -> int:
+        while above.get(index, index) != index:
+            above[index] = above.get(above[index], above[index])
+            index = above[index]
+        return index
+
+    for i, j in edges:
+        first, second = root(i), root(j)
+        if first == second:
+            return False
+        above[first] = second
+    return True
+
+
+def _some(clusters: Collection[int]) -> str:
+    """The first clusters, for messages."""
+    shown = ", ".join(map(str, sorted(clusters)[:5]))
+    return f"[{shown}{', ...' if len(clusters) > 5 else ''}]"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain, repeat
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -12,52 +12,24 @@ import networkx as nx
 import numpy as np
 
 from pgm.clustergraph.assignment import assign, spanning_tree
-from pgm.clustergraph.checks import Edge, check_families, check_running_intersection
-from pgm.cpds import CPD
+from pgm.clustergraph.checks import (
+    Edge,
+    check_families,
+    check_running_intersection,
+    is_forest,
+)
+from pgm.clustergraph.cluster import Cluster
+from pgm.clustergraph.size import amount, is_discrete, work
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope, as_scope, dimension, names
+from pgm.factors.scope import Scope, as_scope
 from pgm.immutable import Immutable
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
 T = TypeVar("T")
 
-
-@dataclass(frozen=True, eq=False)
-class Cluster:
-    """A set of variables, with the CPDs whose product is its potential.
-
-    Attributes
-    ----------
-    index : int
-    scope : tuple of Variable
-    cpds : tuple of CPD
-    families : tuple of tuple of Variable
-        The family of each CPD, child first, all inside the scope.
-    """
-
-    index: int
-    scope: Scope
-    cpds: tuple[CPD, ...]
-    families: tuple[Scope, ...]
-
-    @property
-    def size(self) -> int:
-        """Components of its continuous variables, or entries of its discrete ones' table."""
-        return dimension(self.scope)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Cluster) and (self.index, self.scope, self.cpds) == (
-            other.index,
-            other.scope,
-            other.cpds,
-        )
-
-    def __hash__(self) -> int:
-        return hash((self.index, self.scope))
-
-    def __repr__(self) -> str:
-        return f"Cluster({self.index}: {names(self.scope)})"
+# Plans that a graph keeps: one for each set of observed variables that is asked about in turn.
+KEPT = 32
 
 
 class ClusterGraph(Immutable):
@@ -71,14 +43,17 @@ class ClusterGraph(Immutable):
     network : BayesianNetwork
     clusters : sequence of sets of Variable
     sepsets : mapping of (int, int) to set of Variable, optional
-        Of each pair of joined clusters. Without, a spanning tree whose sepsets are the full
-        intersections, of maximum total size.
+        Of each pair of joined clusters. Without, a tree whose sepsets are the full
+        intersections: a maximum-weight spanning tree, where that has running intersection.
 
     Raises
     ------
     GraphError
         If a family is in no cluster (family preservation), or a variable's clusters and the
-        sepsets that carry it form no tree (running intersection), naming variable and clusters.
+        sepsets that carry it form no tree (running intersection), naming variable and clusters;
+        if a cluster is empty, a variable is not the network's, or an edge joins no two clusters.
+    ModelError
+        If a cluster or sepset holds what is no variable, or one twice.
 
     Examples
     --------
@@ -102,6 +77,8 @@ class ClusterGraph(Immutable):
 
         def scope(members: Iterable[Variable], where: str) -> Scope:
             """In the network's order, since sets have none of their own."""
+            if not isinstance(members, Variable | Iterable):
+                raise GraphError(f"{where} is a set of variables, not {members!r}")
             found = as_scope(members)
             for variable in found:
                 if variable not in place:
@@ -111,11 +88,20 @@ class ClusterGraph(Immutable):
                     )
             return tuple(sorted(found, key=place.__getitem__))
 
+        if not isinstance(clusters, Iterable):
+            raise GraphError(f"clusters is a sequence of sets of variables, not {clusters!r}")
         scopes = [scope(members, f"cluster {k}") for k, members in enumerate(clusters)]
+        if () in scopes:
+            empty = scopes.index(())
+            raise GraphError(f"cluster {empty} is empty; leave it out", cluster=empty)
         cpds = assign(network.cpds, scopes)
         if sepsets is None:
             joined = spanning_tree(scopes)
         else:
+            if not isinstance(sepsets, Mapping):
+                raise GraphError(
+                    f"sepsets maps pairs of clusters to sets of variables; it is {sepsets!r}"
+                )
             joined = {}
             for edge, members in sepsets.items():
                 i, j = _edge(edge, len(scopes))
@@ -155,7 +141,35 @@ class ClusterGraph(Immutable):
     @cached_property
     def is_tree(self) -> bool:
         """Whether it has no loops: a tree, or several."""
-        return nx.is_forest(self.to_networkx()) if len(self) else True
+        return is_forest(self.sepsets)
+
+    @property
+    def _alike(self) -> Iterable[tuple[Cluster, int]]:
+        """The clusters, each with the number in a row that are like it."""
+        return ((cluster, 1) for cluster in self._clusters)
+
+    @cached_property
+    def sizes(self) -> tuple[int, ...]:
+        """Of each cluster: components, or entries of its table if it is discrete."""
+        runs = (repeat(cluster.size, count) for cluster, count in self._alike)
+        return tuple(chain.from_iterable(runs))
+
+    @cached_property
+    def width(self) -> int:
+        """The largest number of variables in a cluster, less one.
+
+        The least width of a network's junction trees is its treewidth.
+        """
+        return max(len(cluster.scope) for cluster, _ in self._alike) - 1
+
+    @cached_property
+    def cost(self) -> int:
+        """About what a pass of messages takes, over all clusters, if nothing is observed.
+
+        Entries of tables, if discrete; else the cubes of the components, which is what
+        eliminating from a Gaussian takes.
+        """
+        return sum(work(cluster.scope) * count for cluster, count in self._alike)
 
     def index(self, cluster: int | Cluster) -> int:
         """The index of a cluster, given by index or value."""
@@ -194,11 +208,13 @@ class ClusterGraph(Immutable):
     def derived(self, make: Callable[..., T], *key: Any) -> T:
         """What a function makes of this graph and a key, made once.
 
-        The place of plans that the layers above compile from the structure.
+        The place of plans that the layers above compile from the structure; the latest are kept.
         """
-        if (make, key) not in self._derived:
-            self._derived[make, key] = make(self, *key)
-        found: T = self._derived[make, key]
+        plans = self._derived
+        found: T = plans.pop((make, key)) if (make, key) in plans else make(self, *key)
+        plans[make, key] = found
+        if len(plans) > KEPT:
+            del plans[next(iter(plans))]
         return found
 
     @cached_property
@@ -215,15 +231,19 @@ class ClusterGraph(Immutable):
         return len(self.clusters)
 
     def __repr__(self) -> str:
-        return f"ClusterGraph({len(self.clusters)} clusters, {len(self.sepsets)} sepsets)"
+        unit = "table entries" if is_discrete(self._clusters[0].scope) else "components"
+        return (
+            f"ClusterGraph({len(self)} clusters, {len(self.sepsets)} sepsets, width {self.width}, "
+            f"largest cluster {amount(max(self.sizes))} {unit})"
+        )
 
 
 def _edge(edge: Any, count: int) -> Edge:
     """A pair of different clusters, lower index first."""
-    try:
-        i, j = sorted(map(int, edge))
-    except (TypeError, ValueError):
-        raise GraphError(f"sepsets map pairs of clusters to variables; {edge!r} is none") from None
+    ends = tuple(edge) if isinstance(edge, Iterable) else ()
+    if len(ends) != 2 or not all(isinstance(end, int | np.integer) for end in ends):
+        raise GraphError(f"sepsets map pairs of clusters to variables; {edge!r} is none")
+    i, j = sorted(map(int, ends))
     if i == j or not (i >= 0 and j < count):
         raise GraphError(
             f"a sepset joins two of the clusters 0..{count - 1}, not {edge!r}", cluster=i

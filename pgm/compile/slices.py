@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.checks import Edge
 from pgm.compile.layout import SliceLayout
-from pgm.errors import GraphError, ModelError
+from pgm.errors import GraphError
 from pgm.factors.scope import Scope
 from pgm.networks import DynamicBayesianNetwork
 
@@ -49,6 +47,12 @@ class SliceGraph(ClusterGraph):
     def neighbours(self, index: int) -> tuple[int, ...]:
         """The clusters of the steps before and after."""
         return tuple(k for k in (index - 1, index + 1) if 0 <= k <= self.steps)
+
+    @property
+    def _alike(self) -> Iterator[tuple[Cluster, int]]:
+        yield self.cluster(0), 1
+        if self.steps:
+            yield self.cluster(1), self.steps
 
     def families(self) -> Iterator[Scope]:
         """Of the prior at step 0, the transition at 1..T, the sensors where their parents are."""
@@ -121,34 +125,3 @@ class _Sepsets(Mapping[Edge, Scope]):
 
 def _numbers(edge: object) -> tuple[Any, ...]:
     return edge if isinstance(edge, tuple) else ()
-
-
-def compile(model: DynamicBayesianNetwork, steps: int | None = None) -> SliceGraph:
-    """Compile a network into a cluster graph.
-
-    Parameters
-    ----------
-    model : DynamicBayesianNetwork
-    steps : int
-        T: the graph has the clusters 0..T.
-
-    Raises
-    ------
-    ModelError
-        If the model is no network.
-    GraphError
-        If the number of steps is missing or negative.
-
-    Examples
-    --------
-    >>> graph = compile(model, steps=100)  # doctest: +SKIP
-    >>> graph.check()  # doctest: +SKIP
-    """
-    if not isinstance(model, DynamicBayesianNetwork):
-        raise ModelError(f"compile takes a network, not {model!r}")
-    whole = isinstance(steps, int | np.integer) and not isinstance(steps, bool)
-    if steps is None or not whole or steps < 0:
-        raise GraphError(
-            f"a dynamic network is compiled for steps 0..T; give steps=T, 0 or more, not {steps!r}"
-        )
-    return SliceGraph(model, int(steps))

@@ -1,0 +1,46 @@
+"""Clusters: what the nodes of a cluster graph are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pgm.clustergraph.size import size
+from pgm.cpds import CPD
+from pgm.factors.scope import Scope, names
+
+
+@dataclass(frozen=True, eq=False)
+class Cluster:
+    """A set of variables, with the CPDs whose product is its potential.
+
+    Attributes
+    ----------
+    index : int
+    scope : tuple of Variable
+    cpds : tuple of CPD
+    families : tuple of tuple of Variable
+        The family of each CPD, child first, all inside the scope.
+    """
+
+    index: int
+    scope: Scope
+    cpds: tuple[CPD, ...]
+    families: tuple[Scope, ...]
+
+    @property
+    def size(self) -> int:
+        """Components of its continuous variables, or entries of its discrete ones' table."""
+        return size(self.scope)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Cluster) and (self.index, self.scope, self.cpds) == (
+            other.index,
+            other.scope,
+            other.cpds,
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.index, self.scope))
+
+    def __repr__(self) -> str:
+        return f"Cluster({self.index}: {names(self.scope)})"

@@ -1,0 +1,100 @@
+"""Compiling: from a network to a cluster graph."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, overload
+
+import numpy as np
+
+from pgm.clustergraph import ClusterGraph
+from pgm.compile.junction import JunctionTree
+from pgm.compile.slices import SliceGraph
+from pgm.errors import GraphError, ModelError
+from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
+
+
+class Method(Protocol):
+    """What makes a cluster graph of a network without time."""
+
+    def __call__(self, network: BayesianNetwork) -> ClusterGraph:
+        """Compile a network."""
+        ...
+
+
+@overload
+def compile(
+    model: DynamicBayesianNetwork, steps: int | None = None, method: None = None
+) -> SliceGraph: ...
+
+
+@overload
+def compile(
+    model: BayesianNetwork, steps: None = None, method: Method | None = None
+) -> ClusterGraph: ...
+
+
+def compile(
+    model: DynamicBayesianNetwork | BayesianNetwork,
+    steps: int | None = None,
+    method: Method | None = None,
+) -> ClusterGraph:
+    """Compile a network into a cluster graph.
+
+    Parameters
+    ----------
+    model : DynamicBayesianNetwork or BayesianNetwork
+    steps : int
+        T, of a dynamic network: the graph has the clusters 0..T.
+    method : Method, optional
+        Of a network without time: `JunctionTree()`, if not given, `Bethe()`, or a function from
+        networks to cluster graphs. A graph made by hand is a `ClusterGraph(network, clusters)`.
+
+    Returns
+    -------
+    SliceGraph or ClusterGraph
+        Of a dynamic network a chain of slices.
+
+    Raises
+    ------
+    ModelError
+        If the model is no network.
+    GraphError
+        If the number of steps of a dynamic network is missing or negative, a method is given for
+        one or steps for a network without time, or the method is none.
+
+    Examples
+    --------
+    >>> graph = compile(model, steps=100)  # doctest: +SKIP
+    >>> graph = compile(network, method=JunctionTree(order=NestedDissection()))  # doctest: +SKIP
+    >>> graph.check()  # doctest: +SKIP
+    """
+    if isinstance(model, DynamicBayesianNetwork):
+        return _slices(model, steps, method)
+    if not isinstance(model, BayesianNetwork):
+        raise ModelError(f"compile takes a network, not {model!r}")
+    if steps is not None:
+        raise GraphError(f"{model!r} has no time, so it is not compiled for steps; leave out steps")
+    if method is None:
+        method = JunctionTree()
+    if not callable(method) or isinstance(method, type):
+        raise GraphError(
+            f"{method!r} is no method; give one like pgm.JunctionTree() or pgm.Bethe()"
+        )
+    graph = method(model)
+    if not isinstance(graph, ClusterGraph):
+        raise GraphError(f"{method!r} returned {graph!r} where a ClusterGraph was due")
+    return graph
+
+
+def _slices(model: DynamicBayesianNetwork, steps: Any, method: Any) -> SliceGraph:
+    if method is not None:
+        raise GraphError(
+            f"a dynamic network is compiled to a chain of slices, not by {method!r}; leave out the "
+            "method, or compile model.unroll(steps)"
+        )
+    whole = isinstance(steps, int | np.integer) and not isinstance(steps, bool)
+    if not whole or steps < 0:
+        raise GraphError(
+            f"a dynamic network is compiled for steps 0..T; give steps=T, 0 or more, not {steps!r}"
+        )
+    return SliceGraph(model, int(steps))

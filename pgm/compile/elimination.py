@@ -1,0 +1,198 @@
+"""Eliminating the vertices of a graph one after the other.
+
+Vertices are whole numbers, and a graph is a list of sets of neighbours. Eliminating a vertex joins
+its neighbours to each other; the edges that this adds are its *fill*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from heapq import heapify, heappop, heappush
+
+from pgm.networks import BayesianNetwork
+
+Adjacency = Sequence[set[int]]
+
+
+def moral(network: BayesianNetwork) -> list[set[int]]:
+    """The moral graph: every family is a clique; vertices are places in `network.variables`."""
+    place = {variable: k for k, variable in enumerate(network.variables)}
+    adjacent: list[set[int]] = [set() for _ in place]
+    for cpd in network.cpds:
+        family = [place[variable] for variable in cpd.scope]
+        for vertex in family:
+            adjacent[vertex].update(family)
+    for vertex, near in enumerate(adjacent):
+        near.discard(vertex)
+    return adjacent
+
+
+class Filling:
+    """A graph under elimination that knows the fill of each of its vertices.
+
+    The fill of v is Σ w_a w_b over the pairs of v's neighbours that are not joined.
+
+    Parameters
+    ----------
+    adjacent : sequence of set of int
+        The graph; it is copied.
+    weights : sequence of int
+        w, of each vertex.
+    """
+
+    def __init__(self, adjacent: Adjacency, weights: Sequence[int]) -> None:
+        self.adjacent = [set(near) for near in adjacent]
+        self.weights = weights
+        self._around = [self._weight(near) for near in adjacent]
+        # Vertices of one closed neighbourhood have one fill: a family of a thousand costs little.
+        known: dict[frozenset[int], int] = {}
+        self.fill: list[int] = []
+        for vertex, near in enumerate(adjacent):
+            closed = frozenset((vertex, *near))
+            if closed not in known:
+                known[closed] = self._apart(closed)
+            self.fill.append(known[closed])
+
+    def _weight(self, vertices: Iterable[int]) -> int:
+        return sum(map(self.weights.__getitem__, vertices))
+
+    def _apart(self, vertices: frozenset[int]) -> int:
+        """Σ w_a w_b over the pairs that are not joined."""
+        total = self._weight(vertices)
+        twice = 0
+        for vertex in vertices:
+            joined = self._weight(vertices & self.adjacent[vertex])
+            twice += self.weights[vertex] * (total - self.weights[vertex] - joined)
+        return twice // 2
+
+    def eliminate(self, vertex: int) -> set[int]:
+        """Join the neighbours of a vertex to each other and remove it.
+
+        Returns
+        -------
+        set of int
+            The vertices whose fill may have changed.
+        """
+        near, weights = self.adjacent[vertex], self.weights
+        touched = set(near)
+        if self.fill[vertex]:
+            for a in near:
+                for b in near - self.adjacent[a]:
+                    if a != b:
+                        touched |= self._join(a, b)
+        total = self._around[vertex]
+        for a in near:
+            # The pairs of the vertex with those neighbours of a that it was not joined to.
+            beyond = self._around[a] - weights[vertex] - (total - weights[a])
+            self.fill[a] -= weights[vertex] * beyond
+            self._around[a] -= weights[vertex]
+            self.adjacent[a].discard(vertex)
+        self.adjacent[vertex] = set()
+        touched.discard(vertex)
+        return touched
+
+    def _join(self, a: int, b: int) -> set[int]:
+        """Add an edge: the vertices whose fill it changes."""
+        adjacent, weights, fill = self.adjacent, self.weights, self.fill
+        common = adjacent[a] & adjacent[b]
+        pair = weights[a] * weights[b]
+        for vertex in common:
+            fill[vertex] -= pair
+        shared = self._weight(common)
+        for end, other in ((a, b), (b, a)):
+            fill[end] += weights[other] * (self._around[end] - shared)
+            self._around[end] += weights[other]
+            adjacent[end].add(other)
+        return common
+
+
+def min_fill(
+    adjacent: Adjacency, weights: Sequence[int], stages: Sequence[int] | None = None
+) -> list[int]:
+    """Eliminate a vertex of least fill, the first of equals, until none is left.
+
+    Parameters
+    ----------
+    adjacent : sequence of set of int
+    weights : sequence of int
+        Of each vertex, see `Filling`.
+    stages : sequence of int, optional
+        All vertices of a lower stage are eliminated before any of a higher.
+    """
+    graph = Filling(adjacent, weights)
+    count = len(graph.fill)
+    stage = stages or [0] * count
+    queued = list(graph.fill)
+    # Entries that a change of fill made out of date stay until they come up.
+    heap = [(stage[vertex], queued[vertex], vertex) for vertex in range(count)]
+    heapify(heap)
+    left = [True] * count
+    order = []
+    while heap:
+        _, fill, vertex = heappop(heap)
+        if not left[vertex] or fill != graph.fill[vertex]:
+            continue
+        left[vertex] = False
+        order.append(vertex)
+        for other in graph.eliminate(vertex):
+            if graph.fill[other] != queued[other]:
+                queued[other] = graph.fill[other]
+                heappush(heap, (stage[other], queued[other], other))
+    return order
+
+
+@dataclass(frozen=True)
+class CliqueTree:
+    """The maximal cliques of a triangulated graph, joined to a tree, or several.
+
+    Attributes
+    ----------
+    cliques : list of set of int
+        In the order in which their first vertex is eliminated.
+    sepsets : dict of (int, int) to set of int
+        Of each pair of joined cliques: what they share.
+    """
+
+    cliques: list[set[int]]
+    sepsets: dict[tuple[int, int], set[int]]
+
+
+def clique_tree(adjacent: Adjacency, order: Sequence[int]) -> CliqueTree:
+    """The clique tree of an elimination order, in time linear in its cliques' sizes.
+
+    The clique of a vertex is the vertex with its *later* neighbours in the filled graph; it hangs
+    on the clique of the first of these. One that lies inside a clique hanging on it is that one.
+
+    References
+    ----------
+    Blair and Peyton (1993), An introduction to chordal graphs and clique trees.
+    """
+    position = [0] * len(order)
+    for k, vertex in enumerate(order):
+        position[vertex] = k
+    later = [
+        {other for other in near if position[other] > position[vertex]}
+        for vertex, near in enumerate(adjacent)
+    ]
+    hanging: list[list[int]] = [[] for _ in order]
+    home = [0] * len(order)
+    tree = CliqueTree([], {})
+    for vertex in order:
+        reach = later[vertex]
+        inside = (child for child in hanging[vertex] if len(later[child]) == len(reach) + 1)
+        child = next(inside, None)
+        if child is None:
+            home[vertex] = len(tree.cliques)
+            tree.cliques.append({vertex} | reach)
+        else:
+            home[vertex] = home[child]
+        for child in hanging[vertex]:
+            if home[child] != home[vertex]:
+                i, j = sorted((home[child], home[vertex]))
+                tree.sepsets[i, j] = later[child]
+        if reach:
+            parent = min(reach, key=position.__getitem__)
+            hanging[parent].append(vertex)
+            later[parent] |= reach - {parent}
+    return tree

@@ -1,0 +1,188 @@
+"""Elimination orders: permutations, deterministic, and as good as they are known to be."""
+
+import itertools
+import math
+
+import networkx as nx
+import pytest
+from dags import chain, continuous, discrete, grid, networks, star, tree
+from hypothesis import given
+
+import pgm
+from pgm.compile.dissection import dissect
+from pgm.compile.elimination import moral
+
+ORDERS = {
+    "min-fill": pgm.MinFill(),
+    "weighted min-fill": pgm.WeightedMinFill(),
+    "nested dissection": pgm.NestedDissection(),
+    "nested dissection to the end": pgm.NestedDissection(small=1),
+}
+orders = pytest.mark.parametrize("order", ORDERS.values(), ids=ORDERS)
+
+
+def compiled(network, order):
+    return pgm.compile(network, method=pgm.JunctionTree(order))
+
+
+def depth(graph):
+    """How far the ends of a tree are from its middle: two searches find its longest path."""
+    plain = graph.to_networkx()
+    far = 0
+    for _ in range(2):
+        lengths = nx.single_source_shortest_path_length(plain, far)
+        far = max(lengths, key=lengths.get)
+    return (lengths[far] + 1) // 2
+
+
+@orders
+@given(networks())
+def test_orders_are_permutations_and_the_same_each_time(order, network):
+    found = order(network)
+    assert sorted(map(repr, found)) == sorted(map(repr, network.variables))
+    assert order(pgm.BayesianNetwork(network.cpds)) == found
+
+
+@orders
+def test_orders_are_values(order):
+    assert order == type(order)(**vars(order))
+    assert hash(order) == hash(type(order)(**vars(order)))
+
+
+@pytest.mark.parametrize("order", [pgm.MinFill(), pgm.WeightedMinFill()])
+@pytest.mark.parametrize("branches", [1, 2, 3, 20])
+def test_trees_have_width_one(order, branches):
+    graph = compiled(continuous(tree(60, branches)), order)
+    graph.check()
+    assert graph.width == 1
+
+
+@orders
+@pytest.mark.parametrize("side", [2, 3, 4, 5, 6, 8, 12])
+def test_grids_have_about_the_width_of_their_side(order, side):
+    graph = compiled(continuous(grid(side)), order)
+    graph.check()
+    # the treewidth of a grid is its side; half as much again is what these rules reach
+    assert side <= graph.width <= 1.5 * side + 1
+
+
+@pytest.mark.parametrize(
+    "parents", [chain(5), [[], []], [[], [0], [1], [2], [3, 0]], [[], [0], [0], [1, 2], [3]]]
+)
+def test_widths_of_small_networks_are_their_treewidth(parents):
+    network = continuous(parents)
+    possible = itertools.permutations(network.variables)
+    best = min(compiled(network, order).width for order in possible)
+    assert compiled(network, pgm.MinFill()).width == best
+
+
+def test_weights_are_numbers_of_states():
+    # Of the square 0-1-2-3, eliminating 0 or 2 joins 1 and 3, which are large.
+    parents = [[], [0], [1], [2], [3, 0]]
+    sizes = [2, 9, 2, 9, 2]
+    network = discrete(parents, sizes)
+    plain = compiled(network, pgm.MinFill())
+    weighted = compiled(network, pgm.WeightedMinFill())
+    assert weighted.cost < plain.cost
+    assert weighted.width == plain.width
+
+
+def test_weights_are_numbers_of_components():
+    parents = [[], [0], [1], [2], [3, 0]]
+    network = continuous(parents, [1, 5, 1, 5, 1])
+    weighted = compiled(network, pgm.WeightedMinFill())
+    assert weighted.cost < compiled(network, pgm.MinFill()).cost
+
+
+@pytest.mark.parametrize("count", [100, 1000, 4000])
+def test_dissected_chains_are_shallow(count):
+    network = continuous(chain(count))
+    graph = compiled(network, pgm.NestedDissection())
+    graph.check()
+    assert graph.width == 2
+    assert depth(graph) <= 2 * math.log2(count) + 8
+    assert depth(compiled(network, pgm.MinFill())) >= count // 2 - 1
+
+
+def test_a_variable_in_every_family_does_not_hide_the_chain_from_dissection():
+    parents = [[]] + [[0] if k == 1 else [0, k - 1] for k in range(1, 1000)]
+    graph = compiled(continuous(parents), pgm.NestedDissection())
+    graph.check()
+    assert graph.width == 3
+    assert depth(graph) <= 30
+
+
+@pytest.mark.parametrize("parents", [chain(200), grid(12), grid(3, 40)])
+def test_separators_leave_parts_of_at_most_about_two_thirds(parents):
+    adjacent = moral(continuous(parents))
+    stages = dissect(adjacent, small=1)
+    graph = nx.Graph((v, u) for v, near in enumerate(adjacent) for u in near)
+    parts = [set(graph)]
+    for depth in range(-min(stages) + 1):
+        following = []
+        for part in parts:
+            separator = {v for v in part if stages[v] == -depth}
+            rest = list(nx.connected_components(graph.subgraph(part - separator)))
+            if rest:
+                # idle vertices of a level go to its side, and small parts may have no fair level
+                assert max(map(len, rest)) <= 0.8 * len(part) or len(part) < 20
+                assert len(rest) > 1
+            else:  # not divided: all are next to one of them
+                assert nx.radius(graph.subgraph(part)) <= 1
+            following += rest
+        parts = following
+    assert not parts
+
+
+def test_dissection_halves_a_chain():
+    stages = dissect(moral(continuous(chain(63))), small=1)
+    assert stages.count(0) == 1
+    assert abs(stages.index(0) - 31) <= 11
+    assert min(stages) >= -2 * 6
+
+
+@orders
+def test_long_chains_need_no_recursion(order):
+    graph = compiled(continuous(chain(5000)), order)
+    assert len(graph) > 4900
+    assert graph.is_tree
+
+
+def test_an_order_given_by_hand_is_taken():
+    network = continuous(star(4))
+    hub, *leaves = network.variables
+    assert compiled(network, [*leaves, hub]).width == 1
+    assert compiled(network, [hub, *leaves]).width == 4
+    assert compiled(network, iter([hub, *leaves])).width == 4
+    assert compiled(network, lambda network: network.variables[::-1]).width == 1
+    method = pgm.JunctionTree([hub, *leaves])
+    assert method == pgm.JunctionTree((hub, *leaves))
+    assert hash(method) == hash(pgm.JunctionTree((hub, *leaves)))
+
+
+def test_orders_given_by_hand_are_checked():
+    network = continuous(star(3))
+    a, b, c, d = network.variables
+    stranger = pgm.Variable("stranger")
+    for order, words, variable in (
+        ([a, b, d], r"lacks \(x2\)", c),
+        ([a, b, c, d, b], "names x1 twice", b),
+        ([a, b, c, c], r"lacks \(x3\)", d),
+        ([a, b, c, d, stranger], "holds stranger", stranger),
+        (lambda network: network.variables[1:], r"lacks \(x0\)", a),
+    ):
+        with pytest.raises(pgm.GraphError, match=words) as caught:
+            compiled(network, order)
+        assert caught.value.variable == variable
+
+
+@pytest.mark.parametrize("order", [3, None, pgm.MinFill, pgm.Variable("a")])
+def test_what_is_no_order_is_refused(order):
+    with pytest.raises(pgm.GraphError, match="no elimination order"):
+        pgm.JunctionTree(order)
+
+
+@pytest.mark.parametrize("small", [0, -1, 2.5, "3", None])
+def test_dissection_needs_a_number(small):
+    with pytest.raises(pgm.GraphError, match="1 or more"):
+        pgm.NestedDissection(small)
