@@ -59,8 +59,8 @@ def evaluate(
         Values of the parents, which broadcast to (*shape, d).
     shape : tuple of int
         The leading axes.
-    step : array_like of int
-        The step of each, which broadcasts to the shape; for messages.
+    step : array_like of int or None
+        The step of each, which broadcasts to the shape, for messages; None where there is no time.
     """
     arguments = [np.broadcast_to(known[v], (*shape, v.dimension)) for v in cov.given]
     try:
@@ -81,9 +81,10 @@ def evaluate(
     if covariance_fault(value):
         for index in np.ndindex(shape):
             if fault := covariance_fault(value[index]):
-                at = int(np.broadcast_to(step, shape)[index])
+                at = None if step is None else int(np.broadcast_to(step, shape)[index])
+                where = "" if at is None else f" at step {at}"
                 raise ModelError(
-                    f"the noise of the CPD of {child!r} at step {at} {fault}",
+                    f"the noise of the CPD of {child!r}{where} {fault}",
                     variable=child,
                     step=at,
                 )

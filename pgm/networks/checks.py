@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
-
-import networkx as nx
 
 from pgm.cpds import CPD
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 C = TypeVar("C", bound=CPD)
 
@@ -27,18 +26,28 @@ def as_cpds(cpds: CPD | Iterable[CPD], where: str) -> tuple[CPD, ...]:
 
 
 def one_name_each(variables: Iterable[Variable]) -> None:
-    """Refuse two different variables of one name."""
+    """Refuse two different variables of one name; copies of one at several steps are none."""
     seen: dict[str, Variable] = {}
     for variable in variables:
-        template = variable.template
-        first = seen.setdefault(variable.name, template)
-        if first != template:
+        first = seen.setdefault(variable.name, variable)
+        if first is not variable and _kind(first) != _kind(variable):
             raise ModelError(
-                f"two different variables are called {variable.name!r}: one with components "
-                f"{first.components} (angles {first.angles}), one with {template.components} "
-                f"(angles {template.angles}); rename one",
-                variable=template,
+                f"two different variables are called {variable.name!r}: one with "
+                f"{_described(first)}, one with {_described(variable)}; rename one",
+                variable=variable.template,
             )
+
+
+def _kind(variable: Variable) -> tuple[object, ...]:
+    """What all copies of a variable share."""
+    states = variable.states if isinstance(variable, Discrete) else None
+    return variable.components, variable.angles, states
+
+
+def _described(variable: Variable) -> str:
+    if isinstance(variable, Discrete):
+        return f"states {variable.states}"
+    return f"components {variable.components} (angles {variable.angles})"
 
 
 def one_cpd_each(cpds: Iterable[CPD]) -> None:
@@ -54,22 +63,56 @@ def one_cpd_each(cpds: Iterable[CPD]) -> None:
         seen[cpd.child] = cpd
 
 
+def no_step_before(cpds: Iterable[CPD]) -> None:
+    """Refuse parents of the step before, where there is no time."""
+    for cpd in cpds:
+        for parent in cpd.parents:
+            if parent.lag:
+                raise ModelError(
+                    f"{cpd!r}: {parent!r} is of a step before, which a network without time does "
+                    "not have; declare a DynamicBayesianNetwork, or name the steps, "
+                    f"{parent.name}.at(0)",
+                    variable=parent,
+                    cpd=cpd,
+                )
+
+
 def in_order(cpds: Sequence[C], parents: Callable[[C], Scope]) -> tuple[C, ...]:
     """CPDs with parents before children, in the given order where that leaves a choice."""
-    by_child = {cpd.child: cpd for cpd in cpds}
-    graph = nx.DiGraph()
-    graph.add_nodes_from(by_child)
-    graph.add_edges_from((p, cpd.child) for cpd in cpds for p in parents(cpd) if p in by_child)
-    place = {child: k for k, child in enumerate(by_child)}
-    try:
-        order = list(nx.lexicographical_topological_sort(graph, key=place.__getitem__))
-    except nx.NetworkXUnfeasible:
-        loop = [edge[0] for edge in nx.find_cycle(graph)]
-        path = " -> ".join(map(repr, [*loop, loop[0]]))
+    place = {cpd.child: k for k, cpd in enumerate(cpds)}
+    waiting = [{place[p] for p in parents(cpd) if p in place} for cpd in cpds]
+    children: list[list[int]] = [[] for _ in cpds]
+    for k, before in enumerate(waiting):
+        for parent in before:
+            children[parent].append(k)
+    missing = [len(before) for before in waiting]
+    ready = [k for k, count in enumerate(missing) if not count]  # sorted, which is a heap
+    order = []
+    while ready:
+        first = heapq.heappop(ready)
+        order.append(first)
+        for k in children[first]:
+            missing[k] -= 1
+            if not missing[k]:
+                heapq.heappush(ready, k)
+    if len(order) < len(cpds):
+        loop = _cycle(waiting, set(range(len(cpds))).difference(order))
+        path = " -> ".join(repr(cpds[k].child) for k in loop)
         raise ModelError(
-            f"the CPDs form a cycle, {path}; a variable may depend on itself only through "
-            "the step before (.previous)",
-            variable=loop[0],
-            cpd=by_child[loop[0]],
-        ) from None
-    return tuple(by_child[child] for child in order)
+            f"the CPDs form a cycle, {path}; take a parent out of one of them or, in a dynamic "
+            "network, give it the parent's step before (.previous)",
+            variable=cpds[loop[0]].child,
+            cpd=cpds[loop[0]],
+        )
+    return tuple(cpds[k] for k in order)
+
+
+def _cycle(before: Sequence[set[int]], left: set[int]) -> list[int]:
+    """A closed path, parents before children, where each that is left waits for one that is."""
+    path: dict[int, None] = {}
+    at = min(left)
+    while at not in path:
+        path[at] = None
+        at = min(before[at] & left)
+    loop = list(path)[list(path).index(at) :]
+    return [at, *reversed(loop)]

@@ -15,6 +15,7 @@ from pgm.factors.scope import Scope
 from pgm.immutable import Immutable
 from pgm.networks import checks, declaration
 from pgm.networks.sampling import Sample, draw
+from pgm.networks.static import BayesianNetwork, density
 
 
 class DynamicBayesianNetwork(Immutable):
@@ -54,7 +55,7 @@ class DynamicBayesianNetwork(Immutable):
 
     Examples
     --------
-    >>> from pgm import GaussianCPD, LinearGaussianCPD
+    >>> from pgm import GaussianCPD, LinearGaussianCPD, Variable
     >>> x, z = Variable("x"), Variable("z")
     >>> DynamicBayesianNetwork(
     ...     prior=[GaussianCPD(x, mean=0.0, cov=1.0)],
@@ -169,6 +170,43 @@ class DynamicBayesianNetwork(Immutable):
         shape = (runs,) if isinstance(runs, int) else tuple(runs)
         return draw(self, inputs or {}, steps, shape, np.random.default_rng(rng))
 
+    def unroll(self, steps: int) -> BayesianNetwork:
+        """The network without time whose variables are those of the slices 0..steps.
+
+            p(x[0..T], z[0..T] | u) = p(x[0]) Π p(x[t] | x[t−1], u[t]) Π p(z[t] | x[t])
+
+        Each sensor reads once a step, at step 0 too where its parents exist there. The copies of
+        one CPD have it as their `origin`.
+
+        Parameters
+        ----------
+        steps : int
+            T, 0 or more.
+
+        Raises
+        ------
+        ModelError
+            If the number of steps is no such number.
+
+        Examples
+        --------
+        >>> from pgm import GaussianCPD, LinearGaussianCPD, Variable
+        >>> x = Variable("x")
+        >>> model = DynamicBayesianNetwork(
+        ...     prior=[GaussianCPD(x, mean=0.0, cov=1.0)],
+        ...     transition=[LinearGaussianCPD(x, given={x.previous: 1.0}, cov=0.1)],
+        ... )
+        >>> model.unroll(2)
+        BayesianNetwork(p(x[0])  p(x[1] | x[0])  p(x[2] | x[1]))
+        """
+        whole = isinstance(steps, int | np.integer) and not isinstance(steps, bool)
+        if not whole or steps < 0:
+            raise ModelError(
+                f"a dynamic network is unrolled to slices 0..T; give T, 0 or more, not {steps!r}"
+            )
+        slices = range(int(steps) + 1)
+        return BayesianNetwork(cpd.at(step) for step in slices for cpd in self.cpds_at(step))
+
     def to_networkx(self, steps: int = 1) -> nx.DiGraph:
         """The network unrolled to slices 0..steps, for pictures and questions of structure.
 
@@ -206,12 +244,7 @@ class DynamicBayesianNetwork(Immutable):
         for label in ("prior", "transition", "observation"):
             cpds: tuple[ConditionalGaussian, ...] = getattr(self, label)
             if cpds:
-                rows.append((label, "  ".join(map(_density, cpds))))
+                rows.append((label, "  ".join(map(density, cpds))))
         return "\n".join(
             ["DynamicBayesianNetwork", *(f"  {label:<12} {text}" for label, text in rows)]
         )
-
-
-def _density(cpd: CPD) -> str:
-    parents = ", ".join(map(repr, cpd.parents))
-    return f"p({cpd.child!r}{' | ' if parents else ''}{parents})"

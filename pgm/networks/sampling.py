@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD
-from pgm.cpds.noise import evaluate
-from pgm.errors import LinearisationError, ModelError
+from pgm.errors import ModelError
 from pgm.evidence import Evidence, Reading, Sightings, bind, sightings
 from pgm.immutable import Immutable
-from pgm.kernels import roots
-from pgm.kernels.arrays import Array, apply
+from pgm.kernels.arrays import Array
+from pgm.networks import drawing
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -72,14 +68,14 @@ def draw(
     }
     for cpd in model.prior:
         now = {v: path[v][0] for v in cpd.given}
-        path[cpd.child][0] = _draw(cpd, now, bound.lead, rng, (count,), 0)
+        path[cpd.child][0] = drawing.gaussian(cpd, now, bound.lead, rng, (count,), 0)
     for step in range(1, bound.steps + 1):
         for cpd, known in zip(model.transition, bound.transition, strict=True):
             values = {v: rows[step - 1] for v, rows in known.items()}
             for parent in cpd.given:
                 if parent not in values:
                     values[parent] = path[parent.template][step - parent.lag]
-            path[cpd.child][step] = _draw(cpd, values, bound.lead, rng, (count,), step)
+            path[cpd.child][step] = drawing.gaussian(cpd, values, bound.lead, rng, (count,), step)
     evidence: dict[Variable, Any] = dict(inputs)
     values = {v: _unflat(path[v], bound.lead) for v in model.states}
     values |= {v: _unflat(path[v][1:], bound.lead) for v in model.controls}
@@ -111,54 +107,7 @@ def _draw_reading(
     wide = {v: np.broadcast_to(a, (size, runs, a.shape[-1])) for v, a in values.items()}
     if not size:
         return np.empty((0, runs, reading.cpd.child.dimension))
-    return _draw(reading.cpd, wide, lead, rng, (size, runs), reading.step[:, None])
-
-
-def _draw(
-    cpd: ConditionalGaussian,
-    values: Mapping[Variable, Array],
-    lead: tuple[int, ...],
-    rng: np.random.Generator,
-    shape: tuple[int, ...],
-    step: npt.ArrayLike,
-) -> Array:
-    """Children given their parents, (*shape, d), where the last axis of the shape are the runs."""
-    wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in values.items()}
-    due = (*shape, cpd.child.dimension)
-    if isinstance(cpd, NonlinearGaussianCPD):
-        mean = np.asarray(cpd.function(*(wide[v] for v in cpd.given)), dtype=float)
-    elif isinstance(cpd, AffineCPD):
-        mean = cpd._affine((), wide)[1]
-        mean = np.broadcast_to(mean if cpd.given else _by_run(mean, lead, 1), due)
-    if mean.shape != due:
-        raise ModelError(
-            f"the function of {cpd!r} returned shape {mean.shape} where {due} was due; it is "
-            "called with arrays that have leading axes",
-            variable=cpd.child,
-            cpd=cpd,
-        )
-    if not np.isfinite(mean).all():
-        where = np.argwhere(~np.isfinite(mean))[0]
-        at = int(np.broadcast_to(step, shape)[tuple(where[:-1])])
-        raise LinearisationError(
-            f"the function of {cpd!r} has values that are NaN or infinite at step {at}",
-            variable=cpd.child,
-            cpd=cpd,
-            step=at,
-        )
-    if isinstance(cpd.cov, Noise):
-        cov = evaluate(cpd.cov, cpd.child, wide, shape, step)
-    else:
-        cov = _by_run(cpd.cov, lead, 2)
-    return mean + apply(roots.root(cov), rng.standard_normal(due))
-
-
-def _by_run(array: Array, lead: tuple[int, ...], axes: int) -> Array:
-    """A parameter with its axes of runs, if it has any, as one."""
-    if array.ndim == axes:
-        return array
-    rest = array.shape[-axes:]
-    return np.broadcast_to(array, (*lead, *rest)).reshape((math.prod(lead), *rest))
+    return drawing.gaussian(reading.cpd, wide, lead, rng, (size, runs), reading.step[:, None])
 
 
 def _unflat(rows: Array, lead: tuple[int, ...]) -> Array:

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from itertools import combinations
+from types import MappingProxyType
+
+import networkx as nx
+import numpy as np
 
 from pgm.cpds import CPD
 from pgm.errors import ModelError
-from pgm.factors.scope import Scope
+from pgm.evidence import Evidence
+from pgm.factors.scope import Scope, as_scope
 from pgm.immutable import Immutable
-from pgm.networks import checks, declaration
+from pgm.networks import checks, declaration, drawing
+from pgm.variables import Variable
+
+# Up to how many CPDs a network shows by their densities.
+FEW = 12
 
 
 class BayesianNetwork(Immutable):
@@ -38,20 +48,22 @@ class BayesianNetwork(Immutable):
     ------
     ModelError
         If a child has two CPDs, two variables share a name, the CPDs form a cycle, discrete and
-        continuous variables are mixed, or a discrete parent has no CPD.
+        continuous variables are mixed, a discrete parent has no CPD, or a parent is of the step
+        before (``x.previous``), which only a dynamic network has.
 
     Examples
     --------
     >>> from pgm import GaussianCPD, LinearGaussianCPD, variables
     >>> a, b = variables("a b")
     >>> BayesianNetwork([GaussianCPD(a, 0.0, 1.0), LinearGaussianCPD(b, given={a: 2.0}, cov=0.5)])
-    BayesianNetwork(2 CPDs, continuous)
+    BayesianNetwork(p(a)  p(b | a))
     """
 
     cpds: tuple[CPD, ...]
     variables: Scope
     inputs: Scope
     discrete: bool
+    _by_child: Mapping[Variable, CPD]
 
     def __init__(self, cpds: Iterable[CPD]) -> None:
         found = checks.as_cpds(cpds, "a network")
@@ -68,22 +80,25 @@ class BayesianNetwork(Immutable):
                 cpd=odd,
             )
         declaration.runs(found)
+        checks.no_step_before(found)
         ordered = checks.in_order(found, lambda cpd: cpd.parents)
-        children = tuple(cpd.child for cpd in ordered)
-        explained = set(children)
+        by_child = {cpd.child: cpd for cpd in ordered}
         parents = dict.fromkeys(v for cpd in ordered for v in cpd.parents)
-        inputs = tuple(v for v in parents if v not in explained)
-        for cpd in ordered:
-            if cpd.discrete and not explained.issuperset(cpd.parents):
-                lost = next(v for v in cpd.parents if v not in explained)
-                raise ModelError(
-                    f"{cpd!r}: its parent {lost!r} has no CPD; add one", variable=lost, cpd=cpd
-                )
+        inputs = tuple(v for v in parents if v not in by_child)
+        discrete = kinds.pop()
+        if discrete and inputs:
+            cpd = next(cpd for cpd in ordered if inputs[0] in cpd.parents)
+            raise ModelError(
+                f"{cpd!r}: its parent {inputs[0]!r} has no CPD; add one",
+                variable=inputs[0],
+                cpd=cpd,
+            )
         self._set(
             cpds=ordered,
-            variables=(*children, *inputs),
+            variables=(*by_child, *inputs),
             inputs=inputs,
-            discrete=kinds.pop(),
+            discrete=discrete,
+            _by_child=MappingProxyType(by_child),
         )
 
     @property
@@ -91,6 +106,148 @@ class BayesianNetwork(Immutable):
         """The axes of runs of the model itself, where a `GaussianCPD` differs by run."""
         return declaration.runs(self.cpds)
 
+    def cpd(self, variable: Variable) -> CPD:
+        """The CPD of a variable.
+
+        Raises
+        ------
+        ModelError
+            If the network does not have the variable, or it is an input.
+        """
+        if variable not in self._by_child:
+            known = variable in self.inputs
+            why = "an input, which no CPD explains" if known else "not in this network"
+            raise ModelError(f"{variable!r} has no CPD: it is {why}", variable=variable)
+        return self._by_child[variable]
+
+    def replace(self, *cpds: CPD) -> BayesianNetwork:
+        """A variant with other CPDs of some variables.
+
+        Raises
+        ------
+        ModelError
+            If a child has no CPD that could be replaced, or the variant is no network.
+        """
+        new = checks.as_cpds(cpds, "replace")
+        checks.one_cpd_each(new)
+        for cpd in new:
+            self.cpd(cpd.child)
+        by_child = {**self._by_child, **{cpd.child: cpd for cpd in new}}
+        return BayesianNetwork(by_child.values())
+
+    def sample(
+        self,
+        n: int | tuple[int, ...] | None = None,
+        *,
+        inputs: Evidence | None = None,
+        rng: np.random.Generator | int,
+    ) -> dict[Variable, drawing.Draws]:
+        """Draw all variables from the network, parents before children.
+
+        Parameters
+        ----------
+        n : int or tuple of int, optional
+            Leading axes of independent draws; a single one without such an axis if not given.
+        inputs : mapping of Variable to array_like, optional
+            Values (..., d) of all inputs; leading axes are runs, which broadcast with those of
+            the draws: ``n=(1000, 1)`` draws a thousand for each.
+        rng : numpy.random.Generator or int
+            What draws, or the seed of one.
+
+        Returns
+        -------
+        dict
+            Of each variable with a CPD: (*n, d) values, or (*n,) indices of states of a discrete
+            one; both can be given as evidence.
+
+        Raises
+        ------
+        ModelError
+            If `n` is no number of draws, or does not broadcast with the model's runs.
+        EvidenceError
+            If the inputs are not those of the network.
+
+        Examples
+        --------
+        >>> from pgm import Discrete, TableCPD
+        >>> coin = Discrete("coin", states=("heads", "tails"))
+        >>> net = BayesianNetwork([TableCPD(coin, table=[0.0, 1.0])])
+        >>> net.sample(4, rng=0)[coin]
+        array([1, 1, 1, 1])
+        """
+        return drawing.ancestral(self, n, inputs or {}, np.random.default_rng(rng))
+
+    def to_networkx(self) -> nx.DiGraph:
+        """The network as a graph, for pictures and questions of structure.
+
+        Nodes are variables with the attribute ``kind`` (variable or input); edges go from parents
+        to children.
+        """
+        graph = nx.DiGraph()
+        graph.add_nodes_from(self._by_child, kind="variable")
+        graph.add_nodes_from(self.inputs, kind="input")
+        graph.add_edges_from((parent, cpd.child) for cpd in self.cpds for parent in cpd.parents)
+        return graph
+
+    def d_separated(
+        self,
+        a: Variable | Iterable[Variable],
+        b: Variable | Iterable[Variable],
+        given: Variable | Iterable[Variable] = (),
+    ) -> bool:
+        """Whether the graph alone makes some variables independent of others, given a third set.
+
+        No trail between the two is active: each has an arrow out of a given variable
+        (``→ g →``, ``← g →``) or a collision (``→ c ←``) without a given variable at or below it.
+        Inputs are variables like others here: they belong into `given` where they have evidence.
+
+        Parameters
+        ----------
+        a, b, given : Variable or iterable of Variable
+            Disjoint sets.
+
+        Raises
+        ------
+        ModelError
+            If the sets overlap, or the network does not have a variable.
+
+        References
+        ----------
+        Koller and Friedman (2009), section 3.3.
+
+        Examples
+        --------
+        >>> from pgm import GaussianCPD, LinearGaussianCPD, variables
+        >>> a, b, c = variables("a b c")
+        >>> net = BayesianNetwork([
+        ...     GaussianCPD(a, 0.0, 1.0),
+        ...     GaussianCPD(b, 0.0, 1.0),
+        ...     LinearGaussianCPD(c, given={a: 1.0, b: 1.0}, cov=0.1),
+        ... ])
+        >>> net.d_separated(a, b), net.d_separated(a, b, given=c)
+        (True, False)
+        """
+        sets = [set(as_scope(members)) for members in (a, b, given)]
+        for variable in set().union(*sets).difference(self.variables):
+            raise ModelError(f"{variable!r} is not in this network", variable=variable)
+        for one, other in combinations(sets, 2):
+            for variable in one & other:
+                raise ModelError(
+                    f"{variable!r} stands in two of the sets a, b and given; they must be disjoint",
+                    variable=variable,
+                )
+        # networkx renamed it in 3.3.
+        separated = nx.is_d_separator if hasattr(nx, "is_d_separator") else nx.d_separated
+        return bool(separated(self.to_networkx(), *sets))
+
     def __repr__(self) -> str:
+        if len(self.cpds) <= FEW:
+            return f"BayesianNetwork({'  '.join(map(density, self.cpds))})"
         kind = "discrete" if self.discrete else "continuous"
         return f"BayesianNetwork({len(self.cpds)} CPDs, {kind})"
+
+
+def density(cpd: CPD) -> str:
+    """A CPD as a factor of the joint density, like ``p(b | a)``."""
+    parents = ", ".join(map(repr, cpd.parents))
+    return f"p({cpd.child!r}{' | ' if parents else ''}{parents})"
