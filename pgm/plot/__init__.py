@@ -1,9 +1,19 @@
-"""Pictures of networks, cluster graphs and beliefs; every function takes and returns axes."""
+"""Pictures of networks, cluster graphs and beliefs; those that draw take and return axes."""
 
 from pgm.plot.bands import errors
 from pgm.plot.clusters import cluster_graph
 from pgm.plot.confidence import ellipses
+from pgm.plot.graphviz import dot
 from pgm.plot.networks import network
 from pgm.plot.paths import trajectory
+from pgm.plot.records import convergence
 
-__all__ = ["cluster_graph", "ellipses", "errors", "network", "trajectory"]
+__all__ = [
+    "cluster_graph",
+    "convergence",
+    "dot",
+    "ellipses",
+    "errors",
+    "network",
+    "trajectory",
+]

@@ -1,102 +1,43 @@
-"""Where the clusters and sepsets of a graph stand: chains in rows, trees in layers, the rest free.
-
-All lengths are points; y grows upwards.
-"""
+"""Where the clusters and sepsets of a graph stand: chains in rows, other graphs in layers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
+from typing import cast
 
 import networkx as nx
 import numpy as np
 
 from pgm.clustergraph.checks import Edge
-from pgm.kernels.arrays import Array
-from pgm.plot.canvas import Box, Point, Size
+from pgm.plot.canvas import Size
+from pgm.plot.layered import layered
+from pgm.plot.layout import GAP, PAGE, Layout, Node, packed
 
-GAP = 12.0
-STUB = 30.0
-# Room of a chain, in points, where no axes limits it: about the width of a page.
-_PAGE = 12.0 * 72.0
-# Where a sepset may stand on a straight edge, the best place first.
-_PARTS = (0.5, 0.4, 0.6, 0.3, 0.7)
+# Another way to draw a graph must be better by this factor to be taken.
+_BETTER = 1.1
 
 
-@dataclass
-class Arrangement:
-    """Points of clusters and sepsets, and the lines that join them.
-
-    Attributes
-    ----------
-    clusters : dict of int to Point
-    sepsets : dict of (int, int) to Point
-    routes : dict of (int, int) to list of Point
-        The corners of the line from cluster to cluster.
-    """
-
-    clusters: dict[int, Point] = field(default_factory=dict)
-    sepsets: dict[Edge, Point] = field(default_factory=dict)
-    routes: dict[Edge, list[Point]] = field(default_factory=dict)
-
-    def box(self, clusters: Mapping[int, Size], sepsets: Mapping[Edge, Size]) -> Box:
-        """The bounds of everything."""
-        shapes = [(at, clusters[k]) for k, at in self.clusters.items()]
-        shapes += [(at, sepsets[edge]) for edge, at in self.sepsets.items()]
-        shapes += [(at, Size(0.0, 0.0)) for route in self.routes.values() for at in route]
-        return Box(
-            min(x - 0.5 * size.width for (x, _), size in shapes),
-            min(y - 0.5 * size.height for (_, y), size in shapes),
-            max(x + 0.5 * size.width for (x, _), size in shapes),
-            max(y + 0.5 * size.height for (_, y), size in shapes),
-        )
-
-    def put_below(self, other: Arrangement, top: float, bottom: float) -> None:
-        """Add another arrangement, whose bounds reach up to `top`, below `bottom`."""
-        shift = bottom - top
-
-        def move(at: Point) -> Point:
-            return at[0], at[1] + shift
-
-        self.clusters |= {k: move(at) for k, at in other.clusters.items()}
-        self.sepsets |= {edge: move(at) for edge, at in other.sepsets.items()}
-        self.routes |= {edge: [move(at) for at in route] for edge, route in other.routes.items()}
-
-
-def arrange(
-    graph: nx.Graph,
-    clusters: Mapping[int, Size],
-    sepsets: Mapping[Edge, Size],
-    room: Size | None,
-) -> Arrangement:
-    """Arrange clusters so that no shape lies on another.
+def arrange(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> Layout:
+    """Arrange clusters and sepsets so that no shape lies on another and no line runs over one.
 
     Parameters
     ----------
     graph : networkx.Graph
         Nodes are indices of clusters.
-    clusters, sepsets : mapping to Size
-        How large the shapes are.
+    sizes : mapping to Size
+        Of the clusters, by index, and of the sepsets, by edge.
     room : Size or None
-        Of the axes; a chain takes as many rows as make it largest there. None for a page.
+        Of the axes, which is made good use of. None for a page.
     """
-    whole = Arrangement()
+    parts = []
     for nodes in nx.connected_components(graph):
         piece = graph.subgraph(sorted(nodes))
-        degrees = [degree for _, degree in piece.degree]
-        if not nx.is_tree(piece):
-            part = _free(piece, clusters, sepsets)
-        elif max(degrees) > 2:
-            part = _tree(piece, clusters, sepsets)
+        if nx.is_tree(piece) and max(degree for _, degree in piece.degree) <= 2:
+            parts.append(_chain(_path(piece), sizes, room))
         else:
-            part = _chain(_path(piece), clusters, sepsets, room)
-        if whole.clusters:
-            lowest = whole.box(clusters, sepsets).bottom
-            whole.put_below(part, part.box(clusters, sepsets).top, lowest - 2.0 * GAP)
-        else:
-            whole = part
-    return whole
+            parts.append(_layers(piece, sizes, room))
+    return packed(parts, sizes, room)
 
 
 def key(i: int, j: int) -> Edge:
@@ -109,25 +50,19 @@ def _path(graph: nx.Graph) -> list[int]:
     return list(nx.dfs_preorder_nodes(graph, start))
 
 
-def _chain(
-    order: list[int],
-    clusters: Mapping[int, Size],
-    sepsets: Mapping[Edge, Size],
-    room: Size | None,
-) -> Arrangement:
-    width = max(clusters[k].width for k in order)
-    height = max(clusters[k].height for k in order)
-    between = max((sepsets[key(*edge)].width for edge in pairwise(order)), default=0.0)
+def _chain(order: list[int], sizes: Mapping[Node, Size], room: Size | None) -> Layout:
+    edges = [key(*edge) for edge in pairwise(order)]
+    width = max(sizes[k].width for k in order)
+    height = max(sizes[k].height for k in order)
+    between = max((sizes[edge].width for edge in edges), default=0.0)
     across, down = width + between + 2.0 * GAP, height + 3.0 * GAP
     per_row = _per_row(len(order), across, down, room)
 
-    result = Arrangement()
-    for k, index in enumerate(order):
-        result.clusters[index] = (across * (k % per_row), -down * (k // per_row))
-    for here, there in pairwise(order):
-        start, end = result.clusters[here], result.clusters[there]
+    points = [(across * (k % per_row), -down * (k // per_row)) for k in range(len(order))]
+    result = Layout(dict(zip(order, points, strict=True)))
+    for edge, (start, end) in zip(edges, pairwise(points), strict=True):
         beside = start[0] + 0.5 * across
-        result.sepsets[key(here, there)] = (beside, start[1])
+        result.points[edge] = (beside, start[1])
         route = [start, end]
         if start[1] != end[1]:
             # Round the end of the row, between the rows, and in again from the left.
@@ -136,13 +71,13 @@ def _chain(
             middle = 0.5 * (start[1] + end[1])
             corners = [(right, start[1]), (right, middle), (left, middle), (left, end[1])]
             route = [start, *corners, end]
-        result.routes[key(here, there)] = route
+        result.lines[edge] = np.array(route)
     return result
 
 
 def _per_row(count: int, across: float, down: float, room: Size | None) -> int:
     if room is None:
-        widest = max(1, int(_PAGE // across))
+        widest = max(1, int(PAGE.width // across))
     else:
         scales = [
             min(room.width / (across * n), room.height / (down * -(-count // n)))
@@ -153,70 +88,50 @@ def _per_row(count: int, across: float, down: float, room: Size | None) -> int:
     return -(-count // lines)
 
 
-def _tree(
-    graph: nx.Graph, clusters: Mapping[int, Size], sepsets: Mapping[Edge, Size]
-) -> Arrangement:
-    """Layers left to right from a centre; a cluster stands at the middle of its subtrees."""
-    root = min(nx.center(graph))
-    across = (
-        max(clusters[k].width for k in graph)
-        + max(size.width for size in sepsets.values())
-        + 3.0 * GAP
-    )
-    down = GAP + max(
-        max(clusters[k].height for k in graph), 2.0 * max(s.height for s in sepsets.values())
-    )
-    depth = nx.single_source_shortest_path_length(graph, root)
-    tree = nx.dfs_tree(graph, root)
-    level: dict[int, float] = {}
-    leaves = 0
-    for node in nx.dfs_postorder_nodes(tree, root):
-        below = [level[child] for child in tree.successors(node)]
-        if not below:
-            leaves += 1
-        level[node] = 0.5 * (min(below) + max(below)) if below else -down * leaves
-    points = {node: (across * depth[node], level[node]) for node in graph}
-    return _straight(points, dict.fromkeys((key(*edge) for edge in graph.edges), 0.5))
+def _layers(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> Layout:
+    """The best of several choices of which cluster stands before which."""
+    best: Layout | None = None
+    for directed in _directions(graph):
+        halves = nx.DiGraph()
+        for i, j in directed.edges:
+            halves.add_edge(i, key(i, j))
+            halves.add_edge(key(i, j), j)
+        found = layered(halves, sizes, room, gap=1.2 * GAP)
+        if best is None or found.worth(sizes, room) > _BETTER * best.worth(sizes, room):
+            best = found
+    assert best is not None
+    lines: dict[Node, np.ndarray] = {}
+    for i, j in (key(*edge) for edge in graph.edges):
+        pieces = [best.points[i]]
+        for one, other in ((i, (i, j)), ((i, j), j)):
+            curve = best.lines.get((one, other))
+            pieces += best.lines[other, one][::-1].tolist() if curve is None else curve.tolist()
+            pieces.append(best.points[other])
+        lines[i, j] = np.array(pieces)
+    return Layout(best.points, lines, best.crossings)
 
 
-def _free(
-    graph: nx.Graph, clusters: Mapping[int, Size], sepsets: Mapping[Edge, Size]
-) -> Arrangement:
-    """The layout of Kamada and Kawai, stretched until no shape lies on another."""
-    # Shapes are wider than high, so the layout's circle becomes an ellipse.
-    layout = nx.kamada_kawai_layout(graph)
-    points = {k: np.array([1.6, 1.0]) * layout[k] for k in graph}
-    at, sizes = [points[k] for k in graph], [clusters[k] for k in graph]
-    stretch = max(_needed(at[:k], sizes[:k], at[k], sizes[k]) for k in range(len(at)))
-    parts = {}
-    for i, j in sorted(key(*edge) for edge in graph.edges):
-        # Crossing edges have their middles near each other: one sepset moves along its edge.
-        tries = [points[i] + part * (points[j] - points[i]) for part in _PARTS]
-        needed = [_needed(at, sizes, middle, sepsets[i, j]) for middle in tries]
-        best = next((k for k, one in enumerate(needed) if one <= stretch), int(np.argmin(needed)))
-        parts[i, j] = _PARTS[best]
-        stretch = max(stretch, needed[best])
-        at.append(tries[best])
-        sizes.append(sepsets[i, j])
-    return _straight(
-        {k: (stretch * float(x), stretch * float(y)) for k, (x, y) in points.items()}, parts
-    )
+def _directions(graph: nx.Graph) -> Iterator[nx.DiGraph]:
+    """Acyclic directions of the edges: outward from a centre, through it, and from one end."""
+    centre = min(nx.center(graph))
+    outward = _outward(graph, centre)
+    yield outward
+    if nx.is_tree(graph):
+        # Half of the tree stands before the centre, half after it.
+        branches = [{node, *nx.descendants(outward, node)} for node in outward.successors(centre)]
+        before: set[int] = set()
+        for branch in sorted(branches, key=lambda branch: (-len(branch), min(branch))):
+            if len(before) + len(branch) <= len(graph) // 2:
+                before |= branch
+        yield nx.DiGraph((j, i) if j in before else (i, j) for i, j in outward.edges)
+    else:
+        yield _outward(graph, min(nx.periphery(graph)))
 
 
-def _needed(at: list[Array], sizes: list[Size], new: Array, size: Size) -> float:
-    """By how much to stretch a layout so that a new shape lies on none of the others."""
-    if not at:
-        return 1.0
-    apart = np.maximum(np.abs(np.array(at) - new), 1e-9)
-    clear = 0.5 * (np.array(sizes) + np.array(size)) + GAP
-    return float((clear / apart).min(axis=-1).max())
+def _outward(graph: nx.Graph, start: int) -> nx.DiGraph:
+    distance = nx.single_source_shortest_path_length(graph, start)
 
+    def rank(node: int) -> tuple[int, int]:
+        return cast(int, distance[node]), node
 
-def _straight(points: dict[int, Point], parts: Mapping[Edge, float]) -> Arrangement:
-    """Straight lines between clusters, with the sepsets at some part of them."""
-    result = Arrangement(points)
-    for (i, j), part in parts.items():
-        (x, y), (right, top) = points[i], points[j]
-        result.sepsets[i, j] = (x + part * (right - x), y + part * (top - y))
-        result.routes[i, j] = [points[i], points[j]]
-    return result
+    return nx.DiGraph((i, j) if rank(i) < rank(j) else (j, i) for i, j in graph.edges)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties
+from matplotlib.patches import Patch
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
 
+from pgm.kernels.arrays import Array
 from pgm.plot.axes import check_axes
-from pgm.plot.colours import INK
+from pgm.plot.colours import INK, MUTED
 
 Point = tuple[float, float]
 
@@ -24,6 +28,8 @@ _LARGEST = 1.6
 # The longest side of a figure that is made, in points; larger diagrams shrink to it.
 _LONGEST = 18.0 * 72.0
 _TITLE = 24.0
+# How much of its ellipse a text may fill.
+_FULL = 0.92
 
 
 class Size(NamedTuple):
@@ -57,6 +63,13 @@ def text_size(text: str) -> Size:
     return Size(max(widths), _LINE * len(lines))
 
 
+def slack(texts: Sequence[Size], shapes: Sequence[Size], *, round: bool = True) -> float:
+    """By how much texts may grow so that the corners of each still lie in its ellipse, or box."""
+    part = np.array(texts) / np.array(shapes)
+    reach = np.linalg.norm(part, ord=2 if round else np.inf, axis=-1)
+    return max(1.0, _FULL / float(reach.max(initial=1e-9)))
+
+
 def room(ax: Axes) -> Size:
     """The size of an axes on paper, in points."""
     unit = 72.0 / ax.figure.dpi
@@ -71,11 +84,14 @@ class Canvas:
     ----------
     ax : matplotlib.axes.Axes
     scale : float
-        Points on paper for a point of the diagram; texts and lines shrink and grow with it.
+        Points on paper for a point of the diagram; lines shrink and grow with it.
+    letters : float
+        The same of texts, which shrink less where their shapes have room to spare.
     """
 
     ax: Axes
     scale: float
+    letters: float
 
     def text(self, at: Point, text: str, *, colour: str = INK, size: float = FONT) -> Text:
         """Write a text about a point."""
@@ -83,7 +99,7 @@ class Canvas:
             *at,
             text,
             color=colour,
-            fontsize=size * self.scale,
+            fontsize=size * self.letters,
             linespacing=1.2,
             ha="center",
             va="center",
@@ -91,13 +107,26 @@ class Canvas:
             zorder=4.0,
         )
 
+    def line(self, route: Array | Sequence[Point], style: Any = "-") -> None:
+        """Draw a line below all shapes."""
+        x, y = np.array(route).T
+        self.ax.plot(x, y, color=MUTED, linewidth=self.width(1.0), linestyle=style, zorder=1.0)
+
+    def shape(self, patch: Patch, fill: Any, border: float) -> None:
+        """Draw a shape with a border of some width, above all lines."""
+        patch.set(facecolor=fill, edgecolor=INK, linewidth=self.width(border), zorder=3.0)
+        self.ax.add_patch(patch)
+
     def width(self, points: float) -> float:
         """The width of a line."""
         return points * min(self.scale, 1.0)
 
 
-def open_canvas(ax: Axes | None, box: Box) -> Canvas:
-    """Make an axes, or take one, show the box in it, and hide its frame."""
+def open_canvas(ax: Axes | None, box: Box, letters: float = 1.0) -> Canvas:
+    """Make an axes, or take one, show the box in it, and hide its frame.
+
+    In a box that must shrink, texts may be larger by the factor `letters`, up to their full size.
+    """
     size = box.size
     if ax is None:
         scale = min(1.0, _LONGEST / max(size))
@@ -121,4 +150,4 @@ def open_canvas(ax: Axes | None, box: Box) -> Canvas:
     ax.set_ylim(y - half * paper.height, y + half * paper.height)
     ax.set_aspect("equal", adjustable="box")
     ax.axis("off")
-    return Canvas(ax, scale)
+    return Canvas(ax, scale, max(scale, min(1.0, letters * scale)))

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import networkx as nx
-import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Rectangle
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.checks import Edge
-from pgm.compile import SliceGraph
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
-from pgm.plot.arrangement import GAP, STUB, Arrangement, arrange
+from pgm.plot.arrangement import arrange
 from pgm.plot.axes import check_axes
-from pgm.plot.canvas import Box, Canvas, Point, Size, open_canvas, room, text_size
-from pgm.plot.colours import CLUSTER, INK, MUTED, SEPSET
-from pgm.plot.labels import cluster_label, scope_label
-from pgm.plot.sightings import reading_counts
-from pgm.variables import Variable
+from pgm.plot.canvas import Canvas, Size, open_canvas, room, slack, text_size
+from pgm.plot.colours import CLUSTER, INK, SEPSET, readable_on
+from pgm.plot.contents import contents, joined, shown
+from pgm.plot.layout import Node
+from pgm.plot.shading import Shading, by_residual, by_size
+from pgm.plot.stubs import around, draw_stub, stub
 
 _MOST = 200
 
@@ -31,13 +32,16 @@ def cluster_graph(
     *,
     steps: int | None = None,
     evidence: Evidence | None = None,
+    sizes: bool = False,
+    colour: str | None = None,
+    residuals: Mapping[Edge, npt.ArrayLike] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw clusters as ellipses and, on the edges between them, sepsets as rectangles.
 
-    A chain runs left to right, in rows where it is long; a tree in layers from its centre; other
-    graphs as the layout of Kamada and Kawai has them. A cluster lists its hidden variables, then
-    those that are observed.
+    A chain runs left to right, in rows where it is long; a tree stands in layers from its centre,
+    other graphs in layers from one of their clusters. A cluster lists its hidden variables, then
+    those that are observed; in large graphs it names the first and counts the others, as ``+5``.
 
     Parameters
     ----------
@@ -47,6 +51,13 @@ def cluster_graph(
     evidence : mapping of Variable, optional
         That given to `pgm.infer`. Several readings of a sensor at a step are then shown as
         ``z[3] ×4``, and sensors without a reading left out.
+    sizes : bool
+        Whether to write the number of components, or of table entries, below the variables.
+    colour : {"size", "residual"}, optional
+        Colour clusters by size, or sepsets by residual, with a bar that says which colour is what.
+    residuals : mapping of (int, int) to array_like, optional
+        How much the messages between two clusters still change; of several numbers, as of runs or
+        of the two directions, the largest is shown. Implies ``colour="residual"``.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's, as large as it needs, without.
 
@@ -57,70 +68,64 @@ def cluster_graph(
     Raises
     ------
     GraphError
-        If `graph` is none, `steps` is no index, or there are too many clusters to read.
+        If `graph` is none, `steps` is no index, there are too many clusters to read, or colours
+        are asked for that there are no numbers for.
     EvidenceError
         If the evidence does not fit the graph's model.
     """
-    clusters = _shown(graph, steps)
+    clusters = shown(graph, steps, _MOST)
     if ax is not None:
         check_axes(ax)
-    drawn = {cluster.index for cluster in clusters}
-    sepsets: dict[Edge, Scope] = {}
-    stubs: list[int] = []
-    for i, j in graph.sepsets:
-        if i in drawn and j in drawn:
-            sepsets[i, j] = graph.sepsets[i, j]
-        elif i in drawn or j in drawn:
-            stubs.append(i if i in drawn else j)
-
-    observed: frozenset[Variable] = frozenset(evidence or ())
-    if isinstance(graph, SliceGraph):
-        observed |= {*graph.model.sensors, *graph.model.inputs}
-    counts = {} if evidence is None else reading_counts(graph, evidence)
-    texts = {c.index: cluster_label(c, observed, counts) for c in clusters}
-    marks = {edge: scope_label(scope) for edge, scope in sepsets.items()}
-    ovals = {k: _oval(text_size(text)) for k, text in texts.items()}
-    plates = {edge: _plate(text_size(text)) for edge, text in marks.items()}
+    sepsets, cut = joined(graph, clusters)
+    shading = _shading(graph, clusters, sepsets, colour, residuals)
+    texts = contents(graph, clusters, sepsets, evidence, sizes)
+    room_of = {node: text_size(text) for node, text in texts.items()}
+    shapes: dict[Node, Size] = {
+        node: _plate(size) if node in sepsets else _oval(size) for node, size in room_of.items()
+    }
     links = nx.Graph()
-    links.add_nodes_from(sorted(drawn))
+    links.add_nodes_from(cluster.index for cluster in clusters)
     links.add_edges_from(sepsets)
-    places = arrange(links, ovals, plates, None if ax is None else room(ax))
+    layout = arrange(links, shapes, None if ax is None else room(ax))
 
-    box = places.box(ovals, plates)
-    ends = [_stub(places, ovals, plates, k) for k in dict.fromkeys(stubs)]
-    canvas = open_canvas(ax, _around(box, [end for _, end in ends]))
-    for route in places.routes.values():
-        _line(canvas, route, "-")
-    for start, end in ends:
-        _line(canvas, [start, end], (0.0, (3.0, 2.5)))
-        beyond = tuple(e + 7.0 * (e - s) / STUB for s, e in zip(start, end, strict=True))
-        canvas.text((beyond[0], beyond[1]), "…", colour=MUTED)
-    for k, at in places.clusters.items():
-        size = ovals[k]
-        shape = Ellipse(at, *size, fc=CLUSTER, ec=INK, lw=canvas.width(1.0), zorder=3.0)
-        canvas.ax.add_patch(shape)
-        canvas.text(at, texts[k])
-    for edge, at in places.sepsets.items():
-        _rectangle(canvas, at, plates[edge])
-        canvas.text(at, marks[edge])
+    stubs = [stub(layout, shapes, k) for k in dict.fromkeys(cut)]
+    box = around(layout.box(shapes), stubs)
+    if shading:
+        box = shading.bar_box(box)
+    ovals: list[Node] = [cluster.index for cluster in clusters]
+    letters = min(
+        slack([room_of[k] for k in nodes], [shapes[k] for k in nodes], round=nodes is ovals)
+        for nodes in (ovals, list[Node](sepsets))
+        if nodes
+    )
+    canvas = open_canvas(ax, box, letters)
+    for line in layout.lines.values():
+        canvas.line(line)
+    for one in stubs:
+        draw_stub(canvas, one)
+    for node in [*ovals, *sepsets]:
+        _draw(canvas, layout.points[node], shapes[node], texts[node], node, shading)
+    if shading:
+        shading.draw_bar(canvas, box)
     return canvas.ax
 
 
-def _shown(graph: ClusterGraph, steps: int | None) -> list[Cluster]:
-    if not isinstance(graph, ClusterGraph):
-        raise GraphError(f"cluster_graph draws a compiled graph, not {type(graph).__name__}")
-    count = len(graph.clusters)
-    if not count:
-        raise GraphError("the graph has no clusters to draw")
-    if steps is not None:
-        if not isinstance(steps, (int, np.integer)) or isinstance(steps, bool) or steps < 0:
-            raise GraphError(f"steps must be the last cluster to draw, 0 or more, not {steps!r}")
-        count = min(count, int(steps) + 1)
-    if count > _MOST:
-        raise GraphError(
-            f"{count} clusters are too many to read; draw {_MOST} at most, as with steps=4"
-        )
-    return list(graph.clusters[:count])
+def _shading(
+    graph: ClusterGraph,
+    clusters: list[Cluster],
+    sepsets: dict[Edge, Scope],
+    colour: str | None,
+    residuals: Mapping[Edge, npt.ArrayLike] | None,
+) -> Shading | None:
+    if colour not in (None, "size", "residual"):
+        raise GraphError(f'colour is "size" or "residual", not {colour!r}')
+    if colour == "residual" and residuals is None:
+        raise GraphError('colour="residual" needs residuals={(i, j): number}')
+    if residuals is None:
+        return by_size({c.index: c.scope for c in clusters}) if colour else None
+    if colour == "size":
+        raise GraphError('colour="size" does not go with residuals; leave one of them out')
+    return by_residual(graph, sepsets, residuals)
 
 
 def _oval(text: Size) -> Size:
@@ -132,46 +137,20 @@ def _plate(text: Size) -> Size:
     return Size(text.width + 8.0, text.height + 5.0)
 
 
-def _stub(
-    places: Arrangement, ovals: dict[int, Size], plates: dict[Edge, Size], index: int
-) -> tuple[Point, Point]:
-    """A short line from a cluster's border to where no shape is, to the right if it can be."""
-    x, y = places.clusters[index]
-    width, height = ovals[index]
-    shapes = [(at, ovals[k]) for k, at in places.clusters.items() if k != index]
-    shapes += [(at, plates[edge]) for edge, at in places.sepsets.items()]
-    stubs = []
-    for across, down in ((1.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (0.0, 1.0)):
-        edge = x + 0.5 * across * width, y + 0.5 * down * height
-        end = edge[0] + STUB * across, edge[1] + STUB * down
-        middle, reach = (0.5 * (edge[0] + end[0]), 0.5 * (edge[1] + end[1])), 0.5 * STUB + GAP
-        if all(
-            abs(at[0] - middle[0]) > 0.5 * size.width + reach * abs(across)
-            or abs(at[1] - middle[1]) > 0.5 * size.height + reach * abs(down)
-            for at, size in shapes
-        ):
-            return edge, end
-        stubs.append((edge, end))
-    return stubs[0]
-
-
-def _around(box: Box, ends: list[Point]) -> Box:
-    return Box(
-        min([box.left, *(x - GAP for x, _ in ends)]),
-        min([box.bottom, *(y - GAP for _, y in ends)]),
-        max([box.right, *(x + GAP for x, _ in ends)]),
-        max([box.top, *(y + GAP for _, y in ends)]),
-    )
-
-
-def _line(
-    canvas: Canvas, route: list[Point], style: str | tuple[float, tuple[float, float]]
+def _draw(
+    canvas: Canvas,
+    at: tuple[float, float],
+    size: Size,
+    text: str,
+    node: Node,
+    shading: Shading | None,
 ) -> None:
-    x, y = zip(*route, strict=True)
-    canvas.ax.plot(x, y, color=MUTED, linewidth=canvas.width(1.0), linestyle=style, zorder=1.0)
-
-
-def _rectangle(canvas: Canvas, at: Point, size: Size) -> None:
-    corner = (at[0] - 0.5 * size.width, at[1] - 0.5 * size.height)
-    shape = Rectangle(corner, *size, fc=SEPSET, ec=INK, lw=canvas.width(0.8), zorder=3.0)
-    canvas.ax.add_patch(shape)
+    """A cluster's ellipse, or a sepset's rectangle, with its text."""
+    tint = shading[node] if shading else None
+    ink = INK if tint is None else readable_on(tint)
+    if isinstance(node, tuple):
+        corner = (at[0] - 0.5 * size.width, at[1] - 0.5 * size.height)
+        canvas.shape(Rectangle(corner, *size), tint or SEPSET, 0.8)
+    else:
+        canvas.shape(Ellipse(at, *size), tint or CLUSTER, 1.0)
+    canvas.text(at, text, colour=ink)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import to_hex
@@ -16,6 +17,16 @@ MUTED = "#767676"
 OBSERVED = "#D0D0D0"
 CLUSTER = "#E9F2F9"
 SEPSET = "#FCEBD2"
+
+# Perceptually uniform, so that it reads in grey too; more is darker.
+SCALE = "viridis_r"
+
+
+def readable_on(colour: tuple[float, float, float, float]) -> str:
+    """Black or white, whichever stands out more on a colour (contrast of WCAG 2: 4.5 or more)."""
+    channels = np.array(colour[:3], dtype=float)
+    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    return "black" if linear @ [0.2126, 0.7152, 0.0722] > 0.179 else "white"
 
 
 def next_colour(ax: Axes) -> str:

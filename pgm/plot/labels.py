@@ -1,7 +1,8 @@
-"""What a cluster and a sepset say in a picture."""
+"""What the shapes of a picture say."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 
 from pgm.clustergraph import Cluster
@@ -12,14 +13,41 @@ from pgm.variables import Variable
 _WIDEST = 84.0
 _EMPTY = "∅"
 
+# A name wider than this, in points, is broken where its words end.
+_LONG_NAME = 44.0
 
-def scope_label(scope: Iterable[Variable]) -> str:
-    """Variables, on as many lines as a narrow shape needs."""
-    return "\n".join(_lines(map(repr, scope))) or _EMPTY
+
+def node_label(node: Variable) -> str:
+    """``x[3]``, on several lines where the name is long."""
+    step = "" if node.step is None else f"[{node.step}]"
+    if text_size(node.name + step).width <= _LONG_NAME:
+        return node.name + step
+    words = [word for word in re.split(r"(?<=[_\s.\-])", node.name) if word]
+    lines = _filled([*words, step] if step else words, _LONG_NAME)
+    return "\n".join(line.strip() for line in lines)
+
+
+def _filled(words: Iterable[str], width: float) -> list[str]:
+    """Words on lines no wider than the width, or than the longest word."""
+    lines: list[str] = []
+    for word in words:
+        if lines and text_size(lines[-1] + word).width <= width:
+            lines[-1] += word
+        else:
+            lines.append(word)
+    return lines
+
+
+def scope_label(scope: Iterable[Variable], most: int | None = None) -> str:
+    """Variables, on as many lines as a narrow shape needs; those beyond `most` are counted."""
+    return _text([[_short(repr(v)) for v in scope]], most)
 
 
 def cluster_label(
-    cluster: Cluster, observed: frozenset[Variable], counts: Mapping[Variable, int]
+    cluster: Cluster,
+    observed: frozenset[Variable],
+    counts: Mapping[Variable, int],
+    most: int | None = None,
 ) -> str:
     """The variables of a cluster: hidden ones first, then the observed ones, a line a family.
 
@@ -31,28 +59,53 @@ def cluster_label(
     counts : mapping of Variable to int
         Readings of a sensor at a step: more than one are shown as ``z[3] ×4``; a sensor with none
         is left out, and so are the observed parents that it alone has in the cluster.
+    most : int, optional
+        Variables beyond this many are only counted, as ``+5``.
     """
     known = {v for v in cluster.scope if v in observed or v.template in observed}
     hidden = [v for v in cluster.scope if v not in known]
-    lines = _lines(map(repr, hidden))
-    if len(lines) > 1:
+    groups = [hidden]
+    if len(_lines(map(repr, hidden))) > 1:
         steps = sorted({v.step for v in hidden if v.step is not None})
         groups = [[v for v in hidden if v.step == step] for step in [None, *steps]]
-        lines = [line for group in groups for line in _lines(map(repr, group))]
     left = {v: None for v in cluster.scope if v in known}  # a dict keeps the order
     for family in cluster.families:
         group = [v for v in family if v in left]
         if counts.get(family[0]) != 0:
-            lines += _lines(_counted(v, counts.get(v, 1)) for v in group)
+            groups.append(group)
             for v in group:
                 del left[v]
     mentioned = {v for family in cluster.families for v in family}
-    lines += _lines(repr(v) for v in left if v not in mentioned)
-    return "\n".join(lines) or _EMPTY
+    groups.append([v for v in left if v not in mentioned])
+    return _text([[_counted(v, counts.get(v, 1)) for v in group] for group in groups], most)
+
+
+def _text(groups: list[list[str]], most: int | None) -> str:
+    """Words, each group on lines of its own; the last of too many are counted."""
+    count = sum(map(len, groups))
+    if most is not None and count > most:
+        room = most - 1
+        shown = [
+            group[: max(0, room - sum(map(len, groups[:k])))] for k, group in enumerate(groups)
+        ]
+        last = max(k for k, group in enumerate(shown) if group)
+        shown[last].append(f"+{count - room}")
+        groups = shown
+    return "\n".join(line for group in groups for line in _lines(group)) or _EMPTY
 
 
 def _counted(variable: Variable, count: int) -> str:
-    return repr(variable) if count <= 1 else f"{variable!r} ×{count}"
+    return _short(repr(variable)) + ("" if count <= 1 else f" ×{count}")
+
+
+def _short(name: str) -> str:
+    """A name, or where it is too long for a line, its ends."""
+    cut = name
+    keep = len(name)
+    while text_size(cut).width > _WIDEST and keep > 2:
+        keep -= 1
+        cut = f"{name[: keep - keep // 3]}…{name[len(name) - keep // 3 :]}"
+    return cut
 
 
 def _lines(words: Iterable[str]) -> list[str]:

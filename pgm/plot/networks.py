@@ -1,35 +1,52 @@
-"""Dynamic networks, unrolled."""
+"""Networks: in layers, and where there is time, unrolled."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Ellipse, FancyArrowPatch
+from matplotlib.path import Path
 
 from pgm.errors import ModelError
-from pgm.networks import DynamicBayesianNetwork
+from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.plot.arrows import bends, draw_arrow
 from pgm.plot.axes import check_axes
-from pgm.plot.canvas import Box, Canvas, Point, open_canvas, text_size
+from pgm.plot.canvas import Box, Size, open_canvas, room, slack, text_size
 from pgm.plot.colours import INK, OBSERVED
 from pgm.plot.columns import place
+from pgm.plot.graphs import Network, directed, in_slices
+from pgm.plot.labels import node_label
+from pgm.plot.layered import layered
 from pgm.variables import Variable
 
 _SMALLEST = 15.0
-_LONG_NAME = 44.0
+_FILL = {True: OBSERVED, False: "white"}
 
 
-def network(model: DynamicBayesianNetwork, *, steps: int = 1, ax: Axes | None = None) -> Axes:
-    """Draw a dynamic network unrolled in time.
+def network(
+    model: Network,
+    *,
+    steps: int | None = None,
+    evidence: Iterable[Variable] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw a network: parents above their children, observed variables shaded.
 
-    Slices stand left to right; within one, parents stand above their children. Variables that are
-    observed, inputs and sensors, are shaded.
+    A dynamic network is unrolled, with slices left to right; so is a static one whose variables
+    all stand at steps, like what unrolling gives. Any other static network stands in topological
+    layers, from top to bottom or, where that makes better use of the axes, from left to right.
 
     Parameters
     ----------
-    model : DynamicBayesianNetwork
-    steps : int
-        The last slice drawn; 1 shows two, which is the whole pattern.
+    model : BayesianNetwork or DynamicBayesianNetwork
+    steps : int, optional
+        The last slice of a dynamic network drawn; 1 without, which is the whole pattern.
+    evidence : iterable or mapping of Variable, optional
+        What is observed beside the inputs, a template standing for all its steps. Without, the
+        sensors of a dynamic network, and nothing of a static one.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's, as large as it needs, without.
 
@@ -40,48 +57,69 @@ def network(model: DynamicBayesianNetwork, *, steps: int = 1, ax: Axes | None = 
     Raises
     ------
     ModelError
-        If `model` is no dynamic network, or `steps` is no step.
+        If `model` is no network, or `steps` is no step.
+    EvidenceError
+        If the evidence names what is no variable of the network.
     """
-    if not isinstance(model, DynamicBayesianNetwork):
-        raise ModelError(f"network draws a DynamicBayesianNetwork, not {type(model).__name__}")
-    if not isinstance(steps, (int, np.integer)) or isinstance(steps, bool) or steps < 0:
-        raise ModelError(f"steps must be the last slice to draw, 0 or more, not {steps!r}")
+    if not isinstance(model, BayesianNetwork | DynamicBayesianNetwork):
+        raise ModelError(
+            f"network draws a DynamicBayesianNetwork or BayesianNetwork, not {type(model).__name__}"
+        )
+    graph = directed(model, steps, evidence)
     if ax is not None:
         check_axes(ax)
-    graph = model.to_networkx(int(steps))
-    labels = {node: _label(node) for node in graph}
-    sizes = [text_size(label) for label in labels.values()]
-    radius = max(_SMALLEST, *(0.5 * float(np.hypot(*size)) + 3.0 for size in sizes))
+    slices = isinstance(model, DynamicBayesianNetwork) or in_slices(graph)
+    return _slices(graph, ax) if slices else _layers(graph, ax)
+
+
+def _slices(graph: nx.DiGraph, ax: Axes | None) -> Axes:
+    """Circles of one size."""
+    labels = {node: node_label(node) for node in graph}
+    texts = [text_size(label) for label in labels.values()]
+    radius = max(_SMALLEST, *(0.5 * float(np.hypot(*size)) + 3.0 for size in texts))
     points = place(graph, radius)
 
     x, y = np.array(list(points.values())).T
     reach = radius + 1.0
     box = Box(x.min() - reach, y.min() - reach, x.max() + reach, y.max() + reach)
-    canvas = open_canvas(ax, box)
-    circles = {
-        node: _circle(canvas, points[node], radius, graph.nodes[node]["kind"]) for node in graph
-    }
-    for node, label in labels.items():
-        canvas.text(points[node], label)
+    letters = slack(texts, [Size(2.0 * radius, 2.0 * radius)] * len(texts))
+    canvas = open_canvas(ax, box, letters)
+    circles = {node: Circle(points[node], radius) for node in graph}
+    for node, circle in circles.items():
+        canvas.shape(circle, _FILL[graph.nodes[node]["observed"]], 1.0)
+        canvas.text(points[node], labels[node])
     for (parent, child), bend in bends(graph, points, radius).items():
         draw_arrow(canvas, circles[parent], circles[child], bend)
     return canvas.ax
 
 
-def _label(node: Variable) -> str:
-    """``x[3]``, on two lines where the name is long."""
-    label = repr(node)
-    return f"{node.name}\n[{node.step}]" if text_size(label).width > _LONG_NAME else label
+def _layers(graph: nx.DiGraph, ax: Axes | None) -> Axes:
+    """Ellipses as wide as their names."""
+    labels = {node: node_label(node) for node in graph}
+    texts = {node: text_size(label) for node, label in labels.items()}
+    least = 2.0 * _SMALLEST
+    high = max(least, *(1.3 * size.height + 6.0 for size in texts.values()))
+    sizes = {node: Size(max(high, _width(size, high)), high) for node, size in texts.items()}
+    layout = layered(graph, sizes, None if ax is None else room(ax))
+    letters = slack(list(texts.values()), list(sizes.values()))
+    canvas = open_canvas(ax, layout.box(sizes), letters)
+    for node, at in layout.points.items():
+        canvas.shape(Ellipse(at, *sizes[node]), _FILL[graph.nodes[node]["observed"]], 1.0)
+        canvas.text(at, labels[node])
+    for curve in layout.lines.values():
+        canvas.ax.add_patch(
+            FancyArrowPatch(
+                path=Path(curve),
+                arrowstyle="-|>",
+                mutation_scale=9.0 * canvas.scale,
+                linewidth=canvas.width(0.9),
+                color=INK,
+                zorder=2.0,
+            )
+        )
+    return canvas.ax
 
 
-def _circle(canvas: Canvas, at: Point, radius: float, kind: str) -> Circle:
-    circle = Circle(
-        at,
-        radius,
-        facecolor="white" if kind in ("state", "control") else OBSERVED,
-        edgecolor=INK,
-        linewidth=canvas.width(1.0),
-        zorder=3.0,
-    )
-    canvas.ax.add_patch(circle)
-    return circle
+def _width(text: Size, height: float) -> float:
+    """The width of an ellipse of some height about a text."""
+    return text.width / float(np.sqrt(1.0 - (text.height / height) ** 2)) + 6.0

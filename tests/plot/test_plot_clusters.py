@@ -3,6 +3,7 @@ from itertools import combinations
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.patches import Ellipse, Rectangle
 
 import pgm
@@ -41,6 +42,22 @@ def box(patch):
 def assert_apart(ax):
     for (one, (a, b)), (other, (c, d)) in combinations([(p, box(p)) for p in ax.patches], 2):
         assert (b <= c).any() or (d <= a).any(), f"{one} lies on {other}"
+
+
+def assert_lines_clear(ax):
+    """No line runs over a shape but those it joins and the sepset between them."""
+    for line in solid_lines(ax):
+        ends = line.get_xydata()
+        part = np.linspace(0.0, 1.0, 25)[:, None, None]
+        path = (ends[:-1] + part * (ends[1:] - ends[:-1])).reshape(-1, 2)
+        assert sum(inside(path, patch).any() for patch in ax.patches) == 3
+
+
+def inside(points, patch):
+    low, high = box(patch)
+    offset = (2.0 * points - low - high) / (high - low)
+    order = 2 if isinstance(patch, Ellipse) else np.inf
+    return np.linalg.norm(offset, ord=order, axis=-1) < 1.0
 
 
 def solid_lines(ax):
@@ -174,15 +191,17 @@ def test_any_graph_is_drawn_with_its_shapes_apart(any_graph, shape):
     assert len(ellipses) == count
     assert sorted(labels(ax, Rectangle)) == sorted(s.name for s in shared)
     assert_apart(ax)
-    # Each sepset stands on the line between its two clusters.
+    # The line of each sepset leads through it from one of its clusters to the other.
     where = {text.get_text(): text.get_position() for text in ax.texts}
+    paths = {tuple(np.round(line.get_xydata()[[0, -1]].ravel(), 6)): line for line in ax.lines}
     for sepset, (i, j) in zip(shared, edges, strict=True):
-        a, b, at = (
-            np.array(p)
-            for p in (ellipses[f"v{i}"].center, ellipses[f"v{j}"].center, where[sepset.name])
-        )
-        detour = np.linalg.norm(at - a) + np.linalg.norm(b - at) - np.linalg.norm(b - a)
-        assert detour == pytest.approx(0.0, abs=1e-6)
+        a, b = (ellipses[f"v{k}"].center for k in (i, j))
+        path = paths.pop(tuple(np.round([*a, *b], 6))).get_xydata()
+        legs = np.linalg.norm(path - where[sepset.name], axis=-1)
+        pieces = np.linalg.norm(np.diff(path, axis=0), axis=-1)
+        assert (legs[:-1] + legs[1:] - pieces).min() == pytest.approx(0.0, abs=1e-6)
+    assert not paths
+    assert_lines_clear(ax)
 
 
 def test_stubs_of_a_tree_lead_to_each_cluster_left_out(any_graph):
@@ -203,6 +222,7 @@ def test_evidence_of_a_general_graph_moves_variables_to_the_end(any_graph):
 def test_labels_fit_their_ellipses_and_all_is_inside(robot, size):
     ax = None if size is None else plt.subplots(figsize=size)[1]
     ax = pgm.plot.cluster_graph(pgm.compile(robot, 14), ax=ax)
+    ax.figure.dpi = 300  # so that hinting does not widen the letters
     ax.figure.canvas.draw()
     ellipses = {tuple(p.center): p for p in ax.patches if isinstance(p, Ellipse)}
     for text in ax.texts:
@@ -236,3 +256,189 @@ def test_what_cannot_be_drawn_is_refused(robot):
         pgm.plot.cluster_graph(graph, steps=4, evidence={U: np.ones((7, 2))})
     with pytest.raises(pgm.EvidenceError, match="maps variables to values; found list"):
         pgm.plot.cluster_graph(graph, steps=4, evidence=[U])
+
+
+def bethe(parents):
+    """A loopy graph: a cluster a family, and one a variable; parents are given by index."""
+    v = pgm.variables([f"v{k}" for k in range(len(parents))])
+    net = pgm.BayesianNetwork(
+        pgm.LinearGaussianCPD(v[k], given={v[p]: 1.0 for p in given}, cov=1.0)
+        if given
+        else pgm.GaussianCPD(v[k], 0.0, 1.0)
+        for k, given in enumerate(parents)
+    )
+    families = [{v[k], *(v[p] for p in given)} for k, given in enumerate(parents)]
+    sepsets = {(k, len(v) + p): {v[p]} for k, given in enumerate(parents) for p in (k, *given)}
+    return pgm.ClusterGraph(net, [*families, *({u} for u in v)], sepsets)
+
+
+def random_parents(count, seed):
+    rng = np.random.default_rng(seed)
+    return [
+        rng.choice(np.arange(max(0, k - 8), k), size=min(k, 1 + k % 2), replace=False).tolist()
+        for k in range(count)
+    ]
+
+
+def random_tree(any_graph, count, seed):
+    rng = np.random.default_rng(seed)
+    edges = [(int(rng.integers(max(0, k - 12), k)), k) for k in range(1, count)]
+    shared = pgm.variables([f"edge{k}" for k in range(1, count)])
+    scopes = [[s for s, edge in zip(shared, edges, strict=True) if k in edge] for k in range(count)]
+    return any_graph(scopes, edges)
+
+
+@pytest.mark.parametrize("kind", ["tree", "bethe"])
+def test_graphs_of_sixty_clusters_are_clear_and_readable(any_graph, kind):
+    graph = random_tree(any_graph, 60, 0) if kind == "tree" else bethe(random_parents(30, 1))
+    ax = pgm.plot.cluster_graph(graph)
+    assert len(labels(ax, Ellipse)) == 60
+    assert len(labels(ax, Rectangle)) == len(graph.sepsets)
+    assert_apart(ax)
+    assert_lines_clear(ax)
+    assert min(text.get_fontsize() for text in ax.texts) > 6.0
+    frame = ax.get_window_extent()
+    for patch in ax.patches:
+        extent = patch.get_window_extent()
+        assert frame.x0 < extent.x0 < extent.x1 < frame.x1
+        assert frame.y0 < extent.y0 < extent.y1 < frame.y1
+
+
+def test_large_clusters_name_the_first_variables_and_count_the_others(any_graph):
+    v = pgm.variables([f"v{k}" for k in range(20)])
+    ax = pgm.plot.cluster_graph(any_graph([v, v[4:]], [(0, 1)]))
+    assert words(labels(ax, Ellipse)[0]) == [*(f"v{k}" for k in range(15)), "+5"]
+    assert words(labels(ax, Rectangle)[0]) == [f"v{k}" for k in range(4, 20)]
+
+
+def test_long_names_are_cut_in_the_middle(any_graph):
+    long = pgm.Variable("the_position_of_the_second_landmark", components=("a",))
+    (label,) = labels(pgm.plot.cluster_graph(any_graph([(long,)], [])), Ellipse)
+    head, tail = label.split("…")
+    assert long.name.startswith(head)
+    assert long.name.endswith(tail)
+    assert len(head) > len(tail) >= 4
+
+
+def discrete_loop(any_graph):
+    a, b, c, d = (pgm.Discrete(name, size) for name, size in zip("abcd", (2, 3, 4, 5), strict=True))
+    return any_graph([(a, b), (b, c), (c, d), (d, a)], [(0, 1), (1, 2), (2, 3), (0, 3)])
+
+
+def test_sizes_are_components_or_table_entries(any_graph):
+    ax = pgm.plot.cluster_graph(discrete_loop(any_graph), sizes=True)
+    assert labels(ax, Ellipse) == [
+        "a, b\n6 entries",
+        "b, c\n12 entries",
+        "c, d\n20 entries",
+        "d, a\n10 entries",
+    ]
+    assert set(labels(ax, Rectangle)) == {
+        f"{v}\n{n} entries" for v, n in zip("abcd", "2345", strict=True)
+    }
+    x, y = pgm.Variable("x", components=("a", "b", "c")), pgm.Variable("y")
+    ax = pgm.plot.cluster_graph(any_graph([(x, y), (y,)], [(0, 1)]), sizes=True)
+    assert labels(ax, Ellipse) == ["x, y\ndim 4", "y\ndim 1"]
+    assert labels(ax, Rectangle) == ["y\ndim 1"]
+
+
+def luminance(colour):
+    """Of WCAG 2."""
+    c = np.array(colour[:3])
+    linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def shades(ax, kind):
+    return [luminance(to_rgb(p.get_facecolor())) for p in ax.patches if isinstance(p, kind)]
+
+
+def test_larger_clusters_are_darker_and_a_bar_says_what_is_what(any_graph):
+    ax = pgm.plot.cluster_graph(discrete_loop(any_graph), colour="size")
+    order = np.argsort([6, 12, 20, 10])
+    assert np.all(np.diff(np.array(shades(ax, Ellipse))[order]) < -0.05)
+    (bar,) = ax.child_axes
+    assert bar.get_xlabel() == "table entries"
+    assert bar.get_xlim() == (6.0, 20.0)
+    assert len(set(shades(ax, Rectangle))) == 1
+
+
+def test_larger_residuals_are_darker_and_zero_is_the_lightest(any_graph):
+    residuals = {(0, 1): 0.0, (2, 1): [1e-9, 1e-6], (1, 2): 1e-8, (2, 3): 1e-3, (0, 3): 1e-9}
+    ax = pgm.plot.cluster_graph(discrete_loop(any_graph), residuals=residuals)
+    drawn = dict(zip(["01", "12", "23", "03"], shades(ax, Rectangle), strict=True))
+    assert drawn["01"] == drawn["03"] > drawn["12"] > drawn["23"]
+    (bar,) = ax.child_axes
+    assert bar.get_xlabel() == "residual"
+    np.testing.assert_allclose(bar.get_xlim(), (1e-9, 1e-3))
+    assert len(set(shades(ax, Ellipse))) == 1
+
+
+@pytest.mark.parametrize("numbers", [[0.0], [1e-3], [1e-3, 2e-3], [np.inf], [0.0, np.inf, 1.0]])
+def test_any_residuals_have_colours(any_graph, numbers):
+    residuals = dict(zip([(0, 1), (1, 2), (2, 3)], numbers, strict=False))
+    ax = pgm.plot.cluster_graph(
+        discrete_loop(any_graph), colour="residual", residuals=residuals, sizes=True
+    )
+    ax.figure.canvas.draw()
+    low, high = ax.child_axes[0].get_xlim()
+    assert high / low >= 9.99
+
+
+@pytest.mark.parametrize("size", [None, (4.0, 3.0), (9.0, 3.0)])
+def test_texts_stand_out_from_every_shade_and_the_bar_from_the_clusters(any_graph, size):
+    v = pgm.variables([f"v{k}" for k in range(31)])
+    scopes = [v[: k + 1] for k in range(30)]
+    graph = any_graph(scopes, [(0, k) for k in range(1, 30)])
+    ax = None if size is None else plt.subplots(figsize=size)[1]
+    ax = pgm.plot.cluster_graph(graph, colour="size", ax=ax)
+    at = {text.get_position(): text for text in ax.texts}
+    for patch in ax.patches:
+        pair = [
+            luminance(to_rgb(c)) for c in (patch.get_facecolor(), at[centre(patch)].get_color())
+        ]
+        assert (max(pair) + 0.05) / (min(pair) + 0.05) >= 4.5
+    ax.figure.canvas.draw()
+    (bar,) = ax.child_axes
+    extent = bar.get_tightbbox()
+    assert extent.y1 < min(patch.get_window_extent().y0 for patch in ax.patches)
+    assert extent.y0 >= ax.get_window_extent().y0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "match"),
+    [
+        ({"colour": "width"}, 'colour is "size" or "residual", not \'width\''),
+        ({"colour": "residual"}, "needs residuals="),
+        ({"colour": "size", "residuals": {}}, "does not go with residuals"),
+        ({"residuals": [1.0]}, "found list"),
+        ({"residuals": {(0, 2): 1.0}}, r"\(0, 2\), which is no pair of joined clusters"),
+        ({"residuals": {3: 1.0}}, "3, which is no pair of joined clusters"),
+        ({"residuals": {(0, 1): -1.0}}, "0 or more was due"),
+        ({"residuals": {(0, 1): np.nan}}, "0 or more was due"),
+    ],
+)
+def test_colours_without_numbers_are_refused(any_graph, wrong, match):
+    with pytest.raises(pgm.GraphError, match=match):
+        pgm.plot.cluster_graph(discrete_loop(any_graph), **wrong)
+    assert not plt.get_fignums()
+
+
+@pytest.mark.parametrize("size", [(2.5, 2.0), (8.0, 2.5)])
+def test_texts_stay_in_their_shapes_on_small_axes(any_graph, size):
+    ax = plt.subplots(figsize=size)[1]
+    pgm.plot.cluster_graph(discrete_loop(any_graph), sizes=True, ax=ax)
+    ax.figure.dpi = 300
+    ax.figure.canvas.draw()
+    at = {text.get_position(): text.get_window_extent() for text in ax.texts}
+    for patch in ax.patches:
+        inner, outer = at[centre(patch)], patch.get_window_extent()
+        part = np.array([inner.width / outer.width, inner.height / outer.height])
+        assert np.linalg.norm(part, ord=2 if isinstance(patch, Ellipse) else np.inf) < 1.0
+
+
+def test_tables_larger_than_any_float_have_a_size_too(any_graph):
+    v = [pgm.Discrete(f"v{k}", 10) for k in range(400)]
+    ax = pgm.plot.cluster_graph(any_graph([v, v[:2]], [(0, 1)]), sizes=True, colour="size")
+    assert labels(ax, Ellipse)[0].endswith(", +385\n10^400.0 entries")
+    ax.figure.canvas.draw()

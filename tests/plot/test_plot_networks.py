@@ -63,6 +63,19 @@ def two_states_with_control():
     )
 
 
+def test_evidence_says_which_sensors_are_shaded_beside_the_inputs():
+    model = two_states_with_control()
+    z = model.sensors[0]
+    for evidence, due in (
+        ([], {"command[1]"}),
+        ({z: 1.0}, {"command[1]", "z[0]", "z[1]"}),
+        ([z.at(1)], {"command[1]", "z[1]"}),
+    ):
+        circles, _ = parts(pgm.plot.network(model, evidence=evidence))
+        shaded = {name for name, c in circles.items() if to_rgb(c.get_facecolor()) != (1, 1, 1)}
+        assert shaded == due
+
+
 @pytest.mark.parametrize("steps", [0, 1, 3])
 def test_no_two_circles_overlap(model, steps):
     circles, arrows = parts(pgm.plot.network(model, steps=steps))
@@ -112,6 +125,17 @@ def test_labels_fit_their_circles_on_large_and_small_axes(model, size):
         assert circle.get_window_extent().x1 <= whole.x1
 
 
+def test_labels_of_small_axes_shrink_less_than_their_circles(robot):
+    ax = pgm.plot.network(robot, steps=3, ax=plt.subplots(figsize=(3.0, 2.0))[1])
+    natural = pgm.plot.network(robot, steps=3)
+    shrunk = [
+        drawn.patches[0].get_window_extent().width / drawn.figure.dpi for drawn in (ax, natural)
+    ]
+    sizes = [drawn.texts[0].get_fontsize() for drawn in (ax, natural)]
+    assert shrunk[0] < 0.7 * shrunk[1]
+    assert sizes[0] / sizes[1] > 1.1 * shrunk[0] / shrunk[1]
+
+
 def test_the_axes_given_are_returned(robot):
     _, ax = plt.subplots()
     assert pgm.plot.network(robot, ax=ax) is ax
@@ -126,14 +150,16 @@ def test_circles_are_round(robot):
     assert extent.width == pytest.approx(extent.height, rel=1e-6)
 
 
-@pytest.mark.parametrize("steps", [-1, 1.5, True, None])
+@pytest.mark.parametrize("steps", [-1, 1.5, True, "2"])
 def test_steps_must_be_a_slice(robot, steps):
     with pytest.raises(pgm.ModelError, match="last slice to draw"):
         pgm.plot.network(robot, steps=steps)
 
 
 def test_only_networks_and_single_axes_are_taken(robot):
-    with pytest.raises(pgm.ModelError, match="draws a DynamicBayesianNetwork, not SliceGraph"):
+    with pytest.raises(
+        pgm.ModelError, match="draws a DynamicBayesianNetwork or BayesianNetwork, not S"
+    ):
         pgm.plot.network(pgm.compile(robot, 3))
     with pytest.raises(pgm.ModelError, match="one matplotlib Axes, not ndarray"):
         pgm.plot.network(robot, ax=plt.subplots(2)[1])

@@ -1,0 +1,80 @@
+"""Which clusters and sepsets a picture shows, and what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.clustergraph.checks import Edge
+from pgm.clustergraph.size import amount, is_discrete, size
+from pgm.compile import SliceGraph
+from pgm.errors import GraphError
+from pgm.evidence import Evidence
+from pgm.factors.scope import Scope
+from pgm.plot.labels import cluster_label, scope_label
+from pgm.plot.layout import Node
+from pgm.plot.sightings import reading_counts
+from pgm.variables import Variable
+
+# How many variables a cluster names, in graphs of up to so many clusters.
+_NAMED = ((12, 16), (30, 9), (np.inf, 6))
+
+
+def shown(graph: ClusterGraph, steps: int | None, most: int | None = None) -> list[Cluster]:
+    """The clusters 0..steps, or all; an error where they are more than can be read."""
+    if not isinstance(graph, ClusterGraph):
+        raise GraphError(f"cluster_graph draws a compiled graph, not {type(graph).__name__}")
+    count = len(graph.clusters)
+    if not count:
+        raise GraphError("the graph has no clusters to draw")
+    if steps is not None:
+        if not isinstance(steps, (int, np.integer)) or isinstance(steps, bool) or steps < 0:
+            raise GraphError(f"steps must be the last cluster to draw, 0 or more, not {steps!r}")
+        count = min(count, int(steps) + 1)
+    if most is not None and count > most:
+        raise GraphError(
+            f"{count} clusters are too many to read; draw {most} at most, as with steps=4"
+        )
+    return list(graph.clusters[:count])
+
+
+def joined(graph: ClusterGraph, clusters: Sequence[Cluster]) -> tuple[dict[Edge, Scope], list[int]]:
+    """The sepsets between some clusters, and which of them have neighbours among the others."""
+    drawn = {cluster.index for cluster in clusters}
+    sepsets: dict[Edge, Scope] = {}
+    cut: list[int] = []
+    for i, j in graph.sepsets:
+        if i in drawn and j in drawn:
+            sepsets[i, j] = graph.sepsets[i, j]
+        elif i in drawn or j in drawn:
+            cut.append(i if i in drawn else j)
+    return sepsets, cut
+
+
+def contents(
+    graph: ClusterGraph,
+    clusters: list[Cluster],
+    sepsets: dict[Edge, Scope],
+    evidence: Evidence | None,
+    sizes: bool,
+) -> dict[Node, str]:
+    """The texts of clusters, by index, and of sepsets, by edge; with their sizes if asked for."""
+    observed: frozenset[Variable] = frozenset(evidence or ())
+    most: int | None = next(named for up_to, named in _NAMED if len(clusters) <= up_to)
+    if isinstance(graph, SliceGraph):
+        observed |= {*graph.model.sensors, *graph.model.inputs}
+        most = None
+    counts = {} if evidence is None else reading_counts(graph, evidence)
+    texts: dict[Node, str] = {c.index: cluster_label(c, observed, counts, most) for c in clusters}
+    texts |= {edge: scope_label(scope, most) for edge, scope in sepsets.items()}
+    if sizes:
+        scopes: dict[Node, Scope] = {c.index: c.scope for c in clusters}
+        texts = {node: f"{text}\n{_size((scopes | sepsets)[node])}" for node, text in texts.items()}
+    return texts
+
+
+def _size(scope: Scope) -> str:
+    number = size(scope)
+    return f"{amount(number)} entries" if is_discrete(scope) else f"dim {number:,}"

@@ -1,0 +1,150 @@
+"""How a schedule converged: the residual of each iteration."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+from matplotlib.ticker import MaxNLocator
+
+from pgm.errors import ModelError
+from pgm.inference import Status
+from pgm.kernels.arrays import Array
+from pgm.plot.axes import given_or_new, name_axes, useful_legend
+from pgm.plot.colours import INK, next_colour
+
+# More runs than this are a band and a median.
+_LINES = 8
+# Where all residuals are zero, the axis is about this number.
+_TINY = 1e-16
+
+
+def convergence(
+    status: Status,
+    *,
+    tolerance: float | None = None,
+    label: str | None = None,
+    colour: str | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the residual of each iteration on a logarithmic axis.
+
+    Up to eight runs are a line each; more are their median within the band from the least to the
+    greatest. A residual of zero, which has no logarithm, is a triangle at the bottom of the axis.
+    A run's line ends where it has no residual (NaN) or an infinite one. Call it again with the
+    same `ax` to compare schedules: each takes the next colour.
+
+    Parameters
+    ----------
+    status : Status
+        As ``posterior.status``.
+    tolerance : float, optional
+        That of the schedule, drawn as a dashed line.
+    label : str, optional
+        In the legend, which is drawn where there are two things or more to tell apart.
+    colour : str, optional
+        The next of a colour-blind-safe palette without.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's without.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ModelError
+        If `status` is none, or the tolerance is negative.
+    """
+    if not isinstance(status, Status):
+        raise ModelError(
+            f"convergence draws a Status, like posterior.status, not {type(status).__name__}"
+        )
+    if tolerance is not None and not 0.0 <= tolerance < np.inf:
+        raise ModelError(f"tolerance must be 0 or more, not {tolerance!r}")
+    residuals = np.asarray(status.residuals, dtype=float)
+    residuals = residuals.reshape(len(residuals), math.prod(residuals.shape[1:]))
+    residuals = np.where(np.isfinite(residuals), residuals, np.nan)
+    # The first linearisation of a tree has no residual.
+    across = status.iterations - len(residuals) + 1 + np.arange(len(residuals))
+
+    ax = given_or_new(ax)
+    ax.set_yscale("log")
+    tint = colour or next_colour(ax)
+    label = "residual" if label is None else label
+    many = residuals.shape[1] > _LINES
+    if many:
+        _draw_band(ax, across, residuals, label, tint)
+    else:
+        _draw_lines(ax, across, residuals, label, tint)
+    if tolerance:
+        ax.axhline(
+            tolerance, color=INK, lw=0.9, ls="--", zorder=1.5, label=f"tolerance {tolerance:g}"
+        )
+    if not np.any(residuals > 0.0) and not ax.dataLim.minposy < np.inf:
+        ax.set_ylim(_TINY, 1e4 * _TINY)
+    _mark_zeros(ax, across, residuals, tint)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    name_axes(ax, "iteration", "residual")
+    useful_legend(ax)
+    return ax
+
+
+def _draw_lines(
+    ax: Axes, across: npt.NDArray[np.int_], residuals: Array, label: str, tint: str
+) -> None:
+    count = residuals.shape[1]
+    positive = np.where(residuals > 0.0, residuals, np.nan)
+    for k in range(count):
+        ax.plot(
+            across,
+            positive[:, k],
+            color=to_rgba(tint, 1.0 if count == 1 else 0.7),
+            lw=1.5 if count == 1 else 1.1,
+            marker=".",
+            markersize=4.0 if len(across) <= 60 else 0.0,
+            zorder=2.2,
+            label=label if k == 0 else None,
+        )
+
+
+def _draw_band(
+    ax: Axes, across: npt.NDArray[np.int_], residuals: Array, label: str, tint: str
+) -> None:
+    """The band is of positive residuals; the median is of all, and ends where it is zero."""
+    rows = [row[~np.isnan(row)] for row in residuals]
+    least, most = (
+        np.array([f(row[row > 0.0]) if (row > 0.0).any() else np.nan for row in rows])
+        for f in (np.min, np.max)
+    )
+    middle = np.array([np.median(row) if row.size else np.nan for row in rows])
+    middle = np.where(middle > 0.0, middle, np.nan)
+    ax.fill_between(
+        across,
+        least,
+        most,
+        facecolor=to_rgba(tint, 0.18),
+        edgecolor=to_rgba(tint, 0.4),
+        lw=0.8,
+        label=f"{label}, {residuals.shape[1]} runs",
+    )
+    ax.plot(across, middle, color=tint, lw=1.6, zorder=2.2, label=f"{label}, median")
+
+
+def _mark_zeros(ax: Axes, across: npt.NDArray[np.int_], residuals: Array, tint: str) -> None:
+    zeros = across[(residuals == 0.0).any(axis=1)]
+    if zeros.size:
+        ax.plot(
+            zeros,
+            np.full(zeros.shape, 0.02),
+            "v",
+            color=tint,
+            markersize=5.0,
+            transform=ax.get_xaxis_transform(),
+            clip_on=False,
+            zorder=2.4,
+            label="zero",
+        )

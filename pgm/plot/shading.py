@@ -1,0 +1,134 @@
+"""Colours that stand for numbers: of clusters by size, of sepsets by residual."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Colormap, LogNorm, Normalize
+from matplotlib.ticker import MaxNLocator
+
+from pgm.clustergraph import ClusterGraph
+from pgm.clustergraph.checks import Edge
+from pgm.clustergraph.size import is_discrete, size
+from pgm.errors import GraphError
+from pgm.factors.scope import Scope
+from pgm.plot.canvas import FONT, Box, Canvas
+from pgm.plot.colours import INK, SCALE
+from pgm.plot.layout import Node
+
+# Sizes that differ by more than this factor have a logarithmic scale.
+_WIDE = 30.0
+# Larger tables have the same colour: the axis of a bar cannot reach much further.
+_HUGE = 10**200
+_BAR = 9.0
+_BELOW = 46.0
+_LONGEST_BAR = 220.0
+_SHORTEST_BAR = 90.0
+
+Colour = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Shading:
+    """Colours of shapes, and the bar that explains them.
+
+    Attributes
+    ----------
+    values : dict of node to float
+        Of the clusters, by index, or the sepsets, by edge.
+    norm : matplotlib.colors.Normalize
+    label : str
+        What the values are.
+    """
+
+    values: dict[Node, float]
+    norm: Normalize
+    label: str
+
+    def __getitem__(self, node: Node) -> Colour | None:
+        """The colour of a shape; None where it has no value."""
+        if node not in self.values:
+            return None
+        # Zero is at the lower end of a logarithmic scale.
+        value = max(self.values[node], float(self.norm.vmin or 0.0))
+        r, g, b, a = self._map(float(self.norm(value)))
+        return r, g, b, a
+
+    @property
+    def _map(self) -> Colormap:
+        return matplotlib.colormaps[SCALE]
+
+    def bar_box(self, box: Box) -> Box:
+        """A box with room for the bar, below."""
+        middle, half = 0.5 * (box.left + box.right), 0.5 * _SHORTEST_BAR
+        left, right = min(box.left, middle - half), max(box.right, middle + half)
+        return Box(left, box.bottom - _BELOW, right, box.top)
+
+    def draw_bar(self, canvas: Canvas, box: Box) -> None:
+        """Draw the bar at the bottom of the box that `bar_box` gave."""
+        length = min(max(_SHORTEST_BAR, 0.5 * (box.right - box.left)), _LONGEST_BAR)
+        left = 0.5 * (box.left + box.right - length)
+        place = canvas.ax.inset_axes(
+            (left, box.bottom + 26.0, length, _BAR), transform=canvas.ax.transData
+        )
+        shown = ScalarMappable(self.norm, self._map)
+        bar = canvas.ax.figure.colorbar(shown, cax=place, orientation="horizontal")
+        bar.outline.set_linewidth(canvas.width(0.8))
+        if not isinstance(self.norm, LogNorm):
+            bar.locator = MaxNLocator(5, integer=True)
+            bar.update_ticks()
+        letters = 0.85 * FONT * canvas.letters
+        for which in ("major", "minor"):
+            place.tick_params(
+                which=which,
+                labelsize=letters,
+                length=canvas.width(3.0 if which == "major" else 1.5),
+                width=canvas.width(0.8),
+                pad=canvas.width(1.5),
+                labelcolor=INK,
+            )
+        bar.set_label(self.label, size=letters, color=INK, labelpad=canvas.width(1.0))
+
+
+def by_size(scopes: Mapping[int, Scope]) -> Shading:
+    """Clusters by their number of components, or of table entries."""
+    values: dict[Node, float] = {k: float(min(size(s), _HUGE)) for k, s in scopes.items()}
+    least, most = max(min(values.values()), 1.0), max(*values.values(), 1.0)
+    discrete = any(map(is_discrete, scopes.values()))
+    norm = _log(least, most) if most > _WIDE * least else Normalize(min(least, most - 1.0), most)
+    return Shading(values, norm, "table entries" if discrete else "components")
+
+
+def by_residual(
+    graph: ClusterGraph, shown: Mapping[Edge, Scope], residuals: Mapping[Edge, npt.ArrayLike]
+) -> Shading:
+    """Sepsets by how much their messages still change: the most of either way and of all runs."""
+    if not isinstance(residuals, Mapping):
+        raise GraphError(
+            f"residuals map pairs of clusters to numbers; found {type(residuals).__name__}"
+        )
+    values: dict[Node, float] = {}
+    for pair, value in residuals.items():
+        edge = tuple(sorted(pair)) if isinstance(pair, tuple) else pair
+        if edge not in graph.sepsets:
+            raise GraphError(f"residuals name {pair!r}, which is no pair of joined clusters")
+        array = np.asarray(value, dtype=float)
+        if not array.size or not (array >= 0.0).all():
+            raise GraphError(f"the residual of {pair!r} is {value!r}; 0 or more was due")
+        values[edge] = max(values.get(edge, 0.0), float(array.max()))
+    values = {edge: value for edge, value in values.items() if edge in shown}
+    finite = [value for value in values.values() if 0.0 < value < np.inf]
+    return Shading(values, _log(min(finite, default=1.0), max(finite, default=1.0)), "residual")
+
+
+def _log(least: float, most: float) -> LogNorm:
+    if most < 10.0 * least:
+        # A decade at the least, so that small differences do not look large.
+        middle = float(np.sqrt(least * most))
+        least, most = middle / np.sqrt(10.0), middle * np.sqrt(10.0)
+    return LogNorm(least, most, clip=True)
