@@ -4,6 +4,7 @@ from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.marginals import Marginals
 from pgm.inference.chain.online import OnlineBelief, OnlineFilter
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.engine import filter, infer, smooth
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import (
@@ -24,6 +25,7 @@ __all__ = [
     "Flooding",
     "Innovations",
     "Marginals",
+    "MostProbable",
     "OnlineBelief",
     "OnlineFilter",
     "Posterior",
@@ -34,5 +36,6 @@ __all__ = [
     "Status",
     "filter",
     "infer",
+    "most_probable",
     "smooth",
 ]

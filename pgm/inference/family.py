@@ -31,7 +31,9 @@ class Family:
     hidden : tuple of Variable
         The parents without evidence, stacked.
     step : ndarray of int
-        (rows,): the step of each row.
+        (rows,): the step of each row; zeros where there is no time.
+    timed : bool
+        Whether there is time.
     inputs : mapping of Variable to ndarray
         Values of the parents with evidence, (rows, runs or 1, d).
     lineariser : Lineariser
@@ -54,6 +56,7 @@ class Family:
     offset: Array
     noise: Array
     own_noise: Array
+    timed: bool = True
     approximate: bool = False
 
     @classmethod
@@ -65,11 +68,13 @@ class Family:
         inputs: Mapping[Variable, Array],
         lineariser: Lineariser,
         lead: tuple[int, ...],
+        *,
+        timed: bool = True,
     ) -> Family:
         """Lay out a CPD; an affine one is ready for use."""
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
-        own_noise = _own_noise(cpd, step, inputs, lead)
+        own_noise = _own_noise(cpd, step if timed else None, rows, inputs, lead)
         template = None
         if isinstance(cpd, AffineCPD):
             constant, shift = cpd._affine(hidden, inputs)
@@ -86,7 +91,7 @@ class Family:
             raise ModelError(f"{cpd!r} is of no kind that inference knows", cpd=cpd)
         noise = np.broadcast_to(own_noise, (rows, runs, height, height))
         return cls(
-            cpd, hidden, step, inputs, lineariser, template, matrix, offset, noise, own_noise
+            cpd, hidden, step, inputs, lineariser, template, matrix, offset, noise, own_noise, timed
         )
 
     @property
@@ -174,7 +179,7 @@ class Family:
         except PgmError as error:
             error.cpd = error.cpd or self.cpd
             error.variable = error.variable or self.cpd.child
-            if error.step is None and isinstance(function.step, int):
+            if self.timed and error.step is None and isinstance(function.step, int):
                 error.step = function.step
             raise
         if not isinstance(affine, AffineGaussian):
@@ -212,11 +217,14 @@ class Family:
         bad = bad | ~np.isfinite(affine.F).all(axis=(-2, -1))
         bad = bad | ~np.isfinite(affine.cov).all(axis=(-2, -1))
         where = tuple(int(axis[0]) for axis in np.nonzero(bad))
-        step = 0 if function.step is None else int(np.broadcast_to(function.step, shape)[where])
+        step = None
+        if self.timed and function.step is not None:
+            step = int(np.broadcast_to(function.step, shape)[where])
+        at = "" if step is None else f" at step {step}"
         raise LinearisationError(
-            f"{self.cpd!r}: its linearisation at step {step}, run {where[-1]}, has values that "
-            f"are NaN or infinite, at {names(self.hidden)} = {mean[where]}; is the function "
-            "defined there, and its Jacobian?",
+            f"{self.cpd!r}: its linearisation{at}, run {where[-1]}, has values that are NaN or "
+            f"infinite, at {names(self.hidden)} = {mean[where]}; is the function defined there, "
+            "and its Jacobian?",
             variable=self.cpd.child,
             cpd=self.cpd,
             step=step,
@@ -255,7 +263,8 @@ class Family:
 
 def _own_noise(
     cpd: ConditionalGaussian,
-    step: Integers,
+    step: Integers | None,
+    rows: int,
     inputs: Mapping[Variable, Array],
     lead: tuple[int, ...],
 ) -> Array:
@@ -265,12 +274,12 @@ def _own_noise(
         if cpd.cov.ndim == 2:
             return cpd.cov[None, None]
         return np.broadcast_to(cpd.cov, (*lead, size, size)).reshape(1, math.prod(lead), size, size)
-    if not step.size:
+    if not rows:
         return np.zeros((1, 1, size, size))
     known = {parent: inputs[parent] for parent in cpd.cov.given}
-    shape = np.broadcast_shapes((step.size, 1), *(array.shape[:2] for array in known.values()))
+    shape = np.broadcast_shapes((rows, 1), *(array.shape[:2] for array in known.values()))
     try:
-        return evaluate(cpd.cov, cpd.child, known, shape, step[:, None])
+        return evaluate(cpd.cov, cpd.child, known, shape, None if step is None else step[:, None])
     except ModelError as error:
         error.cpd = cpd
         raise

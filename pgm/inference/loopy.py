@@ -6,14 +6,15 @@ higher, and 2e + 1 back. A family of messages, tables or square roots, computes 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
+from pgm.clustergraph.checks import Edge
 from pgm.inference.schedule import Flooding, Loopy, Residual, Sequential, Status
 from pgm.kernels.arrays import Array, Integers, Mask
 
@@ -80,7 +81,10 @@ class Messages(Protocol[Round]):
         ...
 
     def propose(self, round: Round) -> Array:
-        """Compute them from the messages kept; how much each would change, (messages, runs)."""
+        """Compute them from the messages kept; how much each would change, (messages, runs).
+
+        In the order in which they were asked for.
+        """
         ...
 
     def accept(self, round: Round, active: Mask) -> None:
@@ -93,3 +97,102 @@ class Messages(Protocol[Round]):
         None where there is nothing to linearise.
         """
         ...
+
+
+# Messages settle this far, in deviations, before nonlinear CPDs are first linearised anew; later
+# by this share of what the last linearisation moved.
+_SETTLED = 1e-2
+_SHARE = 0.1
+# A run whose messages change by more than this has diverged; it stops before its numbers overflow.
+LOST = 1e100
+
+
+def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -> Status:
+    """Send messages until none changes, and relinearisation moves no mean.
+
+    A run that has converged keeps its messages, so that a batch equals its single runs.
+    """
+    step = _STEPS[type(schedule)](messages)
+    active = np.ones(messages.runs, dtype=bool)
+    converged = np.zeros(messages.runs, dtype=bool)
+    gate = np.full(messages.runs, max(_SETTLED, schedule.tolerance))
+    residuals: list[Array] = []
+    while len(residuals) < schedule.max_iterations and active.any():
+        change = step(active)
+        residuals.append(np.where(active, change, residuals[-1]) if residuals else change)
+        active &= change < LOST
+        ready = active & (change <= gate)
+        if not ready.any():
+            continue
+        move = messages.relinearise(ready)
+        if move is None:
+            gate[:] = schedule.tolerance
+            converged |= active & (change <= schedule.tolerance)
+        else:
+            converged |= ready & (np.maximum(change, move) <= schedule.tolerance)
+            gate = np.where(ready, np.clip(_SHARE * move, schedule.tolerance, gate), gate)
+        active &= ~converged
+    return Status(
+        len(residuals),
+        np.array(residuals).reshape(len(residuals), *lead),
+        converged.reshape(lead),
+    )
+
+
+def _flooding(messages: Messages[Any]) -> Callable[[Mask], Array]:
+    everything = messages.round(range(len(messages.directed)))
+
+    def step(active: Mask) -> Array:
+        change = messages.propose(everything)
+        messages.accept(everything, active)
+        return _largest(change)
+
+    return step
+
+
+def _sequential(messages: Messages[Any]) -> Callable[[Mask], Array]:
+    """Forth to later clusters, and back to earlier ones: every message once."""
+    target = messages.directed.target
+    there, back = [], []
+    for cluster, outgoing in enumerate(messages.directed.outgoing):
+        later = [m for m in outgoing if target[m] > cluster]
+        earlier = [m for m in outgoing if target[m] < cluster]
+        there += [messages.round(later)] if later else []
+        back += [messages.round(earlier)] if earlier else []
+
+    def step(active: Mask) -> Array:
+        largest = np.zeros(messages.runs)
+        for each in (*there, *reversed(back)):
+            largest = np.maximum(largest, _largest(messages.propose(each)))
+            messages.accept(each, active)
+        return largest
+
+    return step
+
+
+def _residual(messages: Messages[Any]) -> Callable[[Mask], Array]:
+    directed = messages.directed
+    everything = messages.round(range(len(directed)))
+    single = [messages.round([m]) for m in range(len(directed))]
+    # A damped message has the rest of its change still to come.
+    after = [[m, *directed.dependents(m)] for m in range(len(directed))]
+    following = [messages.round(found) for found in after]
+
+    def step(active: Mask) -> Array:
+        change = messages.propose(everything)
+        for _ in range(len(directed)):
+            first = int(change[:, active].max(axis=1).argmax())
+            messages.propose(single[first])
+            messages.accept(single[first], active)
+            change[after[first]] = messages.propose(following[first])
+        return _largest(change)
+
+    return step
+
+
+def _largest(change: Array) -> Array:
+    largest: Array = change.max(axis=0, initial=0.0)
+    return largest
+
+
+_STEPS = {Flooding: _flooding, Sequential: _sequential, Residual: _residual}

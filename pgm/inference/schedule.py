@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
 from pgm.errors import ModelError
+from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 
 
@@ -126,7 +129,7 @@ Schedule = Filtering | Calibration | Loopy
 
 
 @dataclass(frozen=True, eq=False)
-class Status:
+class Status(Immutable):
     """How a schedule went.
 
     Attributes
@@ -139,13 +142,19 @@ class Status:
         largest change of a message in each iteration.
     converged : ndarray of bool
         (*runs): whether the last residual was within the tolerance, or nothing was to iterate.
+    by_edge : mapping of (int, int) to ndarray
+        After a schedule for any graph, (*runs): how much the messages between each two joined
+        clusters would still change, for ``pgm.plot.cluster_graph(graph, residuals=...)``; empty
+        after others.
     """
 
     iterations: int
     residuals: Array
     converged: Mask
+    by_edge: Mapping[tuple[int, int], Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "by_edge", MappingProxyType(dict(self.by_edge)))
         self.residuals.flags.writeable = False
         self.converged.flags.writeable = False
 

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import numpy.typing as npt
 
 from pgm.clustergraph import ClusterGraph
+from pgm.errors import EvidenceError
 from pgm.evidence import Evidence
-from pgm.inference.posterior import Posterior
-from pgm.inference.schedule import Schedule
+from pgm.evidence.arrays import as_rows, require_finite
+from pgm.evidence.static import BoundValues, bind_values
+from pgm.inference.gaussian.beliefs import Beliefs, relinearise
+from pgm.inference.gaussian.buffer import Buffer
+from pgm.inference.gaussian.layout import Layout, barren, known_parents
+from pgm.inference.gaussian.messages import RowMessages
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.posterior import GaussianPosterior
+from pgm.inference.gaussian.tree import Calibrated, TreePlan, calibrate
+from pgm.inference.loopy import run_loopy
+from pgm.inference.schedule import Calibration, Loopy, Schedule, Status
+from pgm.kernels import moments
+from pgm.kernels.arrays import Array
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 
@@ -20,6 +33,88 @@ def run(
     schedule: Schedule | None,
     lineariser: Lineariser,
     start: Mapping[Variable, npt.ArrayLike] | None,
-) -> Posterior:
-    """Send the messages of a schedule."""
-    raise NotImplementedError
+) -> GaussianPosterior:
+    """Send the messages of a schedule; see `pgm.infer`."""
+    network = graph.network
+    absent = barren(network, evidence)
+    cpds = [cpd for cpd in network.cpds if cpd.child not in absent]
+    inputs = set(network.inputs)
+    needed = (v for cpd in cpds for v in known_parents(cpd, inputs))
+    bound = bind_values(network.cpds, evidence, network.lead, needed)
+    plan = graph.derived(_plan, frozenset(bound.values), absent)
+    given = None if start is None else _start(plan.layout, bound, start)
+    model = Model.make(plan.layout, bound, lineariser, given)
+    if isinstance(schedule, Loopy):
+        messages = RowMessages.make(plan.rounds, plan.places, model, schedule.damping)
+        status = run_loopy(messages, schedule, model.lead)
+        return GaussianPosterior.loopy(plan, messages, status)
+    calibration = schedule if isinstance(schedule, Calibration) else Calibration()
+    buffer = Buffer.make(plan.rounds, model)
+    done, status = _calibrate(plan, buffer, calibration)
+    return GaussianPosterior.tree(plan, buffer, done, status)
+
+
+def _plan(
+    graph: ClusterGraph, observed: frozenset[Variable], absent: frozenset[Variable]
+) -> TreePlan:
+    return TreePlan(Layout(graph, observed, absent))
+
+
+def _calibrate(plan: TreePlan, buffer: Buffer, schedule: Calibration) -> tuple[Calibrated, Status]:
+    """Calibrate, linearise at the beliefs, and calibrate again, until the means stay."""
+    model = buffer.model
+    done = calibrate(plan, buffer)
+    residuals: list[Array] = []
+    converged = np.full(model.runs, model.exact)
+    while len(residuals) + 1 < schedule.iterations and not converged.all():
+        before, _ = done.beliefs.components()
+        relinearise(done.beliefs, model, ~converged)
+        buffer.refresh()
+        done = calibrate(plan, buffer)
+        residuals.append(_move(before, done.beliefs))
+        converged = converged | (residuals[-1] <= schedule.tolerance)
+    return done, Status(
+        len(residuals) + 1,
+        np.array(residuals).reshape(len(residuals), *model.lead),
+        converged.reshape(model.lead),
+    )
+
+
+def _move(before: Array, beliefs: Beliefs) -> Array:
+    """How far the means of each run moved, (runs,), in standard deviations."""
+    mean, std = beliefs.components()
+    return moments.marginal_error(mean[None], before[None], std[None])
+
+
+def _start(layout: Layout, bound: BoundValues, start: Mapping[Variable, npt.ArrayLike]) -> Array:
+    """Means of all hidden components, (runs, size); NaN of a child without one or children."""
+    if not isinstance(start, Mapping):
+        raise EvidenceError(f"start maps variables to means; found {type(start).__name__}")
+    for variable in start:
+        if variable not in layout.places:
+            raise EvidenceError(
+                f"start has {variable!r}, which is not hidden; it takes {list(layout.hidden)}",
+                variable=variable,
+            )
+    mean = np.full((bound.runs, layout.size), np.nan)
+    parents = {v for group in layout.groups for cpd in group.cpds for v in cpd.given}
+    for variable in layout.hidden:
+        if variable not in start:
+            if variable not in parents:
+                continue
+            raise EvidenceError(
+                f"start lacks {variable!r}; it takes means of all hidden parents",
+                variable=variable,
+            )
+        row = as_rows(variable, start[variable], None)
+        row = require_finite(variable, row[..., None, :])[..., 0, :]
+        try:
+            wide = np.broadcast_to(row, (*bound.lead, row.shape[-1]))
+        except ValueError:
+            raise EvidenceError(
+                f"start for {variable!r} has the axes of runs {row.shape[:-1]}, which do not "
+                f"broadcast to those of the evidence, {bound.lead}",
+                variable=variable,
+            ) from None
+        mean[:, layout.places[variable]] = wide.reshape(bound.runs, row.shape[-1])
+    return mean

@@ -1,0 +1,69 @@
+"""Trees of clusters, rooted at their centres."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.clustergraph import ClusterGraph
+from pgm.kernels.arrays import Integers
+
+
+@dataclass(frozen=True, eq=False)
+class Forest:
+    """The trees of a cluster graph, each hung at its centre, so that few rounds reach all.
+
+    Attributes
+    ----------
+    parent : ndarray of int
+        (clusters,): −1 at a root.
+    depth : ndarray of int
+        (clusters,): 0 at a root.
+    levels : list of ndarray of int
+        The clusters at each depth, the roots first.
+    """
+
+    parent: Integers
+    depth: Integers
+    levels: list[Integers]
+
+    @classmethod
+    def of(cls, graph: ClusterGraph) -> Forest:
+        """Root the trees of a graph without loops."""
+        neighbours = [graph.neighbours(k) for k in range(len(graph))]
+        parent = np.full(len(graph), -1, dtype=np.intp)
+        depth = np.full(len(graph), -1, dtype=np.intp)
+        for first in range(len(graph)):
+            if depth[first] < 0:
+                root = _centre(neighbours, first)
+                depth[root] = 0
+                for source, target in _edges(neighbours, root):
+                    parent[target], depth[target] = source, depth[source] + 1
+        order = np.argsort(depth, kind="stable")
+        bounds = np.cumsum(np.bincount(depth))
+        return cls(parent, depth, np.split(order, bounds[:-1]))
+
+
+def _edges(neighbours: list[tuple[int, ...]], root: int) -> list[tuple[int, int]]:
+    """The edges of a tree, away from a root, nearest first."""
+    found, queue = [], deque([(root, -1)])
+    while queue:
+        at, before = queue.popleft()
+        for other in neighbours[at]:
+            if other != before:
+                found.append((at, other))
+                queue.append((other, at))
+    return found
+
+
+def _centre(neighbours: list[tuple[int, ...]], first: int) -> int:
+    """The middle of a longest path, which joins the two clusters farthest from one another."""
+    edges = _edges(neighbours, first)
+    end = edges[-1][1] if edges else first
+    before = {target: source for source, target in _edges(neighbours, end)}
+    path = [next(reversed(before), end)]
+    while path[-1] != end:
+        path.append(before[path[-1]])
+    return path[len(path) // 2]

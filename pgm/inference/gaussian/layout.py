@@ -1,0 +1,236 @@
+"""Where everything stands for one network, cluster graph and set of observed variables."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pgm.clustergraph import ClusterGraph
+from pgm.cpds import CPD, ConditionalGaussian
+from pgm.factors.scope import Scope, dimension
+from pgm.inference.loopy import Directed
+from pgm.kernels.arrays import Integers
+from pgm.networks import BayesianNetwork
+from pgm.variables import Variable
+
+
+def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
+    """The parents of a CPD that must have evidence: inputs, and what its noise depends on."""
+    return [v for v in cpd.parents if v in inputs or v in cpd.noise_given]
+
+
+def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
+    """What inference can leave out, since it lacks inputs and nothing depends on it.
+
+    Children without evidence of CPDs whose inputs have none, such as sensors not read, unless
+    something observed or kept depends on them; and these inputs.
+    """
+    inputs = set(network.inputs)
+    used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}
+    absent: set[Variable] = set()
+    for cpd in reversed(network.cpds):
+        missing = [v for v in known_parents(cpd, inputs) if v not in evidence]
+        if missing and cpd.child not in evidence and cpd.child not in used:
+            absent.add(cpd.child)
+            absent.update(v for v in missing if v in inputs)
+        else:
+            used.update(cpd.parents)
+    return frozenset(absent - used)
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """CPDs that are copies of one, with the same parents hidden: one linearisation, many rows.
+
+    Attributes
+    ----------
+    cpds : tuple of CPD
+        One a row.
+    hidden : tuple of Variable
+        The first one's parents without evidence.
+    observed : bool
+        Whether the children have evidence.
+    child : ndarray of int
+        (rows, d): where each child stands among all hidden components; (rows, 0) if observed.
+    parents : ndarray of int
+        (rows, n): where the hidden parents stand.
+    clusters : ndarray of int
+        (rows,): the cluster that each CPD is assigned to.
+    entries, rows : int
+        Where the group's first matrix entry and first row stand in a buffer of all groups.
+    """
+
+    cpds: tuple[ConditionalGaussian, ...]
+    hidden: Scope
+    observed: bool
+    child: Integers
+    parents: Integers
+    clusters: Integers
+    entries: int
+    rows: int
+
+    @property
+    def height(self) -> int:
+        """Rows of each CPD's factor: the child's components."""
+        return self.cpds[0].child.dimension
+
+    @property
+    def width(self) -> int:
+        """Columns of each CPD's factor: the hidden components of the family."""
+        return int(self.child.shape[1] + self.parents.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """A cluster graph without its observed variables, in components.
+
+    Made once for each set of observed variables; see `ClusterGraph.derived`.
+
+    Attributes
+    ----------
+    graph : ClusterGraph
+    observed : frozenset of Variable
+    absent : frozenset of Variable
+        What is left out; see `barren`.
+    """
+
+    graph: ClusterGraph
+    observed: frozenset[Variable]
+    absent: frozenset[Variable]
+
+    @cached_property
+    def hidden(self) -> Scope:
+        """The variables without evidence, parents before children."""
+        return self.without_evidence(self.graph.network.variables)
+
+    @cached_property
+    def places(self) -> dict[Variable, Integers]:
+        """Where each hidden variable's components stand among all of them."""
+        starts = np.cumsum([0, *(v.dimension for v in self.hidden)])
+        return {v: np.arange(a, a + v.dimension) for v, a in zip(self.hidden, starts, strict=False)}
+
+    @cached_property
+    def size(self) -> int:
+        """Number of hidden components."""
+        return dimension(self.hidden)
+
+    def components(self, scope: Scope) -> Integers:
+        """Where some hidden variables' components stand."""
+        if not scope:
+            return np.zeros(0, dtype=np.intp)
+        return np.concatenate([self.places[v] for v in scope])
+
+    def without_evidence(self, scope: Scope) -> Scope:
+        """The hidden ones of some variables."""
+        return tuple(v for v in scope if v not in self.observed and v not in self.absent)
+
+    @cached_property
+    def scopes(self) -> list[Scope]:
+        """The hidden variables of each cluster."""
+        return [self.without_evidence(cluster.scope) for cluster in self.graph.clusters]
+
+    @cached_property
+    def columns(self) -> list[dict[int, int]]:
+        """For each cluster, the column of each component that it holds."""
+        return [
+            {int(place): k for k, place in enumerate(self.components(scope))}
+            for scope in self.scopes
+        ]
+
+    @cached_property
+    def directed(self) -> Directed:
+        """The messages."""
+        return Directed.of(self.graph)
+
+    @cached_property
+    def sepsets(self) -> list[Scope]:
+        """The hidden variables of each edge's sepset."""
+        return [self.without_evidence(scope) for scope in self.graph.sepsets.values()]
+
+    @property
+    def _cpds(self) -> Iterator[ConditionalGaussian]:
+        for cpd in self.graph.network.cpds:
+            assert isinstance(cpd, ConditionalGaussian)
+            if cpd.child not in self.absent:
+                yield cpd
+
+    @cached_property
+    def groups(self) -> list[Group]:
+        """The CPDs, by what they are copies of and which parents are hidden."""
+        home = {cpd.child: cluster.index for cluster in self.graph.clusters for cpd in cluster.cpds}
+        alike: dict[tuple[CPD, tuple[bool, ...], bool], list[ConditionalGaussian]] = {}
+        for cpd in self._cpds:
+            mask = tuple(v in self.observed for v in cpd.given)
+            alike.setdefault((cpd.origin, mask, cpd.child in self.observed), []).append(cpd)
+        made = []
+        entries = rows = 0
+        for (_, _, observed), cpds in sorted(alike.items(), key=self._shape):
+            hidden = self.without_evidence(cpds[0].given)
+            none = np.zeros((len(cpds), 0), dtype=np.intp)
+            group = Group(
+                tuple(cpds),
+                hidden,
+                observed,
+                none if observed else np.array([self.places[cpd.child] for cpd in cpds]),
+                np.array([self.components(self.without_evidence(cpd.given)) for cpd in cpds]),
+                np.array([home[cpd.child] for cpd in cpds], dtype=np.intp),
+                entries,
+                rows,
+            )
+            made.append(group)
+            rows += len(cpds) * group.height
+            entries += len(cpds) * group.height * group.width
+        return made
+
+    def _shape(self, item: tuple[Any, list[ConditionalGaussian]]) -> tuple[bool, int, int]:
+        """Rows and columns of a group's factors; whether its children are observed."""
+        (_, _, observed), (first, *_) = item
+        return observed, first.child.dimension, dimension(self.without_evidence(first.given))
+
+    @cached_property
+    def shapes(self) -> list[range]:
+        """The groups whose factors have one shape, which stand together."""
+        found: list[range] = []
+        for k, group in enumerate(self.groups):
+            shape = group.observed, group.height, group.width
+            first = self.groups[found[-1].start] if found else None
+            if first is not None and shape == (first.observed, first.height, first.width):
+                found[-1] = range(found[-1].start, k + 1)
+            else:
+                found.append(range(k, k + 1))
+        return found
+
+    @cached_property
+    def order(self) -> list[tuple[int, int]]:
+        """All CPDs as (group, row), parents first, each only when something after it needs it.
+
+        A joint of those that are still needed then stays as small as the network allows.
+        """
+        where = {
+            cpd.child: (g, row)
+            for g, group in enumerate(self.groups)
+            for row, cpd in enumerate(group.cpds)
+        }
+        parents = {
+            cpd.child: [v for v in cpd.given if v not in self.observed] for cpd in self._cpds
+        }
+        needed = {v for found in parents.values() for v in found}
+        done: set[Variable] = set()
+        found: list[tuple[int, int]] = []
+        for cpd in self._cpds:
+            stack = [] if cpd.child in needed and cpd.child not in self.observed else [cpd.child]
+            while stack:
+                child = stack[-1]
+                waiting = [] if child in done else [v for v in parents[child] if v not in done]
+                if waiting:
+                    stack.extend(reversed(waiting))
+                    continue
+                stack.pop()
+                if child not in done:
+                    done.add(child)
+                    found.append(where[child])
+        return found

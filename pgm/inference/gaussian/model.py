@@ -1,0 +1,160 @@
+"""A network with its evidence: what is linearised anew at each belief."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.evidence.static import BoundValues
+from pgm.inference.family import Family
+from pgm.inference.gaussian.layout import Group, Layout
+from pgm.inference.gaussian.prior import Frame, prior_predictive
+from pgm.kernels.angles import nearest_branch
+from pgm.kernels.arrays import Array, Mask
+from pgm.linearisers import Lineariser
+from pgm.variables import Variable
+
+
+@dataclass(eq=False)
+class Model:
+    """The CPDs of a network, linearised, and the evidence of its observed children.
+
+    Attributes
+    ----------
+    layout : Layout
+    lead : tuple of int
+        The axes of runs.
+    families : list of Family
+        One a group of the layout; a row is a CPD.
+    readings : list of ndarray or None
+        For each group with observed children their values, (CPDs, runs or 1, d).
+    moved : list of ndarray or None
+        The same, (CPDs, runs, d), with angles on the branch nearest the CPD's value at the point
+        of linearisation.
+    shared : bool
+        Whether all runs have the same matrices and covariances.
+    frame : Frame
+    """
+
+    layout: Layout
+    lead: tuple[int, ...]
+    families: list[Family]
+    readings: list[Array | None]
+    moved: list[Array | None]
+    shared: bool
+    frame: Frame
+
+    @classmethod
+    def make(
+        cls, layout: Layout, bound: BoundValues, lineariser: Lineariser, start: Array | None
+    ) -> Model:
+        """Bind evidence, and linearise at the prior predictive moments or at a start.
+
+        Parameters
+        ----------
+        layout : Layout
+        bound : BoundValues
+        lineariser : Lineariser
+        start : ndarray, optional
+            (runs, size): means of all hidden parents.
+        """
+        families = [_family(group, bound, lineariser) for group in layout.groups]
+        readings = [
+            _stacked([cpd.child for cpd in group.cpds], bound) if group.observed else None
+            for group in layout.groups
+        ]
+        for family in families:
+            family.probe({})
+        shared = all(family.exact and family.own_noise.shape[1] == 1 for family in families)
+        if start is not None:
+            for group, family in zip(layout.groups, families, strict=True):
+                at = start[:, group.parents].swapaxes(0, 1)
+                family.linearise(slice(None), at, np.zeros((*at.shape, at.shape[-1])))
+        frame = prior_predictive(layout, families, bound.runs, shared=shared, start=start)
+        model = cls(layout, bound.lead, families, readings, [*readings], shared, frame)
+        model._follow(frame.mean, None)
+        return model
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return math.prod(self.lead)
+
+    @property
+    def exact(self) -> bool:
+        """Whether every CPD is affine."""
+        return all(family.exact for family in self.families)
+
+    @property
+    def taylor(self) -> bool:
+        """Whether every CPD is affine or expanded to first order at a point."""
+        return all(family.taylor for family in self.families)
+
+    def relinearise(
+        self, mean: Array, parents: Sequence[tuple[Array, Array] | None], active: Mask
+    ) -> None:
+        """Linearise every nonlinear CPD at a belief, one call a group.
+
+        Parameters
+        ----------
+        mean : ndarray
+            (runs, size): of all hidden components; the frame moves there.
+        parents : sequence of (ndarray, ndarray) or None
+            For each group with nonlinear CPDs the mean (CPDs, runs, n) and covariance of their
+            hidden parents.
+        active : ndarray of bool
+            (runs,): which runs take the new linearisation.
+        """
+        for family, at in zip(self.families, parents, strict=True):
+            if at is not None:
+                family.linearise(slice(None), *at, active)
+        self._follow(mean, active)
+
+    def _follow(self, mean: Array, active: Mask | None) -> None:
+        """Keep the angles of values and evidence on the chart of given means."""
+        groups = zip(self.layout.groups, self.families, strict=True)
+        for k, (group, family) in enumerate(groups):
+            if not group.cpds[0].child.angle_mask.any():
+                if group.observed and active is None:
+                    reading = self.readings[k]
+                    assert reading is not None
+                    self.moved[k] = np.broadcast_to(
+                        reading, (reading.shape[0], self.runs, reading.shape[2])
+                    )
+                continue
+            at = mean[:, group.parents].swapaxes(0, 1)
+            if not group.observed:
+                family.to_chart(at, mean[:, group.child].swapaxes(0, 1))
+                continue
+            reading = self.readings[k]
+            assert reading is not None
+            new = nearest_branch(
+                reading, family.value(slice(None), at), group.cpds[0].child.angle_mask
+            )
+            if active is not None:
+                kept = self.moved[k]
+                assert kept is not None
+                new = np.where(active[:, None], new, kept)
+            self.moved[k] = new
+
+
+def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
+    first = group.cpds[0]
+    inputs = {
+        first.parents[k]: _stacked([cpd.parents[k] for cpd in group.cpds], bound)
+        for k, parent in enumerate(first.parents)
+        if parent in bound.values
+    }
+    step = np.array([cpd.child.step or 0 for cpd in group.cpds], dtype=np.intp)
+    timed = first.child.step is not None
+    return Family.make(first, group.hidden, step, inputs, lineariser, bound.lead, timed=timed)
+
+
+def _stacked(variables: Sequence[Variable], bound: BoundValues) -> Array:
+    """The values of some variables, (variables, runs or 1, d)."""
+    values = [bound.values[v] for v in variables]
+    runs = max(value.shape[0] for value in values)
+    return np.stack([np.broadcast_to(value, (runs, value.shape[1])) for value in values])

@@ -1,0 +1,229 @@
+"""What inference on a Gaussian network returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.errors import EvidenceError, GraphError, NumericalError
+from pgm.factors import CanonicalForm, Gaussian
+from pgm.factors.scope import Scope, as_scope, names
+from pgm.inference.gaussian.beliefs import Beliefs
+from pgm.inference.gaussian.buffer import Buffer
+from pgm.inference.gaussian.joints import joint_moments
+from pgm.inference.gaussian.messages import RowMessages
+from pgm.inference.gaussian.tree import Calibrated, TreePlan
+from pgm.inference.posterior import Posterior, require_variable
+from pgm.inference.schedule import Status
+from pgm.kernels.arrays import Array, Integers, apply, transpose
+from pgm.kernels.rows import Rows
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianPosterior(Posterior):
+    """The beliefs of a Gaussian network; leading axes are runs.
+
+    ``posterior[x]`` and ``posterior.joint(x, y)`` are a `Gaussian`. Of a tree they are exact for
+    the (linearised) network; of a graph with loops the means are, where the messages have
+    converged, and variances are approximate: too small or too large.
+
+    Attributes
+    ----------
+    graph : ClusterGraph
+    status : Status
+    """
+
+    graph: ClusterGraph
+    status: Status
+    _plan: TreePlan
+    _buffer: Buffer
+    _beliefs: Beliefs
+    _log_evidence: Array
+    _loopy: RowMessages | None
+
+    @classmethod
+    def tree(
+        cls, plan: TreePlan, buffer: Buffer, done: Calibrated, status: Status
+    ) -> GaussianPosterior:
+        """Of a calibrated tree."""
+        graph = plan.layout.graph
+        return cls(graph, status, plan, buffer, done.beliefs, done.log_evidence, None)
+
+    @classmethod
+    def loopy(cls, plan: TreePlan, messages: RowMessages, status: Status) -> GaussianPosterior:
+        """Of messages on a graph of any shape."""
+        beliefs, logs = messages.beliefs()
+        messages.buffer.require_finite(logs, range(logs.shape[1]))
+        value = messages.log_evidence(logs)
+        return cls(plan.layout.graph, status, plan, messages.buffer, beliefs, value, messages)
+
+    def __getitem__(self, variable: Variable) -> Gaussian:
+        """The marginal of a variable without evidence."""
+        places = self._require_hidden(variable)
+        cluster, column = self._beliefs.places.homes
+        return self._read((variable,), int(cluster[places[0]]), column[places])
+
+    def _require_hidden(self, variable: Variable) -> Integers:
+        layout = self._plan.layout
+        if require_variable(variable) in layout.places:
+            return layout.places[variable]
+        if variable in layout.observed:
+            raise EvidenceError(
+                f"{variable!r} is observed: its value is its evidence", variable=variable
+            )
+        if variable in layout.absent:
+            raise EvidenceError(
+                f"{variable!r} was left out, since inputs of its CPD have no evidence and nothing "
+                "depends on it; give them values",
+                variable=variable,
+            )
+        raise EvidenceError(
+            f"{variable!r} is not in the network; its variables without evidence are "
+            f"{list(layout.hidden)}",
+            variable=variable,
+        )
+
+    def _read(self, scope: Scope, cluster: int, columns: Integers) -> Gaussian:
+        at = np.array([cluster]), columns[None]
+        places = self._beliefs.places
+        mean, cov = self._beliefs.moments(
+            places.means(*at)[0], places.covs(*at)[0], self._plan.layout.components(scope)
+        )
+        return self._gaussian(scope, mean, cov)
+
+    def _gaussian(self, scope: Scope, mean: Array, cov: Array) -> Gaussian:
+        lead = self._buffer.model.lead
+        size = mean.shape[-1]
+        wide = np.broadcast_to(cov, (*mean.shape, size))
+        return Gaussian._make(scope, mean.reshape(*lead, size), wide.reshape(*lead, size, size))
+
+    def joint(self, *variables: Variable) -> Gaussian:
+        """The joint of variables without evidence, in the order given.
+
+        Variables of several clusters are joined along the tree between them.
+
+        Raises
+        ------
+        GraphError
+            If no cluster of a graph with loops holds them all.
+        """
+        scope = as_scope(variables)
+        if not scope:
+            raise EvidenceError("joint takes one or more variables")
+        for variable in scope:
+            self._require_hidden(variable)
+        layout = self._plan.layout
+        wanted = layout.components(scope)
+        holders = [
+            k for k, columns in enumerate(layout.columns) if all(p in columns for p in wanted)
+        ]
+        if holders:
+            smallest = min(holders, key=lambda k: len(layout.columns[k]))
+            columns = [layout.columns[smallest][place] for place in wanted.tolist()]
+            return self._read(scope, smallest, np.array(columns))
+        if not self.graph.is_tree:
+            raise GraphError(
+                f"no cluster holds all of {names(scope)}, and on a graph with loops only "
+                "variables of one cluster have a joint; compile a junction tree"
+            )
+        mean, cov = joint_moments(self._plan, self._beliefs, wanted)
+        return self._gaussian(scope, mean, cov)
+
+    @cached_property
+    def _messages(self) -> RowMessages:
+        """All messages; those of a tree are sent when one is first asked for."""
+        if self._loopy is not None:
+            return self._loopy
+        messages = RowMessages.make(self._plan.rounds, self._plan.places, self._buffer.model, 0.0)
+        messages.send_once(self._plan.both_ways)
+        return messages
+
+    def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
+        """The message from one cluster to a neighbour, over their sepset.
+
+        Of a tree its g carries the evidence that went into it; on a graph with loops its scale
+        has no meaning.
+
+        Raises
+        ------
+        GraphError
+            If the clusters are not joined.
+        NumericalError
+            If the message has no canonical form, since CPDs without noise determine it.
+        """
+        i, j = self.graph.index(source), self.graph.index(target)
+        edges = self._plan.layout.graph.sepsets
+        edge = (min(i, j), max(i, j))
+        if edge not in edges:
+            raise GraphError(
+                f"clusters {i} and {j} are not joined; the neighbours of {i} are "
+                f"{self.graph.neighbours(i)}",
+                cluster=i,
+            )
+        number = 2 * list(edges).index(edge) + (i > j)
+        factor, log_scale = self._messages.kept(number)
+        scope = self._plan.layout.sepsets[number // 2]
+        return self._form(factor, log_scale, scope, f"the message from cluster {i} to {j}", i)
+
+    def belief(self, cluster: int | Cluster) -> CanonicalForm:
+        """The belief of a cluster over its variables without evidence, unnormalised.
+
+        Raises
+        ------
+        NumericalError
+            If the belief has no canonical form, since its covariance is singular.
+        """
+        index = self.graph.index(cluster)
+        factor, log_scale = self._messages.belief(index)
+        scope = self._plan.layout.scopes[index]
+        return self._form(factor, log_scale, scope, f"the belief of cluster {index}", index)
+
+    def _form(
+        self, factor: Rows, log_scale: Array, scope: Scope, what: str, cluster: int
+    ) -> CanonicalForm:
+        """Rows (V, k, n) about the frame as a canonical form in the user's coordinates."""
+        if factor.exact is not None and factor.exact.any():
+            raise NumericalError(
+                f"{what}, over {names(scope)}, has no canonical form: CPDs without noise "
+                "determine a part of it; posterior[...] and joint(...) have its moments",
+                cluster=cluster,
+            )
+        frame = self._buffer.model.frame
+        places = self._plan.layout.components(scope)
+        matrix = factor.matrix / frame.scale[places]
+        at = frame.mean[:, places]
+        shared = factor.matrix.shape[0] == 1
+        right = np.moveaxis(factor.right[0], -1, 0) if shared else factor.right[..., 0]
+        right = right + apply(matrix, at)
+        K = transpose(matrix) @ matrix
+        h = apply(transpose(matrix), right)
+        g = (log_scale[0] if shared else log_scale[:, 0]) - 0.5 * (right * right).sum(axis=-1)
+        lead, size = self._buffer.model.lead, places.size
+        K = np.broadcast_to(K, (at.shape[0], size, size))
+        return CanonicalForm._make(
+            scope, K.reshape(*lead, size, size), h.reshape(*lead, size), g.reshape(lead)
+        )
+
+    @property
+    def log_evidence(self) -> Array:
+        """The value ln p(evidence), (...); see `log_evidence_kind`."""
+        value = self._log_evidence
+        return (value[0] if value.shape[0] == 1 else value[:, 0]).reshape(self._buffer.model.lead)
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """What `log_evidence` is: exact, linearised, laplace or bethe."""
+        model = self._buffer.model
+        if not self.graph.is_tree:
+            return "bethe"
+        if model.exact:
+            return "exact"
+        return "laplace" if model.taylor and bool(self.status.converged.all()) else "linearised"
+
+    def __repr__(self) -> str:
+        lead = self._buffer.model.lead
+        return f"GaussianPosterior({self.graph!r}{f', runs {lead}' if lead else ''})"

@@ -1,0 +1,186 @@
+"""The CPDs as factors: linearised, reduced by evidence, as rows about a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.cpds import ConditionalGaussian
+from pgm.errors import NumericalError
+from pgm.inference.gaussian.model import Model
+from pgm.kernels import roots
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, apply, transpose
+from pgm.kernels.rows import largest_first
+
+
+@dataclass(frozen=True, eq=False)
+class Potentials:
+    """The factors of all CPDs, one after the other in the order of the groups.
+
+    The first axis are runs, V of them, and the last right sides, N: where all runs share their
+    matrices V is 1 and each run is a right side; else each run has a matrix and N is 1.
+
+    Attributes
+    ----------
+    matrix, right : ndarray
+        (V, entries) and (V, rows, N).
+    exact, exact_right : ndarray or None
+        Likewise, of rows without noise; None where there are none.
+    log_scale : ndarray
+        (V, CPDs, N).
+    """
+
+    matrix: Array
+    right: Array
+    exact: Array | None
+    exact_right: Array | None
+    log_scale: Array
+
+
+def by_run(array: Array, *, shared: bool) -> Array:
+    """(..., runs, d) as (1, ..., d, runs) where runs share matrices, else (runs, ..., d, 1)."""
+    if shared:
+        return np.moveaxis(array, -2, -1)[None]
+    return np.moveaxis(array, -2, 0)[..., None]
+
+
+def make_potentials(model: Model) -> Potentials:
+    """Turn the linearised CPDs into rows.
+
+    For a residual e = y − (F p + b) at the frame's means the factor is N(e + s_y ξ_y − F s_p ξ_p;
+    0, Σ); with Σ = L Lᵀ its rows are L⁻¹[s_y, −F s_p] and −L⁻¹e. Where L has no pivot the
+    component of the noise is determined by those before, and the row is exact.
+    """
+    parts = [_factor(_Linearised.of(model, groups)) for groups in model.layout.shapes]
+    fixed = any(part.fixed.any() for part in parts)
+    return Potentials(
+        _flat([np.where(part.fixed[..., None], 0.0, part.matrix) for part in parts]),
+        _rows([np.where(part.fixed[..., None], 0.0, part.right) for part in parts]),
+        _flat([part.exact for part in parts]) if fixed else None,
+        _rows([part.exact_right for part in parts]) if fixed else None,
+        np.concatenate([part.log_scale for part in parts], axis=1),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """CPDs of one shape, about a frame: e + s_y ξ_y − F s_p ξ_p ~ N(0, Σ).
+
+    Attributes
+    ----------
+    cpds : list of CPD
+    matrix : ndarray
+        [s_y, −F s_p], (V, CPDs, d, w); without s_y where the children are observed.
+    residual, noise : ndarray
+        e (V, CPDs, d, N) and Σ (V, CPDs, d, d).
+    size : ndarray
+        Of the numbers that the residuals are sums of, (V, CPDs, d, N).
+    """
+
+    cpds: list[ConditionalGaussian]
+    matrix: Array
+    residual: Array
+    noise: Array
+    size: Array
+
+    @classmethod
+    def of(cls, model: Model, groups: range) -> _Linearised:
+        """Of groups whose CPDs have one shape."""
+        frame, runs = model.frame, 1 if model.shared else model.runs
+        matrices, residuals, noises, sizes = [], [], [], []
+        cpds: list[ConditionalGaussian] = []
+        for g in groups:
+            group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
+            at = frame.mean[:, group.parents].swapaxes(0, 1)
+            value = family.value(slice(None), at)
+            child = frame.mean[:, group.child].swapaxes(0, 1) if reading is None else reading
+            own = family.matrix[:, :runs] * -frame.scale[group.parents][:, None, None, :]
+            if reading is None:
+                diagonal = frame.scale[group.child][:, None, :, None] * np.eye(group.height)
+                wide = np.broadcast_to(diagonal, (*own.shape[:3], group.height))
+                own = np.concatenate([wide, own], axis=-1)
+            terms = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
+            sizes.append(np.maximum(terms, np.abs(child)))
+            matrices.append(own)
+            residuals.append(child - value)
+            noises.append(family.noise[:, :runs])
+            cpds += group.cpds
+        return cls(
+            cpds,
+            np.concatenate(matrices).swapaxes(0, 1),
+            by_run(np.concatenate(residuals), shared=model.shared),
+            np.concatenate(noises).swapaxes(0, 1),
+            by_run(np.concatenate(sizes), shared=model.shared),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Factor:
+    """The rows of some CPDs: (V, CPDs, d, w), (V, CPDs, d, N); which are exact, (V, CPDs, d)."""
+
+    matrix: Array
+    right: Array
+    exact: Array
+    exact_right: Array
+    fixed: Mask
+    log_scale: Array
+
+
+def _factor(given: _Linearised) -> _Factor:
+    # In deviations, those first that vary most: then no row takes up the rounding of another.
+    variance = np.diagonal(given.noise, axis1=-2, axis2=-1)
+    deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))[..., None]
+    correlation = given.noise / (deviation * transpose(deviation))
+    order = largest_first(correlation)[..., None]
+    correlation = np.take_along_axis(correlation, order, axis=-2)
+    lower = roots.root(np.take_along_axis(correlation, transpose(order), axis=-1))
+    if not roots.is_proper(lower):
+        bad = np.isnan(lower).any(axis=(0, 2, 3))
+        cpd = given.cpds[int(np.flatnonzero(bad)[0])]
+        raise NumericalError(
+            f"the noise of {cpd!r} plus the lineariser's approximation error is indefinite; use a "
+            "rule with positive weights, or more samples",
+            variable=cpd.child,
+            cpd=cpd,
+        )
+    own, residual, size = (
+        np.take_along_axis(part / deviation, order, axis=-2)
+        for part in (given.matrix, given.residual, given.size)
+    )
+    matrix = roots.solve_lower(lower, own)
+    right = -roots.solve_lower(lower, residual)
+    fixed = roots.determined(lower)
+    height = lower.shape[-1]
+    log_scale = -0.5 * ((height - fixed.sum(axis=-1)) * LOG_2PI + roots.log_determinant(lower))
+    log_scale = log_scale - np.log(deviation).sum(axis=(-2, -1))
+    log_scale = np.broadcast_to(log_scale[..., None], (*log_scale.shape, right.shape[-1]))
+    if not fixed.any():
+        none = np.zeros_like(matrix), np.zeros_like(right)
+        return _Factor(matrix, right, *none, fixed, log_scale)
+    length = np.sqrt(np.einsum("...ij,...ij->...i", matrix, matrix))
+    # A row without variables left is evidence that is met or not, in units of its own size.
+    weights = np.abs(roots.solve_lower(lower, np.broadcast_to(np.eye(height), lower.shape)))
+    summands = np.sqrt(np.einsum("...ij,...ij->...i", own, own))
+    nothing = fixed & (length <= roots.NEGLIGIBLE * apply(weights, summands))
+    size = np.maximum(weights @ size, 1.0)
+    length = np.where(fixed & ~nothing, length, 1.0)
+    share = (fixed & ~nothing)[..., None] / length[..., None]
+    return _Factor(
+        matrix,
+        right,
+        matrix * share,
+        right * np.where(nothing[..., None], 1.0 / size, share),
+        fixed,
+        log_scale - np.log(length).sum(axis=-1)[..., None],
+    )
+
+
+def _flat(parts: list[Array]) -> Array:
+    return np.concatenate([part.reshape(part.shape[0], -1) for part in parts], axis=1)
+
+
+def _rows(parts: list[Array]) -> Array:
+    return np.concatenate(
+        [part.reshape(part.shape[0], -1, part.shape[-1]) for part in parts], axis=1
+    )

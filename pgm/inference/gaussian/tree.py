@@ -1,0 +1,154 @@
+"""Calibrating a tree: rows are eliminated towards the roots, moments pushed back.
+
+Upward, each cluster integrates out what its parent does not know and keeps its conditional; that
+is a sparse QR factorisation. Downward, the parent's moments go through the conditional. Nothing
+is divided or subtracted, and covariances may be singular.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgm.inference.forest import Forest
+from pgm.inference.gaussian.beliefs import Beliefs, Places
+from pgm.inference.gaussian.buffer import Buffer
+from pgm.inference.gaussian.layout import Layout
+from pgm.inference.gaussian.rounds import Rounds, Stack
+from pgm.kernels.arrays import Array, Integers, transpose
+from pgm.kernels.rows import Eliminated
+
+# Variances below this, in units of the prior's, are rounding of what exact relations determine.
+CERTAIN = 1e-28
+
+
+@dataclass(frozen=True, eq=False)
+class TreePlan:
+    """The rounds of both passes: for each depth, deepest first, stacks of one shape."""
+
+    layout: Layout
+
+    @cached_property
+    def rounds(self) -> Rounds:
+        """Where rows stand."""
+        return Rounds(self.layout)
+
+    @cached_property
+    def places(self) -> Places:
+        """Where moments stand."""
+        return Places(self.layout)
+
+    @cached_property
+    def forest(self) -> Forest:
+        """The tree, rooted."""
+        return Forest.of(self.layout.graph)
+
+    @cached_property
+    def levels(self) -> list[list[Stack]]:
+        """The messages to parents, depth by depth; the roots' beliefs last."""
+        directed = self.layout.directed
+        upward = {
+            int(directed.source[m]): m
+            for m in range(len(directed))
+            if self.forest.parent[directed.source[m]] == directed.target[m]
+        }
+        *below, roots = [level.tolist() for level in reversed(self.forest.levels)]
+        found = [self.rounds.messages([upward[i] for i in level]) for level in below]
+        return [*found, self.rounds.beliefs(roots)]
+
+    @cached_property
+    def both_ways(self) -> list[list[Stack]]:
+        """The messages to parents, deepest first, then those to children."""
+        directed, parent = self.layout.directed, self.forest.parent
+        downward = {
+            int(directed.target[m]): m
+            for m in range(len(directed))
+            if parent[directed.target[m]] == directed.source[m]
+        }
+        down = [
+            self.rounds.messages([downward[i] for i in level.tolist()])
+            for level in self.forest.levels[1:]
+        ]
+        return [*self.levels[:-1], *down]
+
+    @cached_property
+    def separators(self) -> list[list[tuple[Integers, Integers]]]:
+        """For each stack of messages, where the sepsets' moments stand in the parents."""
+        found = []
+        for level in self.levels[:-1]:
+            inside = []
+            for stack in level:
+                parents = self.forest.parent[stack.clusters]
+                kept = stack.components[:, stack.drop :].tolist()
+                columns = np.array(
+                    [
+                        [self.layout.columns[parent][place] for place in row]
+                        for parent, row in zip(parents.tolist(), kept, strict=True)
+                    ],
+                    dtype=np.intp,
+                ).reshape(len(kept), stack.kept)
+                inside.append(
+                    (self.places.means(parents, columns), self.places.covs(parents, columns))
+                )
+            found.append(inside)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """The beliefs of a tree, and ln of the evidence, (V, N)."""
+
+    beliefs: Beliefs
+    log_evidence: Array
+
+
+def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
+    """Send the messages of both passes."""
+    kept: list[list[Eliminated]] = []
+    total = np.zeros((buffer.right.shape[0], buffer.right.shape[2]))
+    for level in plan.levels:
+        kept.append([])
+        for stack in level:
+            done, log_scale = buffer.eliminate(stack)
+            buffer.require_finite(log_scale, stack.clusters.tolist())
+            kept[-1].append(done)
+            if level is plan.levels[-1]:
+                total += log_scale.sum(axis=1)
+            else:
+                buffer.store(stack, done.rest, log_scale)
+    beliefs = Beliefs.empty(plan.places, buffer.model.frame, *total.shape)
+    exact = buffer.exact is not None
+    for stack, done in zip(plan.levels[-1], kept[-1], strict=True):
+        _write(beliefs, stack, done.offset, _certain(done.noise) if exact else done.noise)
+    below = list(zip(plan.levels[:-1], plan.separators, kept[:-1], strict=True))
+    for level, separators, results in reversed(below):
+        for stack, (where, entries), done in zip(level, separators, results, strict=True):
+            at, spread = beliefs.mean[:, where], beliefs.cov[:, entries]
+            cross = done.gain @ spread
+            own = done.noise + cross @ transpose(done.gain)
+            if exact:
+                own = _certain(own)
+                cross = np.where(
+                    (np.diagonal(own, axis1=-2, axis2=-1) > 0.0)[..., None], cross, 0.0
+                )
+            _write(
+                beliefs,
+                stack,
+                np.concatenate([done.gain @ at + done.offset, at], axis=2),
+                np.block([[own, cross], [transpose(cross), spread]]),
+            )
+    return Calibrated(beliefs, total)
+
+
+def _write(beliefs: Beliefs, stack: Stack, mean: Array, cov: Array) -> None:
+    beliefs.mean[:, beliefs.places.means(stack.clusters, stack.columns)] = mean
+    beliefs.cov[:, beliefs.places.covs(stack.clusters, stack.columns)] = cov
+
+
+def _certain(cov: Array) -> Array:
+    open_ = np.diagonal(cov, axis1=-2, axis2=-1) > CERTAIN
+    if open_.all():
+        return cov
+    return np.where(open_[..., None] & open_[..., None, :], cov, 0.0)

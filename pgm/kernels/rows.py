@@ -1,0 +1,219 @@
+"""Gaussian factors as rows: exp(−½ ‖A x − r‖² + g) Π δ(C x − c), on stacked arrays.
+
+A (..., k, n) is a root of the canonical form's information matrix, K = AᵀA and h = Aᵀr, so that
+nothing is ever squared or subtracted: a product stacks rows, and a QR factorisation integrates
+variables out. Several right sides r, (..., k, N), share one A. C (..., m, n) with c (..., m, N) are
+exact relations, which have no K; a row of zeros says nothing. Where a result does not exist it is
+NaN; the callers, who know the names, raise.
+
+References: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977; Schoeman, van
+Daalen & du Preez, Degenerate Gaussian factors for probabilistic inference, 2022.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, transpose
+
+# A singular value or a pivot below this part of its column is rounding.
+NEGLIGIBLE = 1e-11
+# How far exact relations may miss one another, in units of the frame, and still be rounding.
+CONTRADICTION = 1e-7
+
+
+class Rows(NamedTuple):
+    """A stack of factors.
+
+    Attributes
+    ----------
+    matrix, right : ndarray
+        A (..., k, n) and r (..., k, N).
+    exact, exact_right : ndarray or None
+        C (..., m, n) and c (..., m, N); None where there are no exact relations at all.
+    """
+
+    matrix: Array
+    right: Array
+    exact: Array | None = None
+    exact_right: Array | None = None
+
+
+class Eliminated(NamedTuple):
+    """A factor over (x, s) as a conditional of x given s, times a factor over s.
+
+    Attributes
+    ----------
+    gain, offset, noise : ndarray
+        x = gain s + offset + n, n ~ N(0, noise): (..., r, s), (..., r, N) and (..., r, r).
+    rest : Rows
+        Over s: s rows, triangular.
+    log_scale : ndarray
+        (..., N): g of what is over s, less that of the factor.
+    contradiction : ndarray of bool or None
+        (..., N): where exact relations contradict one another.
+    """
+
+    gain: Array
+    offset: Array
+    noise: Array
+    rest: Rows
+    log_scale: Array
+    contradiction: Mask | None
+
+
+def eliminate(factor: Rows, count: int) -> Eliminated:
+    """Integrate the first `count` variables out, keeping their conditional."""
+    if factor.exact is None or factor.exact_right is None or not factor.exact.shape[-2]:
+        return _eliminate_proper(factor.matrix, factor.right, count)
+    return _eliminate_exact(factor.matrix, factor.right, factor.exact, factor.exact_right, count)
+
+
+def triangular(matrix: Array, right: Array) -> Array:
+    """The triangular factor of [A | r], with at least as many rows as A has columns.
+
+    Rows are sorted by size first: that keeps the digits of small ones beside large ones.
+    """
+    rows, size = matrix.shape[-2:]
+    if rows < size:
+        spare = [(0, 0)] * (matrix.ndim - 2) + [(0, size - rows), (0, 0)]
+        matrix, right = np.pad(matrix, spare), np.pad(right, spare)
+    both = np.concatenate([matrix, right], axis=-1)
+    order = np.argsort(-np.abs(matrix).max(axis=-1, initial=0.0), axis=-1, kind="stable")
+    both = np.take_along_axis(both, order[..., None], axis=-2)
+    return np.asarray(np.linalg.qr(both, mode="r"))
+
+
+def largest_first(correlation: Array) -> Array:
+    """The order of components, (..., n), in which each varies most of those left, given the former.
+
+    A root in this order tells small pivots from rounding, which grows behind a small one.
+    """
+    left = correlation
+    order = np.empty(left.shape[:-1], dtype=np.intp)
+    taken = np.zeros(left.shape[:-1], dtype=bool)
+    for k in range(left.shape[-1]):
+        pivots = np.where(taken, -np.inf, np.diagonal(left, axis1=-2, axis2=-1))
+        first = pivots.argmax(axis=-1)[..., None]
+        order[..., k] = first[..., 0]
+        np.put_along_axis(taken, first, True, axis=-1)
+        column = np.take_along_axis(left, first[..., None], axis=-1)
+        pivot = np.take_along_axis(pivots, first, axis=-1)[..., None]
+        left = left - column * (transpose(column) / np.where(pivot > NEGLIGIBLE, pivot, np.inf))
+    return order
+
+
+def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
+    size = matrix.shape[-1]
+    factor = triangular(matrix, right)
+    inside = factor[..., :count, :count]
+    pivots = np.abs(np.diagonal(inside, axis1=-2, axis2=-1))
+    width = np.sqrt(np.einsum("...ij,...ij->...j", inside, inside))
+    proper = pivots > NEGLIGIBLE * width
+    if not proper.all():
+        # NaN marks what does not exist, without stopping the others of the stack.
+        inside = np.where(proper[..., None], inside, np.nan)
+        pivots = np.where(proper, pivots, np.nan)
+    wanted = np.concatenate(
+        [
+            -factor[..., :count, count:size],
+            factor[..., :count, size:],
+            np.broadcast_to(np.eye(count), inside.shape),
+        ],
+        axis=-1,
+    )
+    solved = np.linalg.solve(inside, wanted)
+    sepset = size - count
+    inverse = solved[..., -count:] if count else solved[..., :0]
+    left = factor[..., size:, size:]
+    log_scale = (
+        0.5 * (count * LOG_2PI - np.einsum("...ij,...ij->...j", left, left))
+        - (np.log(pivots).sum(axis=-1)[..., None])
+    )
+    rest = Rows(factor[..., count:size, count:size], factor[..., count:size, size:])
+    return Eliminated(
+        solved[..., :sepset],
+        solved[..., sepset : solved.shape[-1] - count],
+        inverse @ transpose(inverse),
+        rest,
+        log_scale,
+        None,
+    )
+
+
+def _eliminate_exact(
+    matrix: Array, right: Array, exact: Array, exact_right: Array, count: int
+) -> Eliminated:
+    """`eliminate` with exact relations: they determine some directions of x, the rest is proper.
+
+    With C_x = U S Vᵀ, directions V₁ of x are determined by s; directions V₂ are left to the rows.
+    """
+    sepset = matrix.shape[-1] - count
+    known = np.concatenate([exact[..., count:], exact_right], axis=-1)
+    u, values, vt = _svd(exact[..., :count])
+    shared = values.shape[-1]
+    used = values > NEGLIGIBLE * np.maximum(values.max(axis=-1, initial=0.0), 1.0)[..., None]
+    divisor = np.where(used, values, 1.0)
+    turned = transpose(u) @ known
+    determined = vt[..., :shared, :] * used[..., None]
+    # x = along s + at + free w, with w in the directions that no relation determines.
+    fixed = transpose(determined) @ (turned[..., :shared, :] / divisor[..., None])
+    along, at = -fixed[..., :sepset], fixed[..., sepset:]
+    free = np.eye(count) - transpose(determined) @ determined
+    inside = matrix[..., :count]
+    # Unit rows hold the determined directions of w at zero; what they integrate to is taken off.
+    pins = np.concatenate([determined, np.zeros((*determined.shape[:-1], sepset))], axis=-1)
+    moved = np.concatenate([inside @ free, matrix[..., count:] + inside @ along], axis=-1)
+    proper = _eliminate_proper(
+        np.concatenate([moved, pins], axis=-2),
+        np.concatenate(
+            [right - inside @ at, np.zeros((*pins.shape[:-1], right.shape[-1]))], axis=-2
+        ),
+        count,
+    )
+    log_scale = (
+        proper.log_scale
+        - (0.5 * LOG_2PI * used.sum(axis=-1) + np.log(divisor).sum(axis=-1))[..., None]
+    )
+    turned[..., :shared, :] *= ~used[..., None]
+    rest_exact, rest_right, scale, contradiction = _independent(
+        turned[..., :sepset], turned[..., sepset:]
+    )
+    return Eliminated(
+        along + free @ proper.gain,
+        at + free @ proper.offset,
+        free @ proper.noise @ free,
+        Rows(*proper.rest[:2], rest_exact, rest_right),
+        log_scale - scale[..., None],
+        contradiction,
+    )
+
+
+def _independent(exact: Array, right: Array) -> tuple[Array, Array, Array, Mask]:
+    """Relations as orthonormal rows, ln of what that takes off, and where they contradict.
+
+    A relation that the others imply is left out: a certainty that is met adds nothing.
+    """
+    u, values, vt = _svd(exact)
+    shared = values.shape[-1]
+    used = values > NEGLIGIBLE * np.maximum(values.max(axis=-1, initial=0.0), 1.0)[..., None]
+    divisor = np.where(used, values, 1.0)
+    turned = transpose(u) @ right
+    left = turned.copy()
+    left[..., :shared, :] *= ~used[..., None]
+    size = np.maximum(np.abs(right).max(axis=-2, initial=0.0), 1.0)
+    contradiction = np.abs(left).max(axis=-2, initial=0.0) > CONTRADICTION * size
+    independent = vt[..., :shared, :] * used[..., None]
+    solved = turned[..., :shared, :] * (used / divisor)[..., None]
+    return independent, solved, np.log(divisor).sum(axis=-1), contradiction
+
+
+def _svd(matrix: Array) -> tuple[Array, Array, Array]:
+    """U, S and Vᵀ, the former square; NumPy leaves U unset where there are no columns."""
+    if matrix.size:
+        return np.linalg.svd(matrix, full_matrices=True)
+    lead, (rows, columns) = matrix.shape[:-2], matrix.shape[-2:]
+    left = np.broadcast_to(np.eye(rows), (*lead, rows, rows))
+    return left, np.zeros((*lead, 0)), np.broadcast_to(np.eye(columns), (*lead, columns, columns))
