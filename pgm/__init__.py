@@ -4,7 +4,14 @@ from importlib import import_module
 from types import ModuleType
 
 from pgm.clustergraph import Cluster, ClusterGraph
-from pgm.compile import compile
+from pgm.compile import (
+    Bethe,
+    JunctionTree,
+    MinFill,
+    NestedDissection,
+    WeightedMinFill,
+    compile,
+)
 from pgm.cpds import GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD, TableCPD, noise
 from pgm.errors import (
     EvidenceError,
@@ -14,13 +21,14 @@ from pgm.errors import (
     NumericalError,
     PgmError,
 )
-from pgm.evidence import constant, sightings
+from pgm.evidence import constant, sightings, soft
 from pgm.factors import AffineGaussian, CanonicalForm, Gaussian, Table
 from pgm.inference import (
     Calibration,
     ChainPosterior,
     Filtering,
     Flooding,
+    MostProbable,
     OnlineBelief,
     OnlineFilter,
     Posterior,
@@ -30,6 +38,7 @@ from pgm.inference import (
     Status,
     filter,
     infer,
+    most_probable,
     smooth,
 )
 from pgm.io import Stamped, Timeline, stamped, timeline
@@ -57,6 +66,7 @@ def __getattr__(name: str) -> ModuleType:
 __all__ = [
     "AffineGaussian",
     "BayesianNetwork",
+    "Bethe",
     "Calibration",
     "CanonicalForm",
     "ChainPosterior",
@@ -71,11 +81,15 @@ __all__ = [
     "Gaussian",
     "GaussianCPD",
     "GraphError",
+    "JunctionTree",
     "LinearGaussianCPD",
     "LinearisationError",
     "Lineariser",
+    "MinFill",
     "ModelError",
     "MonteCarlo",
+    "MostProbable",
+    "NestedDissection",
     "NonlinearGaussianCPD",
     "NumericalError",
     "OnlineBelief",
@@ -94,13 +108,16 @@ __all__ = [
     "Timeline",
     "Unscented",
     "Variable",
+    "WeightedMinFill",
     "compile",
     "constant",
     "filter",
     "infer",
+    "most_probable",
     "noise",
     "sightings",
     "smooth",
+    "soft",
     "stamped",
     "timeline",
     "variables",

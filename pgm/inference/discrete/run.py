@@ -2,12 +2,31 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence import Evidence
-from pgm.inference.posterior import Posterior
-from pgm.inference.schedule import Schedule
+from pgm.evidence.discrete import bind_discrete
+from pgm.inference.discrete.loopy import LoopyBeliefs
+from pgm.inference.discrete.messages import TableMessages
+from pgm.inference.discrete.posterior import DiscretePosterior
+from pgm.inference.discrete.tree import TreeBeliefs
+from pgm.inference.loopy import run_loopy
+from pgm.inference.schedule import Loopy, Schedule, Status
+from pgm.variables import Variable
 
 
-def run(graph: ClusterGraph, evidence: Evidence, schedule: Schedule | None) -> Posterior:
-    """Send the messages of a schedule."""
-    raise NotImplementedError
+def run(graph: ClusterGraph, evidence: Evidence, schedule: Schedule | None) -> DiscretePosterior:
+    """Send the messages of a schedule; see `pgm.infer`."""
+    bound = bind_discrete(graph.derived(_variables), evidence)
+    if isinstance(schedule, Loopy):
+        messages = TableMessages(graph, bound, schedule.damping)
+        status = run_loopy(messages, schedule, bound.lead)
+        return DiscretePosterior(graph, status, LoopyBeliefs.of(messages))
+    beliefs = TreeBeliefs.of(graph, bound)
+    status = Status(1, np.zeros((0, *bound.lead)), np.ones(bound.lead, dtype=bool))
+    return DiscretePosterior(graph, status, beliefs)
+
+
+def _variables(graph: ClusterGraph) -> frozenset[Variable]:
+    return frozenset(graph.network.variables)

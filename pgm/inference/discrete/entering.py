@@ -1,0 +1,132 @@
+"""Evidence enters the tables: each variable's at its home."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pgm.evidence.discrete import BoundStates
+from pgm.factors.axes import States
+from pgm.inference.discrete import limits
+from pgm.inference.discrete.place import Place
+from pgm.inference.discrete.plan import TreePlan
+from pgm.inference.discrete.storage import Storage
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
+from pgm.variables import Discrete
+
+
+def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Array:
+    """The potentials times the evidence, with room for the sepsets behind.
+
+    Raises
+    ------
+    FloatingPointError
+        If a potential has no number.
+    """
+    potentials = plan.potentials(semiring)
+    if potentials is None:
+        raise FloatingPointError
+    size = potentials.size
+    tail = () if evidence.runs == 1 else (evidence.runs,)
+    tables = np.empty((size + plan.columns, *tail))
+    tables[:size] = potentials[:, None] if tail else potentials
+    multiply(plan.storage, tables, evidence, semiring)
+    return tables
+
+
+def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: Semiring) -> None:
+    """Multiply evidence into tables, (entries, [runs])."""
+    runs = tables.ndim > 1
+    for variable, state in evidence.states.items():
+        if runs and not isinstance(state, int):
+            weights = semiring.entries(one_hot(state, variable.size))
+            _weigh(storage.by_state[variable], tables, variable, weights, semiring)
+        else:
+            known = state if isinstance(state, int) else int(state[0])
+            if known >= 0:
+                _exclude(storage.by_state[variable], tables, variable, known, semiring)
+    for variable, soft in evidence.weights.items():
+        weights = semiring.entries(soft.T if runs else soft[0])
+        _weigh(storage.by_state[variable], tables, variable, weights, semiring)
+
+
+def _weigh(
+    source: Integers | Place, tables: Array, variable: Discrete, weights: Array, semiring: Semiring
+) -> None:
+    """Multiply weights (states, [runs]) in."""
+    if isinstance(source, Place):
+        table = source.by_state(tables, variable)
+        semiring.times(table, weights[:, None], table)
+    else:
+        tables[source] = semiring.times(tables[source], weights[:, None])
+
+
+def _exclude(
+    source: Integers | Place, tables: Array, variable: Discrete, state: int, semiring: Semiring
+) -> None:
+    """Clear all states but one."""
+    if isinstance(source, Place):
+        table = source.by_state(tables, variable)
+        table[:, :state] = semiring.zero
+        table[:, state + 1 :] = semiring.zero
+    else:
+        tables[source[:state]] = semiring.zero
+        tables[source[state + 1 :]] = semiring.zero
+
+
+def enter_everywhere(storage: Storage, logs: Array, evidence: BoundStates) -> Array:
+    """Logarithms of the potentials times the evidence, (entries, runs).
+
+    States enter every cluster that has the variable, so that no message has to bring them; weights
+    enter one.
+    """
+    tables = np.repeat(logs[:, None], evidence.runs, axis=1)
+    for variable, state in evidence.states.items():
+        shown = np.reshape(state, -1)
+        weights = LOG_SUM_PRODUCT.entries(one_hot(shown, variable.size))
+        for cluster in storage.holders[variable]:
+            tables[storage.places[cluster].split(variable)] += weights[:, None]
+    for variable, soft in evidence.weights.items():
+        _weigh(
+            storage.by_state[variable],
+            tables,
+            variable,
+            LOG_SUM_PRODUCT.entries(soft.T),
+            LOG_SUM_PRODUCT,
+        )
+    return tables
+
+
+def one_hot(states: Integers, size: int) -> Array:
+    """One where a state is the one observed, or none is: (size, runs)."""
+    found: Array = ((states == np.arange(size)[:, None]) | (states < 0)).astype(float)
+    return found
+
+
+def put_in(evidence: BoundStates, scope: States) -> dict[Discrete, int]:
+    """The variables of a scope whose state is one and the same for all runs."""
+    states = evidence.states
+    return {v: s for v in scope if isinstance(s := states.get(v), int)}
+
+
+def axes_left(evidence: BoundStates, scope: States) -> States:
+    """The variables that messages and beliefs have axes of: those that are not put in."""
+    return tuple(v for v in scope if not isinstance(evidence.states.get(v), int))
+
+
+def pieces(entries: int, evidence: BoundStates) -> Iterator[BoundStates]:
+    """Some runs after the other, as many as fit for tables of so many entries."""
+    size = max(1, limits.BATCH // entries)
+    if evidence.runs <= size:
+        yield evidence
+        return
+    for start in range(0, evidence.runs, size):
+        stop = min(start + size, evidence.runs)
+        states = {
+            v: s if isinstance(s, int) or s.size == 1 else s[start:stop]
+            for v, s in evidence.states.items()
+        }
+        weights = {v: w if len(w) == 1 else w[start:stop] for v, w in evidence.weights.items()}
+        yield BoundStates((stop - start,), states, weights)

@@ -1,0 +1,148 @@
+"""How clusters of a graph of any shape compute their messages, many of like shape in one call."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.factors.axes import States, sizes
+from pgm.inference.discrete.storage import Storage
+from pgm.inference.loopy import Directed
+from pgm.kernels.arrays import Integers
+
+# Entries times neighbours times runs that are computed in one call.
+BATCH = 2**22
+
+
+# Which axes of a cluster its sepset has.
+Kept = tuple[bool, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Outlet:
+    """Messages of one shape that a fan sends.
+
+    Attributes
+    ----------
+    index : ndarray of int
+        (rows, messages · columns): the entries, of all but one neighbour's product, to sum.
+    columns : ndarray of int
+        (messages, columns): where the messages are kept.
+    order : ndarray of int
+        (messages,): which of the round's messages they are.
+    """
+
+    index: Integers
+    columns: Integers
+    order: Integers
+
+
+@dataclass(frozen=True, eq=False)
+class Fan:
+    """Clusters with equally many neighbours and entries, and the messages asked of them.
+
+    Attributes
+    ----------
+    entries : ndarray of int
+        (clusters · entries,): where their tables stand.
+    incoming : ndarray of int
+        (neighbours, clusters · entries): the columns of messages that meet each entry.
+    outlets : sequence of Outlet
+    """
+
+    entries: Integers
+    incoming: Integers
+    outlets: Sequence[Outlet]
+
+
+class Fans:
+    """Lays out rounds of messages of a graph.
+
+    Parameters
+    ----------
+    storage : Storage
+    directed : Directed
+    """
+
+    def __init__(self, storage: Storage, directed: Directed) -> None:
+        self.storage, self.directed = storage, directed
+        edges = storage.graph.sepsets.values()
+        self.sepsets: list[States] = [s for s in edges for _ in range(2)]  # type: ignore[misc]
+        self.widths = np.array([math.prod(sizes(s)) for s in self.sepsets], dtype=np.intp)
+        self.first = np.cumsum(self.widths) - self.widths
+        self._slot = {m: k for found in directed.outgoing for k, m in enumerate(found)}
+        self._all: tuple[int, list[Fan]] | None = None
+        self._shapes: dict[tuple[tuple[int, ...], Kept], tuple[Integers, Integers]] = {}
+
+    def everything(self, runs: int) -> list[Fan]:
+        """All messages; laid out once for a number of runs."""
+        if self._all is None or self._all[0] != runs:
+            self._all = runs, self.lay_out(range(len(self.directed)), runs)
+        return self._all[1]
+
+    def lay_out(self, messages: Sequence[int], runs: int) -> list[Fan]:
+        """Group the sources of some messages by shape."""
+        asked: dict[int, list[tuple[int, int]]] = {}
+        for order, message in enumerate(messages):
+            asked.setdefault(int(self.directed.source[message]), []).append((order, message))
+        kinds: dict[tuple[int, int], list[int]] = {}
+        for cluster in asked:
+            degree = len(self.directed.outgoing[cluster])
+            kinds.setdefault((degree, self.storage.graph.sizes[cluster]), []).append(cluster)
+        fans = []
+        for (degree, entries), clusters in kinds.items():
+            some = max(1, BATCH // (degree * entries * runs))
+            for at in range(0, len(clusters), some):
+                fans.append(self._fan(clusters[at : at + some], asked))
+        return fans
+
+    def _fan(self, clusters: list[int], asked: dict[int, list[tuple[int, int]]]) -> Fan:
+        size = self.storage.graph.sizes[clusters[0]]
+        total = size * len(clusters)
+        entries = [self.storage.positions(k).ravel() for k in clusters]
+        incoming = [self._incoming(k) for k in clusters]
+        shapes: dict[int, list[tuple[int, int, Integers]]] = {}
+        for place, cluster in enumerate(clusters):
+            for order, message in asked[cluster]:
+                start = self._slot[message] * total + place * size
+                rows = start + self._shape(cluster, message)[0]
+                shapes.setdefault(rows.shape[1], []).append((order, message, rows))
+        outlets = [
+            Outlet(
+                np.concatenate([rows for _, _, rows in found], axis=1),
+                np.array([self.first[m] + np.arange(width) for _, m, _ in found]),
+                np.array([order for order, _, _ in found]),
+            )
+            for width, found in shapes.items()
+        ]
+        return Fan(np.concatenate(entries), np.concatenate(incoming, axis=1), outlets)
+
+    def _incoming(self, cluster: int) -> Integers:
+        """The columns of the messages to a cluster that meet each of its entries."""
+        return np.array(
+            [
+                self.first[message ^ 1] + self._shape(cluster, message)[1]
+                for message in self.directed.outgoing[cluster]
+            ]
+        )
+
+    def _shape(self, cluster: int, message: int) -> tuple[Integers, Integers]:
+        """How a cluster's entries are summed to a sepset, and which column meets each.
+
+        Entries (rows, columns), and columns (entries,); they depend on shapes alone.
+        """
+        scope, sepset = self.storage.scopes[cluster], self.sepsets[message]
+        kept = tuple(v in sepset for v in scope)
+        key = sizes(scope), kept
+        if key not in self._shapes:
+            # Sepsets and clusters both have the network's order.
+            flat = np.arange(math.prod(sizes(scope))).reshape(sizes(scope))
+            rows = flat.transpose(np.argsort(kept, kind="stable"))
+            rows = rows.reshape(-1, self.widths[message])
+            columns = np.empty(flat.size, dtype=np.intp)
+            columns[rows] = np.arange(self.widths[message])
+            self._shapes[key] = rows, columns
+        return self._shapes[key]

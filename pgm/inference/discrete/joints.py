@@ -1,0 +1,121 @@
+"""Joints of variables of several clusters of a tree."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pgm.errors import GraphError
+from pgm.factors.axes import States, sizes
+from pgm.factors.scope import names
+from pgm.inference.discrete import limits
+from pgm.inference.discrete.rooted import children, roots, sepset_to_parent
+from pgm.inference.discrete.storage import Storage
+from pgm.inference.forest import Forest
+from pgm.kernels.arrays import Array
+from pgm.variables import Discrete
+
+# A factor: its axes, then that of the runs, if any.
+Factor = tuple[States, Array]
+
+
+def joint(storage: Storage, forest: Forest, tables: Array, scope: States) -> Array:
+    """The probabilities of some variables, (sizes..., [runs]).
+
+    Each cluster's belief given its sepset is multiplied into its parent's, along the smallest
+    subtree that holds the variables, and what is not asked for is summed out on the way.
+
+    Raises
+    ------
+    GraphError
+        If a table on the way is too large.
+    """
+    homes = {v: storage.homes[v] for v in scope}
+    tree = roots(forest)
+    result: Factor = ((), np.ones(tables.shape[1:]))
+    for root in dict.fromkeys(tree[list(homes.values())].tolist()):
+        mine = tuple(v for v in scope if tree[homes[v]] == root)
+        result = _product(result, _of_tree(storage, forest, tables, mine, {homes[v] for v in mine}))
+    return _sum(result, scope)
+
+
+def _of_tree(
+    storage: Storage, forest: Forest, tables: Array, scope: States, homes: set[int]
+) -> Factor:
+    """The joint of variables of one tree."""
+    parent = forest.parent
+    below: dict[int, int] = {}
+    for home in homes:
+        k = home
+        while k >= 0:
+            below[k] = below.get(k, 0) + 1
+            k = int(parent[k])
+    common = [k for k, count in below.items() if count == len(homes)]
+    top = max(common, key=lambda k: forest.depth[k])
+    inside = sorted(below.keys() - (set(common) - {top}), key=lambda k: -forest.depth[k])
+    hanging = children(forest)
+    found: dict[int, Factor] = {}
+    for k in inside:
+        own = storage.scopes[k]
+        factor: Factor = own, storage.table(tables, k)
+        sepset: States = ()
+        if k != top:
+            sepset = sepset_to_parent(storage.graph, forest, k)
+            factor = own, _given(factor, sepset)
+        for child in hanging[k]:
+            if child in found:
+                factor = _product(factor, found.pop(child))
+        wanted = tuple(v for v in factor[0] if v in scope or v in sepset)
+        found[k] = wanted, _sum(factor, wanted)
+    return found[top]
+
+
+def _given(factor: Factor, sepset: States) -> Array:
+    """Probabilities given the sepset; zero where that has probability zero."""
+    scope, values = factor
+    axes = tuple(k for k, v in enumerate(scope) if v not in sepset)
+    total = values.sum(axis=axes, keepdims=True)
+    conditional: Array = values / np.where(total == 0.0, 1.0, total)
+    return conditional
+
+
+def _product(a: Factor, b: Factor) -> Factor:
+    scope = a[0] + tuple(v for v in b[0] if v not in a[0])
+    runs = a[1].shape[len(a[0]) :]
+    entries = math.prod(sizes(scope)) * math.prod(runs)
+    if entries > limits.LIMIT:
+        raise GraphError(
+            f"the joint needs a table over {names(scope)}, {entries} entries, where "
+            f"{limits.LIMIT} are the limit; ask for fewer variables at once"
+        )
+    return scope, _over(a, scope) * _over(b, scope)
+
+
+def _over(factor: Factor, scope: States) -> Array:
+    """Values with an axis for each variable of a scope, of length one if new."""
+    own, values = factor
+    place = {variable: k for k, variable in enumerate(own)}
+    order = [place[v] for v in scope if v in place]
+    runs = values.shape[len(own) :]
+    ordered = values.transpose(*order, *range(len(own), values.ndim))
+    return ordered.reshape((*(v.size if v in place else 1 for v in scope), *runs))
+
+
+def _sum(factor: Factor, keep: States) -> Array:
+    """Sum all but some variables out; the axes are in the order of these."""
+    scope, values = factor
+    total = values.sum(axis=tuple(k for k, v in enumerate(scope) if v not in keep))
+    return _over((tuple(v for v in scope if v in keep), total), keep)
+
+
+def within(scope: States, values: Array, wanted: States) -> Array:
+    """The probabilities of some variables of one cluster's table, in the order asked."""
+    return _sum((scope, values), wanted)
+
+
+def holder(scopes: tuple[States, ...], sizes_of: tuple[int, ...], wanted: States) -> int | None:
+    """The smallest cluster that holds some variables, if one does."""
+    members: set[Discrete] = set(wanted)
+    fits = [k for k, scope in enumerate(scopes) if members.issubset(scope)]
+    return min(fits, key=sizes_of.__getitem__, default=None)

@@ -1,0 +1,159 @@
+"""The most probable assignment of a discrete network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from pgm.clustergraph import ClusterGraph
+from pgm.compile import SliceGraph
+from pgm.errors import EvidenceError, GraphError
+from pgm.evidence import Evidence
+from pgm.evidence.discrete import BoundStates, bind_discrete
+from pgm.immutable import Immutable
+from pgm.inference.discrete.entering import enter, pieces
+from pgm.inference.discrete.passes import collect
+from pgm.inference.discrete.plan import Stack, TreePlan
+from pgm.inference.discrete.planner import make_plan
+from pgm.inference.discrete.tree import require_possible
+from pgm.kernels.arrays import Array, Integers, frozen
+from pgm.kernels.semirings import MAX_PRODUCT
+from pgm.variables import Discrete
+
+
+@dataclass(frozen=True, eq=False)
+class MostProbable(Immutable):
+    """The most probable assignment of all variables, given evidence.
+
+    Attributes
+    ----------
+    assignment : mapping of Discrete
+        The name of each variable's state, those with evidence included; where the evidence has
+        axes of runs, the indices of the states, (...): ``np.array(v.states)[assignment[v]]`` are
+        their names.
+    log_probability : ndarray
+        (...): ln p(assignment, evidence), natural logarithms.
+    """
+
+    assignment: Mapping[Discrete, str | Integers]
+    log_probability: Array
+
+
+def most_probable(graph: ClusterGraph, evidence: Evidence) -> MostProbable:
+    r"""Find the assignment of all variables that is most probable given the evidence.
+
+    .. math:: \arg\max_x p(x, \text{evidence})
+
+    Maxima in place of sums go to the roots of the tree, and their places are traced back. Of
+    several equally probable assignments it is always the same one.
+
+    Parameters
+    ----------
+    graph : ClusterGraph
+        Of a discrete network, without loops.
+    evidence : mapping of Discrete
+        As for `infer`. Weights of `soft` evidence count as factors of the probability.
+
+    Returns
+    -------
+    MostProbable
+
+    Raises
+    ------
+    GraphError
+        If the network is continuous, or the graph has loops or too large a cluster.
+    EvidenceError
+        If the evidence does not fit the network, or has probability zero.
+
+    References
+    ----------
+    Koller & Friedman, Probabilistic Graphical Models, 2009, section 13.3.
+    """
+    if not isinstance(graph, ClusterGraph):
+        raise GraphError(
+            f"most_probable takes a cluster graph (pgm.compile(network)), not {graph!r}"
+        )
+    if not isinstance(evidence, Mapping):
+        raise EvidenceError(f"evidence maps variables to states; found {type(evidence).__name__}")
+    if isinstance(graph, SliceGraph) or not graph.network.discrete:
+        raise GraphError(
+            "the network is continuous; the most probable values of Gaussian variables are the "
+            "means of pgm.infer(...)"
+        )
+    if not graph.is_tree:
+        raise GraphError(
+            f"{graph!r} has loops, and most_probable is for trees; compile a junction tree, "
+            "pgm.compile(network)"
+        )
+    bound = bind_discrete(frozenset(graph.network.variables), evidence)
+    plan = graph.derived(make_plan)
+    found = [_maximise(plan, piece) for piece in pieces(plan.storage.entries, bound)]
+    states = np.concatenate([s for s, _ in found], axis=1)
+    states.flags.writeable = False
+    log_tops = np.concatenate([t for _, t in found], axis=1)
+    require_possible(plan, bound, log_tops)
+    log_probability = frozen(log_tops.sum(axis=0).reshape(bound.lead))
+    return MostProbable(MappingProxyType(_assignment(plan, bound, states)), log_probability)
+
+
+def _assignment(
+    plan: TreePlan, evidence: BoundStates, states: Integers
+) -> dict[Discrete, str | Integers]:
+    """States (variables, runs) in the order of homes, as names or as arrays of indices."""
+    found: dict[Discrete, str | Integers] = {}
+    place = {variable: k for k, variable in enumerate(plan.storage.homes)}
+    for variable in plan.graph.network.variables:
+        own = states[place[variable]]  # type: ignore[index]
+        found[variable] = (  # type: ignore[index]
+            own.reshape(evidence.lead) if evidence.lead else variable.states[own[0]]  # type: ignore[attr-defined]
+        )
+    return found
+
+
+def _maximise(plan: TreePlan, evidence: BoundStates) -> tuple[Integers, Array]:
+    """States of all variables, (variables, runs); the logarithms of the roots' maxima."""
+    runs = evidence.runs
+    done = collect(plan, enter(plan, evidence, MAX_PRODUCT), MAX_PRODUCT)
+    tables = done.tables.reshape(-1, runs)
+    column = np.zeros((len(plan.graph), runs), dtype=np.intp)
+    entry = np.zeros((len(plan.graph), runs), dtype=np.intp)
+    for stack in plan.stacks:
+        if stack.down is None:
+            column[stack.clusters] = plan.first[stack.clusters][:, None]
+        local = column[stack.clusters] - stack.columns.start
+        row = _best_row(stack, tables[stack.entries], local)
+        width = stack.shape[1]
+        at = local * width + row if stack.axis else row * width + local
+        for spread in stack.absorbed:
+            column[spread.children] = spread.columns(at)
+        own = stack.widths[:, None]
+        entry[stack.clusters] = row * own + local - stack.first[:, None]
+    return _decode(plan, entry), done.tops.reshape(-1, runs)
+
+
+def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
+    """The row of the largest entry of a column of each cluster, the first of equals."""
+    runs = entries.shape[1]
+    matrix = entries.reshape(*stack.shape, runs)
+    if stack.axis:
+        found = matrix[column, :, np.arange(runs)]
+    else:
+        found = np.moveaxis(matrix[:, column, np.arange(runs)], 0, -1)
+    best: Integers = found.argmax(axis=-1)
+    return best
+
+
+def _decode(plan: TreePlan, entry: Integers) -> Integers:
+    """The state of each variable at an entry of its home, (variables, runs)."""
+    homes, strides, sizes = [], [], []
+    for variable, home in plan.storage.homes.items():
+        scope = plan.storage.places[home].scope
+        later = scope[scope.index(variable) + 1 :]
+        homes.append(home)
+        strides.append(int(np.prod([v.size for v in later], dtype=np.intp)))
+        sizes.append(variable.size)
+    states: Integers = entry[homes] // np.array(strides)[:, None] % np.array(sizes)[:, None]
+    return states

@@ -1,0 +1,183 @@
+"""Messages between the clusters of a discrete network whose graph has any shape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.clustergraph import ClusterGraph
+from pgm.errors import EvidenceError, GraphError
+from pgm.evidence.discrete import BoundStates
+from pgm.evidence.indices import in_run
+from pgm.inference.discrete import limits
+from pgm.inference.discrete.entering import enter_everywhere
+from pgm.inference.discrete.fans import Fan, Fans
+from pgm.inference.discrete.storage import Storage, contiguous
+from pgm.inference.loopy import Directed
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, log_sum
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """Messages that are computed together.
+
+    Attributes
+    ----------
+    size : int
+        Number of messages.
+    fans : sequence of Fan
+    """
+
+    size: int
+    fans: Sequence[Fan]
+
+
+class TableMessages:
+    """The messages of a graph as logarithms; each sums to one. All arrays end in the axis of runs.
+
+    A message is the sum of the sender's potential times all messages to it but the receiver's,
+    each product made without division: it may have zeros.
+    """
+
+    def __init__(self, graph: ClusterGraph, evidence: BoundStates, damping: float) -> None:
+        _require_room(graph, evidence)
+        self.fans: Fans = graph.derived(_fans)
+        self.storage: Storage = self.fans.storage
+        self.directed: Directed = self.fans.directed
+        self.evidence = evidence
+        self.damping = damping
+        self.runs: int = evidence.runs
+        potentials = graph.derived(_logs)
+        self.potentials: Array = enter_everywhere(self.storage, potentials, evidence)
+        self.logs: Array = np.repeat(-np.log(self.fans.widths), self.fans.widths)[:, None]
+        self.logs = self.logs + np.zeros(self.runs)
+        self._proposed: Array = np.empty_like(self.logs)
+
+    def round(self, messages: Sequence[int]) -> Round:
+        """Lay out the computation of some messages."""
+        if messages == range(len(self.directed)):
+            return Round(len(messages), self.fans.everything(self.runs))
+        return Round(len(messages), self.fans.lay_out(messages, self.runs))
+
+    def propose(self, round: Round) -> Array:
+        """Compute them from those kept; the largest changes of their entries, (messages, runs).
+
+        Raises
+        ------
+        EvidenceError
+            If a message is all zero: the evidence has probability zero.
+        """
+        change = np.empty((round.size, self.runs))
+        for fan in round.fans:
+            products = self._products(fan)
+            for outlet in fan.outlets:
+                sums: Array = log_sum(products.take(outlet.index, 0), 0)
+                new = self._normalised(sums.reshape(*outlet.columns.shape, self.runs))
+                old = self.logs[outlet.columns]
+                change[outlet.order] = np.abs(_exp(new) - _exp(old)).max(axis=1)
+                self._proposed[outlet.columns] = new
+        return change
+
+    def _products(self, fan: Fan) -> Array:
+        """The potential times all messages but that of one neighbour, of each in turn."""
+        incoming = self.logs.take(fan.incoming, 0)
+        products = np.empty_like(incoming)
+        products[0] = self.potentials.take(fan.entries, 0)
+        products[1:] = incoming[:-1]
+        np.add.accumulate(products, 0, out=products)
+        after = np.add.accumulate(incoming[:0:-1], 0)
+        products[:-1] += after[::-1]
+        return products.reshape(-1, self.runs)
+
+    def _normalised(self, messages: Array) -> Array:
+        """Messages (messages, columns, runs) divided by their sums."""
+        total = log_sum(messages, 1)
+        self._require_possible(total)
+        normalised: Array = messages - total[:, None]
+        return normalised
+
+    def _require_possible(self, totals: Array) -> None:
+        empty = (totals == -np.inf).any(axis=0)
+        if empty.any():
+            where = in_run(empty.reshape(self.evidence.lead))
+            raise EvidenceError(
+                f"the evidence has probability zero{where}: the messages contradict each other; "
+                "take some of it out, or give states that the tables hold for impossible a "
+                "probability"
+            )
+
+    def accept(self, round: Round, active: Mask) -> None:
+        """Keep what was proposed, damped, for the runs that are active, (runs,)."""
+        for fan in round.fans:
+            for outlet in fan.outlets:
+                new, old = self._proposed[outlet.columns], self.logs[outlet.columns]
+                if self.damping:
+                    new = self._normalised((1.0 - self.damping) * new + self.damping * old)
+                self.logs[outlet.columns] = np.where(active, new, old)
+
+    def relinearise(self, active: Mask) -> None:
+        """Tables have nothing to linearise."""
+        return
+
+    def beliefs(self) -> tuple[Array, Array]:
+        """The clusters' beliefs as probabilities, (entries, runs); logarithms of their sums.
+
+        The beliefs stand as in the storage; the sums are (clusters, runs).
+        """
+        logs = self.potentials.copy()
+        for fan in self.fans.everything(self.runs):
+            logs[fan.entries] += self.logs.take(fan.incoming, 0).sum(axis=0)
+        sizes = np.array(self.storage.graph.sizes)
+        totals = _segments(logs, sizes)
+        self._require_possible(totals)
+        return _exp(logs - totals.repeat(sizes, 0)), totals
+
+    def log_evidence(self, totals: Array) -> Array:
+        """The Bethe value Σ ln Z_cluster − Σ ln Z_sepset, (runs,)."""
+        value: Array = totals.sum(axis=0)
+        widths = self.fans.widths
+        if widths.size:
+            owner = np.repeat(np.arange(widths.size), widths)
+            there, back = self.logs[owner % 2 == 0], self.logs[owner % 2 == 1]
+            sepsets = _segments(there + back, widths[::2])
+            self._require_possible(sepsets)
+            value = value - sepsets.sum(axis=0)
+        return value
+
+
+def _fans(graph: ClusterGraph) -> Fans:
+    return Fans(contiguous(graph), Directed.of(graph))
+
+
+def _logs(graph: ClusterGraph) -> Array:
+    fans: Fans = graph.derived(_fans)
+    return fans.storage.potentials(LOG_SUM_PRODUCT)
+
+
+def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
+    limits.require_size(graph)
+    entries = sum(graph.sizes) * evidence.runs
+    if evidence.runs > 1 and entries > limits.LIMIT:
+        raise GraphError(
+            f"the tables of {graph!r} have {entries} entries for {evidence.runs} runs, where "
+            f"{limits.LIMIT} are the limit; give the evidence for fewer runs at once"
+        )
+
+
+def _segments(logs: Array, sizes: Integers) -> Array:
+    """The value ln Σ exp over consecutive rows, (segments, runs)."""
+    first = np.cumsum(sizes) - sizes
+    top = np.maximum.reduceat(logs, first, 0)
+    top = np.where(top == -np.inf, 0.0, top)
+    with np.errstate(divide="ignore"):
+        total: Array = np.log(np.add.reduceat(_exp(logs - top.repeat(sizes, 0)), first, 0))
+    return total + top
+
+
+def _exp(logs: Array) -> Array:
+    with np.errstate(under="ignore"):
+        values: Array = np.exp(logs)
+    return values

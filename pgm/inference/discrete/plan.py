@@ -1,0 +1,150 @@
+"""What a pass of messages over a tree of tables does, laid out once for a graph.
+
+The clusters of a tree hang at its centre. Those of one depth that have as many entries for each
+entry of the sepset to their parent, the same number of children and parents of like shape form a
+stack: their tables are the columns of one matrix, so that the messages of a stack are one sum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgm.clustergraph import ClusterGraph
+from pgm.factors.axes import States, sizes
+from pgm.inference.discrete.place import LARGE, Place
+from pgm.inference.discrete.rooted import roots, sepset_to_parent
+from pgm.inference.discrete.spreads import Spread
+from pgm.inference.discrete.storage import Storage
+from pgm.inference.discrete.sums import Marginals, Sum
+from pgm.inference.forest import Forest
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.variables import Discrete
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Clusters that are computed together.
+
+    A column is an entry of the sepset to the parent; a root has one, of an empty sepset.
+
+    Attributes
+    ----------
+    clusters : ndarray of int
+    entries, columns, tops : slice
+        Where their tables, the columns of their messages, and the scales taken out of these stand.
+    shape : tuple of int
+        Of their tables as one matrix: (rows, columns), or (columns, rows) where `axis` is 1.
+    axis : int
+        The axis of the rows.
+    first, widths : ndarray of int
+        Of each cluster, its first column in the stack and their number.
+    absorbed : sequence of Spread
+        Messages from the children.
+    hub : bool
+        Whether the tables are rescaled in between.
+    down : Sum or None
+        Sums the parents' tables to the columns; of roots None.
+    """
+
+    clusters: Integers
+    entries: slice
+    columns: slice
+    tops: slice
+    shape: tuple[int, int]
+    axis: int
+    first: Integers
+    widths: Integers
+    absorbed: Sequence[Spread]
+    hub: bool
+    down: Sum | None
+
+
+@dataclass(frozen=True, eq=False)
+class TreePlan:
+    """The stacks of a graph without loops.
+
+    Attributes
+    ----------
+    storage : Storage
+    forest : Forest
+    stacks : sequence of Stack
+        The roots first, parents before children.
+    columns : int
+        Columns of all messages.
+    tops : int
+        Scales taken out of all messages.
+    first : ndarray of int
+        (clusters,): the first column of each cluster's message to its parent.
+    """
+
+    storage: Storage
+    forest: Forest
+    stacks: Sequence[Stack]
+    columns: int
+    tops: int
+    first: Integers
+
+    @property
+    def graph(self) -> ClusterGraph:
+        """The graph that this is the plan of."""
+        return self.storage.graph
+
+    @cached_property
+    def numbers(self) -> Array | None:
+        """The clusters' potentials; None if an entry is too small for a number."""
+        try:
+            return self.storage.potentials(SUM_PRODUCT)
+        except FloatingPointError:
+            return None
+
+    @cached_property
+    def logs(self) -> Array:
+        """The logarithms of the clusters' potentials."""
+        return self.storage.potentials(LOG_SUM_PRODUCT)
+
+    def potentials(self, semiring: Semiring) -> Array | None:
+        """The clusters' potentials as entries of a semiring."""
+        return self.numbers if semiring.linear else self.logs
+
+    @cached_property
+    def tree(self) -> Integers:
+        """The root of each cluster's tree, (clusters,)."""
+        return roots(self.forest)
+
+    @cached_property
+    def tree_of_top(self) -> Integers:
+        """The root of the tree from which each scale was taken, (tops,)."""
+        found = [np.resize(self.tree[s.clusters], s.tops.stop - s.tops.start) for s in self.stacks]
+        return np.concatenate(found)
+
+    @cached_property
+    def marginals(self) -> Marginals:
+        """What sums the tables and sepsets to the probabilities of each variable."""
+        sources = self.storage.by_state
+        return Marginals.of({v: self._smallest(v, source) for v, source in sources.items()})
+
+    def _smallest(self, variable: Discrete, home: Integers | Place) -> Integers | Place:
+        """Where to sum a variable from: its home, or a smaller sepset."""
+        best, least = home, self.graph.sizes[self.storage.homes[variable]]
+        for k, sepset in self._sepsets.get(variable, ()):
+            width = math.prod(sizes(sepset))
+            if width < least:
+                start = self.storage.entries + int(self.first[k])
+                place = Place(sepset, 1, width, start, width, 1, width >= LARGE)
+                best, least = place if place.large else place.split(variable), width
+        return best
+
+    @cached_property
+    def _sepsets(self) -> dict[Discrete, list[tuple[int, States]]]:
+        found: dict[Discrete, list[tuple[int, States]]] = {}
+        for k in range(len(self.graph)):
+            sepset = sepset_to_parent(self.graph, self.forest, k)
+            for variable in sepset:
+                found.setdefault(variable, []).append((k, sepset))
+        return found

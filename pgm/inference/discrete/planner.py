@@ -1,0 +1,166 @@
+"""Laying out the passes of messages over a graph without loops."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pgm.clustergraph import ClusterGraph
+from pgm.factors.axes import sizes
+from pgm.inference.discrete.limits import require_size
+from pgm.inference.discrete.place import LARGE, Place
+from pgm.inference.discrete.plan import Stack, TreePlan
+from pgm.inference.discrete.rooted import children, sepset_to_parent
+from pgm.inference.discrete.spreads import BlockSpread, GatheredSpread, Spread
+from pgm.inference.discrete.storage import Storage
+from pgm.inference.discrete.sums import BlockSum, GatheredSum, Sum
+from pgm.inference.forest import Forest
+
+# A hub multiplies this many messages at the most into its table before it is rescaled.
+CHUNK = 32
+# Entries of expanded messages that are multiplied with one another in one call.
+SMALL = 2**12
+
+
+def make_plan(graph: ClusterGraph) -> TreePlan:
+    """Lay out the passes over a graph without loops.
+
+    Raises
+    ------
+    GraphError
+        If its tables are too large.
+    """
+    require_size(graph)
+    return _Planner(graph).plan()
+
+
+class _Planner:
+    """The working place of `make_plan`."""
+
+    def __init__(self, graph: ClusterGraph) -> None:
+        self.graph = graph
+        self.forest = Forest.of(graph)
+        everywhere = range(len(graph))
+        self.sepsets = [sepset_to_parent(graph, self.forest, k) for k in everywhere]
+        self.children = children(self.forest)
+        self.width = [math.prod(sizes(sepset)) for sepset in self.sepsets]
+        self.places: list[Place | None] = [None for _ in everywhere]
+        self.first = np.zeros(len(graph), dtype=np.intp)
+
+    def plan(self) -> TreePlan:
+        groups: dict[tuple[int, ...], list[int]] = {}
+        for level in self.forest.levels:
+            for k in level.tolist():
+                groups.setdefault(self._kind(k), []).append(k)
+        start = 0
+        column = 0
+        for clusters in groups.values():
+            start, column = self._place(clusters, start, column)
+        placed = [place for place in self.places if place is not None]
+        storage = Storage(self.graph, placed)
+        stacks: list[Stack] = []
+        tops = 0
+        for clusters in groups.values():
+            stacks.append(self._stack(clusters, storage, tops))
+            tops = stacks[-1].tops.stop
+        return TreePlan(storage, self.forest, stacks, column, tops, self.first)
+
+    def _rows(self, cluster: int) -> int:
+        return self.graph.sizes[cluster] // self.width[cluster]
+
+    def _kind(self, cluster: int) -> tuple[int, ...]:
+        """What clusters of one stack have in common."""
+        parent = int(self.forest.parent[cluster])
+        above = self.graph.sizes[parent] // self.width[cluster] if parent >= 0 else 0
+        depth, children = int(self.forest.depth[cluster]), len(self.children[cluster])
+        alone = cluster if self._large(cluster) or (parent >= 0 and self._large(parent)) else -1
+        return depth, self._rows(cluster), children, above, alone
+
+    def _large(self, cluster: int) -> bool:
+        return self.graph.sizes[cluster] >= LARGE
+
+    def _place(self, clusters: list[int], start: int, column: int) -> tuple[int, int]:
+        """Place the tables of a stack: as columns of one matrix, or as its rows if that is flat."""
+        rows = self._rows(clusters[0])
+        columns = sum(self.width[k] for k in clusters)
+        offset = 0
+        for k in clusters:
+            rest = tuple(v for v in self.graph.clusters[k].scope if v not in self.sepsets[k])
+            scope = (*rest, *self.sepsets[k])
+            self.first[k] = column + offset
+            large = self._large(k)
+            if rows <= columns:
+                place = Place(scope, rows, self.width[k], start + offset, columns, 1, large)  # type: ignore[arg-type]
+            else:
+                place = Place(scope, rows, self.width[k], start + offset * rows, 1, rows, large)  # type: ignore[arg-type]
+            self.places[k] = place
+            offset += self.width[k]
+        return start + rows * columns, column + columns
+
+    def _stack(self, clusters: list[int], storage: Storage, tops: int) -> Stack:
+        rows = self._rows(clusters[0])
+        widths = np.array([self.width[k] for k in clusters])
+        columns = int(widths.sum())
+        start = storage.places[clusters[0]].start
+        first = int(self.first[clusters[0]])
+        absorbed = self._absorbed(clusters, storage, start, rows * columns)
+        hub = len(self.children[clusters[0]]) > CHUNK
+        scales = len(clusters) * (len(absorbed) if hub else 1)
+        return Stack(
+            np.array(clusters),
+            slice(start, start + rows * columns),
+            slice(first, first + columns),
+            slice(tops, tops + scales),
+            (rows, columns) if rows <= columns else (columns, rows),
+            int(rows > columns),
+            np.cumsum(widths) - widths,
+            widths,
+            absorbed,
+            hub,
+            self._down(clusters, storage),
+        )
+
+    def _absorbed(
+        self, clusters: list[int], storage: Storage, start: int, entries: int
+    ) -> list[Spread]:
+        """Which column of each child's message meets each entry."""
+        only = storage.places[clusters[0]]
+        if only.large:
+            return [
+                BlockSpread(np.array([[k]]), only, self.sepsets[k], int(self.first[k]))
+                for k in self.children[clusters[0]]
+            ]
+        senders = np.array([self.children[k] for k in clusters], dtype=np.intp).T
+        count = len(self.children[clusters[0]])
+        maps = np.empty((count, entries), dtype=np.intp)
+        for k in clusters:
+            place = storage.places[k]
+            axis = {variable: j for j, variable in enumerate(place.scope)}
+            target = place.positions(place.scope) - start
+            for slot, child in enumerate(self.children[k]):
+                sepset = self.sepsets[child]
+                shape = np.ones(len(place.scope), dtype=np.intp)
+                shape[[axis[v] for v in sepset]] = sizes(sepset)
+                own = np.arange(self.width[child]).reshape(sizes(sepset))
+                order = np.argsort([axis[v] for v in sepset])
+                maps[slot, target] = self.first[child] + own.transpose(order).reshape(shape)
+        size = min(CHUNK, max(1, SMALL // entries))
+        chunks = [slice(at, at + size) for at in range(0, count, size)]
+        return [GatheredSpread(senders[some], maps[some]) for some in chunks]
+
+    def _down(self, clusters: list[int], storage: Storage) -> Sum | None:
+        """What sums the parents' tables to the columns of a stack."""
+        parent = int(self.forest.parent[clusters[0]])
+        if parent < 0:
+            return None
+        start = storage.entries + int(self.first[clusters[0]])
+        if storage.places[parent].large:
+            return BlockSum.of(storage.places[parent], self.sepsets[clusters[0]], start)
+        sources = []
+        for k in clusters:
+            place = storage.places[int(self.forest.parent[k])]
+            rest = tuple(v for v in place.scope if v not in self.sepsets[k])
+            positions = np.ascontiguousarray(place.positions((*rest, *self.sepsets[k])))
+            sources.append(positions.reshape(-1, self.width[k]))
+        return GatheredSum.of(sources, start)

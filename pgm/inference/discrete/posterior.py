@@ -1,0 +1,135 @@
+"""What inference on a discrete network returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.errors import EvidenceError, GraphError
+from pgm.factors import Table
+from pgm.factors.axes import States
+from pgm.factors.scope import as_scope, names
+from pgm.inference.discrete.beliefs import Beliefs
+from pgm.inference.discrete.entering import axes_left, put_in
+from pgm.inference.discrete.joints import holder, within
+from pgm.inference.posterior import Posterior, require_variable
+from pgm.inference.schedule import Status
+from pgm.kernels.arrays import Array, frozen
+from pgm.variables import Discrete, Variable
+
+
+@dataclass(frozen=True, eq=False)
+class DiscretePosterior(Posterior):
+    """The beliefs of a discrete network; leading axes are runs.
+
+    ``posterior[v]`` and ``posterior.joint(v, w)`` are a `Table` of probabilities. Of a tree they
+    are exact, of a graph with loops approximate. A variable that is observed in some runs alone
+    has one for its state there.
+
+    Attributes
+    ----------
+    graph : ClusterGraph
+    status : Status
+    """
+
+    graph: ClusterGraph
+    status: Status
+    _beliefs: Beliefs
+
+    def __getitem__(self, variable: Variable) -> Table:
+        """The marginal of a variable that is not observed in all runs."""
+        wanted = self._require_hidden(variable)
+        return self._beliefs.table((wanted,), self._beliefs.marginal(wanted))
+
+    def _require_hidden(self, variable: Variable) -> Discrete:
+        if variable not in self._beliefs.storage.homes:
+            require_variable(variable)
+            raise EvidenceError(
+                f"{variable!r} is not in the network; its variables are "
+                f"{list(self.graph.network.variables)}",
+                variable=variable,
+            )
+        state = self._beliefs.evidence.states.get(variable)
+        if state is not None and np.min(state) >= 0:
+            raise EvidenceError(
+                f"{variable!r} is observed: its value is its evidence", variable=variable
+            )
+        return variable
+
+    def joint(self, *variables: Variable) -> Table:
+        """The joint of variables that are not observed in all runs, in the order given.
+
+        Variables of several clusters are joined along the tree between them.
+
+        Raises
+        ------
+        GraphError
+            If no cluster of a graph with loops holds them all, or a table on the way is too large.
+        """
+        scope: States = tuple(self._require_hidden(v) for v in as_scope(variables))
+        if not scope:
+            raise EvidenceError("joint takes one or more variables")
+        storage = self._beliefs.storage
+        one = holder(storage.scopes, self.graph.sizes, scope)
+        if one is not None:
+            own = storage.scopes[one]
+            values = self._beliefs.read(lambda t: within(own, storage.table(t, one), scope))
+        elif self.graph.is_tree:
+            values = self._beliefs.joint(scope)
+        else:
+            raise GraphError(
+                f"no cluster holds all of {names(scope)}, and on a graph with loops only "
+                "variables of one cluster have a joint; compile a junction tree"
+            )
+        return self._beliefs.table(scope, values)
+
+    def message(self, source: int | Cluster, target: int | Cluster) -> Table:
+        """The message from one cluster to a neighbour, over their sepset, unnormalised.
+
+        Variables whose evidence is one state for all runs are put in; those whose evidence differs
+        by run keep their axis. Of a tree its scale carries the evidence that went into it; on a
+        graph with loops messages sum to one.
+
+        Raises
+        ------
+        GraphError
+            If the clusters are not joined.
+        """
+        i, j = self.graph.index(source), self.graph.index(target)
+        if j not in self.graph.neighbours(i):
+            raise GraphError(
+                f"clusters {i} and {j} are not joined; the neighbours of {i} are "
+                f"{self.graph.neighbours(i)}",
+                cluster=i,
+            )
+        return self._beliefs.message(i, j)
+
+    def belief(self, cluster: int | Cluster) -> Table:
+        """The belief of a cluster, unnormalised: its potential times all messages to it.
+
+        Its axes are as of a message. Of a tree its sum is p(evidence).
+        """
+        index = self.graph.index(cluster)
+        storage, evidence = self._beliefs.storage, self._beliefs.evidence
+        known = put_in(evidence, storage.scopes[index])
+        put = tuple(known.get(v, slice(None)) for v in storage.scopes[index])
+        values = self._beliefs.read(lambda tables: storage.table(tables, index)[put])
+        scope = axes_left(evidence, storage.scopes[index])
+        return self._beliefs.table(scope, values, self._beliefs.log_total(index))
+
+    @cached_property
+    def log_evidence(self) -> Array:
+        """The value ln p(evidence), (...); see `log_evidence_kind`."""
+        return frozen(self._beliefs.log_evidence().reshape(self._beliefs.evidence.lead))
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """What `log_evidence` is: exact, of a tree whose messages have settled, or bethe."""
+        return "exact" if self.graph.is_tree and self.status.converged.all() else "bethe"
+
+    def __repr__(self) -> str:
+        lead = self._beliefs.evidence.lead
+        return f"DiscretePosterior({self.graph!r}{f', runs {lead}' if lead else ''})"

@@ -1,0 +1,145 @@
+"""Sums of entries of the flat storage."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from pgm.factors.axes import States, sizes
+from pgm.inference.discrete.place import Place
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
+from pgm.variables import Discrete
+
+
+class Sum(Protocol):
+    """Which entries of the storage are summed to which place of another array."""
+
+    def apply(self, storage: Array, semiring: Semiring, out: Array) -> Array:
+        """Sum into a part of an array, which is returned."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class GatheredSum:
+    """Many sums of equal length, of entries anywhere, in one call.
+
+    Attributes
+    ----------
+    index : ndarray of int
+        (rows, sums), or (sums, rows) where `axis` is 1.
+    axis : int
+        The axis that is summed over.
+    target : slice
+        Where the sums go.
+    """
+
+    index: Integers
+    axis: int
+    target: slice
+
+    @classmethod
+    def of(cls, sources: Sequence[Integers], start: int) -> GatheredSum:
+        """Over the rows of some matrices of positions of equal height, one after the other."""
+        matrix = np.concatenate(sources, axis=1)
+        rows, columns = matrix.shape
+        axis = int(rows > columns)
+        index = np.ascontiguousarray(matrix.T if axis else matrix)
+        return cls(index, axis, slice(start, start + columns))
+
+    def apply(self, storage: Array, semiring: Semiring, out: Array) -> Array:
+        """Sum into a part of an array, which is returned."""
+        into = out[self.target]
+        if self.index.shape[self.axis] == 1:
+            return storage.take(self.index.ravel(), 0, into, "clip")
+        return semiring.total(storage.take(self.index, 0), self.axis, into)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockSum:
+    """A table that stands by itself, summed to some of its variables where it stands.
+
+    Attributes
+    ----------
+    place : Place
+    wanted : tuple of Discrete
+    target : slice
+        Where the sums go.
+    """
+
+    place: Place
+    wanted: States
+    target: slice
+
+    @classmethod
+    def of(cls, place: Place, wanted: States, start: int) -> BlockSum:
+        """With the sums from a place on."""
+        return cls(place, wanted, slice(start, start + math.prod(sizes(wanted))))
+
+    def apply(self, storage: Array, semiring: Semiring, out: Array) -> Array:
+        """Sum into a part of an array, which is returned."""
+        view = self.place.merged(self.wanted)
+        tail = storage.shape[1:]
+        table = storage[self.place.entries].reshape((*view.shape, *tail))
+        total = semiring.total(table, view.others, None)
+        into = out[self.target]
+        ordered = total.reshape((*view.sizes, *tail)).transpose(view.axes(len(tail)))
+        into.reshape(ordered.shape)[...] = ordered
+        return into
+
+
+@dataclass(frozen=True, eq=False)
+class Marginals:
+    """The probabilities of all variables, one after the other.
+
+    Attributes
+    ----------
+    sums : sequence of Sum
+    where : mapping of Discrete to slice
+        Where those of each variable stand.
+    first, widths : ndarray of int
+        (variables,): where they begin, and their numbers.
+    """
+
+    sums: Sequence[Sum]
+    where: Mapping[Discrete, slice]
+    first: Integers
+    widths: Integers
+
+    @classmethod
+    def of(cls, sources: Mapping[Discrete, Integers | Place]) -> Marginals:
+        """From where to sum the probabilities of each variable.
+
+        Positions (states, rows), or a table that stands by itself.
+        """
+        by_rows: dict[int, list[tuple[Discrete, Integers]]] = {}
+        sums: list[Sum] = []
+        where: dict[Discrete, slice] = {}
+        stop = 0
+        for variable, source in sources.items():
+            if isinstance(source, Place):
+                sums.append(BlockSum.of(source, (variable,), stop))
+                where[variable] = slice(stop, stop + variable.size)
+                stop += variable.size
+            else:
+                by_rows.setdefault(source.shape[1], []).append((variable, source))
+        for found in by_rows.values():
+            sums.append(GatheredSum.of([positions.T for _, positions in found], stop))
+            for variable, _ in found:
+                where[variable] = slice(stop, stop + variable.size)
+                stop += variable.size
+        widths = np.array([variable.size for variable in where])
+        return cls(sums, where, np.cumsum(widths) - widths, widths)
+
+    def read(self, tables: Array) -> Array:
+        """The probabilities, (states of all variables, [runs])."""
+        out = np.empty((int(self.widths.sum()), *tables.shape[1:]))
+        for each in self.sums:
+            each.apply(tables, SUM_PRODUCT, out)
+        # They sum to one but for rounding, which grows with the depth of a tree.
+        out /= np.add.reduceat(out, self.first, 0).repeat(self.widths, 0)
+        return out
