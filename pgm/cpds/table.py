@@ -12,7 +12,7 @@ from pgm.cpds.base import CPD
 from pgm.errors import ModelError
 from pgm.factors.scope import names
 from pgm.kernels.arrays import Array, frozen
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 # How far the sum of a column may be from one: what decimals of a table's source leave.
 TOLERANCE = 1e-6
@@ -45,6 +45,8 @@ class TableCPD(CPD):
     """
 
     discrete: ClassVar[bool] = True
+    child: Discrete
+    given: tuple[Discrete, ...]
     table: Array
 
     def __init__(
@@ -55,8 +57,8 @@ class TableCPD(CPD):
         table: npt.ArrayLike,
     ) -> None:
         self._set_scope(child, (given,) if isinstance(given, Variable) else given)
-        axes = (*self.given, child)
-        due = tuple(len(v.states) for v in axes)  # type: ignore[attr-defined]
+        axes = (*self.given, self.child)
+        due = tuple(len(v.states) for v in axes)
         try:
             array = np.array(table, dtype=float)
         except (TypeError, ValueError):
@@ -80,8 +82,7 @@ class TableCPD(CPD):
         if (np.abs(total - 1.0) > TOLERANCE).any():
             worst = np.unravel_index(np.abs(total - 1.0).argmax(), total.shape)
             states = ", ".join(
-                f"{v!r}={v.states[k]!r}"  # type: ignore[attr-defined]
-                for v, k in zip(self.given, worst, strict=True)
+                f"{v!r}={v.states[k]!r}" for v, k in zip(self.given, worst, strict=True)
             )
             where = f" for {states}" if states else ""
             raise ModelError(

@@ -86,24 +86,28 @@ class Table(Immutable):
         self._put(scope, *as_entries(scope, values, log_scale))
 
     def _put(self, scope: States, values: Array, log_scale: Array) -> None:
-        own = values.shape[: values.ndim - len(scope)]
-        try:
-            lead = np.broadcast_shapes(own, log_scale.shape)
-        except ValueError:
-            raise ModelError(
-                f"table over {names(scope)}: the leading axes of values {own} and log_scale "
-                f"{log_scale.shape} do not broadcast"
-            ) from None
+        lead = own = values.shape[: values.ndim - len(scope)]
+        if log_scale.ndim:
+            try:
+                lead = np.broadcast_shapes(own, log_scale.shape)
+            except ValueError:
+                raise ModelError(
+                    f"table over {names(scope)}: the leading axes of values {own} and log_scale "
+                    f"{log_scale.shape} do not broadcast"
+                ) from None
         # A log-scale of −∞ is put into the values, so that log-scales always add and subtract.
-        if (log_scale == -np.inf).any():
+        if log_scale.min(initial=0.0) == -np.inf:
             gone = log_scale == -np.inf
             values = np.where(gone.reshape(gone.shape + (1,) * len(scope)), 0.0, values)
             log_scale = np.where(gone, 0.0, log_scale)
-        self._set(
-            scope=scope,
-            values=frozen(np.broadcast_to(values, (*lead, *sizes(scope)))),
-            log_scale=frozen(np.broadcast_to(log_scale, lead)),
-        )
+        due = (*lead, *sizes(scope))
+        if values.shape != due:
+            values = np.broadcast_to(values, due)
+        if log_scale.shape != lead:
+            log_scale = np.broadcast_to(log_scale, lead)
+        # Reductions may have made scalars of arrays without axes.
+        values, log_scale = np.asarray(values), np.asarray(log_scale)
+        self._set(scope=scope, values=frozen(values), log_scale=frozen(log_scale))
 
     @classmethod
     def _make(cls, scope: States, values: Array, log_scale: Array | float = 0.0) -> Table:
