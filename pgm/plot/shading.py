@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, LogNorm, Normalize
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.checks import Edge
@@ -82,6 +82,9 @@ class Shading:
         if not isinstance(self.norm, LogNorm):
             bar.locator = MaxNLocator(5, integer=True)
             bar.update_ticks()
+        else:
+            # Over a decade or two matplotlib would name the ticks between, one over the other.
+            place.xaxis.set_minor_formatter(NullFormatter())
         letters = 0.85 * FONT * canvas.letters
         for which in ("major", "minor"):
             place.tick_params(
