@@ -8,7 +8,7 @@ from collections.abc import Callable
 import matplotlib as mpl
 import typer
 
-from experiments import localisation, plaza
+from experiments import belief_propagation, localisation, plaza, seven_nodes
 from experiments.record import note
 from pgm import PgmError
 
@@ -16,6 +16,8 @@ from pgm import PgmError
 EXPERIMENTS: dict[str, Callable[..., None]] = {
     "localisation": localisation.run,
     "plaza": plaza.run,
+    "seven_nodes": seven_nodes.run,
+    "belief_propagation": belief_propagation.run,
 }
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -32,7 +34,7 @@ def listing(context: typer.Context) -> None:
     mpl.use("Agg")
     if context.invoked_subcommand is None:
         for name, experiment in EXPERIMENTS.items():
-            note(f"{name:<14} {summary_line(experiment)}")
+            note(f"{name:<19} {summary_line(experiment)}")
 
 
 for _name, _experiment in EXPERIMENTS.items():

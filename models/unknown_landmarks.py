@@ -1,8 +1,7 @@
-"""A robot that drives once around landmarks whose places it hardly knows.
+"""A robot that drives among landmarks whose places it hardly knows.
 
-Poses are x[0], x[1], …; landmark k is m{k}, and z{k}[t] is its sighting from x[t]. Since a landmark
-that is seen twice ties two poses together, which the motion between them ties too, the network has
-loops, whatever is observed.
+Poses are x[0], x[1], …; landmark k is m{k}, and z{k}[t] is its sighting from x[t]. A landmark that
+is seen twice ties two poses together that their motion ties too: the network has loops.
 """
 
 from __future__ import annotations
@@ -96,6 +95,44 @@ def unknown_landmarks(
             )
         )
     return pgm.BayesianNetwork(cpds)
+
+
+def landmark_clusters(
+    network: pgm.BayesianNetwork, carried: Sequence[int] = ()
+) -> pgm.ClusterGraph:
+    """A cluster graph by hand: the chain of poses carries some landmarks along.
+
+    Clusters {x[t−1], x[t], carried landmarks} form a chain, in which those landmarks are treated as
+    in a junction tree. Every sighting of another landmark has a cluster {x[t], m{k}} of its own,
+    joined to the chain by x[t], and to the next sighting of that landmark by m{k}: there are the
+    loops. With no landmark carried it does what a Bethe graph does; with all it is a tree.
+
+    Parameters
+    ----------
+    network : BayesianNetwork
+        From `unknown_landmarks`.
+    carried : sequence of int
+        Numbers of landmarks.
+    """
+    along = {place(k) for k in carried}
+    families = [cpd.scope for cpd in network.cpds if len(cpd.parents) == 2]
+    chain = [{*family, *along} for family in families if family[2].template == velocity]
+    sepsets = {(t - 1, t): {pose.at(t), *along} for t in range(1, len(chain))}
+    sighted: list[set[pgm.Variable]] = []
+    last: dict[pgm.Variable, int] = {}
+    for z, x, m in (family for family in families if family[2].template != velocity):
+        assert x.step is not None
+        home = max(x.step - 1, 0)
+        if m in along:
+            chain[home].add(z)
+            continue
+        new = len(chain) + len(sighted)
+        sighted.append({z, x, m})
+        sepsets[home, new] = {x}
+        if m in last:
+            sepsets[last[m], new] = {m}
+        last[m] = new
+    return pgm.ClusterGraph(network, [*chain, *sighted], sepsets)
 
 
 def _diagonal(std: Sequence[float]) -> Array:

@@ -1,0 +1,167 @@
+"""Exact inference against loopy: Sprinkler, a four-cycle, and a robot among unknown landmarks.
+
+Where messages converge, Gaussian means are exact and deviations are not, too small or too large;
+marginals of discrete variables are approximate. Where coupling is strong they need not converge;
+damping helps, up to a point.
+
+summary.json:
+
+- ``sprinkler``, ``four_cycle.discrete``, ``four_cycle.gaussian``, ``localisation``: each has
+  ``junction_tree`` and, by graph and schedule, ``<graph>.<schedule>``. Graphs are ``bethe`` and, by
+  hand, ``by_hand`` or ``carrying_1`` and ``carrying_2``, after the number of landmarks that the
+  chain of poses carries along. Schedules are ``flooding``, ``sequential`` and ``residual``.
+- Each entry has ``log_evidence``, ``log_evidence_kind``, ``iterations`` and ``converged``; of a
+  discrete network ``error``, the largest of a probability, and ``marginals``; of a Gaussian one
+  ``mean_error``, the largest in exact standard deviations, and ``std_ratio_min`` and
+  ``std_ratio_max``, of deviations to the exact ones.
+- ``junction_tree.check``: how far it is from an independent answer: enumeration, the dense joint,
+  or (of means, in deviations) SciPy's least squares.
+- ``coupling``: ``discrete`` and ``gaussian`` have ``at``, the strengths, and by network and
+  schedule a list of entries, one a strength.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import typer
+
+import pgm
+from experiments import loop_cases as cases
+from experiments import loop_figures as figures
+from experiments.checks import difference
+from experiments.loops import Case, Numbers
+from experiments.record import Out, Record, Seed, note, table
+
+By = dict[str, dict[str, pgm.Posterior]]  # graph and schedule
+
+# Precision of sums of three, of which undamped messages diverge.
+_DIVERGING = 2.0
+
+
+def run(
+    out: Out = None,
+    seed: Seed = 0,
+    coupling: float = typer.Option(1.0, min=0.01, help="Strength of the four-cycle."),
+    steps: int = typer.Option(5, min=4, help="Steps of the robot."),
+) -> None:
+    """Exact against loopy: marginals, means, deviations, and where messages converge."""
+    record = Record("belief_propagation", out, seed=seed, coupling=coupling, steps=steps)
+    robot, truth = cases.robot(seed, steps)
+    compared = {
+        "sprinkler": cases.wet_grass(),
+        "spins": cases.spins(coupling),
+        "places": cases.places(coupling),
+        "localisation": robot,
+    }
+    titles = {
+        "sprinkler": "Sprinkler, wet = yes",
+        "spins": f"four spins in a ring, coupling {coupling:g}",
+        "places": f"four places in a ring, readings of precision {coupling:g}",
+        "localisation": f"{steps + 1} poses, {len(cases.GUESSES)} unknown landmarks, Taylor",
+    }
+    posteriors = {name: case.posteriors() for name, case in compared.items()}
+    found = {name: summarise(case, posteriors[name]) for name, case in compared.items()}
+    for name, title in titles.items():
+        _table(title, found[name])
+    swept = {"discrete": cases.discrete_sweep(), "gaussian": cases.gaussian_sweep()}
+    at = {"discrete": cases.SPINS, "gaussian": cases.PRECISIONS}
+    for kind, networks in swept.items():
+        _note_convergence(kind, networks, at[kind])
+    drawn = {"sprinkler": "sprinkler", "four_cycle": "places", "localisation": "localisation"}
+    for name, case in drawn.items():
+        record.figure(figures.graphs(compared[case]), f"{name}_graphs")
+    record.figure(figures.coupling(swept, at), "coupling")
+    record.figure(figures.convergence(_records(compared, posteriors)), "convergence")
+    beliefs = {"exact": robot.exact, "Bethe": posteriors["localisation"]["bethe"]["sequential"]}
+    record.figure(figures.scene(robot, truth, beliefs), "localisation")
+    record.summary(
+        sprinkler=found["sprinkler"],
+        four_cycle={"discrete": found["spins"], "gaussian": found["places"]},
+        localisation=found["localisation"],
+        coupling={kind: {"at": at[kind], **swept[kind]} for kind in swept},
+    )
+
+
+def summarise(case: Case, posteriors: By) -> dict[str, Any]:
+    """Numbers of the junction tree, and by graph and schedule."""
+    tree = case.errors(case.exact) | {"check": difference(case)}
+    loopy = {
+        graph: {schedule: case.errors(posterior) for schedule, posterior in found.items()}
+        for graph, found in posteriors.items()
+    }
+    return {"junction_tree": tree, **loopy}
+
+
+def _table(title: str, found: Mapping[str, Any]) -> None:
+    tree = found["junction_tree"]
+    rows: list[tuple[str, str, Numbers]] = [("junction tree", "–", tree)]
+    for graph, schedules in found.items():
+        if schedules is not tree:
+            rows += [(graph.replace("_", " "), name, each) for name, each in schedules.items()]
+    columns = ("error",) if "error" in tree else ("means", "std ratio")
+    table(
+        title,
+        ("graph", "schedule", *columns, "ln p(e)", "iter.", "conv."),
+        [
+            (
+                graph,
+                schedule,
+                *_errors(numbers),
+                f"{numbers['log_evidence']:.3f}",
+                numbers["iterations"],
+                "yes" if numbers["converged"] else "no",
+            )
+            for graph, schedule, numbers in rows
+        ],
+    )
+    note(
+        f"ln p(e) of the tree is {tree['log_evidence_kind']}, of the others bethe; "
+        f"the tree differs from an independent answer by {tree['check']:.1g}"
+    )
+
+
+def _errors(numbers: Numbers) -> tuple[str, ...]:
+    """The largest error of a marginal; or of a mean, in deviations, and the deviations' ratios."""
+    if "error" in numbers:
+        return (f"{numbers['error']:.4f}",)
+    ratios = f"{numbers['std_ratio_min']:.2f}–{numbers['std_ratio_max']:.2f}"
+    return f"{numbers['mean_error']:.1e}", ratios
+
+
+def _note_convergence(
+    kind: str, networks: Mapping[str, Mapping[str, list[Numbers]]], at: tuple[float, ...]
+) -> None:
+    """Say where messages did not converge."""
+    limit = cases.LIMITS[kind]
+    note(f"{kind}, Bethe, coupling {at[0]:g} to {at[-1]:g}; within {limit} iterations converges")
+    for network, schedules in networks.items():
+        for schedule, found in schedules.items():
+            lost = [f"{c:.3g}" for c, each in zip(at, found, strict=True) if not each["converged"]]
+            says = f"except at {', '.join(lost)}" if lost else "throughout"
+            note(f"  {network}, {schedule}: {says}")
+
+
+def _records(
+    compared: Mapping[str, Case], posteriors: Mapping[str, By]
+) -> dict[str, dict[str, pgm.Status]]:
+    """How schedules converge on the Bethe graphs of three networks."""
+    hard = cases.sums_of_three(_DIVERGING)
+    half = pgm.Flooding(damping=0.5)
+    limited = {
+        "flooding": pgm.Flooding(max_iterations=60),
+        "sequential": pgm.Sequential(max_iterations=60),
+        "residual": pgm.Residual(max_iterations=60),
+    }
+    found = {
+        "four spins in a ring": posteriors["spins"]["bethe"],
+        "sums of three places": {name: hard.send("bethe", s) for name, s in limited.items()},
+        "robot; jumps are relinearisations": posteriors["localisation"]["bethe"],
+    }
+    damped = (compared["spins"], hard, compared["localisation"])
+    return {
+        title: {name: posterior.status for name, posterior in by.items()}
+        | {"flooding, damped by ½": case.send("bethe", half).status}
+        for (title, by), case in zip(found.items(), damped, strict=True)
+    }

@@ -1,0 +1,25 @@
+"""What a posterior holds, where the network says which kind it is."""
+
+from __future__ import annotations
+
+import pgm
+
+Factor = pgm.Gaussian | pgm.CanonicalForm | pgm.Table
+
+
+def as_gaussian(factor: Factor) -> pgm.Gaussian:
+    """A marginal or joint of a continuous network."""
+    assert isinstance(factor, pgm.Gaussian)
+    return factor
+
+
+def as_form(factor: Factor) -> pgm.CanonicalForm:
+    """A message or belief of a continuous network."""
+    assert isinstance(factor, pgm.CanonicalForm)
+    return factor
+
+
+def as_table(factor: Factor) -> pgm.Table:
+    """Anything of a discrete network."""
+    assert isinstance(factor, pgm.Table)
+    return factor

@@ -1,0 +1,89 @@
+"""The networks with loops on which exact inference and loopy messages are compared."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+import pgm
+from experiments.loops import Case, Numbers, sweep
+from models.discrete import cloudy, rain, sprinkler, sprinkling, wet
+from models.networks import velocity
+from models.rings import discrete_ring, gaussian_ring, ring_clusters
+from models.unknown_landmarks import landmark_clusters, reading, unknown_landmarks
+
+GUESSES = ((2.5, -1.5), (4.0, 2.5), (0.0, 2.0))  # prior means of the landmarks [m]
+GUESS_STD = 0.5  # m
+MOTION_STD = (0.3, 0.3, 0.15)  # m, m, rad a step
+CONTROL = (1.0, 0.5)  # m/s, rad/s
+
+SPINS = tuple(np.linspace(-1.5, 1.5, 13).tolist())
+PRECISIONS = tuple((2.0 ** np.arange(-3.0, 3.0)).tolist())
+LIMITS = {"discrete": 1000, "gaussian": 300}  # iterations
+
+
+def wet_grass() -> Case:
+    """Sprinkler, the grass being wet; by hand, its three larger families in a ring."""
+    network = sprinkler()
+    by_hand = pgm.ClusterGraph(
+        network,
+        [{cloudy, sprinkling}, {cloudy, rain}, {sprinkling, rain, wet}],
+        sepsets={(0, 1): {cloudy}, (0, 2): {sprinkling}, (1, 2): {rain}},
+    )
+    return Case.of(network, {wet: "yes"}, by_hand=by_hand)
+
+
+def spins(coupling: float) -> Case:
+    """Four spins in a ring; by hand, a cluster for each of its edges."""
+    network, evidence = discrete_ring(coupling)
+    return Case.of(network, evidence, by_hand=ring_clusters(network))
+
+
+def places(precision: float) -> Case:
+    """Four places in a ring; by hand, a cluster for each of its edges."""
+    network, evidence = gaussian_ring(precision)
+    return Case.of(network, evidence, by_hand=ring_clusters(network))
+
+
+def sums_of_three(precision: float) -> Case:
+    """The same with readings of three places."""
+    return Case.of(*gaussian_ring(precision, span=3))
+
+
+def robot(seed: int, steps: int) -> tuple[Case, dict[pgm.Variable, Any]]:
+    """A robot that sees a landmark at each pose, one after the other, and the truth drawn."""
+    count = len(GUESSES)
+    seen = [(step, -step % count) for step in range(steps + 1)]
+    network = unknown_landmarks(steps, seen, GUESSES, motion_std=MOTION_STD, guess_std=GUESS_STD)
+    controls = {velocity.at(step): np.array(CONTROL) for step in range(1, steps + 1)}
+    truth = network.sample(inputs=controls, rng=seed)
+    evidence = controls | {(z := reading(step, k)): truth[z] for step, k in seen}
+    graphs = {f"carrying_{n}": landmark_clusters(network, range(n)) for n in range(1, count)}
+    return Case.of(network, evidence, **graphs), truth
+
+
+def discrete_sweep() -> dict[str, dict[str, list[Numbers]]]:
+    """Spins in a ring, and the same with diagonals."""
+    schedules = _damped(LIMITS["discrete"])
+    return {
+        "ring": sweep(discrete_ring, SPINS, schedules),
+        "with diagonals": sweep(partial(discrete_ring, diagonals=True), SPINS, schedules),
+    }
+
+
+def gaussian_sweep() -> dict[str, dict[str, list[Numbers]]]:
+    """Places in a ring, of which each reading adds up two or three."""
+    schedules = _damped(LIMITS["gaussian"])
+    return {
+        "sums of two": sweep(gaussian_ring, PRECISIONS, schedules),
+        "sums of three": sweep(partial(gaussian_ring, span=3), PRECISIONS, schedules),
+    }
+
+
+def _damped(limit: int) -> dict[str, pgm.Flooding]:
+    return {
+        "flooding": pgm.Flooding(max_iterations=limit),
+        "damped": pgm.Flooding(damping=0.5, max_iterations=limit),
+    }

@@ -1,0 +1,147 @@
+import json
+
+import numpy as np
+import pytest
+
+import pgm
+from experiments import belief_propagation, loop_cases
+from experiments.checks import difference
+from experiments.enumeration import enumerate_states
+from models.discrete import ANSWERS, asia, rain, smoking, wet, xray
+
+SCHEDULES = {"flooding", "sequential", "residual"}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    out = tmp_path_factory.mktemp("belief_propagation")
+    belief_propagation.run(out=out, seed=0, coupling=1.0, steps=4)
+    return out, json.loads((out / "summary.json").read_text())
+
+
+def loopy(found):
+    """All entries but the junction tree's."""
+    entries = {
+        (graph, schedule): numbers
+        for graph, schedules in found.items()
+        if graph != "junction_tree"
+        for schedule, numbers in schedules.items()
+    }
+    assert {schedule for _, schedule in entries} == SCHEDULES
+    return entries
+
+
+def test_sprinkler_is_exact_on_its_junction_tree_alone(done):
+    found = done[1]["sprinkler"]
+    exact = found["junction_tree"]
+    assert exact["marginals"]["rain"] == pytest.approx([0.2921, 0.7079], abs=5e-5)
+    assert exact["log_evidence"] == pytest.approx(np.log(0.6471), abs=1e-12)
+    assert exact["log_evidence_kind"] == "exact"
+    assert exact["error"] == 0.0
+    assert exact["check"] < 1e-12
+    entries = loopy(found)
+    assert {graph for graph, _ in entries} == {"bethe", "by_hand"}
+    for numbers in entries.values():
+        assert numbers["converged"]
+        # Both graphs have the fixed point of loopy propagation that factors of this size have.
+        assert numbers["marginals"]["rain"][1] == pytest.approx(0.78407, abs=1e-5)
+        assert numbers["error"] == pytest.approx(0.78407 - 0.70793, abs=2e-5)
+        assert numbers["log_evidence_kind"] == "bethe"
+        assert abs(numbers["log_evidence"] - exact["log_evidence"]) > 0.1
+
+
+def test_on_a_four_cycle_means_are_exact_and_marginals_are_not(done):
+    spins, places = (done[1]["four_cycle"][kind] for kind in ("discrete", "gaussian"))
+    assert max(spins["junction_tree"]["check"], places["junction_tree"]["check"]) < 1e-12
+    for numbers in loopy(spins).values():
+        assert numbers["converged"]
+        assert 0.05 < numbers["error"] < 0.2
+    for numbers in loopy(places).values():
+        assert numbers["converged"]
+        assert numbers["mean_error"] < 1e-9
+        assert numbers["std_ratio_max"] < 0.99
+
+
+def test_localisation_finds_the_most_probable_place_on_every_graph(done):
+    found = done[1]["localisation"]
+    tree = found["junction_tree"]
+    assert tree["check"] < 1e-5
+    assert tree["converged"]
+    assert tree["log_evidence_kind"] == "laplace"
+    entries = loopy(found)
+    assert {graph for graph, _ in entries} == {"bethe", "carrying_1", "carrying_2"}
+    for numbers in entries.values():
+        assert numbers["converged"]
+        assert numbers["mean_error"] < 1e-6
+        assert numbers["std_ratio_min"] < 0.97
+        assert numbers["log_evidence_kind"] == "bethe"
+    least = [found[g]["flooding"]["std_ratio_min"] for g in ("bethe", "carrying_1", "carrying_2")]
+    assert least == sorted(least)
+    assert least[-1] > least[0]
+
+
+def test_strong_coupling_ends_convergence_where_theory_says(done):
+    """On a ring never; with diagonals, or sums of three, beyond a certain strength."""
+    discrete, gaussian = (done[1]["coupling"][kind] for kind in ("discrete", "gaussian"))
+    assert all(each["converged"] for each in discrete["ring"]["flooding"])
+    for J, each in zip(discrete["at"], discrete["with diagonals"]["flooding"], strict=True):
+        # Three neighbours, all of which repel each other: |J| above artanh(1/2) = 0.549.
+        assert each["converged"] == (J > -0.6)
+    assert all(each["converged"] for each in gaussian["sums of two"]["flooding"])
+    for at, each in zip(gaussian["at"], gaussian["sums of three"]["flooding"], strict=True):
+        assert each["converged"] == (at < 1.0)
+    assert all(each["converged"] for each in gaussian["sums of three"]["damped"])
+
+
+def test_variances_err_to_either_side_and_means_do_not(done):
+    gaussian = done[1]["coupling"]["gaussian"]
+    two, three = gaussian["sums of two"]["damped"][-1], gaussian["sums of three"]["damped"][-1]
+    assert two["std_ratio_max"] < 0.9
+    assert three["std_ratio_min"] > 1.1
+    for schedules in (gaussian["sums of two"], gaussian["sums of three"]):
+        for each in (*schedules["flooding"], *schedules["damped"]):
+            assert not each["converged"] or each["mean_error"] < 1e-6
+
+
+def test_without_coupling_everything_is_exact(done):
+    discrete = done[1]["coupling"]["discrete"]
+    for network in ("ring", "with diagonals"):
+        errors = [each["error"] for each in discrete[network]["flooding"]]
+        assert errors[discrete["at"].index(0.0)] < 1e-12
+
+
+def test_figures_are_png_and_pdf(done):
+    graphs = [f"{name}_graphs" for name in ("sprinkler", "four_cycle", "localisation")]
+    for name in (*graphs, "coupling", "convergence", "localisation"):
+        assert (done[0] / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert (done[0] / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    "case",
+    [loop_cases.wet_grass(), loop_cases.places(1.0), loop_cases.robot(0, 4)[0]],
+    ids=["table", "linear", "nonlinear"],
+)
+def test_the_check_would_notice_a_wrong_answer(case):
+    """Beliefs of a loopy graph, or without relinearisation, are not those of the check."""
+    assert difference(case) < 1e-5
+    wrong = (
+        pgm.infer(case.exact.graph, case.evidence)
+        if case.exact.log_evidence_kind == "laplace"
+        else case.send("bethe", pgm.Flooding())
+    )
+    off = type(case)(case.evidence, wrong, case.graphs)
+    assert difference(off) > 1e-3
+
+
+def test_enumeration_of_a_known_network():
+    """Lauritzen and Spiegelhalter's numbers: P(xray) = 0.1103, P(smoking | xray) by Bayes' rule."""
+    network = asia()
+    marginals, log_evidence = enumerate_states(network, {xray: "yes"})
+    assert np.exp(log_evidence) == pytest.approx(0.11029, abs=1e-6)
+    either = {"yes": 1 - (1 - 0.0104) * (1 - 0.1), "no": 1 - (1 - 0.0104) * (1 - 0.01)}
+    likely = {smoke: 0.5 * (0.05 + 0.93 * p) for smoke, p in either.items()}
+    due = [likely[answer] / sum(likely.values()) for answer in ANSWERS]
+    assert marginals[smoking] == pytest.approx(due)
+    assert rain not in marginals
+    assert wet not in marginals
