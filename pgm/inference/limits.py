@@ -1,13 +1,15 @@
-"""How large the tables of a graph may be."""
+"""How large the tables and covariances of a graph may be."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.size import amount
 from pgm.errors import GraphError
 from pgm.factors.scope import names
 
-# Entries of all tables that a graph may have: a gigabyte.
+# Entries of all tables, or covariances, that a graph may have: a gigabyte.
 LIMIT = 2**27
 # Entries of all tables, times runs, that are calibrated at once: what stays near the processor.
 BATCH = 2**22
@@ -17,25 +19,34 @@ KEPT = 2**24
 LISTED = 8
 
 
-def require_size(graph: ClusterGraph) -> None:
-    """Refuse a graph whose tables would not fit, before any is made.
+def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
+    """Refuse a graph whose tables or covariances would not fit, before any is made.
+
+    Parameters
+    ----------
+    graph : ClusterGraph
+    entries : sequence of int
+        Of each cluster.
+    what : str
+        What they are entries of.
 
     Raises
     ------
     GraphError
         Naming the largest cluster, its entries and bytes.
     """
-    total = sum(graph.sizes)
+    total = sum(entries)
     if total <= LIMIT:
         return
-    largest = max(graph.clusters, key=lambda cluster: cluster.size)
+    index = max(range(len(entries)), key=entries.__getitem__)
     raise GraphError(
-        f"the tables of {graph!r} are too large: cluster {largest.index} over {_listed(largest)} "
-        f"has {amount(largest.size)} entries, {largest.size / 2**27:.3g} GiB, and all clusters "
-        f"together {amount(total)}, where {LIMIT} are the limit; a loopy graph has small ones: "
+        f"the {what} of {graph!r} are too large: cluster {index} over "
+        f"{_listed(graph.clusters[index])} has {amount(entries[index])} entries, "
+        f"{entries[index] / 2**27:.3g} GiB, and all clusters together {amount(total)}, where "
+        f"{LIMIT} are the limit; a loopy graph has small ones: "
         "pgm.infer(pgm.compile(network, method=pgm.Bethe()), evidence, schedule=pgm.Flooding()), "
         "whose beliefs are approximate",
-        cluster=largest.index,
+        cluster=index,
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pgm.evidence.discrete import BoundStates
 from pgm.factors.axes import States
-from pgm.inference.discrete import limits
+from pgm.inference import limits
 from pgm.inference.discrete.place import Place
 from pgm.inference.discrete.plan import TreePlan
 from pgm.inference.discrete.storage import Storage

@@ -9,7 +9,7 @@ import numpy as np
 from pgm.errors import GraphError
 from pgm.factors.axes import States, sizes
 from pgm.factors.scope import names
-from pgm.inference.discrete import limits
+from pgm.inference import limits
 from pgm.inference.discrete.rooted import children, roots, sepset_to_parent
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.forest import Forest

@@ -11,7 +11,7 @@ from pgm.clustergraph import ClusterGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence.discrete import BoundStates
 from pgm.evidence.indices import in_run
-from pgm.inference.discrete import limits
+from pgm.inference import limits
 from pgm.inference.discrete.entering import enter_everywhere
 from pgm.inference.discrete.fans import Fan, Fans
 from pgm.inference.discrete.storage import Storage, contiguous
@@ -158,7 +158,7 @@ def _logs(graph: ClusterGraph) -> Array:
 
 
 def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
-    limits.require_size(graph)
+    limits.require_size(graph, graph.sizes, "tables")
     entries = sum(graph.sizes) * evidence.runs
     if evidence.runs > 1 and entries > limits.LIMIT:
         raise GraphError(

@@ -8,7 +8,6 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.factors.axes import sizes
-from pgm.inference.discrete.limits import require_size
 from pgm.inference.discrete.place import LARGE, Place
 from pgm.inference.discrete.plan import Stack, TreePlan
 from pgm.inference.discrete.rooted import children, sepset_to_parent
@@ -16,6 +15,7 @@ from pgm.inference.discrete.spreads import BlockSpread, GatheredSpread, Spread
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.discrete.sums import BlockSum, GatheredSum, Sum
 from pgm.inference.forest import Forest
+from pgm.inference.limits import require_size
 
 # A hub multiplies this many messages at the most into its table before it is rescaled.
 CHUNK = 32
@@ -31,7 +31,7 @@ def make_plan(graph: ClusterGraph) -> TreePlan:
     GraphError
         If its tables are too large.
     """
-    require_size(graph)
+    require_size(graph, graph.sizes, "tables")
     return _Planner(graph).plan()
 
 

@@ -15,7 +15,7 @@ from pgm.evidence.indices import in_run
 from pgm.factors import Table
 from pgm.factors.axes import States
 from pgm.factors.scope import names
-from pgm.inference.discrete import limits
+from pgm.inference import limits
 from pgm.inference.discrete.beliefs import Beliefs
 from pgm.inference.discrete.entering import pieces
 from pgm.inference.discrete.exchange import Exchange

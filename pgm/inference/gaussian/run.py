@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.clustergraph import ClusterGraph
+from pgm.cpds import AffineCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import Evidence
 from pgm.evidence.arrays import as_rows, require_finite
@@ -19,6 +20,7 @@ from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.gaussian.tree import Calibrated, TreePlan, calibrate
+from pgm.inference.limits import require_size
 from pgm.inference.loopy import run_loopy
 from pgm.inference.schedule import Calibration, Loopy, Schedule, Status
 from pgm.kernels import moments
@@ -42,6 +44,9 @@ def run(
     needed = (v for cpd in cpds for v in known_parents(cpd, inputs))
     bound = bind_values(network.cpds, evidence, network.lead, needed)
     plan = graph.derived(_plan, frozenset(bound.values), absent)
+    linear = all(isinstance(cpd, AffineCPD) for cpd in cpds)
+    runs = 1 if linear else bound.runs
+    require_size(graph, [runs * size * size for size in plan.places.sizes], "covariances")
     given = None if start is None else _start(plan.layout, bound, start)
     model = Model.make(plan.layout, bound, lineariser, given)
     if isinstance(schedule, Loopy):

@@ -10,7 +10,7 @@ from discrete.enumeration import Enumeration, network
 
 import pgm
 from models.discrete import asia, bronchitis, dyspnoea, smoking, xray
-from pgm.inference.discrete import limits
+from pgm.inference import limits
 
 RUNS = 5
 

@@ -9,7 +9,7 @@ import pytest
 
 import pgm
 from models.discrete import asia, either, sprinkler, sprinkling, tuberculosis, visit, wet, xray
-from pgm.inference.discrete import limits
+from pgm.inference import limits
 
 
 def test_observed_and_unknown_variables():
