@@ -14,7 +14,6 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.clustergraph.checks import Edge
 from pgm.inference.schedule import Flooding, Loopy, Residual, Sequential, Status
 from pgm.kernels.arrays import Array, Integers, Mask
 
@@ -129,7 +128,8 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
             gate[:] = schedule.tolerance
             converged |= active & (change <= schedule.tolerance)
         else:
-            converged |= ready & (np.maximum(change, move) <= schedule.tolerance)
+            residuals[-1] = np.where(ready, np.maximum(change, move), residuals[-1])
+            converged |= ready & (residuals[-1] <= schedule.tolerance)
             gate = np.where(ready, np.clip(_SHARE * move, schedule.tolerance, gate), gate)
         active &= ~converged
     return Status(

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, transpose
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
 
 # A singular value or a pivot below this part of its column is rounding.
 NEGLIGIBLE = 1e-11
@@ -86,7 +86,7 @@ def triangular(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.qr(both, mode="r"))
 
 
-def largest_first(correlation: Array) -> Array:
+def largest_first(correlation: Array) -> Integers:
     """The order of components, (..., n), in which each varies most of those left, given the former.
 
     A root in this order tells small pivots from rounding, which grows behind a small one.
@@ -179,7 +179,7 @@ def _eliminate_exact(
     )
     turned[..., :shared, :] *= ~used[..., None]
     rest_exact, rest_right, scale, contradiction = _independent(
-        turned[..., :sepset], turned[..., sepset:]
+        turned[..., :sepset], turned[..., sepset:], np.abs(exact_right).max(axis=-2, initial=1.0)
     )
     return Eliminated(
         along + free @ proper.gain,
@@ -191,8 +191,10 @@ def _eliminate_exact(
     )
 
 
-def _independent(exact: Array, right: Array) -> tuple[Array, Array, Array, Mask]:
+def _independent(exact: Array, right: Array, size: Array) -> tuple[Array, Array, Array, Mask]:
     """Relations as orthonormal rows, ln of what that takes off, and where they contradict.
+
+    Right sides come of numbers of a size, (..., N).
 
     A relation that the others imply is left out: a certainty that is met adds nothing.
     """
@@ -203,7 +205,6 @@ def _independent(exact: Array, right: Array) -> tuple[Array, Array, Array, Mask]
     turned = transpose(u) @ right
     left = turned.copy()
     left[..., :shared, :] *= ~used[..., None]
-    size = np.maximum(np.abs(right).max(axis=-2, initial=0.0), 1.0)
     contradiction = np.abs(left).max(axis=-2, initial=0.0) > CONTRADICTION * size
     independent = vt[..., :shared, :] * used[..., None]
     solved = turned[..., :shared, :] * (used / divisor)[..., None]

@@ -68,13 +68,17 @@ class Buffer:
     def _put(self, potentials: Potentials) -> None:
         entries, rows = potentials.matrix.shape[1], potentials.right.shape[1]
         self.matrix[:, :entries], self.right[:, :rows] = potentials.matrix, potentials.right
+        if self.exact is None and potentials.exact is not None:
+            # The noise of a linearised CPD may vanish later on.
+            self.exact, self.exact_right = np.zeros_like(self.matrix), np.zeros_like(self.right)
         if self.exact is not None and self.exact_right is not None:
-            none = potentials.exact is None or potentials.exact_right is None
-            self.exact[:, :entries] = 0.0 if none else potentials.exact
-            self.exact_right[:, :rows] = 0.0 if none else potentials.exact_right
+            proper = potentials.exact is None or potentials.exact_right is None
+            self.exact[:, :entries] = 0.0 if proper else potentials.exact
+            self.exact_right[:, :rows] = 0.0 if proper else potentials.exact_right
         layout = self.rounds.layout
         self.log_scale[:, : len(layout.scopes)] = 0.0
-        clusters = np.concatenate([group.clusters for group in layout.groups])
+        none = np.zeros(0, dtype=np.intp)
+        clusters = np.concatenate([none, *(group.clusters for group in layout.groups)])
         np.add.at(self.log_scale.swapaxes(0, 1), clusters, potentials.log_scale.swapaxes(0, 1))
 
     def factor(self, stack: Stack) -> Rows:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,9 @@ from pgm.inference.loopy import LOST, Directed
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Integers, Mask, transpose
 from pgm.kernels.rows import Rows, eliminate, triangular
+
+# Exact relations that differ by less, in units of the frame, differ by rounding.
+_STEADY = 1e-12
 
 
 class RowRound(NamedTuple):
@@ -100,13 +103,9 @@ class RowMessages:
         spread = np.abs(std * information * transpose(std)).max(axis=(-2, -1), initial=0.0)
         shift = np.abs(std * (vector - information @ belief.offset)).max(axis=-2, initial=0.0)
         change = np.maximum(spread[..., None], shift)
-        if new.exact is not None and old.exact is not None:
-            assert new.exact_right is not None
-            assert old.exact_right is not None
-            relations = transpose(new.exact) @ new.exact - transpose(old.exact) @ old.exact
-            sides = transpose(new.exact) @ new.exact_right - transpose(old.exact) @ old.exact_right
-            far = np.abs(relations).max(axis=(-2, -1), initial=0.0)[..., None]
-            change = np.maximum(change, np.maximum(far, np.abs(sides).max(axis=-2, initial=0.0)))
+        relations = _moved(new, old)
+        if relations is not None:
+            change = np.maximum(change, relations)
         change = np.where(np.isnan(change), np.inf, change)
         return change[0] if change.shape[0] == 1 else change[..., 0].swapaxes(0, 1)
 
@@ -118,10 +117,10 @@ class RowMessages:
         """
         for stack, new in self._proposed:
             old = self._kept(stack, reverse=False)
-            mixed = self._damped(old, new) if self.damping else new
+            mixed = _steady(self._damped(old, new) if self.damping else new, old)
             going = active
             if mixed.matrix.shape[0] == 1:
-                going = np.abs(mixed.right).max(axis=(0, 1, 2), initial=0.0) < LOST
+                going = active | (np.abs(mixed.right).max(axis=(0, 1, 2), initial=0.0) < LOST)
             if not going.all():
                 mixed = _where(going, mixed, old)
             self.buffer.store(stack, mixed, None)
@@ -146,7 +145,9 @@ class RowMessages:
         mean, std = found.components()
         move = moments.marginal_error(mean[None], self._point[None], std[None])
         self._point = np.where(active[:, None], mean, self._point)
-        relinearise(found, model, active)
+        # What runs that are still on their way are linearised at is thrown away, but must exist.
+        at = np.where(active[:, None, None], found.mean, 0.0)
+        relinearise(replace(found, mean=at), model, active)
         self.buffer.refresh()
         return move
 
@@ -230,6 +231,38 @@ def _first(stack: Rows) -> Rows:
 
 def _together(a: Array, b: Array) -> Array:
     return np.concatenate([a, b], axis=-2)
+
+
+def _moved(new: Rows, old: Rows) -> Array | None:
+    """How much exact relations differ, (V, B, N), whatever rows they are written as."""
+    if new.exact is None or old.exact is None:
+        return None
+    assert new.exact_right is not None
+    assert old.exact_right is not None
+    relations = transpose(new.exact) @ new.exact - transpose(old.exact) @ old.exact
+    sides = transpose(new.exact) @ new.exact_right - transpose(old.exact) @ old.exact_right
+    far = np.abs(relations).max(axis=(-2, -1), initial=0.0)[..., None]
+    return np.maximum(far, np.abs(sides).max(axis=-2, initial=0.0))
+
+
+def _steady(new: Rows, old: Rows) -> Rows:
+    """New rows, but exact relations as they were where they differ by rounding.
+
+    Loops feed certainties back to themselves, and can amplify their rounding without end.
+    """
+    moved = _moved(new, old)
+    if moved is None:
+        return new
+    assert new.exact is not None
+    assert old.exact is not None
+    assert new.exact_right is not None
+    assert old.exact_right is not None
+    same = (moved < _STEADY).all(axis=-1)[..., None, None]
+    count = new.exact.shape[-2]
+    return new._replace(
+        exact=np.where(same, old.exact[..., :count, :], new.exact),
+        exact_right=np.where(same, old.exact_right[..., :count, :], new.exact_right),
+    )
 
 
 def _where(active: Mask, new: Rows, old: Rows) -> Rows:

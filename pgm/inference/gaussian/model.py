@@ -127,7 +127,10 @@ class Model:
                 continue
             at = mean[:, group.parents].swapaxes(0, 1)
             if not group.observed:
+                before = family.offset.copy()
                 family.to_chart(at, mean[:, group.child].swapaxes(0, 1))
+                if active is not None and not family.exact:
+                    family.offset[:, ~active] = before[:, ~active]
                 continue
             reading = self.readings[k]
             assert reading is not None

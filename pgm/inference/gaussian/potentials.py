@@ -52,6 +52,10 @@ def make_potentials(model: Model) -> Potentials:
     0, Σ); with Σ = L Lᵀ its rows are L⁻¹[s_y, −F s_p] and −L⁻¹e. Where L has no pivot the
     component of the noise is determined by those before, and the row is exact.
     """
+    if not model.layout.shapes:
+        stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
+        none, empty = np.zeros((stacked, 0)), np.zeros((stacked, 0, sides))
+        return Potentials(none, empty, None, None, empty)
     parts = [_factor(_Linearised.of(model, groups)) for groups in model.layout.shapes]
     fixed = any(part.fixed.any() for part in parts)
     return Potentials(
@@ -74,6 +78,8 @@ class _Linearised:
         [s_y, −F s_p], (V, CPDs, d, w); without s_y where the children are observed.
     residual, noise : ndarray
         e (V, CPDs, d, N) and Σ (V, CPDs, d, d).
+    known : ndarray of bool
+        Which columns are of certain parents, (CPDs, w).
     size : ndarray
         Of the numbers that the residuals are sums of, (V, CPDs, d, N).
     """
@@ -82,13 +88,14 @@ class _Linearised:
     matrix: Array
     residual: Array
     noise: Array
+    known: Mask
     size: Array
 
     @classmethod
     def of(cls, model: Model, groups: range) -> _Linearised:
         """Of groups whose CPDs have one shape."""
         frame, runs = model.frame, 1 if model.shared else model.runs
-        matrices, residuals, noises, sizes = [], [], [], []
+        matrices, residuals, noises, known, sizes = [], [], [], [], []
         cpds: list[ConditionalGaussian] = []
         for g in groups:
             group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
@@ -102,6 +109,8 @@ class _Linearised:
                 own = np.concatenate([wide, own], axis=-1)
             terms = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
             sizes.append(np.maximum(terms, np.abs(child)))
+            certain = frame.certain[group.parents]
+            known.append(np.pad(certain, [(0, 0), (own.shape[-1] - certain.shape[1], 0)]))
             matrices.append(own)
             residuals.append(child - value)
             noises.append(family.noise[:, :runs])
@@ -111,6 +120,7 @@ class _Linearised:
             np.concatenate(matrices).swapaxes(0, 1),
             by_run(np.concatenate(residuals), shared=model.shared),
             np.concatenate(noises).swapaxes(0, 1),
+            np.concatenate(known),
             by_run(np.concatenate(sizes), shared=model.shared),
         )
 
@@ -134,7 +144,7 @@ def _factor(given: _Linearised) -> _Factor:
     correlation = given.noise / (deviation * transpose(deviation))
     order = largest_first(correlation)[..., None]
     correlation = np.take_along_axis(correlation, order, axis=-2)
-    lower = roots.root(np.take_along_axis(correlation, transpose(order), axis=-1))
+    lower = roots.root(np.take_along_axis(correlation, order.swapaxes(-1, -2), axis=-1))
     if not roots.is_proper(lower):
         bad = np.isnan(lower).any(axis=(0, 2, 3))
         cpd = given.cpds[int(np.flatnonzero(bad)[0])]
@@ -158,7 +168,8 @@ def _factor(given: _Linearised) -> _Factor:
     if not fixed.any():
         none = np.zeros_like(matrix), np.zeros_like(right)
         return _Factor(matrix, right, *none, fixed, log_scale)
-    length = np.sqrt(np.einsum("...ij,...ij->...i", matrix, matrix))
+    exact = np.where(given.known[:, None], 0.0, matrix)
+    length = np.sqrt(np.einsum("...ij,...ij->...i", exact, exact))
     # A row without variables left is evidence that is met or not, in units of its own size.
     weights = np.abs(roots.solve_lower(lower, np.broadcast_to(np.eye(height), lower.shape)))
     summands = np.sqrt(np.einsum("...ij,...ij->...i", own, own))
@@ -169,7 +180,7 @@ def _factor(given: _Linearised) -> _Factor:
     return _Factor(
         matrix,
         right,
-        matrix * share,
+        exact * share,
         right * np.where(nothing[..., None], 1.0 / size, share),
         fixed,
         log_scale - np.log(length).sum(axis=-1)[..., None],

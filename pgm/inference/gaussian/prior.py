@@ -9,7 +9,10 @@ import numpy as np
 
 from pgm.inference.family import Family
 from pgm.inference.gaussian.layout import Layout
-from pgm.kernels.arrays import Array, Integers, apply, sandwich, transpose
+from pgm.kernels.arrays import Array, Integers, Mask, apply, sandwich, transpose
+
+# The unit of a variable is at least this share of its value: small parts of it are still digits.
+SHARE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +28,13 @@ class Frame:
         (runs, size).
     scale : ndarray
         (size,).
+    certain : ndarray of bool
+        (size,): which have no variance at all, so that ξ is zero.
     """
 
     mean: Array
     scale: Array
+    certain: Mask
 
 
 def prior_predictive(
@@ -53,6 +59,7 @@ def prior_predictive(
     """
     mean = np.empty((runs, layout.size)) if start is None else start.copy()
     variance = np.zeros((1 if shared else runs, layout.size))
+    size = np.abs(mean).max(axis=0, initial=0.0) if start is not None else np.zeros(layout.size)
     frontier = _Frontier(variance.shape[0])
     left = Counter(int(place) for group in layout.groups for row in group.parents for place in row)
     last = 1 if shared else runs
@@ -70,13 +77,18 @@ def prior_predictive(
             if start is None or np.isnan(mean[0, child[0]]):
                 at = mean[:, parents]
                 mean[:, child] = apply(family.matrix[row], at) + family.offset[row]
+                summands = apply(np.abs(family.matrix[row]), np.abs(at))
+                size[child] = (summands + np.abs(family.offset[row])).max(axis=0)
             variance[:, child] = np.diagonal(own, axis1=-2, axis2=-1)
             if left[int(child[0])]:
                 frontier.add(child, matrix @ across, own)
         left.subtract(parents.tolist())
         frontier.drop([int(place) for place in parents if not left[int(place)]])
     scale = np.sqrt(np.maximum(variance.max(axis=0, initial=0.0), 0.0))
-    return Frame(mean, np.where(scale > 0.0, scale, 1.0))
+    # No unit is smaller than the rounding of the numbers that a mean is the sum of.
+    scale = np.maximum(scale, SHARE * size)
+    certain = (variance == 0.0).all(axis=0) & (start is None)
+    return Frame(mean, np.where(scale > 0.0, scale, 1.0), certain)
 
 
 class _Frontier:

@@ -17,7 +17,7 @@ from pgm.inference.gaussian.beliefs import Beliefs, Places
 from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.layout import Layout
 from pgm.inference.gaussian.rounds import Rounds, Stack
-from pgm.kernels.arrays import Array, Integers, transpose
+from pgm.kernels.arrays import Array, Integers, frozen, transpose
 from pgm.kernels.rows import Eliminated
 
 # Variances below this, in units of the prior's, are rounding of what exact relations determine.
@@ -139,7 +139,7 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
                 np.concatenate([done.gain @ at + done.offset, at], axis=2),
                 np.block([[own, cross], [transpose(cross), spread]]),
             )
-    return Calibrated(beliefs, total)
+    return Calibrated(beliefs, frozen(total))
 
 
 def _write(beliefs: Beliefs, stack: Stack, mean: Array, cov: Array) -> None:
