@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.inference.gaussian.beliefs import Beliefs
-from pgm.inference.gaussian.tree import TreePlan
-from pgm.kernels import roots
+from pgm.inference.gaussian.tree import TreeBeliefs, TreePlan
 from pgm.kernels.arrays import Array, Integers, transpose
+from pgm.kernels.pseudoinverse import regression
 
 
 def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[Array, Array]:
@@ -26,7 +26,9 @@ def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[A
         fresh = [place for place in columns if place not in shared]
         order = np.array([columns[place] for place in (*shared, *fresh)], dtype=np.intp)
         inside = beliefs.cov[:, places.covs(np.array([cluster]), order[None])[0]]
-        cov = _extended(cov, [known.index(place) for place in shared], inside)
+        along = cov[:, [known.index(place) for place in shared]]
+        cross = _gain(plan, beliefs, cluster, inside, shared, fresh) @ along
+        cov = np.block([[cov, transpose(cross)], [cross, inside[:, len(shared) :, len(shared) :]]])
         # What neither the user nor a cluster further down asks for is dropped.
         needed = {*wanted.tolist(), *(p for below in walk[k + 1 :] for p in layout.columns[below])}
         known += fresh
@@ -56,12 +58,27 @@ def _walk(plan: TreePlan, wanted: Integers) -> list[int]:
     return sorted(found, key=lambda k: (depth[k], k))
 
 
-def _extended(cov: Array, shared: list[int], inside: Array) -> Array:
-    """A joint with the components of a cluster that are not in it yet.
+def _gain(
+    plan: TreePlan,
+    beliefs: Beliefs,
+    cluster: int,
+    inside: Array,
+    shared: list[int],
+    fresh: list[int],
+) -> Array:
+    """The regression of a cluster's other components on those of the sepset with its parent.
 
-    `inside` is the cluster's covariance, the shared components first.
+    `inside` is the cluster's covariance, the sepset's components first. A calibrated tree knows
+    the gain, even where the covariance is singular.
     """
-    count = len(shared)
-    lower = roots.root(inside[:, :count, :count])
-    cross = roots.gain(inside[:, count:, :count], lower) @ cov[:, shared]
-    return np.block([[cov, transpose(cross)], [cross, inside[:, count:, count:]]])
+    if not isinstance(beliefs, TreeBeliefs) or not shared:
+        count = len(shared)
+        return regression(inside[:, count:, :count], inside[:, :count, :count])
+    level, stack, row = plan.senders[cluster]
+    components = plan.levels[level][stack].components[row].tolist()
+    drop = plan.levels[level][stack].drop
+    rows = [components[:drop].index(place) for place in fresh]
+    columns = [components[drop:].index(place) for place in shared]
+    gain = beliefs.gains[level][stack][:, row][:, rows][:, :, columns]
+    varies = np.diagonal(inside, axis1=-2, axis2=-1)[:, len(shared) :] > 0.0
+    return np.where(varies[..., None], gain, 0.0)

@@ -242,7 +242,8 @@ def _moved(new: Rows, old: Rows) -> Array | None:
     relations = transpose(new.exact) @ new.exact - transpose(old.exact) @ old.exact
     sides = transpose(new.exact) @ new.exact_right - transpose(old.exact) @ old.exact_right
     far = np.abs(relations).max(axis=(-2, -1), initial=0.0)[..., None]
-    return np.maximum(far, np.abs(sides).max(axis=-2, initial=0.0))
+    moved: Array = np.maximum(far, np.abs(sides).max(axis=-2, initial=0.0))
+    return moved
 
 
 def _steady(new: Rows, old: Rows) -> Rows:
@@ -257,7 +258,7 @@ def _steady(new: Rows, old: Rows) -> Rows:
     assert old.exact is not None
     assert new.exact_right is not None
     assert old.exact_right is not None
-    same = (moved < _STEADY).all(axis=-1)[..., None, None]
+    same = (moved.max(axis=-1) < _STEADY)[..., None, None]
     count = new.exact.shape[-2]
     return new._replace(
         exact=np.where(same, old.exact[..., :count, :], new.exact),

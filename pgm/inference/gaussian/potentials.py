@@ -11,7 +11,7 @@ from pgm.errors import NumericalError
 from pgm.inference.gaussian.model import Model
 from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, Array, Mask, apply, transpose
-from pgm.kernels.rows import largest_first
+from pgm.kernels.rows import NEGLIGIBLE, largest_first
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,8 @@ def _factor(given: _Linearised) -> _Factor:
     correlation = given.noise / (deviation * transpose(deviation))
     order = largest_first(correlation)[..., None]
     correlation = np.take_along_axis(correlation, order, axis=-2)
-    lower = roots.root(np.take_along_axis(correlation, order.swapaxes(-1, -2), axis=-1))
+    correlation = np.take_along_axis(correlation, order.swapaxes(-1, -2), axis=-1)
+    lower = roots.root(correlation, negligible=NEGLIGIBLE)
     if not roots.is_proper(lower):
         bad = np.isnan(lower).any(axis=(0, 2, 3))
         cpd = given.cpds[int(np.flatnonzero(bad)[0])]

@@ -59,6 +59,16 @@ class TreePlan:
         return [*found, self.rounds.beliefs(roots)]
 
     @cached_property
+    def senders(self) -> dict[int, tuple[int, int, int]]:
+        """For each cluster with a parent, where its message stands: level, stack and row."""
+        return {
+            cluster: (level, k, row)
+            for level, stacks in enumerate(self.levels[:-1])
+            for k, stack in enumerate(stacks)
+            for row, cluster in enumerate(stack.clusters.tolist())
+        }
+
+    @cached_property
     def both_ways(self) -> list[list[Stack]]:
         """The messages to parents, deepest first, then those to children."""
         directed, parent = self.layout.directed, self.forest.parent
@@ -97,10 +107,23 @@ class TreePlan:
 
 
 @dataclass(frozen=True, eq=False)
+class TreeBeliefs(Beliefs):
+    """Moments of a tree's clusters, and how each follows from its parent's.
+
+    Attributes
+    ----------
+    gains : list of list of ndarray
+        For each stack of the plan's levels but the last, (V, B, r, s).
+    """
+
+    gains: list[list[Array]]
+
+
+@dataclass(frozen=True, eq=False)
 class Calibrated:
     """The beliefs of a tree, and ln of the evidence, (V, N)."""
 
-    beliefs: Beliefs
+    beliefs: TreeBeliefs
     log_evidence: Array
 
 
@@ -118,7 +141,9 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
                 total += log_scale.sum(axis=1)
             else:
                 buffer.store(stack, done.rest, log_scale)
-    beliefs = Beliefs.empty(plan.places, buffer.model.frame, *total.shape)
+    blank = Beliefs.empty(plan.places, buffer.model.frame, *total.shape)
+    gains = [[done.gain for done in results] for results in kept[:-1]]
+    beliefs = TreeBeliefs(blank.places, blank.frame, blank.mean, blank.cov, gains)
     exact = buffer.exact is not None
     for stack, done in zip(plan.levels[-1], kept[-1], strict=True):
         _write(beliefs, stack, done.offset, _certain(done.noise) if exact else done.noise)

@@ -85,6 +85,20 @@ def test_random_ranks_in_coordinates_that_round(shift):
         check(drawn, evidence, hidden, posterior, turns)
 
 
+@pytest.mark.parametrize("method", ORDERS)
+@pytest.mark.parametrize("seed", [10361, 10814, 11083])
+def test_ranks_and_sepsets_that_are_hard_to_tell_from_rounding(seed, method):
+    """A noise of rank 1 with a small component; sepsets that are certain but for rounding."""
+    rng = np.random.default_rng(seed)
+    drawn = singular(seed, int(rng.integers(2, 11)), share=0.8)
+    evidence, hidden = drawn.observe(rng, 0.35)
+    other, turns = turned(drawn, seed, 1.0, units=0.3)
+    for _ in range(3):
+        graph = pgm.compile(other.network(rng), method=method)
+        posterior = pgm.infer(graph, {v: other.values[v] for v in evidence})
+        check(drawn, evidence, hidden, posterior, turns)
+
+
 def test_larger_networks_in_fractions():
     for seed in range(4):
         rng = np.random.default_rng(seed)

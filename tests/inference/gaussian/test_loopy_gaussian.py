@@ -77,7 +77,7 @@ MOST = {pgm.Flooding: 300, pgm.Sequential: 150, pgm.Residual: 40}
 def test_means_are_exact_wherever_messages_converge(kind, damping):
     """Each sweep is over graphs of its own; longer ones are below."""
     first = 1000 * KINDS.index(kind) + int(100 * damping)
-    exact, open_ = sweep(range(first, first + 6), kind, damping, MOST[kind])
+    exact, open_ = sweep(range(first, first + 4), kind, damping, MOST[kind])
     assert exact, "a sweep in which nothing converges tests nothing"
     assert max(exact) <= 1e-6
     for status in open_:
@@ -90,14 +90,14 @@ def test_means_are_exact_wherever_messages_converge(kind, damping):
 @kinds
 @dampings
 def test_means_are_exact_wherever_messages_converge_at_length(kind, damping):
-    exact, open_ = sweep(range(5000, 5060), kind, damping, 10 * MOST[kind])
-    assert len(exact) >= 40
+    exact, open_ = sweep(range(5000, 5040), kind, damping, 5 * MOST[kind])
+    assert len(exact) >= 20
     assert len(open_) >= 1
     assert max(exact) <= 1e-6
 
 
 def test_at_least_half_converge_and_some_do_not():
-    exact, open_ = sweep(range(100), pgm.Flooding, 0.0, 120)
+    exact, open_ = sweep(range(100), pgm.Flooding, 0.0, 60)
     assert 50 <= len(exact) < 100
     assert max(exact) <= 1e-6
     assert all(status.residuals[-1] > TOLERANCE for status in open_)
@@ -130,7 +130,7 @@ def test_a_network_whose_messages_diverge():
 def test_on_trees_every_schedule_is_exact(kind, damping, method):
     """A tree of variables: its Bethe graph is a tree of clusters as well."""
     rng = np.random.default_rng(4)
-    net = random_network(rng, rng.integers(1, 4, 7), most=1)
+    net = random_network(rng, rng.integers(1, 3, 5), most=1)
     graph = pgm.compile(net, method=method)
     assert graph.is_tree
     evidence = draw_evidence(net, rng, observed(net, rng))
@@ -231,7 +231,7 @@ def signed(rng):
     return pgm.BayesianNetwork(cpds)
 
 
-BATCHES = {pgm.Flooding: range(40), pgm.Sequential: range(40, 70), pgm.Residual: range(20, 30)}
+BATCHES = {pgm.Flooding: range(20), pgm.Sequential: range(40, 70), pgm.Residual: range(26, 30)}
 
 
 @kinds
@@ -317,7 +317,7 @@ def bent_case(seed):
 def test_relinearised_means_are_a_map(kind, damping):
     """At them the cost is level, and a junction tree iterated from there stays."""
     converged = 0
-    for seed in range(10):
+    for seed in range(7):
         net, graph, evidence = bent_case(seed)
         found = pgm.infer(graph, evidence, schedule=kind(damping=damping, max_iterations=300))
         assert bool(found.status.converged) == (found.status.residuals[-1] <= TOLERANCE)
@@ -334,7 +334,7 @@ def test_relinearised_means_are_a_map(kind, damping):
         )
         for v in hidden:
             np.testing.assert_allclose(found[v].mean, tree[v].mean, atol=1e-6 * tree[v].std.min())
-    assert converged >= 5
+    assert converged >= 4
 
 
 def test_nothing_is_linearised_before_messages_have_settled():
@@ -394,7 +394,7 @@ def exact_case(seed, least=4, most=7):
 @kinds
 def test_exact_relations_in_loops_are_right_or_honest(kind):
     converged = 0
-    for seed in range(20):
+    for seed in range(12):
         net, graph, joint, evidence = exact_case(seed)
         posterior, _ = joint.given(evidence)
         schedule = kind(max_iterations=MOST[kind], damping=[0.0, 0.3][seed % 3 % 2])
@@ -414,7 +414,7 @@ def test_exact_relations_in_loops_are_right_or_honest(kind):
             unit = np.maximum(unit, 1e-2 * np.sqrt(np.diagonal(joint.marginal(v)[1])))
             off = np.abs(found[v].mean - posterior.marginal(v)[0]) / unit
             assert off.max() <= 1e-6, f"seed {seed}, {v}"
-    assert converged >= 8
+    assert converged >= 5
 
 
 def copies(noise):

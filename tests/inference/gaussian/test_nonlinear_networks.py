@@ -1,6 +1,7 @@
 """Networks with nonlinear CPDs: where they are linearised, and what iterating comes to."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -41,11 +42,9 @@ GIVEN = {a: (), b: (a,), c: (a,), d: (b, c), e: (d,)}
 FUNCTIONS = {b: to_b, c: to_c, d: to_d, e: to_e}
 
 
-def diamond(**more):
+def diamond():
     cpds = [pgm.GaussianCPD(a, 0.4, NOISE[a])]
-    cpds += [
-        pgm.NonlinearGaussianCPD(v, GIVEN[v], f, NOISE[v], **more) for v, f in FUNCTIONS.items()
-    ]
+    cpds += [pgm.NonlinearGaussianCPD(v, GIVEN[v], f, NOISE[v]) for v, f in FUNCTIONS.items()]
     return pgm.BayesianNetwork(cpds)
 
 
@@ -364,10 +363,7 @@ def test_iterated_taylor_is_at_a_map(seed):
     net = bent(random_network(rng, rng.integers(1, 4, 7)), 0.3)
     evidence = draw_evidence(net, rng, [v for v in net.variables if rng.random() < 0.4])
     found = pgm.infer(pgm.compile(net), evidence, schedule=pgm.Calibration(300, 1e-12))
-    if not found.status.converged:
-        assert found.status.residuals[-1] > 1e-12
-        assert found.log_evidence_kind == "linearised"
-        return
+    assert found.status.converged
     assert found.log_evidence_kind == "laplace"
     assert steepest(net, evidence, found) <= 1e-7
     hidden = [v for v in net.variables if v not in evidence]
@@ -439,7 +435,7 @@ def mapping(turn):
 def misfit(turn, evidence, value):
     """Residuals of the MAP cost, bearings wrapped."""
     left = [value[POSES[0]] / np.sqrt(np.diag(P))]
-    for before, after in zip(POSES[:-1], POSES[1:], strict=True):
+    for before, after in pairwise(POSES):
         left.append((value[after] - Step(turn)(value[before])) / np.sqrt(np.diag(Q)))
     left += [value[v] - at for v, at in zip(MARKS, MARKS_AT, strict=True)]
     for (i, k), z in SIGHTS.items():
@@ -457,7 +453,7 @@ def test_poses_and_landmarks_together(turn, seed):
     sample = net.sample(rng=seed)
     evidence = {z: sample[z] for z in SIGHTS.values()}
     rng = np.random.default_rng(seed)
-    turned = {z: s + [0, 2 * np.pi * rng.integers(-2, 3)] for z, s in evidence.items()}
+    turned = {z: s + 2 * np.pi * np.array([0, rng.integers(-2, 3)]) for z, s in evidence.items()}
     schedule = pgm.Calibration(300, 1e-11)
     found = pgm.infer(pgm.compile(net), turned, schedule=schedule)
     assert found.status.converged

@@ -142,7 +142,7 @@ def test_a_linear_robot(graph, runs):
 
 def test_readings_that_are_left_out():
     """What a smoother knows as a row of NaN is a variable without evidence here."""
-    model, states, c, (z, w) = linear_model()
+    model, states, c, (z, _) = linear_model()
     rng = np.random.default_rng(2)
     control = rng.normal(size=(T, 1))
     sample = model.sample({c: control}, rng=rng)
