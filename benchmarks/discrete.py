@@ -23,9 +23,10 @@ class Task:
     evidence: dict[pgm.Variable, int]
 
     @property
-    def hidden(self) -> list[pgm.Variable]:
+    def hidden(self) -> list[pgm.Discrete]:
         """The variables whose marginals are asked for."""
-        return [v for v in self.network.variables if v not in self.evidence]
+        variables = (v for v in self.network.variables if v not in self.evidence)
+        return [v for v in variables if isinstance(v, pgm.Discrete)]
 
 
 def tasks(seed: int = 0) -> dict[str, Task]:
@@ -64,8 +65,7 @@ def with_pgm(task: Task) -> Callable[[], list[np.ndarray]]:
 
     def call() -> list[np.ndarray]:
         posterior = pgm.infer(graph, task.evidence)
-        tables = (posterior[v] for v in hidden)
-        return [table.values for table in tables if isinstance(table, pgm.Table)]
+        return [posterior[v].values for v in hidden]
 
     return call
 

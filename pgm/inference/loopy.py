@@ -14,6 +14,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
+from pgm.clustergraph.checks import Edge
 from pgm.inference.schedule import Flooding, Loopy, Residual, Sequential, Status
 from pgm.kernels.arrays import Array, Integers, Mask
 
@@ -136,7 +137,17 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
         len(residuals),
         np.array(residuals).reshape(len(residuals), *lead),
         converged.reshape(lead),
+        _by_edge(messages, lead),
     )
+
+
+def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array]:
+    """How much the messages along each edge would still change, the larger of both ways."""
+    directed = messages.directed
+    change = messages.propose(messages.round(range(len(directed))))
+    edges = zip(directed.source[::2].tolist(), directed.target[::2].tolist(), strict=True)
+    larger = np.maximum(change[::2], change[1::2])
+    return {edge: row.reshape(lead) for edge, row in zip(edges, larger, strict=True)}
 
 
 def _flooding(messages: Messages[Any]) -> Callable[[Mask], Array]:

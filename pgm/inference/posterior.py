@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import ClassVar, overload
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.errors import EvidenceError
 from pgm.factors import CanonicalForm, Gaussian, Table
 from pgm.inference.schedule import Status
 from pgm.kernels.arrays import Array
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 
 class Posterior(ABC):
@@ -28,9 +29,24 @@ class Posterior(ABC):
     graph: ClusterGraph
     status: Status
 
+    # Python would else iterate by asking for the variables 0, 1, ...
+    __iter__: ClassVar[None] = None
+
+    @overload
+    def __getitem__(self, variable: Discrete) -> Table: ...  # type: ignore[overload-overlap]
+
+    @overload
+    def __getitem__(self, variable: Variable) -> Gaussian: ...
+
     @abstractmethod
     def __getitem__(self, variable: Variable) -> Gaussian | Table:
         """The marginal of a variable without evidence."""
+
+    @overload
+    def joint(self, *variables: Discrete) -> Table: ...  # type: ignore[overload-overlap]
+
+    @overload
+    def joint(self, *variables: Variable) -> Gaussian: ...
 
     @abstractmethod
     def joint(self, *variables: Variable) -> Gaussian | Table:
@@ -57,6 +73,11 @@ class Posterior(ABC):
 
 def require_variable(variable: Variable) -> Variable:
     """Refuse what is no variable, such as a name."""
+    if isinstance(variable, tuple | list | set):
+        raise EvidenceError(
+            f"{variable!r} is asked for where one variable was due: of several, ask for "
+            "posterior.joint(a, b)"
+        )
     if not isinstance(variable, Variable):
         raise EvidenceError(f"results are asked for by variable, not by {variable!r}: posterior[x]")
     return variable

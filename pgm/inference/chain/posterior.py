@@ -52,7 +52,7 @@ class ChainPosterior(Posterior):
     _smoothed: Beliefs | None
     _reverse_given: Reverse | None
 
-    def __getitem__(self, variable: Variable) -> Gaussian:
+    def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a hidden variable, at all its steps or at one."""
         if require_variable(variable).template in self.graph.model.inputs:
             raise EvidenceError(
@@ -110,7 +110,7 @@ class ChainPosterior(Posterior):
     def _backward_messages(self) -> list[canonical.Canonical]:
         return backward_messages(self._plan, self._forward)
 
-    def joint(self, *variables: Variable) -> Gaussian:
+    def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
         """The joint of hidden variables at any steps, given what the latest of them knows.
 
         Parameters

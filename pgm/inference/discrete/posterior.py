@@ -39,7 +39,7 @@ class DiscretePosterior(Posterior):
     status: Status
     _beliefs: Beliefs
 
-    def __getitem__(self, variable: Variable) -> Table:
+    def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
         """The marginal of a variable that is not observed in all runs."""
         wanted = self._require_hidden(variable)
         return self._beliefs.table((wanted,), self._beliefs.marginal(wanted))
@@ -59,7 +59,7 @@ class DiscretePosterior(Posterior):
             )
         return variable
 
-    def joint(self, *variables: Variable) -> Table:
+    def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
         """The joint of variables that are not observed in all runs, in the order given.
 
         Variables of several clusters are joined along the tree between them.

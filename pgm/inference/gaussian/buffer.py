@@ -143,6 +143,8 @@ class Buffer:
         scope = self.rounds.layout.scopes[cluster]
         raise NumericalError(
             f"cluster {cluster} has no proper belief over {names(scope)}: its information is "
-            "singular",
+            "singular in these numbers. Some noise is more than 1e11 times sharper than what else "
+            "is known of its variables, or, on a graph with loops, messages diverged or CPDs "
+            "without noise form a loop; scale the noise, or compile a junction tree",
             cluster=cluster,
         )

@@ -101,7 +101,7 @@ class Model:
         Parameters
         ----------
         mean : ndarray
-            (runs, size): of all hidden components; the frame moves there.
+            (runs, size): of all hidden components; angles of evidence move to their branch.
         parents : sequence of (ndarray, ndarray) or None
             For each group with nonlinear CPDs the mean (CPDs, runs, n) and covariance of their
             hidden parents.

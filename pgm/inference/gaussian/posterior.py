@@ -18,7 +18,7 @@ from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.tree import Calibrated, TreePlan
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.schedule import Status
-from pgm.kernels.arrays import Array, Integers, apply, transpose
+from pgm.kernels.arrays import Array, Integers, apply, frozen, transpose
 from pgm.kernels.rows import Rows
 from pgm.variables import Variable
 
@@ -61,7 +61,7 @@ class GaussianPosterior(Posterior):
         value = messages.log_evidence(logs)
         return cls(plan.layout.graph, status, plan, messages.buffer, beliefs, value, messages)
 
-    def __getitem__(self, variable: Variable) -> Gaussian:
+    def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a variable without evidence."""
         places = self._require_hidden(variable)
         cluster, column = self._beliefs.places.homes
@@ -101,7 +101,7 @@ class GaussianPosterior(Posterior):
         wide = np.broadcast_to(cov, (*mean.shape, size))
         return Gaussian._make(scope, mean.reshape(*lead, size), wide.reshape(*lead, size, size))
 
-    def joint(self, *variables: Variable) -> Gaussian:
+    def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
         """The joint of variables without evidence, in the order given.
 
         Variables of several clusters are joined along the tree between them.
@@ -210,15 +210,21 @@ class GaussianPosterior(Posterior):
 
     @property
     def log_evidence(self) -> Array:
-        """The value ln p(evidence), (...); see `log_evidence_kind`."""
+        """The value ln p(evidence), (...); see `log_evidence_kind`.
+
+        Exact readings that repeat one another have no joint density; what is then given is that
+        of those that do not, in a unit that depends on the graph.
+        """
         value = self._log_evidence
-        return (value[0] if value.shape[0] == 1 else value[:, 0]).reshape(self._buffer.model.lead)
+        flat = value[0] if value.shape[0] == 1 else value[:, 0]
+        return frozen(flat.reshape(self._buffer.model.lead))
 
     @property
     def log_evidence_kind(self) -> str:
         """What `log_evidence` is: exact, linearised, laplace or bethe."""
         model = self._buffer.model
-        if not self.graph.is_tree:
+        sent = self._loopy is None or bool(self.status.converged.all())
+        if not self.graph.is_tree or not sent:
             return "bethe"
         if model.exact:
             return "exact"

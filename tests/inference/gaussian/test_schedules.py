@@ -239,3 +239,27 @@ def test_messages_are_made_of_all_that_arrives_but_from_the_target():
             assert directed.source[other] != target
         for other in range(len(directed)):
             assert (other in directed.dependents(m)) == (m in directed.inputs(other))
+
+
+@pytest.mark.parametrize("runs", [(), (3,)])
+def test_the_status_says_which_edges_still_change(runs):
+    a, b, c, d = pgm.variables("a b c d")
+    net = pgm.BayesianNetwork(
+        [
+            pgm.GaussianCPD(a, 0.0, 1.0),
+            pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+            pgm.LinearGaussianCPD(c, given={a: 1.0}, cov=1.0),
+            pgm.LinearGaussianCPD(d, given={b: 1.0, c: -2.0}, cov=1.0),
+        ]
+    )
+    sepsets = {(0, 1): {a}, (0, 2): {b}, (1, 2): {c}}
+    graph = pgm.ClusterGraph(net, [{a, b}, {a, c}, {b, c, d}], sepsets=sepsets)
+    evidence = {d: np.ones((*runs, 1))}
+    settled = pgm.infer(graph, evidence, schedule=pgm.Flooding()).status
+    assert settled.by_edge.keys() == sepsets.keys()
+    assert all(change.shape == runs for change in settled.by_edge.values())
+    assert max(change.max() for change in settled.by_edge.values()) <= 1e-10
+    early = pgm.infer(graph, evidence, schedule=pgm.Flooding(max_iterations=2)).status
+    assert max(change.max() for change in early.by_edge.values()) > 1e-6
+    tree = pgm.infer(pgm.compile(net), evidence).status
+    assert not tree.by_edge

@@ -163,7 +163,7 @@ def asked(name, call, error, *words, **attributes):
 QUESTIONS = [
     asked("a name", lambda q: q["a"], EvidenceError, "by variable", "'a'"),
     asked("an index", lambda q: q[0], EvidenceError, "by variable"),
-    asked("several at once", lambda q: q[a, b], EvidenceError, "by variable"),
+    asked("several at once", lambda q: q[a, b], EvidenceError, "joint(a, b)"),
     asked("an observed one", lambda q: q[p], EvidenceError, "p is observed", variable=p),
     asked("an unknown one", lambda q: q[other], EvidenceError, "other", "a, b, c", variable=other),
     asked("one of a step", lambda q: q[a.at(1)], EvidenceError, "a[1]", variable=a.at(1)),
