@@ -13,12 +13,9 @@ from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.rounds import Rounds, Stack
 from pgm.inference.loopy import LOST, Directed
-from pgm.kernels import moments
-from pgm.kernels.arrays import Array, Integers, Mask, transpose
-from pgm.kernels.rows import Rows, eliminate, triangular
-
-# Exact relations that differ by less, in units of the frame, differ by rounding.
-_STEADY = 1e-12
+from pgm.kernels import moments, row_messages
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.rows import Rows, eliminate
 
 
 class RowRound(NamedTuple):
@@ -74,7 +71,8 @@ class RowMessages:
         for stack, order in zip(*round, strict=True):
             done, _ = self.buffer.eliminate(stack)
             self._proposed.append((stack, done.rest))
-            change[order] = self._change(stack, done.rest)
+            old, against = self._kept(stack, reverse=False), self._kept(stack, reverse=True)
+            change[order] = row_messages.change(old, done.rest, against)
         return change
 
     def _kept(self, stack: Stack | _Sepsets, *, reverse: bool) -> Rows:
@@ -89,26 +87,6 @@ class RowMessages:
             matrix, right, buffer.exact[:, entries].reshape(shape), buffer.exact_right[:, rows]
         )
 
-    def _change(self, stack: Stack, new: Rows) -> Array:
-        """How much the sepset beliefs would move, (B, runs): means and variances, relatively.
-
-        With a new message's information K and h and the sender's belief N(m, D²): the largest of
-        D |ΔK| D and D |Δh − ΔK m|.
-        """
-        old, other = self._kept(stack, reverse=False), self._kept(stack, reverse=True)
-        belief = eliminate(_product(new, other), stack.kept)
-        std = np.sqrt(np.maximum(np.diagonal(belief.noise, axis1=-2, axis2=-1), 0.0))[..., None]
-        information = transpose(new.matrix) @ new.matrix - transpose(old.matrix) @ old.matrix
-        vector = transpose(new.matrix) @ new.right - transpose(old.matrix) @ old.right
-        spread = np.abs(std * information * transpose(std)).max(axis=(-2, -1), initial=0.0)
-        shift = np.abs(std * (vector - information @ belief.offset)).max(axis=-2, initial=0.0)
-        change = np.maximum(spread[..., None], shift)
-        relations = _moved(new, old)
-        if relations is not None:
-            change = np.maximum(change, relations)
-        change = np.where(np.isnan(change), np.inf, change)
-        return change[0] if change.shape[0] == 1 else change[..., 0].swapaxes(0, 1)
-
     def accept(self, round: RowRound, active: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active.
 
@@ -117,23 +95,14 @@ class RowMessages:
         """
         for stack, new in self._proposed:
             old = self._kept(stack, reverse=False)
-            mixed = _steady(self._damped(old, new) if self.damping else new, old)
+            mixed = row_messages.damped(old, new, self.damping) if self.damping else new
+            mixed = row_messages.steady(old, mixed)
             going = active
             if mixed.matrix.shape[0] == 1:
                 going = active | (np.abs(mixed.right).max(axis=(0, 1, 2), initial=0.0) < LOST)
             if not going.all():
-                mixed = _where(going, mixed, old)
+                mixed = row_messages.choose(going, mixed, old)
             self.buffer.store(stack, mixed, None)
-
-    def _damped(self, old: Rows, new: Rows) -> Rows:
-        """The geometric mean: information adds up with the shares of both."""
-        kept, taken = np.sqrt(self.damping), np.sqrt(1.0 - self.damping)
-        size = new.matrix.shape[-1]
-        both = triangular(
-            np.concatenate([taken * new.matrix, kept * old.matrix], axis=-2),
-            np.concatenate([taken * new.right, kept * old.right], axis=-2),
-        )
-        return new._replace(matrix=both[..., :size, :size], right=both[..., :size, size:])
 
     def relinearise(self, active: Mask) -> Array | None:
         """Linearise at the clusters' beliefs; how far the means are from the last point."""
@@ -163,14 +132,14 @@ class RowMessages:
         rounds = self.buffer.rounds
         one = _Sepsets(np.array([message]), int(rounds.sizes[message]))
         log_scale = self.buffer.log_scale[:, len(self.places.sizes) + message]
-        return _first(self._kept(one, reverse=False)), log_scale
+        return row_messages.first(self._kept(one, reverse=False)), log_scale
 
     def belief(self, cluster: int) -> tuple[Rows, Array]:
         """A cluster's factor times all messages to it, (V, k, n), and its log-scale, (V, N)."""
         (stack,) = self.buffer.rounds.beliefs([cluster])
         factor = self.buffer.factor(stack)
         # Columns of the stack are in the order of elimination: here, all, in the scope's.
-        return _first(factor), self.buffer.log_scale[:, stack.logs].sum(axis=2)[:, 0]
+        return row_messages.first(factor), self.buffer.log_scale[:, stack.logs].sum(axis=2)[:, 0]
 
     def beliefs(self) -> tuple[Beliefs, Array]:
         """The moments of all clusters, and ln of their integrals, (V, clusters, N)."""
@@ -191,8 +160,8 @@ class RowMessages:
         for size in np.unique(sizes).tolist():
             there = np.flatnonzero(sizes == size)[::2]
             stack = _Sepsets(there, size)
-            both = _product(self._kept(stack, reverse=False), self._kept(stack, reverse=True))
-            done = eliminate(both, size)
+            both = (self._kept(stack, reverse=back) for back in (False, True))
+            done = eliminate(row_messages.product(*both), size)
             layout = self.buffer.rounds.layout
             places = np.array([layout.components(layout.sepsets[m // 2]) for m in there.tolist()])
             unit = np.log(self.buffer.model.frame.scale[places]).sum(axis=1)
@@ -205,85 +174,3 @@ class _Sepsets(NamedTuple):
 
     members: Integers
     kept: int
-
-
-def _product(a: Rows, b: Rows) -> Rows:
-    """Of two stacks of factors: their rows together."""
-    exact = None if a.exact is None or b.exact is None else _together(a.exact, b.exact)
-    sides = (
-        None
-        if a.exact_right is None or b.exact_right is None
-        else _together(a.exact_right, b.exact_right)
-    )
-    return Rows(_together(a.matrix, b.matrix), _together(a.right, b.right), exact, sides)
-
-
-def _first(stack: Rows) -> Rows:
-    """The only factor of a stack."""
-    matrix, right, exact, sides = stack
-    return Rows(
-        matrix[:, 0],
-        right[:, 0],
-        None if exact is None else exact[:, 0],
-        None if sides is None else sides[:, 0],
-    )
-
-
-def _together(a: Array, b: Array) -> Array:
-    return np.concatenate([a, b], axis=-2)
-
-
-def _moved(new: Rows, old: Rows) -> Array | None:
-    """How much exact relations differ, (V, B, N), whatever rows they are written as."""
-    if new.exact is None or old.exact is None:
-        return None
-    assert new.exact_right is not None
-    assert old.exact_right is not None
-    relations = transpose(new.exact) @ new.exact - transpose(old.exact) @ old.exact
-    sides = transpose(new.exact) @ new.exact_right - transpose(old.exact) @ old.exact_right
-    far = np.abs(relations).max(axis=(-2, -1), initial=0.0)[..., None]
-    moved: Array = np.maximum(far, np.abs(sides).max(axis=-2, initial=0.0))
-    return moved
-
-
-def _steady(new: Rows, old: Rows) -> Rows:
-    """New rows, but exact relations as they were where they differ by rounding.
-
-    Loops feed certainties back to themselves, and can amplify their rounding without end.
-    """
-    moved = _moved(new, old)
-    if moved is None:
-        return new
-    assert new.exact is not None
-    assert old.exact is not None
-    assert new.exact_right is not None
-    assert old.exact_right is not None
-    same = (moved.max(axis=-1) < _STEADY)[..., None, None]
-    count = new.exact.shape[-2]
-    return new._replace(
-        exact=np.where(same, old.exact[..., :count, :], new.exact),
-        exact_right=np.where(same, old.exact_right[..., :count, :], new.exact_right),
-    )
-
-
-def _where(active: Mask, new: Rows, old: Rows) -> Rows:
-    """New rows for the runs that are active; runs that share matrices have right sides alone."""
-    shared = new.matrix.shape[0] == 1
-
-    def matrix(a: Array, b: Array) -> Array:
-        return a if shared else np.where(active[:, None, None, None], a, b)
-
-    def right(a: Array, b: Array) -> Array:
-        return np.where(active if shared else active[:, None, None, None], a, b)
-
-    if new.exact is None or old.exact is None:
-        return Rows(matrix(new.matrix, old.matrix), right(new.right, old.right))
-    assert new.exact_right is not None
-    assert old.exact_right is not None
-    count = new.exact.shape[-2]
-    return Rows(
-        matrix(new.matrix, old.matrix),
-        right(new.right, old.right),
-        matrix(new.exact, old.exact[..., :count, :]),
-        right(new.exact_right, old.exact_right[..., :count, :]),
-    )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.evidence.static import BoundValues
+from pgm.evidence.continuous import BoundValues
 from pgm.inference.family import Family
 from pgm.inference.gaussian.layout import Group, Layout
 from pgm.inference.gaussian.prior import Frame, prior_predictive

@@ -12,7 +12,7 @@ from pgm.cpds import AffineCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import Evidence
 from pgm.evidence.arrays import as_rows, require_finite
-from pgm.evidence.static import BoundValues, bind_values
+from pgm.evidence.continuous import BoundValues, bind_values
 from pgm.inference.gaussian.beliefs import Beliefs, relinearise
 from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.layout import Layout, barren, known_parents

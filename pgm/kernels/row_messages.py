@@ -1,0 +1,133 @@
+"""Messages between clusters as rows: products, damping, and how much they change.
+
+All are stacks (V, B, s, s) with right sides (V, B, s, N): of V runs with a matrix each and N = 1,
+or of N runs that share one, V = 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels.arrays import Array, Mask, transpose
+from pgm.kernels.rows import Rows, eliminate, triangular
+
+# Exact relations that differ by less, in units of the frame, differ by rounding.
+STEADY = 1e-12
+
+
+def product(a: Rows, b: Rows) -> Rows:
+    """Of two stacks of factors: their rows together."""
+    exact = None if a.exact is None or b.exact is None else _together(a.exact, b.exact)
+    sides = (
+        None
+        if a.exact_right is None or b.exact_right is None
+        else _together(a.exact_right, b.exact_right)
+    )
+    return Rows(_together(a.matrix, b.matrix), _together(a.right, b.right), exact, sides)
+
+
+def first(stack: Rows) -> Rows:
+    """The only factor of a stack, (V, s, s)."""
+    matrix, right, exact, sides = stack
+    return Rows(
+        matrix[:, 0],
+        right[:, 0],
+        None if exact is None else exact[:, 0],
+        None if sides is None else sides[:, 0],
+    )
+
+
+def damped(old: Rows, new: Rows, damping: float) -> Rows:
+    """The geometric mean: information adds up with the shares of both."""
+    kept, taken = np.sqrt(damping), np.sqrt(1.0 - damping)
+    size = new.matrix.shape[-1]
+    both = triangular(
+        _together(taken * new.matrix, kept * old.matrix),
+        _together(taken * new.right, kept * old.right),
+    )
+    return new._replace(matrix=both[..., :size, :size], right=both[..., :size, size:])
+
+
+def change(old: Rows, new: Rows, against: Rows) -> Array:
+    """How much the sepsets' beliefs would move, (B, runs): means and variances, relatively.
+
+    With a message's information K and h, and the belief N(m, D²) that the new one makes with the
+    message against it: the largest of D |ΔK| D and D |Δh − ΔK m|; infinite where it is undefined.
+    """
+    belief = eliminate(product(new, against), new.matrix.shape[-1])
+    std = np.sqrt(np.maximum(np.diagonal(belief.noise, axis1=-2, axis2=-1), 0.0))[..., None]
+    information = transpose(new.matrix) @ new.matrix - transpose(old.matrix) @ old.matrix
+    vector = transpose(new.matrix) @ new.right - transpose(old.matrix) @ old.right
+    spread = np.abs(std * information * transpose(std)).max(axis=(-2, -1), initial=0.0)
+    shift = np.abs(std * (vector - information @ belief.offset)).max(axis=-2, initial=0.0)
+    largest = np.maximum(spread[..., None], shift)
+    relations = _relations_moved(old, new)
+    if relations is not None:
+        largest = np.maximum(largest, relations)
+    largest = np.where(np.isnan(largest), np.inf, largest)
+    return largest[0] if largest.shape[0] == 1 else largest[..., 0].swapaxes(0, 1)
+
+
+def steady(old: Rows, new: Rows) -> Rows:
+    """New rows, but exact relations as they were where they differ by rounding.
+
+    Loops feed certainties back to themselves, and can amplify their rounding without end.
+    """
+    moved = _relations_moved(old, new)
+    if moved is None:
+        return new
+    same = np.all(moved < STEADY, axis=-1)[..., None, None]
+    exact, sides = _relations(old)
+    new_exact, new_sides = _relations(new)
+    count = new_exact.shape[-2]
+    return new._replace(
+        exact=np.where(same, exact[..., :count, :], new_exact),
+        exact_right=np.where(same, sides[..., :count, :], new_sides),
+    )
+
+
+def choose(active: Mask, new: Rows, old: Rows) -> Rows:
+    """New rows for the runs that are active; runs that share matrices have right sides alone."""
+    shared = new.matrix.shape[0] == 1
+    each = active[:, None, None, None]
+
+    def matrix(a: Array, b: Array) -> Array:
+        return a if shared else np.where(each, a, b)
+
+    def right(a: Array, b: Array) -> Array:
+        return np.where(active if shared else each, a, b)
+
+    chosen = Rows(matrix(new.matrix, old.matrix), right(new.right, old.right))
+    if new.exact is None or old.exact is None:
+        return chosen
+    exact, sides = _relations(old)
+    new_exact, new_sides = _relations(new)
+    count = new_exact.shape[-2]
+    return chosen._replace(
+        exact=matrix(new_exact, exact[..., :count, :]),
+        exact_right=right(new_sides, sides[..., :count, :]),
+    )
+
+
+def _relations(rows: Rows) -> tuple[Array, Array]:
+    """The exact relations of rows that have some."""
+    assert rows.exact is not None
+    assert rows.exact_right is not None
+    return rows.exact, rows.exact_right
+
+
+def _relations_moved(old: Rows, new: Rows) -> Array | None:
+    """How much exact relations differ, (V, B, N), whatever rows they are written as."""
+    if new.exact is None or old.exact is None:
+        return None
+    exact, sides = _relations(old)
+    new_exact, new_sides = _relations(new)
+    relations = transpose(new_exact) @ new_exact - transpose(exact) @ exact
+    targets = transpose(new_exact) @ new_sides - transpose(exact) @ sides
+    far = np.abs(relations).max(axis=(-2, -1), initial=0.0)[..., None]
+    moved: Array = np.maximum(far, np.abs(targets).max(axis=-2, initial=0.0))
+    return moved
+
+
+def _together(a: Array, b: Array) -> Array:
+    return np.concatenate([a, b], axis=-2)
