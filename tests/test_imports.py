@@ -98,9 +98,9 @@ def test_the_check_finds_faults(module, source):
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("pgm.networks.sampling", "from pgm.cpds import CPD\nimport numpy"),
+        ("pgm.networks.dynamic_sampling", "from pgm.cpds import CPD\nimport numpy"),
         (
-            "pgm.networks.sampling",
+            "pgm.networks.dynamic_sampling",
             "if TYPE_CHECKING:\n    from pgm.networks.dynamic import DynamicBayesianNetwork",
         ),
         ("pgm.kernels.roots", "from .arrays import Array"),

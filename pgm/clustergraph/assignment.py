@@ -10,7 +10,7 @@ from pgm.clustergraph.checks import Edge
 from pgm.clustergraph.size import size
 from pgm.cpds import CPD
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope, names
+from pgm.factors.scope import Scope, listed
 from pgm.variables import Variable
 
 
@@ -41,7 +41,7 @@ def assign(cpds: Iterable[CPD], scopes: Sequence[Scope]) -> list[tuple[CPD, ...]
         fits = [k for k in rarest if members[k].issuperset(family)]
         if not fits:
             raise GraphError(
-                f"family preservation fails: no cluster holds the family {names(family)} of "
+                f"family preservation fails: no cluster holds the family ({listed(family)}) of "
                 f"the CPD of {cpd.child!r}; add a cluster that does",
                 variable=cpd.child,
                 cpd=cpd,

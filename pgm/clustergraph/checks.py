@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import networkx as nx
 
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope, names
+from pgm.factors.scope import Scope, listed
 from pgm.variables import Variable
 
 Edge = tuple[int, int]
@@ -42,8 +42,8 @@ def check_families(
             if lost:
                 raise GraphError(
                     f"family preservation fails: cluster {index} is assigned the CPD of "
-                    f"{family[0]!r}, but lacks {names(lost)} of its family {names(family)}; add "
-                    "them to the cluster or move the CPD",
+                    f"{family[0]!r}, but lacks ({listed(lost)}) of its family ({listed(family)}); "
+                    "add them to the cluster or move the CPD",
                     variable=lost[0],
                     cluster=index,
                 )
@@ -52,7 +52,7 @@ def check_families(
         if counts[family] != 1:
             raise GraphError(
                 f"family preservation fails: the CPD of {family[0]!r}, with family "
-                f"{names(family)}, is assigned to {counts[family]} clusters; one was due",
+                f"({listed(family)}), is assigned to {counts[family]} clusters; one was due",
                 variable=family[0],
             )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pgm.clustergraph.size import size
 from pgm.cpds import CPD
-from pgm.factors.scope import Scope, names
+from pgm.factors.scope import Scope, listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,4 +43,4 @@ class Cluster:
         return hash((self.index, self.scope))
 
     def __repr__(self) -> str:
-        return f"Cluster({self.index}: {names(self.scope)})"
+        return f"Cluster({self.index}: ({listed(self.scope)}))"

@@ -24,7 +24,8 @@ class JunctionTree:
     ----------
     order : Order or iterable of Variable, optional
         Of elimination: `MinFill()`, `WeightedMinFill()`, `NestedDissection()`, a function from
-        networks to variables, or the variables themselves, each once.
+        networks to variables, or the variables themselves, each once. What it decides is what
+        calibrating costs: compare `graph.cost`.
 
     Raises
     ------
@@ -46,10 +47,11 @@ class JunctionTree:
 
     def __post_init__(self) -> None:
         order = self.order
-        if isinstance(order, type) or not (callable(order) or isinstance(order, Iterable)):
+        orders = callable(order) or (isinstance(order, Iterable) and not isinstance(order, str))
+        if isinstance(order, type) or not orders:
             raise GraphError(
-                f"{order!r} is no elimination order; give one like pgm.MinFill(), or the "
-                "network's variables"
+                f"{order!r} is no elimination order; give a value like pgm.MinFill() or "
+                "pgm.WeightedMinFill(), or the network's variables"
             )
         if not callable(order):
             object.__setattr__(self, "order", tuple(order))
@@ -60,7 +62,7 @@ class JunctionTree:
         Raises
         ------
         GraphError
-            If the order does not name each variable of the network once.
+            If the order is not of the variables of the network, each once.
         """
         tree = clique_tree(moral(network), places(self.order, network))
         variables = network.variables

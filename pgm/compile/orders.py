@@ -6,11 +6,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from pgm.clustergraph.size import extent
 from pgm.compile.dissection import dissect
 from pgm.compile.elimination import min_fill, moral
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope, names
+from pgm.factors.scope import Scope, listed
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
@@ -60,8 +62,9 @@ class NestedDissection:
 
     The set is the smallest middle level of a breadth-first search from the edge of the network.
     The tree is shallow, about log₂ n clusters deep for a chain of n variables where `MinFill` gives
-    n, for cliques that may be larger: a little on chains and grids, much on networks that branch.
-    Inside a set, and in small parts, the next variable is the one of least weighted fill.
+    n, for cliques that may be larger: a little on chains and grids, by powers of ten on networks
+    that branch; compare `graph.cost`. Inside a set, and in small parts, the next variable is the
+    one of least weighted fill.
 
     Parameters
     ----------
@@ -81,7 +84,8 @@ class NestedDissection:
     small: int = 8
 
     def __post_init__(self) -> None:
-        if not isinstance(self.small, int) or self.small < 1:
+        whole = isinstance(self.small, int | np.integer) and not isinstance(self.small, bool)
+        if not whole or self.small < 1:
             raise GraphError(
                 f"NestedDissection divides parts of more than `small` variables, a whole number, "
                 f"1 or more, not {self.small!r}"
@@ -99,11 +103,17 @@ def places(order: Order | Iterable[Variable], network: BayesianNetwork) -> list[
     Raises
     ------
     GraphError
-        If it does not name each variable of the network once.
+        If it is not of the variables of the network, each once.
     """
-    found = list(order(network) if callable(order) else order)
+    given = order(network) if callable(order) else order
+    if not isinstance(given, Iterable) or isinstance(given, str):
+        raise GraphError(
+            f"the elimination order {order!r} returned {given!r} where the network's variables "
+            "were due, each once"
+        )
+    found = list(given)
     place = {variable: k for k, variable in enumerate(network.variables)}
-    strangers = [variable for variable in found if variable not in place]
+    strangers = [v for v in found if not isinstance(v, Variable) or v not in place]
     if strangers:
         raise GraphError(
             f"the elimination order holds {strangers[0]!r}, which the network does not have",
@@ -114,7 +124,7 @@ def places(order: Order | Iterable[Variable], network: BayesianNetwork) -> list[
     if lost:
         missing = [network.variables[k] for k in lost]
         raise GraphError(
-            f"the elimination order lacks {names(missing)}; it names each variable once",
+            f"the elimination order lacks ({listed(missing)}); it names each variable once",
             variable=missing[0],
         )
     if len(order_) > len(place):

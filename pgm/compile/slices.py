@@ -34,6 +34,12 @@ class SliceGraph(ClusterGraph):
     def __init__(self, model: DynamicBayesianNetwork, steps: int) -> None:
         self._set(model=model, steps=steps, layout=SliceLayout(model))
 
+    # A graph of slices is no graph of a network without time, whatever else it has in common.
+    @property
+    def network(self) -> DynamicBayesianNetwork:  # type: ignore[override]
+        """The model, as `model`."""
+        return self.model
+
     @property
     def clusters(self) -> Sequence[Cluster]:
         """Clusters 0..T."""
@@ -44,9 +50,10 @@ class SliceGraph(ClusterGraph):
         """The states at t, for each edge (t, t+1)."""
         return _Sepsets(self)
 
-    def neighbours(self, index: int) -> tuple[int, ...]:
+    def neighbours(self, cluster: int | Cluster) -> tuple[int, ...]:
         """The clusters of the steps before and after."""
-        return tuple(k for k in (index - 1, index + 1) if 0 <= k <= self.steps)
+        step = self.index(cluster)
+        return tuple(k for k in (step - 1, step + 1) if 0 <= k <= self.steps)
 
     @property
     def _alike(self) -> Iterator[tuple[Cluster, int]]:

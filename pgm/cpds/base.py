@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pgm.cpds.noise import Noise, as_covariance
 from pgm.errors import ModelError
-from pgm.factors.scope import Scope, as_scope
+from pgm.factors.scope import Scope, as_scope, listed
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
@@ -34,7 +34,7 @@ class CPD(Immutable):
     discrete: ClassVar[bool] = False
     _origin: CPD | None = None
 
-    def _set_scope(self, child: Variable, given: Iterable[Variable]) -> None:
+    def _set_scope(self, child: Variable, given: Variable | Iterable[Variable]) -> None:
         if not isinstance(child, Variable):
             raise ModelError(f"a CPD's child is a variable, not {child!r}")
         if child.lag:
@@ -42,7 +42,7 @@ class CPD(Immutable):
                 f"the child of a CPD cannot be {child!r}: declare it for {child.template!r}",
                 variable=child,
             )
-        given = as_scope(given)
+        given = as_scope(given, f"{type(self).__name__} of {child!r}: given")
         if child in given:
             raise ModelError(
                 f"{child!r} is given as its own parent; did you mean {child.name}.previous?",
@@ -53,8 +53,9 @@ class CPD(Immutable):
                 found = "continuous" if self.discrete else "discrete"
                 advice = "a Gaussian CPD" if self.discrete else "a TableCPD"
                 raise ModelError(
-                    f"{type(self).__name__} of {child!r}: {variable!r} is {found}; networks of "
-                    f"both kinds are not supported, and {found} variables alone take {advice}",
+                    f"{type(self).__name__} of {child!r}: {variable!r} is {found}; {found} "
+                    f"variables take {advice}, and no CPD has variables of both kinds: keep the "
+                    "discrete and the continuous part in networks of their own",
                     variable=variable,
                 )
         self._set(child=child, given=given)
@@ -90,7 +91,7 @@ class CPD(Immutable):
         return {"child": self.child.at(step), "given": tuple(v.at(step) for v in self.given)}
 
     def __repr__(self) -> str:
-        parents = ", ".join(map(repr, self.parents))
+        parents = listed(self.parents)
         return f"{type(self).__name__}({self.child!r}{' | ' if parents else ''}{parents})"
 
 
@@ -108,7 +109,7 @@ class ConditionalGaussian(CPD):
     def _set_family(
         self,
         child: Variable,
-        given: Iterable[Variable],
+        given: Variable | Iterable[Variable],
         cov: npt.ArrayLike | Noise,
         *,
         lead: bool = False,

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import ModelError
-from pgm.factors.scope import Scope, as_scope
+from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.checks import covariance_fault
 from pgm.variables import Variable
@@ -42,7 +42,7 @@ def noise(function: Callable[..., Any], given: Variable | Iterable[Variable]) ->
     """
     if not callable(function):
         raise ModelError(f"noise takes a function of the parents, not {function!r}")
-    return Noise(function, as_scope(given))
+    return Noise(function, as_scope(given, "noise: given"))
 
 
 def evaluate(
@@ -109,7 +109,7 @@ def as_covariance(child: Variable, cov: npt.ArrayLike, *, lead: bool = False) ->
     if array.shape[-2:] != (size, size) or (array.ndim > 2 and not lead):
         raise ModelError(
             f"the covariance of {child!r} has shape {array.shape}; its {size} components "
-            f"{child.components} need ({size}, {size})",
+            f"({listed(child.components)}) need ({size}, {size})",
             variable=child,
         )
     if fault := covariance_fault(array):

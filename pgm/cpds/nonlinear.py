@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pgm.cpds.base import ConditionalGaussian
 from pgm.cpds.noise import Noise
 from pgm.errors import ModelError
-from pgm.factors.scope import Scope
+from pgm.factors.scope import Scope, listed
 from pgm.linearisers import FunctionTemplate, Lineariser
 from pgm.variables import Variable
 
@@ -60,7 +60,7 @@ class NonlinearGaussianCPD(ConditionalGaussian):
         lineariser: Lineariser | None = None,
         grouped: bool = False,
     ) -> None:
-        self._set_family(child, (given,) if isinstance(given, Variable) else given, cov)
+        self._set_family(child, given, cov)
         if jacobian is not None and not isinstance(jacobian, Mapping):
             raise ModelError(
                 f"{self!r}: jacobian maps parents to functions, jacobian={{x: by_state}}; found "
@@ -71,7 +71,7 @@ class NonlinearGaussianCPD(ConditionalGaussian):
         strangers = [parent for parent in derivatives if parent not in self.given]
         if strangers:
             raise ModelError(
-                f"{self!r}: a Jacobian is given by {strangers}, not among its parents",
+                f"{self!r}: a Jacobian is given by [{listed(strangers)}], not among its parents",
                 variable=strangers[0],
                 cpd=self,
             )

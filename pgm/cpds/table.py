@@ -14,8 +14,8 @@ from pgm.factors.scope import names
 from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Discrete, Variable
 
-# How far the sum of a column may be from one: what decimals of a table's source leave.
-TOLERANCE = 1e-6
+# How far an entry of a table with six decimals may be from the number that was rounded.
+ROUNDED = 5e-7
 
 
 class TableCPD(CPD):
@@ -28,6 +28,8 @@ class TableCPD(CPD):
         The parents, in the order of the table's axes.
     table : array_like
         (size of each parent..., size of the child): the last axis is the child, and sums to one.
+        Entries that were rounded to six decimals pass: a sum may be off by 5e-7 for each state,
+        or 1e-6 where that is more. Such a table is used as it is, not rescaled.
 
     Raises
     ------
@@ -56,7 +58,7 @@ class TableCPD(CPD):
         *,
         table: npt.ArrayLike,
     ) -> None:
-        self._set_scope(child, (given,) if isinstance(given, Variable) else given)
+        self._set_scope(child, given)
         axes = (*self.given, self.child)
         due = tuple(len(v.states) for v in axes)
         try:
@@ -79,16 +81,23 @@ class TableCPD(CPD):
                 cpd=self,
             )
         total = array.sum(axis=-1)
-        if (np.abs(total - 1.0) > TOLERANCE).any():
-            worst = np.unravel_index(np.abs(total - 1.0).argmax(), total.shape)
+        error = np.abs(total - 1.0)
+        if (error > _tolerance(self.child.size)).any():
+            worst = np.unravel_index(error.argmax(), total.shape)
             states = ", ".join(
                 f"{v!r}={v.states[k]!r}" for v, k in zip(self.given, worst, strict=True)
             )
             where = f" for {states}" if states else ""
             raise ModelError(
                 f"{self!r}: the probabilities{where} sum to {total[worst]:.9g}; the last axis, "
-                "the child's, must sum to one",
+                "the child's, must sum to one; where the ratios are right, divide the table by "
+                "table.sum(-1, keepdims=True)",
                 variable=child,
                 cpd=self,
             )
         self._set(table=frozen(array))
+
+
+def _tolerance(size: int) -> float:
+    """How far a sum of so many probabilities may be from one."""
+    return max(ROUNDED * size, 1e-6) + size * float(np.finfo(float).eps)

@@ -1,13 +1,15 @@
 """Evidence: values of variables, checked against the model and laid out by step and by run."""
 
-from pgm.evidence.binding import bind
-from pgm.evidence.bound import BoundEvidence, Reading
+from pgm.evidence.continuous import BoundValues, bind_values
 from pgm.evidence.discrete import BoundStates, bind_discrete
+from pgm.evidence.dynamic import bind
+from pgm.evidence.dynamic_layout import BoundEvidence, Reading
 from pgm.evidence.values import Constant, Evidence, Sightings, Soft, constant, sightings, soft
 
 __all__ = [
     "BoundEvidence",
     "BoundStates",
+    "BoundValues",
     "Constant",
     "Evidence",
     "Reading",
@@ -15,6 +17,7 @@ __all__ = [
     "Soft",
     "bind",
     "bind_discrete",
+    "bind_values",
     "constant",
     "sightings",
     "soft",

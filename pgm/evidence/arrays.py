@@ -7,12 +7,21 @@ from typing import Any
 import numpy as np
 
 from pgm.errors import EvidenceError
+from pgm.evidence.values import Soft
+from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 
 def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
     """Evidence as an array (..., rows, d), or (..., d) where there is no axis of rows."""
+    if isinstance(value, Soft):
+        raise EvidenceError(
+            f"soft evidence for {variable!r}, which is continuous; soft weights are for discrete "
+            "variables, and an uncertain reading is evidence of a child: "
+            f"LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, cov=...)",
+            variable=variable,
+        )
     try:
         if np.iscomplexobj(value):
             raise TypeError
@@ -26,25 +35,30 @@ def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
         array = np.empty((0, variable.dimension))  # no readings, written as []
     if axis is None and array.ndim == 0 and variable.dimension == 1:
         array = array[None]
+    hint = "; give a scalar its component axis, value[..., None]" if variable.dimension == 1 else ""
     due = f"(..., {axis}, {variable.dimension})" if axis else f"(..., {variable.dimension})"
     if array.ndim < (2 if axis else 1) or array.shape[-1] != variable.dimension:
-        hint = "; give a scalar its component axis, value[..., None]"
         raise EvidenceError(
             f"evidence for {variable!r} has shape {array.shape}; {due} was due, the last axis "
-            f"its components {variable.components}{hint if variable.dimension == 1 else ''}",
+            f"its components ({listed(variable.components)}){hint}",
             variable=variable,
         )
     return array
 
 
-def require_finite(variable: Variable, array: Array, step: Integers | None = None) -> Array:
+def require_finite(
+    variable: Variable,
+    array: Array,
+    step: Integers | None = None,
+    advice: str = "finite numbers were due",
+) -> Array:
     """Refuse NaN and infinity in evidence that must be complete, (..., rows, d)."""
     _refuse(
         variable,
         ~np.isfinite(array).all(axis=-1),
         step,
         "entries that are NaN or infinite",
-        "only a sensor's reading may be missing, as a whole row of NaN",
+        advice,
     )
     return array
 

@@ -11,8 +11,10 @@ import numpy as np
 
 from pgm.errors import EvidenceError
 from pgm.evidence.indices import as_indices, in_run
-from pgm.evidence.values import Soft
-from pgm.factors.scope import names
+from pgm.evidence.keys import unknown
+from pgm.evidence.runs import common_runs, flat
+from pgm.evidence.values import Constant, Sightings, Soft
+from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Discrete, Variable
 
@@ -65,7 +67,7 @@ def bind_discrete(variables: Iterable[Variable], evidence: Mapping[Any, Any]) ->
     weighted: dict[Discrete, Array] = {}
     for variable, value in evidence.items():
         if variable not in known:
-            raise _unknown(variable, known)
+            raise unknown(variable, known)
         # A single name or index is what most queries are made of: no array is made for it.
         kind = type(value)
         if kind is str and value in variable.states:
@@ -75,28 +77,27 @@ def bind_discrete(variables: Iterable[Variable], evidence: Mapping[Any, Any]) ->
                 states[variable] = value
         elif isinstance(value, Soft):
             weighted[variable] = _as_weights(variable, value)
+        elif isinstance(value, Sightings | Constant):
+            raise _of_dynamic(variable, value)
         else:
             stacked[variable] = as_indices(variable, value)
     if not stacked and not weighted:
         return BoundStates((), states, weighted)
     shapes = {v: array.shape for v, array in stacked.items()}
     shapes |= {v: array.shape[:-1] for v, array in weighted.items()}
-    lead = _runs(shapes)
+    lead = common_runs(shapes.items())
     for variable, array in stacked.items():
         if array.max() >= 0:
-            states[variable] = array.item() if array.ndim == 0 else _flat(array, lead, 0)
-    return BoundStates(lead, states, {v: _flat(array, lead, 1) for v, array in weighted.items()})
+            states[variable] = array.item() if array.ndim == 0 else flat(array, lead, 0)
+    return BoundStates(lead, states, {v: flat(array, lead, 1) for v, array in weighted.items()})
 
 
-def _unknown(variable: Any, known: frozenset[Variable]) -> EvidenceError:
-    if not isinstance(variable, Variable):
-        return EvidenceError(
-            f"evidence for {variable!r}, which is no variable; its keys are variables, "
-            "{rain: 'yes'}"
-        )
+def _of_dynamic(variable: Discrete, value: Sightings | Constant) -> EvidenceError:
+    what = "sightings" if isinstance(value, Sightings) else "a constant"
     return EvidenceError(
-        f"evidence for {variable!r}, which the network does not have; it has "
-        f"{sorted(map(repr, known))}",
+        f"{what} of {variable!r}, a discrete variable: they are for dynamic networks; give the "
+        f"state itself, {{{variable!r}: {variable.states[0]!r}}}, or soft weights; its states are "
+        f"({listed(variable.states)})",
         variable=variable,
     )
 
@@ -104,16 +105,25 @@ def _unknown(variable: Any, known: frozenset[Variable]) -> EvidenceError:
 def _as_weights(variable: Discrete, value: Soft) -> Array:
     """The weights of soft evidence, (..., size)."""
     what = f"soft evidence for {variable!r}"
+    states = f"({listed(variable.states)})"
+    if isinstance(value.weights, Mapping):
+        raise EvidenceError(
+            f"{what}: the weights are a mapping; give them as a row, in the order of the states "
+            f"{states}",
+            variable=variable,
+        )
     try:
         array = np.array(value.weights, dtype=float)
     except (TypeError, ValueError):
         raise EvidenceError(
-            f"{what}: the weights must be numbers, not {value.weights!r}", variable=variable
+            f"{what}: the weights must be numbers, one for each of the states {states}, not "
+            f"{value.weights!r}",
+            variable=variable,
         ) from None
     if array.shape[-1:] != (variable.size,):
         raise EvidenceError(
             f"{what}: the weights have shape {array.shape}; the last axis must hold one for each "
-            f"of the states {variable.states}",
+            f"of the states {states}",
             variable=variable,
         )
     bad = ~np.isfinite(array) | (array < 0.0)
@@ -130,29 +140,3 @@ def _as_weights(variable: Discrete, value: Soft) -> Array:
             variable=variable,
         )
     return array
-
-
-def _runs(shapes: Mapping[Discrete, tuple[int, ...]]) -> tuple[int, ...]:
-    """The axes of runs that all evidence broadcasts to."""
-    try:
-        lead = np.broadcast_shapes(*shapes.values())
-    except ValueError:
-        listed = ", ".join(f"{variable!r} {shape}" for variable, shape in shapes.items() if shape)
-        raise EvidenceError(
-            f"the leading axes of the evidence do not broadcast to one set of runs: {listed}"
-        ) from None
-    if 0 in lead:
-        raise EvidenceError(
-            f"the evidence for {names(shapes)} has the axes of runs {lead}: there is no run in it"
-        )
-    return lead
-
-
-def _flat(array: Any, lead: tuple[int, ...], own: int) -> Any:
-    """Arrays (..., own axes) with the axes of runs as one, of length runs or 1."""
-    rest = array.shape[array.ndim - own :]
-    if math.prod(array.shape[: array.ndim - own]) > 1:
-        array = np.broadcast_to(array, (*lead, *rest))
-    flat = array.reshape(-1, *rest)
-    flat.flags.writeable = False
-    return flat

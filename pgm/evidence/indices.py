@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from pgm.errors import EvidenceError
+from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers, Mask
 from pgm.variables import Discrete
 
@@ -59,7 +60,7 @@ def _refuse(variable: Discrete, array: Any, bad: Mask) -> None:
         shown = repr(str(first) if isinstance(first, str) else int(first))
         raise EvidenceError(
             f"evidence for {variable!r} is {shown}{in_run(bad)}, which is none of its states "
-            f"{variable.states}, 0 to {variable.size - 1}, nor −1 for not observed",
+            f"({listed(variable.states)}), 0 to {variable.size - 1}, nor −1 for not observed",
             variable=variable,
         )
 
@@ -67,7 +68,7 @@ def _refuse(variable: Discrete, array: Any, bad: Mask) -> None:
 def _malformed(variable: Discrete, found: str) -> EvidenceError:
     return EvidenceError(
         f"evidence for {variable!r} must be names or indices of states, or soft weights, not "
-        f"{found}; its states are {variable.states}, and −1 is not observed",
+        f"{found}; its states are ({listed(variable.states)}), and −1 is not observed",
         variable=variable,
     )
 

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import ModelError
-from pgm.factors.scope import as_scope, names
+from pgm.factors.scope import Scope, as_scope, names
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 
 States = tuple[Discrete, ...]
-# How many states a repr lists.
-LISTED = 6
+# How many variables a table may have: NumPy's 64 axes, less some for axes of runs.
+AXES = 60
 
 
 def as_states(scope: Variable | Iterable[Variable]) -> States:
@@ -26,7 +27,17 @@ def as_states(scope: Variable | Iterable[Variable]) -> States:
                 f"a table is over discrete variables; {variable!r} is continuous", variable=variable
             )
         found.append(variable)
+    if len(found) > AXES:
+        raise ModelError(
+            f"a table over {len(found)} variables: NumPy's arrays have axes for {AXES}; leave out "
+            "variables of one state"
+        )
     return tuple(found)
+
+
+def discrete(scope: Scope) -> States:
+    """A scope of which it is known that all its variables are discrete."""
+    return cast(States, scope)
 
 
 def sizes(scope: States) -> tuple[int, ...]:
@@ -90,11 +101,3 @@ def spread(values: Array, own: States, scope: States) -> Array:
 def at(scope: States, index: Iterable[int]) -> str:
     """A combination of states, for messages."""
     return ", ".join(f"{v!r}={v.states[k]!r}" for v, k in zip(scope, index, strict=True))
-
-
-def listed(variable: Discrete, values: Array) -> str:
-    """The first states of a variable with their entries, for a repr."""
-    shown = [f"{s} {p:.3g}" for s, p in zip(variable.states[:LISTED], values, strict=False)]
-    if variable.size > LISTED:
-        shown.append(f"... {variable.size} states")
-    return ", ".join(shown)

@@ -12,21 +12,34 @@ from pgm.variables import Variable
 
 Scope = tuple[Variable, ...]
 
+# How many of many items a message lists.
+MOST = 8
 
-def as_scope(scope: Variable | Iterable[Variable]) -> Scope:
+
+def as_scope(scope: Variable | Iterable[Variable], what: str = "a scope") -> Scope:
     """A variable or several, as a tuple; refuses what is no variable, and repeats."""
-    result = (scope,) if isinstance(scope, Variable) else tuple(scope)
+    if isinstance(scope, Variable | str) or not isinstance(scope, Iterable):
+        scope = (scope,)
+    result = tuple(scope)
     for variable in result:
         if not isinstance(variable, Variable):
-            raise ModelError(f"a scope holds variables, not {variable!r}")
+            raise ModelError(f"{what} holds variables, not {variable!r}; give the variable itself")
     if len(set(result)) < len(result):
-        raise ModelError(f"the scope {names(result)} holds a variable twice")
+        twice = next(v for v in result if result.count(v) > 1)
+        raise ModelError(f"{what} holds {twice!r} twice; name each variable once", variable=twice)
     return result
 
 
 def names(scope: Iterable[Variable]) -> str:
     """The variables' names, for messages."""
     return "(" + ", ".join(map(repr, scope)) + ")"
+
+
+def listed(items: Iterable[object], most: int = MOST) -> str:
+    """The first few of some items, for messages that must not grow with the network."""
+    found = tuple(items)
+    shown = ", ".join(map(repr, found[:most]))
+    return shown if len(found) <= most else f"{shown}, ... ({len(found)} in all)"
 
 
 def dimension(scope: Iterable[Variable]) -> int:
@@ -47,7 +60,9 @@ def positions(scope: Sequence[Variable], wanted: Iterable[Variable]) -> Index:
     places: list[int] = []
     for variable in wanted:
         if variable not in starts:
-            raise ModelError(f"{variable!r} is not in the scope {names(scope)}", variable=variable)
+            raise ModelError(
+                f"{variable!r} is not in the scope ({listed(scope)})", variable=variable
+            )
         places.extend(range(starts[variable], starts[variable] + variable.dimension))
     return as_index(places)
 
@@ -65,7 +80,7 @@ def as_value(variable: Variable, value: object, what: str = "value") -> Array:
     if array.ndim == 0 or array.shape[-1] != variable.dimension:
         raise ModelError(
             f"{variable!r}: the {what} has shape {array.shape}; its last axis must hold the "
-            f"{variable.dimension} components {variable.components}",
+            f"{variable.dimension} components ({listed(variable.components)})",
             variable=variable,
         )
     if not np.isfinite(array).all():

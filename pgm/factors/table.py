@@ -16,11 +16,11 @@ from pgm.factors.axes import (
     as_states,
     at,
     axes_of,
-    listed,
     sizes,
     spread,
     without,
 )
+from pgm.factors.listing import rows, title
 from pgm.factors.scope import names
 from pgm.immutable import Immutable
 from pgm.kernels import tables as kernel
@@ -38,8 +38,10 @@ class Table(Immutable):
     - log-scale: (...), so that products of thousands of small numbers stay above zero.
 
     Leading axes are independent factors and broadcast. Two tables may be multiplied, divided,
-    summed and maximised over; what these operations return has one as its largest value, unless
-    it is all zero, which is legal. Entries below 1e-300 of the largest become zero.
+    summed and maximised over: values are multiplied, divided and summed as they are, and so are
+    log-scales added and subtracted, unless values come near what numbers hold. Then, and where
+    the largest value is below 1e-100 or above 1e100, that becomes about one, and the rest goes
+    into the log-scale. Entries below 1e-300 of the largest become zero. All zero is legal.
 
     Parameters
     ----------
@@ -129,7 +131,7 @@ class Table(Immutable):
 
     @property
     def _rescaled(self) -> tuple[Array, Array]:
-        """Values with one as the largest entry, and their log-scale."""
+        """Values whose sums are numbers, and their log-scale."""
         return kernel.rescale(self.values, self.log_scale, len(self.scope))
 
     def _combined(self, scope: States, values: Array, log_scale: Array) -> Table:
@@ -157,7 +159,7 @@ class Table(Immutable):
             np.broadcast_shapes(self.log_scale.shape, other.log_scale.shape)
         except ValueError:
             raise ModelError(
-                f"the leading axes of {self!r} and {other!r} do not broadcast"
+                f"the leading axes of {self._title} and {other._title} do not broadcast"
             ) from None
         a, b = (spread(table.values, table.scope, scope) for table in (self, other))
         return scope, a, b
@@ -299,17 +301,14 @@ class Table(Immutable):
         entries = kernel.entries(self.values[(..., *index)], self.log_scale)  # type: ignore[arg-type]
         if np.isinf(entries).any():
             raise NumericalError(
-                f"the entry of {self!r} at {at(self.scope, index)} is too large for a number; "
+                f"the entry of {self._title} at {at(self.scope, index)} is too large for a number; "
                 "take log_values"
             )
         return entries
 
+    @property
+    def _title(self) -> str:
+        return title(self.scope, self.log_scale.shape)
+
     def __repr__(self) -> str:
-        if self.log_scale.shape:
-            return f"Table{names(self.scope)}, {self.log_scale.shape} of them"
-        if len(self.scope) != 1:
-            return f"Table{names(self.scope)}"
-        values, scale = self.values, f"; times exp({self.log_scale:.6g})"
-        if abs(self.log_scale) < 10.0:
-            values, scale = kernel.entries(self.values, self.log_scale), ""
-        return f"Table({self.scope[0]!r}: {listed(self.scope[0], values)}{scale})"
+        return rows(self.scope, self.values, self.log_scale)

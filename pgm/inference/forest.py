@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -44,6 +45,23 @@ class Forest:
         order = np.argsort(depth, kind="stable")
         bounds = np.cumsum(np.bincount(depth))
         return cls(parent, depth, np.split(order, bounds[:-1]))
+
+    @cached_property
+    def children(self) -> list[list[int]]:
+        """The clusters that hang on each."""
+        found: list[list[int]] = [[] for _ in self.parent]
+        for k, parent in enumerate(self.parent.tolist()):
+            if parent >= 0:
+                found[parent].append(k)
+        return found
+
+    @cached_property
+    def roots(self) -> Integers:
+        """The root of each cluster's tree, (clusters,)."""
+        found = np.arange(self.parent.size)
+        for level in self.levels[1:]:
+            found[level] = found[self.parent[level]]
+        return found
 
 
 def _edges(neighbours: list[tuple[int, ...]], root: int) -> list[tuple[int, int]]:

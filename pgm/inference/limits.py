@@ -1,4 +1,4 @@
-"""How large the tables and covariances of a graph may be."""
+"""How large the tables and covariances of a graph, and what is read from them, may be."""
 
 from __future__ import annotations
 
@@ -7,16 +7,27 @@ from collections.abc import Sequence
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.size import amount
 from pgm.errors import GraphError
+from pgm.factors.axes import AXES
 from pgm.factors.scope import names
+from pgm.variables import Discrete
 
-# Entries of all tables, or covariances, that a graph may have: a gigabyte.
+# Entries of all tables, or covariances, of a graph, or of one answer over all runs: a gibibyte.
+# The peak of memory is more: besides the tables there are the potentials, where their entries
+# stand, and what is made of them on the way. It was measured as two times as much for large
+# tables, five for many small ones, six where messages go round.
 LIMIT = 2**27
-# Entries of all tables, times runs, that are calibrated at once: what stays near the processor.
+FACTOR = "about five"
+# Entries, times runs, that are computed at once: what stays near the processor.
 BATCH = 2**22
 # Entries, times runs, that a posterior keeps; those of more are calibrated again when asked for.
 KEPT = 2**24
 # Variables of a cluster that a message lists.
 LISTED = 8
+
+
+def gibibytes(entries: int) -> str:
+    """What numbers of double precision take, for messages."""
+    return f"{entries / 2**27:.3g} GiB"
 
 
 def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
@@ -33,25 +44,79 @@ def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None
     Raises
     ------
     GraphError
-        Naming the largest cluster, its entries and bytes.
+        Naming the size of all, and the largest cluster with its own; or a table of more variables
+        than an array has axes for.
     """
     total = sum(entries)
     if total <= LIMIT:
+        _require_axes(graph)
         return
     index = max(range(len(entries)), key=entries.__getitem__)
     raise GraphError(
-        f"the {what} of {graph!r} are too large: cluster {index} over "
-        f"{_listed(graph.clusters[index])} has {amount(entries[index])} entries, "
-        f"{entries[index] / 2**27:.3g} GiB, and all clusters together {amount(total)}, where "
-        f"{LIMIT} are the limit; a loopy graph has small ones: "
-        "pgm.infer(pgm.compile(network, method=pgm.Bethe()), evidence, schedule=pgm.Flooding()), "
-        "whose beliefs are approximate",
+        f"the {what} of the graph's {len(graph)} clusters are too large: together they take "
+        f"{gibibytes(total)}, where {gibibytes(LIMIT)} is the limit, and inference takes {FACTOR} "
+        f"times as much memory; the largest, of cluster {index} over "
+        f"{_listed(graph.clusters[index])} takes {gibibytes(entries[index])}, "
+        f"{amount(entries[index])} entries. {_advice(graph)}",
         cluster=index,
     )
+
+
+def _advice(graph: ClusterGraph) -> str:
+    if not graph.is_tree:
+        return "Give it smaller clusters"
+    return (
+        "Another elimination order may make smaller ones, pgm.compile(network, "
+        "method=pgm.JunctionTree(pgm.WeightedMinFill())); a loopy graph has small ones, "
+        "pgm.infer(pgm.compile(network, method=pgm.Bethe()), evidence, schedule=pgm.Flooding()), "
+        "but its beliefs are approximate"
+    )
+
+
+def _require_axes(graph: ClusterGraph) -> None:
+    # Of two states each, so many variables would be refused above: most of them have one.
+    if graph.width < AXES:
+        return
+    for cluster in graph.clusters:
+        scope = [v for v in cluster.scope if isinstance(v, Discrete)]
+        if len(scope) > AXES:
+            single = [v for v in scope if v.size == 1]
+            raise GraphError(
+                f"cluster {cluster.index} over {_listed(cluster)} is a table of too many axes: "
+                f"NumPy's arrays have them for {AXES} variables; leave variables of one state, "
+                f"{names(single[:LISTED])[:-1]}, ...), out of the network",
+                variable=single[0],
+                cluster=cluster.index,
+            )
+
+
+def require_runs(entries: int, runs: int, what: str) -> None:
+    """Refuse an answer that would not fit over all runs, before it is made.
+
+    Parameters
+    ----------
+    entries : int
+        Of each run.
+    runs : int
+    what : str
+        What they are entries of.
+
+    Raises
+    ------
+    GraphError
+        Naming the size, and how many runs would fit.
+    """
+    if entries * runs > LIMIT:
+        fit = LIMIT // entries
+        raise GraphError(
+            f"{what} would take {gibibytes(entries * runs)} for {runs} runs, where "
+            f"{gibibytes(LIMIT)} is the limit; ask with fewer runs at once"
+            + (f", {fit} at the most" if fit else "")
+        )
 
 
 def _listed(cluster: Cluster) -> str:
     scope = cluster.scope
     if len(scope) <= LISTED:
-        return names(scope)
+        return f"{names(scope)},"
     return f"{names(scope[:LISTED])[:-1]}, ...), {len(scope)} variables,"

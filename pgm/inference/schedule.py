@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from numbers import Real
 from types import MappingProxyType
+from typing import TypeGuard
 
 import numpy as np
 
@@ -16,12 +18,16 @@ from pgm.kernels.arrays import Array, Mask
 def _require_count(schedule: object, name: str, value: object) -> None:
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < 1:  # type: ignore[operator]
-        raise ModelError(f"{schedule!r}: {name} must be a whole number, 1 or more")
+        raise ModelError(f"{schedule!r}: {name} must be a whole number, 1 or more, not {value!r}")
 
 
-def _require_tolerance(schedule: object, tolerance: float) -> None:
-    if not tolerance >= 0.0:
-        raise ModelError(f"{schedule!r}: a tolerance must be 0 or more")
+def _require_tolerance(schedule: object, tolerance: object) -> None:
+    if not _is_number(tolerance) or not tolerance >= 0.0:
+        raise ModelError(f"{schedule!r}: a tolerance must be 0 or more, not {tolerance!r}")
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True)
@@ -101,8 +107,11 @@ class Loopy:
     def __post_init__(self) -> None:
         _require_count(self, "max_iterations", self.max_iterations)
         _require_tolerance(self, self.tolerance)
-        if not 0.0 <= self.damping < 1.0:
-            raise ModelError(f"{self!r}: damping is the share of the old message, in [0, 1)")
+        if not _is_number(self.damping) or not 0.0 <= self.damping < 1.0:
+            raise ModelError(
+                f"{self!r}: damping is the share of the old message, in [0, 1), not "
+                f"{self.damping!r}"
+            )
 
 
 @dataclass(frozen=True)
@@ -119,6 +128,9 @@ class Sequential(Loopy):
 class Residual(Loopy):
     """Always the message that would change most.
 
+    Each message sent makes all messages it has a part in be computed anew. So an iteration takes
+    about n² of them around a hub of n neighbours, where `Flooding` and `Sequential` take n.
+
     References
     ----------
     Elidan, McGraw & Koller, Residual belief propagation, 2006.
@@ -128,18 +140,19 @@ class Residual(Loopy):
 Schedule = Filtering | Calibration | Loopy
 
 
-@dataclass(frozen=True, eq=False)
 class Status(Immutable):
     """How a schedule went.
 
     Attributes
     ----------
     iterations : int
-        Linearisations made of a tree; on other graphs, iterations of the schedule.
+        Linearisations made of a tree. After a schedule for any graph, its iterations: fewer than
+        the maximum also where messages diverged, which `converged` tells (False).
     residuals : ndarray
         The convergence record. Of a tree, (iterations − 1, *runs): the largest move of a mean at
         each relinearisation, in standard deviations. Of other graphs, (iterations, *runs): the
-        largest change of a message in each iteration.
+        largest change of a message in each iteration, or the largest move of a mean, if larger,
+        where CPDs were linearised anew.
     converged : ndarray of bool
         (*runs): whether the last residual was within the tolerance, or nothing was to iterate.
     by_edge : mapping of (int, int) to ndarray
@@ -151,12 +164,23 @@ class Status(Immutable):
     iterations: int
     residuals: Array
     converged: Mask
-    by_edge: Mapping[tuple[int, int], Array] = field(default_factory=dict)
+    by_edge: Mapping[tuple[int, int], Array]
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "by_edge", MappingProxyType(dict(self.by_edge)))
-        self.residuals.flags.writeable = False
-        self.converged.flags.writeable = False
+    def __init__(
+        self,
+        iterations: int,
+        residuals: Array,
+        converged: Mask,
+        by_edge: Mapping[tuple[int, int], Array] = MappingProxyType({}),
+    ) -> None:
+        residuals.flags.writeable = False
+        converged.flags.writeable = False
+        self._set(
+            iterations=iterations,
+            residuals=residuals,
+            converged=converged,
+            by_edge=MappingProxyType(dict(by_edge)),
+        )
 
     def __repr__(self) -> str:
         last = f", last residual {self.residuals[-1].max():.3g}" if len(self.residuals) else ""

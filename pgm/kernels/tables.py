@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Mask
+
+Stacked = TypeVar("Stacked", Array, Mask)
 
 LOG_2 = float(np.log(2.0))
 # A product whose largest entry is above this has lost nothing but entries 1e-300 times smaller.
 SAFE = 1e-6
+# An entry above this has all its digits.
+LEAST = 1e-300
+# Tables whose largest entry is between these stay as they are: products and sums of such hold.
+SMALL, LARGE = 1e-100, 1e100
 # What stands for the exponent of zero: below all exponents, and sums of two of it fit 32 bits.
 NOWHERE = -(10**6)
 # Beyond this log-scale no entry of a double's range stays in it.
@@ -16,29 +24,58 @@ OUTSIDE = 3000.0
 
 
 def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
-    """The same tables with one as the largest entry; all zero, they get the log-scale zero."""
+    """The same tables; one becomes the largest entry where that is very small or very large.
+
+    Where all are zero, the log-scale becomes zero.
+    """
     top = largest(values, axes)
+    extreme = (top < SMALL) | (top > LARGE)
+    if not extreme.any():
+        return values, log_scale
     empty = top == 0.0
-    divisor = np.where(empty, 1.0, top)
-    return values / _over(divisor, axes), np.where(empty, 0.0, log_scale + np.log(divisor))
+    divisor = np.where(extreme & ~empty, top, 1.0)
+    return values / _per_table(divisor, axes), np.where(empty, 0.0, log_scale + np.log(divisor))
 
 
 def multiply(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
     """Product of tables, as values and log-scale."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", under="ignore"):
         product = a * b
-    top = largest(product, axes)
-    if ((top > SAFE) & (top < np.inf)).all():
-        return product, np.zeros(top.shape)
+    held = _held(product, a, b, axes)
+    if held.all():
+        return product, np.zeros(held.shape)
     (a, powers), (b, others) = _exponents(a), _exponents(b)
-    return _assemble(a * b, powers + others, axes)
+    return _instead(product, held, *_assemble(a * b, powers + others, axes))
 
 
 def divide(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
     """Quotient of tables, zero wherever b is, as values and log-scale."""
+    shape, divisible = np.broadcast_shapes(a.shape, b.shape), b > 0.0
+    with np.errstate(over="ignore", under="ignore"):
+        plain = np.divide(a, b, out=np.zeros(shape), where=divisible)
+    held = _held(plain, a, b, axes)
+    if held.all():
+        return plain, np.zeros(held.shape)
     (a, powers), (b, others) = _exponents(a), _exponents(b)
-    quotient = np.divide(a, b, out=np.zeros(np.broadcast_shapes(a.shape, b.shape)), where=b > 0.0)
-    return _assemble(quotient, np.where(quotient > 0.0, powers - others, NOWHERE), axes)
+    quotient = np.divide(a, b, out=np.zeros(shape), where=divisible)
+    power = np.where(quotient > 0.0, powers - others, NOWHERE)
+    return _instead(plain, held, *_assemble(quotient, power, axes))
+
+
+def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
+    """Which products or quotients are right as computed with plain numbers."""
+    top = largest(result, axes)
+    held = (top > SAFE) & (top < np.inf)
+    if not held.all():
+        lost = ((result < LEAST) & (a > 0.0) & (b > 0.0)).any(axis=_span(axes))
+        held |= ~lost & (top < np.inf)
+    return held
+
+
+def _instead(plain: Array, held: Mask, values: Array, log_scale: Array) -> tuple[Array, Array]:
+    """The plain tables where they hold, and others in place of the rest."""
+    kept = _per_table(held, plain.ndim - held.ndim)
+    return np.where(kept, plain, values), np.where(held, 0.0, log_scale)
 
 
 def largest(values: Array, axes: int) -> Array:
@@ -54,7 +91,7 @@ def normalise(values: Array, axes: int) -> Array:
 
 
 def log_sum(values: Array, log_scale: Array, axes: int) -> Array:
-    """The value ln Σ φ of each table; −∞ if it is all zero. The values are rescaled ones."""
+    """The value ln Σ φ of each table; −∞ if it is all zero. The sum of the values must hold."""
     with np.errstate(divide="ignore"):
         result: Array = np.log(values.sum(axis=_span(axes))) + log_scale
     return result
@@ -63,7 +100,7 @@ def log_sum(values: Array, log_scale: Array, axes: int) -> Array:
 def log_entries(values: Array, log_scale: Array, axes: int) -> Array:
     """The values ln φ; −∞ where φ is zero."""
     with np.errstate(divide="ignore"):
-        result: Array = np.log(values) + _over(log_scale, axes)
+        result: Array = np.log(values) + _per_table(log_scale, axes)
     return result
 
 
@@ -80,7 +117,7 @@ def _span(axes: int) -> tuple[int, ...]:
     return tuple(range(-axes, 0))
 
 
-def _over(stacked: Array, axes: int) -> Array:
+def _per_table(stacked: Stacked, axes: int) -> Stacked:
     """One number for each table, to be combined with all of its entries."""
     return stacked.reshape(stacked.shape + (1,) * axes)
 
@@ -94,5 +131,5 @@ def _exponents(values: Array) -> tuple[Array, Array]:
 def _assemble(mantissa: Array, power: Array, axes: int) -> tuple[Array, Array]:
     """Tables of mantissas and powers of two, with their largest power in the log-scale."""
     top = power.max(axis=_span(axes))
-    values: Array = np.ldexp(mantissa, power - _over(top, axes))
+    values: Array = np.ldexp(mantissa, power - _per_table(top, axes))
     return values, np.where(top > NOWHERE // 2, top * LOG_2, 0.0)

@@ -6,10 +6,14 @@ import heapq
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
-from pgm.cpds import CPD
+import numpy as np
+
+from pgm.cpds import CPD, GaussianCPD
 from pgm.errors import ModelError
-from pgm.factors.scope import Scope
-from pgm.variables import Discrete, Variable
+from pgm.evidence.runs import clash
+from pgm.factors.scope import MOST, Scope
+from pgm.factors.strangers import described, kind
+from pgm.variables import Variable
 
 C = TypeVar("C", bound=CPD)
 
@@ -30,24 +34,12 @@ def one_name_each(variables: Iterable[Variable]) -> None:
     seen: dict[str, Variable] = {}
     for variable in variables:
         first = seen.setdefault(variable.name, variable)
-        if first is not variable and _kind(first) != _kind(variable):
+        if first is not variable and kind(first) != kind(variable):
             raise ModelError(
                 f"two different variables are called {variable.name!r}: one with "
-                f"{_described(first)}, one with {_described(variable)}; rename one",
+                f"{described(first)}, one with {described(variable)}; rename one",
                 variable=variable.template,
             )
-
-
-def _kind(variable: Variable) -> tuple[object, ...]:
-    """What all copies of a variable share."""
-    states = variable.states if isinstance(variable, Discrete) else None
-    return variable.components, variable.angles, states
-
-
-def _described(variable: Variable) -> str:
-    if isinstance(variable, Discrete):
-        return f"states {variable.states}"
-    return f"components {variable.components} (angles {variable.angles})"
 
 
 def one_cpd_each(cpds: Iterable[CPD]) -> None:
@@ -61,6 +53,18 @@ def one_cpd_each(cpds: Iterable[CPD]) -> None:
                 cpd=cpd,
             )
         seen[cpd.child] = cpd
+
+
+def runs(cpds: Iterable[CPD]) -> tuple[int, ...]:
+    """The axes of runs that the CPDs themselves have; refuses ones that do not broadcast."""
+    shapes = {cpd.child: cpd._lead() for cpd in cpds if isinstance(cpd, GaussianCPD)}
+    try:
+        return np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        raise ModelError(
+            f"the CPDs have axes of runs that do not broadcast: {clash(shapes.items())}; give "
+            "each the same"
+        ) from None
 
 
 def no_step_before(cpds: Iterable[CPD]) -> None:
@@ -97,7 +101,9 @@ def in_order(cpds: Sequence[C], parents: Callable[[C], Scope]) -> tuple[C, ...]:
                 heapq.heappush(ready, k)
     if len(order) < len(cpds):
         loop = _cycle(waiting, set(range(len(cpds))).difference(order))
-        path = " -> ".join(repr(cpds[k].child) for k in loop)
+        path = " -> ".join(repr(cpds[k].child) for k in loop[:MOST])
+        if len(loop) > MOST:
+            path += f" -> ... ({len(loop) - 1} variables in all)"
         raise ModelError(
             f"the CPDs form a cycle, {path}; take a parent out of one of them or, in a dynamic "
             "network, give it the parent's step before (.previous)",

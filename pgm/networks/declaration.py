@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
-from pgm.cpds import CPD, ConditionalGaussian, GaussianCPD
+from pgm.cpds import CPD, ConditionalGaussian
 from pgm.errors import ModelError
 from pgm.networks.checks import as_cpds
 from pgm.variables import Variable
@@ -25,17 +23,6 @@ def as_gaussian(cpds: CPD | Iterable[CPD], where: str) -> tuple[ConditionalGauss
             )
         result.append(cpd)
     return tuple(result)
-
-
-def runs(cpds: Iterable[CPD]) -> tuple[int, ...]:
-    """The axes of runs that the CPDs themselves have; refuses ones that do not broadcast."""
-    shapes = {cpd.child: cpd._lead() for cpd in cpds if isinstance(cpd, GaussianCPD)}
-    try:
-        return np.broadcast_shapes(*shapes.values())
-    except ValueError:
-        raise ModelError(
-            f"the CPDs have axes of runs that do not broadcast: {shapes}; give each the same"
-        ) from None
 
 
 def check_templates(cpds: Iterable[CPD]) -> None:

@@ -14,7 +14,8 @@ from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
 from pgm.immutable import Immutable
 from pgm.networks import checks, declaration
-from pgm.networks.sampling import Sample, draw
+from pgm.networks.ancestral import as_generator
+from pgm.networks.dynamic_sampling import Sample, draw
 from pgm.networks.static import BayesianNetwork, density
 
 
@@ -96,7 +97,7 @@ class DynamicBayesianNetwork(Immutable):
         sensors = tuple(cpd.child for cpd in observation)
         declaration.check_states(prior, transition, states, hidden)
         declaration.check_parents(prior, transition, observation, states, hidden, set(sensors))
-        declaration.runs(everything)
+        checks.runs(everything)
         transition = checks.in_order(transition, lambda cpd: cpd.given)
         parents = (v for cpd in (*transition, *observation) for v in cpd.parents)
         inputs = tuple(dict.fromkeys(v for v in parents if v.template not in hidden))
@@ -136,7 +137,7 @@ class DynamicBayesianNetwork(Immutable):
     @property
     def lead(self) -> tuple[int, ...]:
         """The axes of runs of the model itself, where a `GaussianCPD` differs by run."""
-        return declaration.runs(self.cpds)
+        return checks.runs(self.cpds)
 
     def sample(
         self,
@@ -168,7 +169,7 @@ class DynamicBayesianNetwork(Immutable):
             ``sample.evidence`` are the inputs and the readings, ready for `infer`.
         """
         shape = (runs,) if isinstance(runs, int) else tuple(runs)
-        return draw(self, inputs or {}, steps, shape, np.random.default_rng(rng))
+        return draw(self, inputs or {}, steps, shape, as_generator(rng))
 
     def unroll(self, steps: int) -> BayesianNetwork:
         """The network without time whose variables are those of the slices 0..steps.

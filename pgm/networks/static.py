@@ -12,9 +12,10 @@ import numpy as np
 from pgm.cpds import CPD
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
-from pgm.factors.scope import Scope, as_scope
+from pgm.factors.scope import Scope, as_scope, listed
+from pgm.factors.strangers import stranger
 from pgm.immutable import Immutable
-from pgm.networks import checks, declaration, drawing
+from pgm.networks import ancestral, checks
 from pgm.variables import Variable
 
 # Up to how many CPDs a network shows by their densities.
@@ -75,11 +76,12 @@ class BayesianNetwork(Immutable):
         if len(kinds) > 1:
             odd = next(cpd for cpd in found if cpd.discrete != found[0].discrete)
             raise ModelError(
-                f"{found[0]!r} and {odd!r}: a network is discrete or continuous; networks of both "
-                "are not supported",
+                f"{found[0]!r} and {odd!r}: a network is discrete or continuous, not both; keep "
+                "the two parts in networks of their own, or make one kind of all variables (cells "
+                "of a continuous one as states)",
                 cpd=odd,
             )
-        declaration.runs(found)
+        checks.runs(found)
         checks.no_step_before(found)
         ordered = checks.in_order(found, lambda cpd: cpd.parents)
         by_child = {cpd.child: cpd for cpd in ordered}
@@ -104,7 +106,7 @@ class BayesianNetwork(Immutable):
     @property
     def lead(self) -> tuple[int, ...]:
         """The axes of runs of the model itself, where a `GaussianCPD` differs by run."""
-        return declaration.runs(self.cpds)
+        return checks.runs(self.cpds)
 
     def cpd(self, variable: Variable) -> CPD:
         """The CPD of a variable.
@@ -115,9 +117,11 @@ class BayesianNetwork(Immutable):
             If the network does not have the variable, or it is an input.
         """
         if variable not in self._by_child:
-            known = variable in self.inputs
-            why = "an input, which no CPD explains" if known else "not in this network"
-            raise ModelError(f"{variable!r} has no CPD: it is {why}", variable=variable)
+            if variable in self.inputs:
+                why = "since it is an input, which no CPD explains"
+            else:
+                why = stranger(variable, self.variables)
+            raise ModelError(f"no CPD of {variable!r}, {why}", variable=variable)
         return self._by_child[variable]
 
     def replace(self, *cpds: CPD) -> BayesianNetwork:
@@ -141,7 +145,7 @@ class BayesianNetwork(Immutable):
         *,
         inputs: Evidence | None = None,
         rng: np.random.Generator | int,
-    ) -> dict[Variable, drawing.Draws]:
+    ) -> dict[Variable, ancestral.Draws]:
         """Draw all variables from the network, parents before children.
 
         Parameters
@@ -163,7 +167,8 @@ class BayesianNetwork(Immutable):
         Raises
         ------
         ModelError
-            If `n` is no number of draws, or does not broadcast with the model's runs.
+            If `n` is no number of draws or does not broadcast with the model's runs, or `rng` is
+            neither a generator nor a seed.
         EvidenceError
             If the inputs are not those of the network.
 
@@ -175,7 +180,7 @@ class BayesianNetwork(Immutable):
         >>> net.sample(4, rng=0)[coin]
         array([1, 1, 1, 1])
         """
-        return drawing.ancestral(self, n, inputs or {}, np.random.default_rng(rng))
+        return ancestral.draw(self, n, inputs or {}, ancestral.as_generator(rng))
 
     def to_networkx(self) -> nx.DiGraph:
         """The network as a graph, for pictures and questions of structure.
@@ -227,9 +232,11 @@ class BayesianNetwork(Immutable):
         >>> net.d_separated(a, b), net.d_separated(a, b, given=c)
         (True, False)
         """
-        sets = [set(as_scope(members)) for members in (a, b, given)]
+        members = {"a": a, "b": b, "given": given}
+        sets = [set(as_scope(found, f"d_separated: {name}")) for name, found in members.items()]
         for variable in set().union(*sets).difference(self.variables):
-            raise ModelError(f"{variable!r} is not in this network", variable=variable)
+            why = stranger(variable, self.variables)
+            raise ModelError(f"d_separated of {variable!r}, {why}", variable=variable)
         for one, other in combinations(sets, 2):
             for variable in one & other:
                 raise ModelError(
@@ -249,5 +256,5 @@ class BayesianNetwork(Immutable):
 
 def density(cpd: CPD) -> str:
     """A CPD as a factor of the joint density, like ``p(b | a)``."""
-    parents = ", ".join(map(repr, cpd.parents))
+    parents = listed(cpd.parents)
     return f"p({cpd.child!r}{' | ' if parents else ''}{parents})"

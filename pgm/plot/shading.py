@@ -115,6 +115,12 @@ def by_residual(
         raise GraphError(
             f"residuals map pairs of clusters to numbers; found {type(residuals).__name__}"
         )
+    if graph.sepsets and not residuals:
+        raise GraphError(
+            "residuals are of no pair of clusters; those of a run with a schedule for any graph, "
+            "like pgm.Flooding(), are its status.by_edge, while the calibration of a tree leaves "
+            "none"
+        )
     values: dict[Node, float] = {}
     for pair, value in residuals.items():
         edge = tuple(sorted(pair)) if isinstance(pair, tuple) else pair

@@ -10,6 +10,7 @@ from dags import continuous, discrete, networks
 from hypothesis import given
 
 import pgm
+from pgm.clustergraph import check_families
 from pgm.clustergraph.size import amount, extent, size, work
 
 # The square: a, b given a, c given a, d given b and c.
@@ -38,7 +39,28 @@ def test_a_loop_by_hand():
     graph.check()
     assert not graph.is_tree
     assert dict(graph.sepsets) == {(0, 1): (A,), (0, 2): (B,), (1, 2): (C,)}
-    assert graph.neighbours(2) == (0, 1)
+    assert graph.neighbours(2) == graph.neighbours(graph.clusters[2]) == (0, 1)
+    assert graph.neighbours(np.int64(0)) == (1, 2)
+
+
+@pytest.mark.parametrize("stranger", [99, 2, -1, "0", None, 1.0])
+def test_only_clusters_have_neighbours(stranger):
+    with pytest.raises(pgm.GraphError, match=r"clusters are 0\.\.1") as caught:
+        pgm.ClusterGraph(NET, TREE).neighbours(stranger)
+    assert caught.value.cluster == stranger
+
+
+def test_clusters_of_another_graph_are_refused():
+    tree, loop = pgm.ClusterGraph(NET, TREE), pgm.ClusterGraph(NET, LOOP, LOOP_SEPSETS)
+    for ask in (tree.index, tree.neighbours):
+        with pytest.raises(pgm.GraphError, match=r"Cluster\(0: \(x0, x1\)\) .* another graph") as e:
+            ask(loop.clusters[0])
+        assert e.value.cluster == loop.clusters[0]
+    # the same scope, but other CPDs
+    alike = pgm.ClusterGraph(continuous([[], [0], [0], [1, 2]]), TREE)
+    with pytest.raises(pgm.GraphError, match="another graph"):
+        tree.index(alike.clusters[0])
+    assert tree.index(pgm.ClusterGraph(NET, TREE).clusters[1]) == 1
 
 
 def test_scopes_are_in_the_networks_order_whatever_is_given():
@@ -120,10 +142,12 @@ def test_what_is_refused(clusters, sepsets, words, variable, cluster):
         assert caught.value.cluster == cluster
 
 
-@pytest.mark.parametrize("cluster", [["x0"], [A, A], "x0"])
-def test_clusters_hold_variables_once(cluster):
-    with pytest.raises(pgm.ModelError):
-        pgm.ClusterGraph(NET, [*TREE, cluster])
+@pytest.mark.parametrize("scope", [["x0"], [A, A], "x0"])
+def test_clusters_and_sepsets_hold_variables_once(scope):
+    with pytest.raises(pgm.ModelError, match=r"^cluster 2 holds (variables, not 'x0'|x0 twice)"):
+        pgm.ClusterGraph(NET, [*TREE, scope])
+    with pytest.raises(pgm.ModelError, match=r"^the sepset between clusters 0 and 1 holds "):
+        pgm.ClusterGraph(NET, TREE, {(1, 0): scope})
 
 
 @pytest.mark.parametrize("network", [None, NET.cpds, "net"])
@@ -153,6 +177,21 @@ def test_long_lists_of_clusters_are_cut_short():
     with pytest.raises(pgm.GraphError, match=r"\[0, 1, 2, 3, 4, \.\.\.\] and \[49\]") as caught:
         pgm.ClusterGraph(net, [{hub, leaf} for leaf in rest], {(0, k): {hub} for k in range(1, 49)})
     assert caught.value.cluster == 49
+
+
+def test_long_lists_of_variables_are_cut_short():
+    net = continuous([[], *([0],) * 8, list(range(9))])
+    *_, last = net.variables
+    listed = r"\(x9, x0, x1, x2, x3, x4, x5, x6, \.\.\. \(10 in all\)\)"
+    with pytest.raises(pgm.GraphError, match=f"holds the family {listed} of") as caught:
+        pgm.ClusterGraph(net, [net.variables[:-1]])
+    assert caught.value.variable == last
+    whole = pgm.ClusterGraph(net, [net.variables]).clusters[0]
+    assert repr(whole) == "Cluster(0: (x0, x1, x2, x3, x4, x5, x6, x7, ... (10 in all)))"
+    with pytest.raises(pgm.GraphError, match=f"its family {listed}; add"):
+        check_families([net.variables[:5]], [[net.cpds[-1].scope]])
+    small = pgm.ClusterGraph(NET, [NET.variables]).clusters[0]
+    assert repr(small) == "Cluster(0: (x0, x1, x2, x3))"
 
 
 def test_sizes_of_continuous_clusters():
@@ -190,13 +229,16 @@ def test_sizes_are_exact_however_large():
 def test_repr_tells_what_to_expect():
     assert (
         repr(pgm.ClusterGraph(NET, LOOP, LOOP_SEPSETS))
-        == "ClusterGraph(3 clusters, 3 sepsets, width 2, largest cluster 3 components)"
+        == "ClusterGraph(3 clusters, 3 sepsets, width 2, largest cluster 3 components, cost 43)"
     )
     a, b = (net := discrete([[], [0]], [4, 5])).variables
     assert (
         repr(pgm.ClusterGraph(net, [{a, b}]))
-        == "ClusterGraph(1 clusters, 0 sepsets, width 1, largest cluster 20 table entries)"
+        == "ClusterGraph(1 clusters, 0 sepsets, width 1, largest cluster 20 table entries, "
+        "cost 20)"
     )
+    net = discrete([[]] * 40, [10] * 40)
+    assert repr(pgm.ClusterGraph(net, [net.variables])).endswith("cost 10^40.0)")
 
 
 @given(networks())

@@ -71,6 +71,18 @@ def test_a_function_that_returns_no_graph_is_refused():
         pgm.compile(STATIC, method=pgm.MinFill())
 
 
+def test_a_method_compiles_the_network_it_is_given():
+    other = continuous(chain(4))
+
+    def stubborn(network):
+        return pgm.compile(other)
+
+    for method in (stubborn, lambda network: pgm.compile(DYNAMIC, 3)):
+        with pytest.raises(pgm.GraphError, match="not of the network it was given") as caught:
+            pgm.compile(STATIC, method=method)
+        assert repr(method) in str(caught.value)
+
+
 @pytest.mark.parametrize("model", [None, "net", STATIC.cpds, STATIC.cpds[0]])
 def test_only_networks_are_compiled(model):
     with pytest.raises(pgm.ModelError, match="takes a network"):

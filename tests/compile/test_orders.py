@@ -4,6 +4,7 @@ import itertools
 import math
 
 import networkx as nx
+import numpy as np
 import pytest
 from dags import chain, continuous, discrete, grid, networks, star, tree
 from hypothesis import given
@@ -176,13 +177,42 @@ def test_orders_given_by_hand_are_checked():
         assert caught.value.variable == variable
 
 
-@pytest.mark.parametrize("order", [3, None, pgm.MinFill, pgm.Variable("a")])
+@pytest.mark.parametrize("order", [3, None, pgm.MinFill, pgm.Variable("a"), "minfill", ""])
 def test_what_is_no_order_is_refused(order):
-    with pytest.raises(pgm.GraphError, match="no elimination order"):
+    with pytest.raises(pgm.GraphError, match=r"no elimination order.*pgm\.WeightedMinFill\(\)"):
         pgm.JunctionTree(order)
 
 
-@pytest.mark.parametrize("small", [0, -1, 2.5, "3", None])
+@pytest.mark.parametrize("returned", [5, None, "x0 x1", continuous(chain(2))])
+def test_a_function_that_returns_no_order_is_refused(returned):
+    def order(network):
+        return returned
+
+    with pytest.raises(pgm.GraphError, match="where the network's variables were due") as caught:
+        compiled(continuous(chain(2)), order)
+    assert repr(order) in str(caught.value)
+    assert repr(returned) in str(caught.value)
+
+
+@pytest.mark.parametrize("odd", ["x1", 1, [], None])
+def test_what_is_no_variable_has_no_place_in_an_order(odd):
+    network = continuous(chain(2))
+    with pytest.raises(pgm.GraphError, match="which the network does not have"):
+        compiled(network, [network.variables[0], odd])
+
+
+def test_many_variables_that_an_order_lacks_are_not_all_listed():
+    network = continuous(chain(700))
+    listed = r"\(x1, x2, x3, x4, x5, x6, x7, x8, \.\.\. \(699 in all\)\)"
+    with pytest.raises(pgm.GraphError, match=f"lacks {listed};"):
+        compiled(network, network.variables[:1])
+
+
+def test_dissection_takes_numpys_integers():
+    assert pgm.NestedDissection(np.int64(3)) == pgm.NestedDissection(3)
+
+
+@pytest.mark.parametrize("small", [0, -1, 2.5, "3", None, True, np.int64(0)])
 def test_dissection_needs_a_number(small):
     with pytest.raises(pgm.GraphError, match="1 or more"):
         pgm.NestedDissection(small)

@@ -160,6 +160,10 @@ def test_neighbours_and_networkx():
     graph = pgm.compile(MODELS["static unknown"], steps=3)
     assert [graph.neighbours(t) for t in range(4)] == [(1,), (0, 2), (1, 3), (2,)]
     assert pgm.compile(MODELS["static unknown"], steps=0).neighbours(0) == ()
+    assert graph.neighbours(graph.clusters[2]) == graph.neighbours(np.int64(2)) == (1, 3)
+    for stranger in (4, -1, 99, "2"):
+        with pytest.raises(pgm.GraphError, match=r"clusters are 0\.\.3"):
+            graph.neighbours(stranger)
     plain = graph.to_networkx()
     assert nx.is_isomorphic(plain, nx.path_graph(4))
     for i, j in itertools.pairwise(range(4)):
@@ -173,6 +177,20 @@ def test_clusters_are_named_by_index_or_value():
     for stranger in (4, -1, "2", 1.0, None, pgm.compile(MODELS["localisation"], 9).clusters[7]):
         with pytest.raises(pgm.GraphError, match=r"clusters are 0\.\.3"):
             graph.index(stranger)
+    assert graph.index(pgm.compile(MODELS["localisation"], 9).clusters[2]) == 2
+    other = pgm.compile(MODELS["no sensor"], steps=3).clusters[2]
+    for ask in (graph.index, graph.neighbours):
+        with pytest.raises(pgm.GraphError, match=r"Cluster\(2: .* of another graph") as caught:
+            ask(other)
+        assert caught.value.cluster == other
+
+
+@models
+def test_the_network_is_the_model(model):
+    graph = pgm.compile(model, steps=3)
+    assert graph.network is graph.model is model
+    with pytest.raises(AttributeError, match="immutable"):
+        graph.network = None
 
 
 def test_numpys_integers_are_integers():

@@ -85,7 +85,14 @@ def test_what_cannot_be_called_is_refused(arguments, words):
 
 @pytest.mark.parametrize(
     ("given_", "words"),
-    [((U, U), "twice"), ((X,), "own parent"), (("u",), "variables"), ((U, 3), "variables")],
+    [
+        ((U, U), "twice"),
+        ((X,), "own parent"),
+        (("u",), "variables"),
+        ((U, 3), "variables"),
+        ("u", "NonlinearGaussianCPD of x: given holds variables, not 'u'"),
+        (3, "NonlinearGaussianCPD of x: given holds variables, not 3"),
+    ],
 )
 def test_malformed_parents_are_refused(given_, words):
     with pytest.raises(pgm.ModelError, match=words):
@@ -96,7 +103,8 @@ def test_malformed_parents_are_refused(given_, words):
     ("function", "given_", "words"),
     [
         (np.eye(2), U, "takes a function"),
-        (never, "u", "variables"),
+        (never, "u", "noise: given holds variables, not 'u'"),
+        (never, 3, "noise: given holds variables, not 3"),
         (never, (U, U), "twice"),
     ],
 )

@@ -166,7 +166,7 @@ MEANING = [
         "an unknown variable",
         GOOD | {speed: np.zeros((T, 1))},
         "speed",
-        "model",
+        "the network does not have",
         "fix",
         variable=speed,
     ),

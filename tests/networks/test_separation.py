@@ -109,12 +109,12 @@ def test_one_variable_or_any_collection():
 @pytest.mark.parametrize(
     ("sets", "words", "variable"),
     [
-        ((V[0], V[5]), "v5 is not in this network", V[5]),
-        ((V[0], V[1], V[4]), "v4 is not in this network", V[4]),
+        ((V[0], V[5]), "v5, which the network does not have; it has v0, v1", V[5]),
+        ((V[0], V[1], V[4]), "v4, which the network does not have", V[4]),
         ((V[0], V[0]), "v0 stands in two of the sets", V[0]),
         (((V[0], V[1]), V[2], V[1]), "v1 stands in two of the sets", V[1]),
         ((V[0], V[2], (V[3], V[2])), "v2 stands in two of the sets", V[2]),
-        (("v0", V[1]), "holds variables, not 'v'", None),
+        (("v0", V[1]), "d_separated: a holds variables, not 'v0'; give the variable itself", None),
     ],
 )
 def test_sets_that_are_none(sets, words, variable):

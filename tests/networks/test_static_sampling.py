@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
-from pgm.networks import drawing
+from pgm.networks import ancestral
 from tests.dense import linear_joint, random_covariance
 
 A, B, C, U, W = pgm.variables("a b c u w")
@@ -105,7 +105,7 @@ def test_a_state_of_probability_zero_is_never_drawn(table):
     edges = np.cumsum(table)
     levels = np.concatenate([[0.0, 5e-324, LAST], edges, np.nextafter(edges, 0), np.linspace(0, 1)])
     levels = levels[levels < 1.0]
-    found = drawing.states(cpd, {}, Uniforms(levels), levels.size)
+    found = ancestral.states(cpd, {}, Uniforms(levels), levels.size)
     assert (cpd.table[found] > 0.0).all()
     for level, state in zip(levels, found, strict=True):
         assert state == next(k for k, edge in enumerate(edges) if edge > level * edges[-1])
@@ -118,7 +118,7 @@ def test_many_states():
     table = rng.exponential(size=(3, 1000)) * (rng.random((3, 1000)) < 0.5)
     cpd = pgm.TableCPD(big, row, table=table / table.sum(axis=-1, keepdims=True))
     parents, levels = rng.integers(3, size=5000), rng.random(5000)
-    found = drawing.states(cpd, {row: parents}, Uniforms(levels), 5000)
+    found = ancestral.states(cpd, {row: parents}, Uniforms(levels), 5000)
     edges = np.cumsum(cpd.table, axis=-1)
     for k in range(3):
         mine = parents == k
@@ -168,6 +168,12 @@ def test_there_is_no_global_random_state():
     before = np.random.get_state()[1].copy()  # noqa: NPY002
     simple()[1].sample(3, rng=1)
     assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+@pytest.mark.parametrize("rng", [None, True, -1, 1.5, "seed", np.random])
+def test_what_draws_is_asked_for(rng):
+    with pytest.raises(pgm.ModelError, match=r"rng is a numpy\.random\.Generator or a seed"):
+        simple()[1].sample(3, rng=rng)
 
 
 def doubling(function=lambda u: 2 * u, cov=0.0):
@@ -223,11 +229,13 @@ def test_inputs_are_asked_for():
     with pytest.raises(pgm.EvidenceError, match="u") as caught:
         doubling().sample(3, rng=0)
     assert caught.value.variable == U
-    with pytest.raises(pgm.EvidenceError, match="c is no input of the network") as caught:
+    with pytest.raises(pgm.EvidenceError, match="evidence for c, which the network") as caught:
         doubling().sample(3, inputs={U: 1.0, C: 2.0}, rng=0)
     assert caught.value.variable == C
     with pytest.raises(pgm.EvidenceError, match="a is no input"):
         doubling().sample(3, inputs={U: 1.0, A: 2.0}, rng=0)
+    with pytest.raises(pgm.EvidenceError, match=r"'u', which is no variable.* itself, u"):
+        doubling().sample(3, inputs={"u": 1.0}, rng=0)
     with pytest.raises(pgm.EvidenceError, match="shape"):
         doubling().sample(3, inputs={U: [1.0, 2.0]}, rng=0)
     with pytest.raises(pgm.EvidenceError, match="NaN"):

@@ -412,6 +412,7 @@ def test_texts_stand_out_from_every_shade_and_the_bar_from_the_clusters(any_grap
         ({"colour": "residual"}, "needs residuals="),
         ({"colour": "size", "residuals": {}}, "does not go with residuals"),
         ({"residuals": [1.0]}, "found list"),
+        ({"residuals": {}}, r"pgm\.Flooding\(\).*calibration of a tree leaves none"),
         ({"residuals": {(0, 2): 1.0}}, r"\(0, 2\), which is no pair of joined clusters"),
         ({"residuals": {3: 1.0}}, "3, which is no pair of joined clusters"),
         ({"residuals": {(0, 1): -1.0}}, "0 or more was due"),
@@ -422,6 +423,17 @@ def test_colours_without_numbers_are_refused(any_graph, wrong, match):
     with pytest.raises(pgm.GraphError, match=match):
         pgm.plot.cluster_graph(discrete_loop(any_graph), **wrong)
     assert not plt.get_fignums()
+
+
+def test_residuals_of_trees_and_of_single_clusters():
+    graph = pgm.compile(bethe([[], [0]]).network)
+    status = pgm.infer(graph, {}, schedule=pgm.Flooding()).status
+    pgm.plot.cluster_graph(graph, residuals=status.by_edge)
+    chain = pgm.compile(bethe([[], [0], [1]]).network)
+    with pytest.raises(pgm.GraphError, match="residuals are of no pair"):
+        pgm.plot.cluster_graph(chain, residuals=pgm.infer(chain, {}).status.by_edge)
+    status = pgm.infer(chain, {}, schedule=pgm.Flooding()).status
+    pgm.plot.cluster_graph(chain, residuals=status.by_edge)
 
 
 @pytest.mark.parametrize("size", [(2.5, 2.0), (8.0, 2.5)])

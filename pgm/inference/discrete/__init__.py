@@ -1,4 +1,39 @@
-"""Discrete networks: messages as tables."""
+"""Discrete networks: messages as tables.
+
+The files, in the order of the computation. What is laid out is laid out once for a graph; numbers
+come with the evidence.
+
+Where tables stand:
+
+- ``place``: one table in the flat array that holds the tables of all clusters;
+- ``storage``: that array, and the clusters' potentials in it;
+- ``sums``: sums of its entries, as of a table to a sepset or to one variable;
+- ``products``: messages multiplied into it;
+- ``evidence``: states and weights put into it; batches of runs cut into pieces that fit.
+
+Graphs without loops:
+
+- ``tree_planner``: lays out the passes, clusters of one shape as the columns of one matrix;
+- ``tree_plan``: what it makes;
+- ``tree_passes``: messages to the roots and back, which calibrate the tables;
+- ``tree_messages``: single messages by their definition, made on request;
+- ``tree_beliefs``: the calibrated tables of all runs;
+- ``maximum``: maxima in place of sums, and the most probable assignment.
+
+Graphs of any shape, on which messages go round:
+
+- ``loopy_plan``: lays out rounds of messages, clusters of one shape in one call;
+- ``loopy_messages``: the messages, and the beliefs and the Bethe value that they make;
+- ``loopy_beliefs``: the tables after the last round.
+
+Reading:
+
+- ``beliefs``: what the beliefs of either kind of graph answer;
+- ``joints``: joints of variables of several clusters;
+- ``impossible``: evidence of probability zero, and where it contradicts the tables;
+- ``posterior``: what `pgm.infer` returns;
+- ``run``: evidence, a schedule and a graph to a posterior.
+"""
 
 from pgm.inference.discrete.run import run
 

@@ -7,11 +7,10 @@ import math
 import numpy as np
 
 from pgm.errors import GraphError
-from pgm.factors.axes import States, sizes
+from pgm.factors.axes import AXES, States, sizes
 from pgm.factors.scope import names
 from pgm.inference import limits
-from pgm.inference.discrete.rooted import children, roots, sepset_to_parent
-from pgm.inference.discrete.storage import Storage
+from pgm.inference.discrete.storage import Storage, sepset_to_parent
 from pgm.inference.forest import Forest
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete
@@ -32,7 +31,7 @@ def joint(storage: Storage, forest: Forest, tables: Array, scope: States) -> Arr
         If a table on the way is too large.
     """
     homes = {v: storage.homes[v] for v in scope}
-    tree = roots(forest)
+    tree = forest.roots
     result: Factor = ((), np.ones(tables.shape[1:]))
     for root in dict.fromkeys(tree[list(homes.values())].tolist()):
         mine = tuple(v for v in scope if tree[homes[v]] == root)
@@ -54,7 +53,6 @@ def _of_tree(
     common = [k for k, count in below.items() if count == len(homes)]
     top = max(common, key=lambda k: forest.depth[k])
     inside = sorted(below.keys() - (set(common) - {top}), key=lambda k: -forest.depth[k])
-    hanging = children(forest)
     found: dict[int, Factor] = {}
     for k in inside:
         own = storage.scopes[k]
@@ -63,7 +61,7 @@ def _of_tree(
         if k != top:
             sepset = sepset_to_parent(storage.graph, forest, k)
             factor = own, _given(factor, sepset)
-        for child in hanging[k]:
+        for child in forest.children[k]:
             if child in found:
                 factor = _product(factor, found.pop(child))
         wanted = tuple(v for v in factor[0] if v in scope or v in sepset)
@@ -84,15 +82,17 @@ def _product(a: Factor, b: Factor) -> Factor:
     scope = a[0] + tuple(v for v in b[0] if v not in a[0])
     runs = a[1].shape[len(a[0]) :]
     entries = math.prod(sizes(scope)) * math.prod(runs)
-    if entries > limits.LIMIT:
+    if entries > limits.LIMIT or len(scope) > AXES:
         raise GraphError(
-            f"the joint needs a table over {names(scope)}, {entries} entries, where "
-            f"{limits.LIMIT} are the limit; ask for fewer variables at once"
+            f"the joint needs a table over {names(scope)}, {len(scope)} variables and "
+            f"{limits.gibibytes(entries)}, where {AXES} variables and "
+            f"{limits.gibibytes(limits.LIMIT)} are the limit; ask for fewer variables at once, or "
+            "with fewer runs"
         )
-    return scope, _over(a, scope) * _over(b, scope)
+    return scope, _arranged(a, scope) * _arranged(b, scope)
 
 
-def _over(factor: Factor, scope: States) -> Array:
+def _arranged(factor: Factor, scope: States) -> Array:
     """Values with an axis for each variable of a scope, of length one if new."""
     own, values = factor
     place = {variable: k for k, variable in enumerate(own)}
@@ -106,7 +106,7 @@ def _sum(factor: Factor, keep: States) -> Array:
     """Sum all but some variables out; the axes are in the order of these."""
     scope, values = factor
     total = values.sum(axis=tuple(k for k, v in enumerate(scope) if v not in keep))
-    return _over((tuple(v for v in scope if v in keep), total), keep)
+    return _arranged((tuple(v for v in scope if v in keep), total), keep)
 
 
 def within(scope: States, values: Array, wanted: States) -> Array:

@@ -7,21 +7,28 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import SliceGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.discrete import BoundStates, bind_discrete
+from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
-from pgm.inference.discrete.entering import enter, pieces
-from pgm.inference.discrete.passes import collect
-from pgm.inference.discrete.plan import Stack, TreePlan
-from pgm.inference.discrete.planner import make_plan
-from pgm.inference.discrete.tree import require_possible
+from pgm.inference.discrete.evidence import enter, pieces
+from pgm.inference.discrete.impossible import require_possible
+from pgm.inference.discrete.tree_passes import collect
+from pgm.inference.discrete.tree_plan import Stack, TreePlan
+from pgm.inference.discrete.tree_planner import make_plan
+from pgm.inference.limits import require_runs
+from pgm.inference.posterior import require_variable
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
-from pgm.variables import Discrete
+from pgm.variables import Discrete, Variable
+
+# How many variables a repr lists.
+LISTED = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +39,39 @@ class MostProbable(Immutable):
     ----------
     assignment : mapping of Discrete
         The name of each variable's state, those with evidence included; where the evidence has
-        axes of runs, the indices of the states, (...): ``np.array(v.states)[assignment[v]]`` are
-        their names.
+        axes of runs, the indices of the states, (...), whose names `states` has.
     log_probability : ndarray
         (...): ln p(assignment, evidence), natural logarithms.
     """
 
     assignment: Mapping[Discrete, str | Integers]
     log_probability: Array
+
+    def states(self, variable: Variable) -> str | npt.NDArray[np.str_]:
+        """The name of a variable's state; where the evidence has axes of runs, an array (...).
+
+        Raises
+        ------
+        EvidenceError
+            If the network does not have the variable.
+        """
+        if not isinstance(variable, Discrete) or variable not in self.assignment:
+            require_variable(variable)
+            raise EvidenceError(
+                f"{variable!r} is not in the network; its variables are {list(self.assignment)}",
+                variable=variable,
+            )
+        found = self.assignment[variable]
+        return found if isinstance(found, str) else np.array(variable.states)[found]
+
+    def __repr__(self) -> str:
+        lead = self.log_probability.shape
+        if lead:
+            return f"MostProbable({len(self.assignment)} variables, runs {lead})"
+        shown = [f"{v!r} {state}" for v, state in list(self.assignment.items())[:LISTED]]
+        if len(self.assignment) > LISTED:
+            shown.append(f"... {len(self.assignment)} variables")
+        return f"MostProbable({', '.join(shown)}; ln p {self.log_probability:.6g})"
 
 
 def most_probable(graph: ClusterGraph, evidence: Evidence) -> MostProbable:
@@ -64,7 +96,8 @@ def most_probable(graph: ClusterGraph, evidence: Evidence) -> MostProbable:
     Raises
     ------
     GraphError
-        If the network is continuous, or the graph has loops or too large a cluster.
+        If the network is continuous, the graph has loops or too large a cluster, or there are too
+        many runs.
     EvidenceError
         If the evidence does not fit the network, or has probability zero.
 
@@ -90,6 +123,7 @@ def most_probable(graph: ClusterGraph, evidence: Evidence) -> MostProbable:
         )
     bound = bind_discrete(frozenset(graph.network.variables), evidence)
     plan = graph.derived(make_plan)
+    require_runs(len(plan.storage.homes), bound.runs, "the states of all variables")
     found = [_maximise(plan, piece) for piece in pieces(plan.storage.entries, bound)]
     states = np.concatenate([s for s, _ in found], axis=1)
     states.flags.writeable = False
@@ -105,11 +139,9 @@ def _assignment(
     """States (variables, runs) in the order of homes, as names or as arrays of indices."""
     found: dict[Discrete, str | Integers] = {}
     place = {variable: k for k, variable in enumerate(plan.storage.homes)}
-    for variable in plan.graph.network.variables:
-        own = states[place[variable]]  # type: ignore[index]
-        found[variable] = (  # type: ignore[index]
-            own.reshape(evidence.lead) if evidence.lead else variable.states[own[0]]  # type: ignore[attr-defined]
-        )
+    for variable in discrete(plan.graph.network.variables):
+        own = states[place[variable]]
+        found[variable] = own.reshape(evidence.lead) if evidence.lead else variable.states[own[0]]
     return found
 
 
@@ -127,8 +159,8 @@ def _maximise(plan: TreePlan, evidence: BoundStates) -> tuple[Integers, Array]:
         row = _best_row(stack, tables[stack.entries], local)
         width = stack.shape[1]
         at = local * width + row if stack.axis else row * width + local
-        for spread in stack.absorbed:
-            column[spread.children] = spread.columns(at)
+        for product in stack.absorbed:
+            column[product.children] = product.columns(at)
         own = stack.widths[:, None]
         entry[stack.clusters] = row * own + local - stack.first[:, None]
     return _decode(plan, entry), done.tops.reshape(-1, runs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,10 +11,11 @@ import numpy as np
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
-from pgm.factors.axes import States
+from pgm.factors.axes import States, discrete, sizes
 from pgm.factors.scope import as_scope, names
+from pgm.inference import limits
 from pgm.inference.discrete.beliefs import Beliefs
-from pgm.inference.discrete.entering import axes_left, put_in
+from pgm.inference.discrete.evidence import axes_left, put_in
 from pgm.inference.discrete.joints import holder, within
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.schedule import Status
@@ -28,6 +30,12 @@ class DiscretePosterior(Posterior):
     ``posterior[v]`` and ``posterior.joint(v, w)`` are a `Table` of probabilities. Of a tree they
     are exact, of a graph with loops approximate. A variable that is observed in some runs alone
     has one for its state there.
+
+    The calibrated tables of a tree are kept for up to 2²⁴ entries over all runs. Of larger batches
+    the marginals and the log-evidence are kept, and each joint and belief calibrates the runs
+    again, some after the others; so ask once for a joint of several variables. Likewise each
+    message of a batch above 2²² entries is made anew. An answer that would take more than a
+    gibibyte is refused.
 
     Attributes
     ----------
@@ -67,11 +75,13 @@ class DiscretePosterior(Posterior):
         Raises
         ------
         GraphError
-            If no cluster of a graph with loops holds them all, or a table on the way is too large.
+            If no cluster of a graph with loops holds them all; if a table on the way is too large,
+            or the joint of all runs.
         """
         scope: States = tuple(self._require_hidden(v) for v in as_scope(variables))
         if not scope:
             raise EvidenceError("joint takes one or more variables")
+        self._require_room(scope, f"the joint over {names(scope)}")
         storage = self._beliefs.storage
         one = holder(storage.scopes, self.graph.sizes, scope)
         if one is not None:
@@ -86,6 +96,11 @@ class DiscretePosterior(Posterior):
             )
         return self._beliefs.table(scope, values)
 
+    def _require_room(self, scope: States, what: str) -> None:
+        runs = self._beliefs.evidence.runs
+        if runs > 1:
+            limits.require_runs(math.prod(sizes(scope)), runs, what)
+
     def message(self, source: int | Cluster, target: int | Cluster) -> Table:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
@@ -96,7 +111,7 @@ class DiscretePosterior(Posterior):
         Raises
         ------
         GraphError
-            If the clusters are not joined.
+            If the clusters are not joined, or the messages of all runs are too large.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         if j not in self.graph.neighbours(i):
@@ -105,19 +120,29 @@ class DiscretePosterior(Posterior):
                 f"{self.graph.neighbours(i)}",
                 cluster=i,
             )
+        sepset = discrete(self.graph.sepsets[min(i, j), max(i, j)])
+        scope = axes_left(self._beliefs.evidence, sepset)
+        self._require_room(scope, f"the message over {names(scope)}")
         return self._beliefs.message(i, j)
 
     def belief(self, cluster: int | Cluster) -> Table:
         """The belief of a cluster, unnormalised: its potential times all messages to it.
 
-        Its axes are as of a message. Of a tree its sum is p(evidence).
+        Its axes are as of a message. Of a graph without loops its sum is p(the evidence of the
+        cluster's tree): p(evidence), where the graph is one tree.
+
+        Raises
+        ------
+        GraphError
+            If there is no such cluster, or the beliefs of all runs are too large.
         """
         index = self.graph.index(cluster)
         storage, evidence = self._beliefs.storage, self._beliefs.evidence
         known = put_in(evidence, storage.scopes[index])
         put = tuple(known.get(v, slice(None)) for v in storage.scopes[index])
-        values = self._beliefs.read(lambda tables: storage.table(tables, index)[put])
         scope = axes_left(evidence, storage.scopes[index])
+        self._require_room(scope, f"the belief over {names(scope)}")
+        values = self._beliefs.read(lambda tables: storage.table(tables, index)[put])
         return self._beliefs.table(scope, values, self._beliefs.log_total(index))
 
     @cached_property

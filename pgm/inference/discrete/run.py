@@ -7,10 +7,10 @@ import numpy as np
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence import Evidence
 from pgm.evidence.discrete import bind_discrete
-from pgm.inference.discrete.loopy import LoopyBeliefs
-from pgm.inference.discrete.messages import TableMessages
+from pgm.inference.discrete.loopy_beliefs import LoopyBeliefs
+from pgm.inference.discrete.loopy_messages import TableMessages
 from pgm.inference.discrete.posterior import DiscretePosterior
-from pgm.inference.discrete.tree import TreeBeliefs
+from pgm.inference.discrete.tree_beliefs import TreeBeliefs
 from pgm.inference.loopy import run_loopy
 from pgm.inference.schedule import Loopy, Schedule, Status
 from pgm.variables import Variable

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.factors.axes import States, sizes
+from pgm.cpds import TableCPD
+from pgm.factors.axes import States, discrete, sizes
 from pgm.inference.discrete.place import LARGE, Place
 from pgm.inference.discrete.sums import Marginals
+from pgm.inference.forest import Forest
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import Semiring
 from pgm.variables import Discrete, Variable
@@ -39,7 +42,7 @@ class Storage:
     @cached_property
     def scopes(self) -> tuple[States, ...]:
         """The variables of each cluster, in its own order."""
-        return tuple(cluster.scope for cluster in self.graph.clusters)  # type: ignore[misc]
+        return tuple(discrete(cluster.scope) for cluster in self.graph.clusters)
 
     def positions(self, cluster: int) -> Integers:
         """Where the entries of a cluster's table stand, with an axis for each variable."""
@@ -94,9 +97,9 @@ class Storage:
         for cluster, scope in zip(self.graph.clusters, self.scopes, strict=True):
             axis: dict[Variable, int] = {variable: k for k, variable in enumerate(scope)}
             table = np.full(sizes(scope), semiring.one)
-            for cpd in cluster.cpds:
+            for cpd in cast(tuple[TableCPD, ...], cluster.cpds):
                 given = [axis[v] for v in (*cpd.given, cpd.child)]
-                entries = semiring.entries(cpd.table)  # type: ignore[attr-defined]
+                entries = semiring.entries(cpd.table)
                 shape = np.ones(len(scope), dtype=np.intp)
                 shape[given] = entries.shape
                 with np.errstate(under="raise"):
@@ -115,7 +118,14 @@ def contiguous(graph: ClusterGraph) -> Storage:
     """One table after the other, each in the order of its cluster's scope."""
     starts = np.cumsum([0, *graph.sizes]).tolist()
     places = [
-        Place(c.scope, 1, size, start, size, 1, size >= LARGE)  # type: ignore[arg-type]
+        Place(discrete(c.scope), 1, size, start, size, 1, size >= LARGE)
         for c, size, start in zip(graph.clusters, graph.sizes, starts, strict=False)
     ]
     return Storage(graph, places)
+
+
+def sepset_to_parent(graph: ClusterGraph, forest: Forest, cluster: int) -> States:
+    """The variables that a cluster shares with its parent; of a root none."""
+    parent = int(forest.parent[cluster])
+    edge = (min(cluster, parent), max(cluster, parent))
+    return discrete(graph.sepsets[edge]) if parent >= 0 else ()

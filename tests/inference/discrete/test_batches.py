@@ -133,6 +133,8 @@ def test_runs_that_do_not_fit_at_once(at_once, kept, monkeypatch):
     first, second, third = net.variables[0], net.variables[3], net.variables[5]
     evidence = {first: rng.integers(-1, first.size, 7), second: rng.integers(0, second.size, 7)}
     whole = pgm.infer(graph, evidence)
+    edges = [*graph.sepsets, *((j, i) for i, j in graph.sepsets)]
+    messages = [whole.message(*edge) for edge in edges]
     best = pgm.most_probable(graph, evidence)
     monkeypatch.setattr(limits, "BATCH", at_once * sum(graph.sizes) // 50)
     monkeypatch.setattr(limits, "KEPT", kept)
@@ -143,6 +145,10 @@ def test_runs_that_do_not_fit_at_once(at_once, kept, monkeypatch):
     wanted = third, first, net.variables[-1]
     np.testing.assert_allclose(parts.joint(*wanted).values, whole.joint(*wanted).values, atol=1e-15)
     np.testing.assert_allclose(parts.belief(0).values, whole.belief(0).values, atol=1e-15)
+    for edge, due in zip(edges, messages, strict=True):
+        found = parts.message(*edge)
+        np.testing.assert_allclose(found.values, due.values, rtol=1e-13)
+        np.testing.assert_allclose(found.log_scale, due.log_scale, rtol=1e-13, atol=1e-13)
     again = pgm.most_probable(graph, evidence)
     for variable in net.variables:
         assert np.array_equal(again.assignment[variable], best.assignment[variable])

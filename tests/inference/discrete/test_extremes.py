@@ -8,7 +8,7 @@ from discrete.enumeration import Enumeration
 from scipy.special import logsumexp
 
 import pgm
-from pgm.inference.discrete import passes
+from pgm.inference.discrete import tree_passes
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT
 
 CLOSE = {"rtol": 0.0, "atol": 1e-12}
@@ -18,13 +18,13 @@ CLOSE = {"rtol": 0.0, "atol": 1e-12}
 def kernels(monkeypatch):
     """Record which kernels calibrate."""
     used = []
-    calibrate = passes._calibrate
+    calibrate = tree_passes._calibrate
 
     def recorded(plan, evidence, semiring):
         used.append(semiring)
         return calibrate(plan, evidence, semiring)
 
-    monkeypatch.setattr(passes, "_calibrate", recorded)
+    monkeypatch.setattr(tree_passes, "_calibrate", recorded)
     return used
 
 
@@ -83,8 +83,8 @@ def test_the_log_kernel_agrees_with_numbers(monkeypatch):
             raise FloatingPointError
         return calibrate(plan, evidence, semiring)
 
-    calibrate = passes._calibrate
-    monkeypatch.setattr(passes, "_calibrate", never)
+    calibrate = tree_passes._calibrate
+    monkeypatch.setattr(tree_passes, "_calibrate", never)
     logs = pgm.infer(graph, evidence)
     np.testing.assert_allclose(logs.log_evidence, plain.log_evidence, rtol=1e-13)
     for state in states:
@@ -214,6 +214,34 @@ def test_a_hub_that_rescales_its_table(kernels):
     assert float(posterior.log_evidence) == pytest.approx(due, rel=1e-13)
 
 
+def test_impossible_evidence_names_what_contradicts_itself():
+    """Two states far from one another, and evidence elsewhere that agrees with all."""
+    count = 9
+    chain = [pgm.Discrete(f"x{t}", 3) for t in range(count)]
+    aside = [pgm.Discrete(f"y{t}", 2) for t in range(count)]
+    cpds = [pgm.TableCPD(chain[0], table=[0.2, 0.3, 0.5])]
+    cpds += [pgm.TableCPD(b, a, table=np.eye(3)) for a, b in pairwise(chain)]
+    cpds += [
+        pgm.TableCPD(y, x, table=np.full((3, 2), 0.5)) for x, y in zip(chain, aside, strict=True)
+    ]
+    graph = pgm.compile(pgm.BayesianNetwork(cpds))
+    for first, last in ((0, 3), (2, 8), (1, 7)):
+        given = {chain[first]: [0, 0], chain[last]: [0, 1]} | dict.fromkeys(aside, 0)
+        given[aside[first]] = pgm.soft([0.3, 0.4])
+        for run in (pgm.infer, pgm.most_probable):
+            with pytest.raises(
+                pgm.EvidenceError, match=r"in run 1\): that for .* contra"
+            ) as caught:
+                run(graph, given)
+            named = str(caught.value).split("contradicts")[0]
+            assert f"x{first}" in named
+            assert f"x{last}" in named
+            assert caught.value.variable in given
+            assert caught.value.cluster in range(len(graph))
+    found = pgm.infer(graph, {chain[0]: 0, aside[0]: 1, aside[8]: pgm.soft([0.0, 1.0])})
+    assert found[chain[8]]["0"] == 1.0
+
+
 def test_impossible_evidence_says_so():
     graph, a, _b, _c, d = faint(together=False)
     both = {a: "no", d: "yes"}
@@ -221,8 +249,13 @@ def test_impossible_evidence_says_so():
     with pytest.raises(pgm.EvidenceError, match=r"probability zero: .*\(a, d\)") as caught:
         pgm.infer(graph, both)
     assert caught.value.variable == a
-    with pytest.raises(pgm.EvidenceError, match="probability zero"):
+    assert a in graph.clusters[caught.value.cluster].scope
+    assert f"cluster {caught.value.cluster} over (a, " in str(caught.value)
+    with pytest.raises(
+        pgm.EvidenceError, match=r"zero: all states of cluster \d over \(a.* impossible given it"
+    ) as caught:
         pgm.infer(graph, both, schedule=pgm.Flooding())
+    assert a in graph.clusters[caught.value.cluster].scope
     with pytest.raises(pgm.EvidenceError, match=r"probability zero \(first in run 2\)"):
         pgm.infer(graph, {a: [0, 1, 0], d: [0, 1, 1]})
     with pytest.raises(pgm.EvidenceError, match=r"probability zero \(first in run \(1, 0\)\)"):

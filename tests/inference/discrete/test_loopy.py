@@ -8,7 +8,7 @@ from discrete.test_trees import evidence, question
 
 import pgm
 from models.discrete import asia, cloudy, rain, sprinkler, sprinkling, wet, xray
-from pgm.inference.discrete import fans
+from pgm.inference import limits
 
 SCHEDULES = [pgm.Flooding(), pgm.Sequential(), pgm.Residual(), pgm.Flooding(damping=0.4)]
 
@@ -139,7 +139,7 @@ def test_small_batches_are_the_same(monkeypatch):
     net = network(40, count=10)
     graph = pgm.compile(net, method=pgm.Bethe())
     whole = pgm.infer(graph, {}, schedule=pgm.Flooding(max_iterations=7))
-    monkeypatch.setattr(fans, "BATCH", 1)
+    monkeypatch.setattr(limits, "BATCH", 1)
     small = pgm.infer(
         pgm.compile(net, method=pgm.Bethe()), {}, schedule=pgm.Flooding(max_iterations=7)
     )

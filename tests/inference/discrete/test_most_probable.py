@@ -12,13 +12,13 @@ from discrete.test_trees import evidence, question
 
 import pgm
 from models.discrete import asia, dyspnoea, smoking, xray
-from pgm.inference.discrete import plan, planner, storage
+from pgm.inference.discrete import storage, tree_plan, tree_planner
 
 
 @pytest.mark.parametrize("least", [2**16, 1])
 @pytest.mark.parametrize("seed", range(25))
 def test_it_attains_the_largest_probability(seed, least, monkeypatch):
-    for module in (plan, planner, storage):
+    for module in (tree_plan, tree_planner, storage):
         monkeypatch.setattr(module, "LARGE", least)
     net = network(seed, count=4 + seed % 6, zeros=0.1, deterministic=0.1)
     states, weights = question(net, seed)
@@ -99,7 +99,28 @@ def test_it_is_a_value():
 def test_names_of_a_batch():
     found = pgm.most_probable(pgm.compile(asia()), {dyspnoea: [["no", "yes"]]})
     assert found.assignment[dyspnoea].tolist() == [[0, 1]]
-    assert np.array(smoking.states)[found.assignment[smoking]].shape == (1, 2)
+    for variable in asia().variables:
+        assert found.states(variable).shape == (1, 2)
+        for run in range(2):
+            single = pgm.most_probable(pgm.compile(asia()), {dyspnoea: run})
+            assert found.states(variable)[0, run] == single.states(variable)
+            assert single.states(variable) == single.assignment[variable]
+    assert repr(found) == "MostProbable(8 variables, runs (1, 2))"
+    with pytest.raises(pgm.EvidenceError, match=r"stranger is not in the network; .*dyspnoea"):
+        found.states(pgm.Discrete("stranger", 2))
+    with pytest.raises(pgm.EvidenceError, match="by variable, not by 'xray'"):
+        found.states("xray")
+
+
+def test_reprs():
+    few = pgm.most_probable(pgm.compile(asia()), {xray: "yes"})
+    assert repr(few).startswith("MostProbable(")
+    assert "xray yes" in repr(few)
+    assert repr(few).endswith(f"; ln p {float(few.log_probability):.6g})")
+    many = network(0, count=12)
+    found = pgm.most_probable(pgm.compile(many), {})
+    assert repr(found).count(", ") == 10
+    assert "... 12 variables; ln p" in repr(found)
 
 
 def test_errors():

@@ -75,8 +75,11 @@ def test_a_cluster_that_is_too_large():
         with pytest.raises(pgm.GraphError) as caught:
             run()
         for part in (
-            "cluster 0 over (b0, b1, b2, b3, b4, b5, b6, b7, ...), 40 variables, has 10^12.0 "
-            "entries, 8.19e+03 GiB",
+            "together they take 8.19e+03 GiB, where 1 GiB is the limit, and inference takes about "
+            "five times as much memory",
+            "cluster 0 over (b0, b1, b2, b3, b4, b5, b6, b7, ...), 40 variables, takes 8.19e+03 "
+            "GiB, 10^12.0 entries",
+            "pgm.JunctionTree(pgm.WeightedMinFill())",
             "pgm.Bethe()",
             "pgm.Flooding()",
         ):
@@ -100,7 +103,7 @@ def test_a_grid_is_refused_before_anything_is_made():
     graph = pgm.ClusterGraph(net, clusters, _chain(clusters))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.perf_counter()
-    with pytest.raises(pgm.GraphError, match=r"too large: cluster \d+ over \(.*41 variables"):
+    with pytest.raises(pgm.GraphError, match=r"cluster \d+ over \(.*41 variables, takes"):
         pgm.infer(graph, {})
     assert time.perf_counter() - start < 5.0
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500 * 1024
@@ -114,14 +117,71 @@ def _chain(clusters):
 def test_joints_that_are_too_large(monkeypatch):
     posterior = pgm.infer(pgm.compile(asia()), {})
     monkeypatch.setattr(limits, "LIMIT", 2**4)
-    with pytest.raises(pgm.GraphError, match=r"entries, where 16 are the limit; ask for fewer"):
+    with pytest.raises(
+        pgm.GraphError, match=r"needs a table over .* variables and .*; ask for fewer"
+    ):
         posterior.joint(*asia().variables)
+
+
+def test_many_clusters_that_are_too_large_together(monkeypatch):
+    monkeypatch.setattr(limits, "LIMIT", 20)
+    with pytest.raises(pgm.GraphError, match=r"6 clusters are too large: together they take"):
+        pgm.infer(pgm.compile(asia()), {})
+    graph = pgm.compile(asia(), method=pgm.Bethe())
+    with pytest.raises(pgm.GraphError, match=r"takes .* 24 entries\. Give it smaller clusters$"):
+        pgm.infer(graph, {}, schedule=pgm.Flooding())
 
 
 def test_runs_that_are_too_many_for_messages_that_go_round(monkeypatch):
     graph = pgm.compile(asia(), method=pgm.Bethe())
     monkeypatch.setattr(limits, "LIMIT", 2**10)
-    with pytest.raises(pgm.GraphError, match=r"for 100 runs, where 1024 are the limit; give"):
+    with pytest.raises(
+        pgm.GraphError, match=r"messages round the graph would take .* ask with fewer runs at once"
+    ):
         pgm.infer(graph, {xray: np.ones(100, dtype=int)}, schedule=pgm.Flooding())
     trees = pgm.infer(pgm.compile(asia()), {xray: np.ones(100, dtype=int)})
     assert trees[tuberculosis].values.shape == (100, 2)
+
+
+@pytest.mark.parametrize("kept", [0, 2**24])
+def test_answers_over_all_runs_that_are_too_large(kept, monkeypatch):
+    graph, runs = pgm.compile(asia()), np.ones(100, dtype=int)
+    monkeypatch.setattr(limits, "KEPT", kept)
+    posterior = pgm.infer(graph, {xray: runs})
+    monkeypatch.setattr(limits, "LIMIT", 350)
+    ask = r" would take .* for 100 runs, where .* is the limit; ask with fewer runs at once, {} at"
+    edge = next(edge for edge, sepset in graph.sepsets.items() if len(sepset) == 2)
+    for call, what in (
+        (lambda: posterior.joint(visit, tuberculosis), r"the joint over \(visit, tuberculosis\)"),
+        (lambda: posterior.message(*edge), r"the message over \(.*\)"),
+        (lambda: posterior.belief(edge[0]), r"the belief over \(.*\)"),
+    ):
+        with pytest.raises(pgm.GraphError, match=what + ask.format(r"\d+")):
+            call()
+    assert posterior.joint(visit).values.shape == (100, 2)
+    with pytest.raises(pgm.GraphError, match="the states of all variables" + ask.format(43)):
+        pgm.most_probable(graph, {xray: runs})
+    if not kept:
+        with pytest.raises(pgm.GraphError, match="the marginals of all var.*" + ask.format(21)):
+            pgm.infer(graph, {xray: runs})
+
+
+def test_clusters_of_more_variables_than_arrays_have_axes():
+    single = [pgm.Discrete(f"s{k}", 1) for k in range(70)]
+    a = pgm.Discrete("a", 2)
+    cpds = [pgm.TableCPD(v, table=[1.0]) for v in single] + [pgm.TableCPD(a, table=[0.3, 0.7])]
+    graph = pgm.ClusterGraph(pgm.BayesianNetwork(cpds), [{a, *single}])
+    for run in (
+        lambda: pgm.infer(graph, {}),
+        lambda: pgm.infer(graph, {}, schedule=pgm.Flooding()),
+        lambda: pgm.most_probable(graph, {}),
+    ):
+        with pytest.raises(pgm.GraphError, match=r"71 variables, is a table of too many") as caught:
+            run()
+        assert caught.value.cluster == 0
+        assert "for 60 variables; leave variables of one state, (s0, " in str(caught.value)
+    narrow = pgm.compile(pgm.BayesianNetwork(cpds))
+    posterior = pgm.infer(narrow, {})
+    assert posterior[a].values.tolist() == [0.3, 0.7]
+    with pytest.raises(pgm.GraphError, match=r"61 variables and .*, where 60 variables"):
+        posterior.joint(*single[:61])

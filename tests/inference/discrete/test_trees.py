@@ -6,7 +6,7 @@ from discrete.enumeration import Enumeration, network
 
 import pgm
 from models.discrete import asia, cancer, rain, sprinkler, wet, xray
-from pgm.inference.discrete import plan, planner, storage
+from pgm.inference.discrete import storage, tree_plan, tree_planner
 
 CLOSE = {"rtol": 0.0, "atol": 1e-12}
 
@@ -102,7 +102,7 @@ def test_a_sepset_that_shares_nothing():
 @pytest.mark.parametrize("seed", range(12))
 def test_tables_that_are_used_where_they_stand(seed, least, monkeypatch):
     """What large tables take, on small ones."""
-    for module in (plan, planner, storage):
+    for module in (tree_plan, tree_planner, storage):
         monkeypatch.setattr(module, "LARGE", least)
     net = network(400 + seed, count=9)
     assert check(net, pgm.compile(net), seed)

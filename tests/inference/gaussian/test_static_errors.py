@@ -49,10 +49,10 @@ EVIDENCE = [
         "an unknown variable", {other: 1.0}, "other", "does not have", "a", variable=other
     ),
     evidence_row("a discrete variable", {rain: "yes"}, "rain", "does not have", variable=rain),
-    evidence_row("a name", {"a": 1.0}, "'a'", "does not have"),
+    evidence_row("a name", {"a": 1.0}, "'a'", "no variable", "use the variable itself, a"),
     evidence_row("a state", {a: "yes"}, "a", "numbers", "str", variable=a),
     evidence_row(
-        "weights of states", {a: pgm.soft([0.5, 0.5])}, "a", "numbers", "Soft", variable=a
+        "weights of states", {a: pgm.soft([0.5, 0.5])}, "a", "discrete variables", variable=a
     ),
     evidence_row("nothing", {a: None}, "a", variable=a),
     evidence_row("complex", {a: 1j}, "a", "numbers", variable=a),

@@ -104,6 +104,19 @@ def test_a_seed_draws_the_same_again():
         assert (first[variable] != further[variable]).all()
 
 
+def test_what_draws_is_asked_for():
+    with pytest.raises(pgm.ModelError, match=r"rng is a numpy\.random\.Generator or a seed"):
+        model_of().sample(steps=3, rng=None)
+
+
+def test_a_sample_is_read_by_variable():
+    sample = model_of().sample({COMMAND: COMMANDS}, rng=0)
+    with pytest.raises(pgm.ModelError, match=f"no variable.* itself, {U!r}$"):
+        sample[U.name]
+    with pytest.raises(pgm.ModelError, match="stranger, which the sample does not have"):
+        sample[pgm.Variable("stranger")]
+
+
 def test_there_is_no_global_random_state():
     np.random.seed(0)  # noqa: NPY002
     before = np.random.get_state()[1].copy()  # noqa: NPY002

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.cpds import ConditionalGaussian
+from pgm.evidence.runs import flat
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.variables import Variable
 
@@ -72,22 +73,18 @@ class BoundEvidence:
         return math.prod(self.lead)
 
 
-def flat(array: Array, lead: tuple[int, ...]) -> Array:
+def by_row(array: Array, lead: tuple[int, ...]) -> Array:
     """(..., rows, d) as (rows, runs or 1, d); read-only, since functions of users see it."""
-    if all(length == 1 for length in array.shape[:-2]):
-        return frozen(array.reshape(array.shape[-2:])[:, None, :])
-    full = np.broadcast_to(array, (*lead, *array.shape[-2:]))
-    runs = math.prod(lead)
-    return frozen(np.ascontiguousarray(full.reshape(runs, *array.shape[-2:]).swapaxes(0, 1)))
+    return frozen(np.ascontiguousarray(flat(array, lead, 2).swapaxes(0, 1)))
 
 
-def flat_reading(reading: Reading, lead: tuple[int, ...]) -> Reading:
+def reading_by_row(reading: Reading, lead: tuple[int, ...]) -> Reading:
     """A reading whose arrays have the user's axes, with the axes of runs as one, rows first."""
     return Reading(
         reading.cpd,
         reading.step,
         reading.order,
-        flat(reading.values, lead),
-        flat(reading.taken[..., None].astype(float), lead)[..., 0].astype(bool),
-        {v: flat(a, lead) for v, a in reading.inputs.items()},
+        by_row(reading.values, lead),
+        by_row(reading.taken[..., None].astype(float), lead)[..., 0].astype(bool),
+        {v: by_row(a, lead) for v, a in reading.inputs.items()},
     )

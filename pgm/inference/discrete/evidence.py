@@ -10,8 +10,8 @@ from pgm.evidence.discrete import BoundStates
 from pgm.factors.axes import States
 from pgm.inference import limits
 from pgm.inference.discrete.place import Place
-from pgm.inference.discrete.plan import TreePlan
 from pgm.inference.discrete.storage import Storage
+from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
@@ -123,10 +123,14 @@ def pieces(entries: int, evidence: BoundStates) -> Iterator[BoundStates]:
         yield evidence
         return
     for start in range(0, evidence.runs, size):
-        stop = min(start + size, evidence.runs)
-        states = {
-            v: s if isinstance(s, int) or s.size == 1 else s[start:stop]
-            for v, s in evidence.states.items()
-        }
-        weights = {v: w if len(w) == 1 else w[start:stop] for v, w in evidence.weights.items()}
-        yield BoundStates((stop - start,), states, weights)
+        yield some_runs(evidence, start, min(start + size, evidence.runs))
+
+
+def some_runs(evidence: BoundStates, start: int, stop: int) -> BoundStates:
+    """The evidence of consecutive runs."""
+    states = {
+        v: s if isinstance(s, int) or s.size == 1 else s[start:stop]
+        for v, s in evidence.states.items()
+    }
+    weights = {v: w if len(w) == 1 else w[start:stop] for v, w in evidence.weights.items()}
+    return BoundStates((stop - start,), states, weights)

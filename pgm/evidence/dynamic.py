@@ -10,10 +10,15 @@ import numpy as np
 from pgm.cpds import ConditionalGaussian
 from pgm.errors import EvidenceError
 from pgm.evidence.arrays import as_rows, as_steps, require_finite, require_readings
-from pgm.evidence.bound import BoundEvidence, Inputs, Reading, flat, flat_reading
+from pgm.evidence.dynamic_layout import BoundEvidence, Inputs, Reading, by_row, reading_by_row
+from pgm.evidence.keys import unknown
+from pgm.evidence.runs import common_runs
 from pgm.evidence.values import Constant, Evidence, Sightings
+from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
+
+WHOLE = "only a sensor's reading may be missing, as a whole row of NaN"
 
 
 def bind(
@@ -83,48 +88,48 @@ class _Binder:
         self._check_inputs()
         inputs = [self._inputs(cpd, {}, span) for cpd in transition]
         readings = [self._reading(z) for z in self.sensors if z in self.evidence or self._drawn(z)]
-        try:
-            lead = np.broadcast_shapes(*(shape for _, shape in self.shapes))
-        except ValueError:
-            listed = ", ".join(
-                f"{name} {shape}" for name, shape in dict(self.shapes).items() if shape
-            )
-            raise EvidenceError(
-                f"the leading axes of the evidence do not broadcast to one set of runs: {listed}"
-            ) from None
-        if 0 in lead:
-            raise EvidenceError(f"the evidence has the axes of runs {lead}: there is no run in it")
+        lead = common_runs(self.shapes)
         return BoundEvidence(
             self.steps,
             lead,
-            tuple({v: flat(a, lead) for v, a in each.items()} for each in inputs),
-            tuple(flat_reading(reading, lead) for reading in readings),
+            tuple({v: by_row(a, lead) for v, a in each.items()} for each in inputs),
+            tuple(reading_by_row(reading, lead) for reading in readings),
         )
 
     def _check_known(self, cpds: Sequence[ConditionalGaussian]) -> None:
-        known = {v for cpd in cpds for v in cpd.scope}
+        known = {v for cpd in cpds for v in cpd.scope if not v.lag or v.template not in self.hidden}
         for variable in self.evidence:
-            if variable in self.hidden:
+            if not isinstance(variable, Variable):
+                raise unknown(variable, known)
+            if variable.template in self.hidden:
                 raise EvidenceError(
                     f"evidence for {variable!r}, which is hidden since a CPD of the transition "
                     "has it as its child; declare a sensor of it "
                     f"(LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, ...))",
                     variable=variable,
                 )
-            if variable not in known:
+            if variable.step is not None and variable.template in known:
                 raise EvidenceError(
-                    f"evidence for {variable!r}, which the model does not have; it has "
-                    f"{sorted({v.name for v in known})}",
+                    f"evidence for the single step {variable!r}; give {variable.template!r} an "
+                    "array (..., T, d) of steps 1..T or, where it is a sensor's reading, "
+                    "sightings with step=",
                     variable=variable,
+                    step=variable.step,
                 )
+            if variable not in known:
+                raise unknown(variable, known)
 
     def _length(self, steps: int | None) -> int:
         if steps is not None and (not isinstance(steps, int | np.integer) or steps < 0):
             raise EvidenceError(f"steps must be a whole number, 0 or more, not {steps!r}")
         lengths = {variable: array.shape[-2] for variable, array in self.arrays.items()}
         if len(set(lengths.values())) > 1:
-            listed = ", ".join(f"{variable!r} {length}" for variable, length in lengths.items())
-            raise EvidenceError(f"plain arrays must agree about the number of steps: {listed}")
+            one, *rest = lengths.items()
+            other = next(found for found in rest if found[1] != one[1])
+            raise EvidenceError(
+                "plain arrays must agree about the number of steps: "
+                f"{one[0]!r} has {one[1]}, {other[0]!r} has {other[1]}"
+            )
         if steps is None and not lengths:
             raise EvidenceError(
                 "no plain array tells the number of steps; give steps=, the last step, T"
@@ -198,7 +203,7 @@ class _Binder:
             if variable not in seen:
                 raise EvidenceError(
                     f"sightings of {cpd.child!r} are given {variable!r}, which is no observed "
-                    f"parent of its CPD; those are {seen}",
+                    f"parent of its CPD; those are [{listed(seen)}]",
                     variable=variable,
                     cpd=cpd,
                 )
@@ -231,7 +236,7 @@ class _Binder:
                         variable=variable,
                         cpd=cpd,
                     )
-                rows = require_finite(variable, rows[..., order, :], step)
+                rows = require_finite(variable, rows[..., order, :], step, WHOLE)
             else:
                 if step.size and step[0] == 0:
                     raise EvidenceError(
@@ -242,7 +247,8 @@ class _Binder:
                         step=0,
                     )
                 every = np.arange(1, self.steps + 1)
-                rows = require_finite(variable, self.arrays[variable], every)[..., step - 1, :]
+                rows = require_finite(variable, self.arrays[variable], every, WHOLE)
+                rows = rows[..., step - 1, :]
             self.shapes.append((repr(variable), rows.shape[:-2]))
             inputs[variable] = rows
         return inputs
@@ -250,4 +256,4 @@ class _Binder:
 
 def _constant_row(variable: Variable, value: Constant) -> Array:
     """A constant's value, (..., d)."""
-    return require_finite(variable, as_rows(variable, value.value, None))
+    return require_finite(variable, as_rows(variable, value.value, None), advice=WHOLE)

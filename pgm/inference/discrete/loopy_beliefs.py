@@ -12,9 +12,9 @@ from pgm.evidence.discrete import BoundStates
 from pgm.factors import Table
 from pgm.factors.axes import States
 from pgm.inference.discrete.beliefs import Beliefs
-from pgm.inference.discrete.entering import axes_left, put_in
+from pgm.inference.discrete.evidence import axes_left, put_in
 from pgm.inference.discrete.joints import joint
-from pgm.inference.discrete.messages import TableMessages
+from pgm.inference.discrete.loopy_messages import TableMessages
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.forest import Forest
 from pgm.kernels.arrays import Array
@@ -87,10 +87,10 @@ class LoopyBeliefs(Beliefs):
         edge = min(source, target), max(source, target)
         graph = self.storage.graph
         number = 2 * list(graph.sepsets).index(edge) + (source > target)
-        fans = self.messages.fans
-        scope = fans.sepsets[number]
-        first = fans.first[number]
-        logs = self.messages.logs[first : first + fans.widths[number]]
+        plan = self.messages.plan
+        scope = plan.sepsets[number]
+        first = plan.first[number]
+        logs = self.messages.logs[first : first + plan.widths[number]]
         with np.errstate(under="ignore"):
             whole: Array = np.exp(logs).reshape((*(v.size for v in scope), -1))
         known = put_in(self.evidence, scope)

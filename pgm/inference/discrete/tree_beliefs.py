@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.errors import EvidenceError
 from pgm.evidence.discrete import BoundStates
-from pgm.evidence.indices import in_run
 from pgm.factors import Table
 from pgm.factors.axes import States
-from pgm.factors.scope import names
 from pgm.inference import limits
 from pgm.inference.discrete.beliefs import Beliefs
-from pgm.inference.discrete.entering import pieces
-from pgm.inference.discrete.exchange import Exchange
+from pgm.inference.discrete.evidence import pieces
+from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.joints import joint
-from pgm.inference.discrete.passes import Calibrated, calibrate
-from pgm.inference.discrete.plan import TreePlan
-from pgm.inference.discrete.planner import make_plan
 from pgm.inference.discrete.storage import Storage
+from pgm.inference.discrete.tree_messages import TreeMessages
+from pgm.inference.discrete.tree_passes import Calibrated, calibrate
+from pgm.inference.discrete.tree_plan import TreePlan
+from pgm.inference.discrete.tree_planner import make_plan
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete
 
@@ -35,10 +33,12 @@ class TreeBeliefs(Beliefs):
     Attributes
     ----------
     plan : TreePlan
+    storage : Storage
     evidence : BoundStates
     """
 
     plan: TreePlan
+    storage: Storage
     evidence: BoundStates
     # Some runs after the other; None where all would take too much room.
     _kept: Sequence[tuple[Calibrated, int]] | None
@@ -52,14 +52,18 @@ class TreeBeliefs(Beliefs):
         Raises
         ------
         GraphError
-            If its tables are too large.
+            If its tables are too large, or the marginals of all runs.
         EvidenceError
             If the evidence has probability zero.
         """
         plan = graph.derived(make_plan)
-        keep = evidence.runs == 1 or plan.storage.entries * evidence.runs <= limits.KEPT
+        storage = plan.storage
+        keep = evidence.runs == 1 or storage.entries * evidence.runs <= limits.KEPT
+        if not keep:
+            states = int(plan.marginals.widths.sum())
+            limits.require_runs(states, evidence.runs, "the marginals of all variables")
         kept, marginals, tops = [], [], []
-        for piece in pieces(plan.storage.entries, evidence):
+        for piece in pieces(storage.entries, evidence):
             done = calibrate(plan, piece)
             tops.append((done.log_tops, piece.runs))
             if keep:
@@ -69,13 +73,8 @@ class TreeBeliefs(Beliefs):
         log_tops = _joined(tops)
         require_possible(plan, evidence, log_tops)
         if keep:
-            return cls(plan, evidence, kept, None, log_tops)
-        return cls(plan, evidence, None, _joined(marginals), log_tops)
-
-    @property
-    def storage(self) -> Storage:  # type: ignore[override]
-        """Where the tables stand."""
-        return self.plan.storage
+            return cls(plan, storage, evidence, kept, None, log_tops)
+        return cls(plan, storage, evidence, None, _joined(marginals), log_tops)
 
     @cached_property
     def _marginals(self) -> Array:
@@ -103,25 +102,38 @@ class TreeBeliefs(Beliefs):
 
     def log_total(self, cluster: int) -> Array:
         """The logarithm of p(evidence) of a cluster's tree, ([runs])."""
-        mine = self.plan.tree_of_top == self.plan.tree[cluster]
+        mine = self.plan.tree_of_top == self.plan.forest.roots[cluster]
         total: Array = np.asarray(self._log_tops[mine].sum(axis=0))
         return total
 
     @cached_property
-    def _exchange(self) -> Exchange:
-        return Exchange(self.storage, self.evidence, self.plan.logs)
+    def _whole(self) -> TreeMessages | None:
+        """The messages of all runs, if they fit at once."""
+        if self.evidence.runs > 1 and self.storage.entries * self.evidence.runs > limits.BATCH:
+            return None
+        return TreeMessages(self.storage, self.evidence, self.plan.logs)
+
+    def _messages(self) -> Iterator[TreeMessages]:
+        """Those of all runs, or of some runs after the other, none of which is kept."""
+        if self._whole is not None:
+            yield self._whole
+            return
+        for piece in pieces(self.storage.entries, self.evidence):
+            yield TreeMessages(self.storage, piece, self.plan.logs)
 
     def message(self, source: int, target: int) -> Table:
         """The message from one cluster to a neighbour."""
-        scope = self._exchange.sepset(source, target)
-        logs = self._exchange.message(source, target)
+        parts = []
+        for messages in self._messages():
+            logs = messages.message(source, target)
+            parts.append(np.broadcast_to(logs, (*logs.shape[:-1], messages.evidence.runs)))
+        logs = np.concatenate(parts, axis=-1)
+        scope = messages.sepset(source, target)
         top = logs.max(axis=tuple(range(len(scope))))
         top = np.where(top == -np.inf, 0.0, top)
         with np.errstate(under="ignore"):
             values = np.exp(logs - top)
-        runs = self.evidence.runs
-        values = np.broadcast_to(values, (*values.shape[:-1], runs))
-        return self.table(scope, values, np.broadcast_to(top, runs))
+        return self.table(scope, values, top)
 
 
 def _joined(parts: list[tuple[Array, int]]) -> Array:
@@ -129,31 +141,3 @@ def _joined(parts: list[tuple[Array, int]]) -> Array:
     if len(parts) == 1:
         return parts[0][0]
     return np.concatenate([a if runs > 1 else a[..., None] for a, runs in parts], axis=-1)
-
-
-def require_possible(plan: TreePlan, evidence: BoundStates, log_tops: Array) -> None:
-    """Refuse evidence of probability zero: a scale whose logarithm, (tops, [runs]), is −∞.
-
-    Raises
-    ------
-    EvidenceError
-        Naming the first run and the variables with evidence in its tree.
-    """
-    # One sum finds out, whatever is infinite.
-    if np.isfinite(np.add.reduce(log_tops, None)):
-        return
-    impossible = log_tops == -np.inf
-    runs = impossible.any(axis=0)
-    first = int(runs.argmax())
-    lost = impossible[:, first] if runs.ndim else impossible
-    root = plan.tree_of_top[lost.argmax()]
-    involved = [
-        v for v in (*evidence.states, *evidence.weights) if plan.tree[plan.storage.homes[v]] == root
-    ]
-    where = in_run(runs.reshape(evidence.lead))
-    raise EvidenceError(
-        f"the evidence has probability zero{where}: no assignment of the network agrees with that "
-        f"for {names(involved)}; take some of it out, or give states that the tables hold for "
-        "impossible a probability",
-        variable=involved[0],
-    )

@@ -7,13 +7,12 @@ import math
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.factors.axes import sizes
+from pgm.factors.axes import discrete, sizes, without
 from pgm.inference.discrete.place import LARGE, Place
-from pgm.inference.discrete.plan import Stack, TreePlan
-from pgm.inference.discrete.rooted import children, sepset_to_parent
-from pgm.inference.discrete.spreads import BlockSpread, GatheredSpread, Spread
-from pgm.inference.discrete.storage import Storage
+from pgm.inference.discrete.products import BlockProduct, GatheredProduct, Product
+from pgm.inference.discrete.storage import Storage, sepset_to_parent
 from pgm.inference.discrete.sums import BlockSum, GatheredSum, Sum
+from pgm.inference.discrete.tree_plan import Stack, TreePlan
 from pgm.inference.forest import Forest
 from pgm.inference.limits import require_size
 
@@ -43,7 +42,6 @@ class _Planner:
         self.forest = Forest.of(graph)
         everywhere = range(len(graph))
         self.sepsets = [sepset_to_parent(graph, self.forest, k) for k in everywhere]
-        self.children = children(self.forest)
         self.width = [math.prod(sizes(sepset)) for sepset in self.sepsets]
         self.places: list[Place | None] = [None for _ in everywhere]
         self.first = np.zeros(len(graph), dtype=np.intp)
@@ -73,7 +71,7 @@ class _Planner:
         """What clusters of one stack have in common."""
         parent = int(self.forest.parent[cluster])
         above = self.graph.sizes[parent] // self.width[cluster] if parent >= 0 else 0
-        depth, children = int(self.forest.depth[cluster]), len(self.children[cluster])
+        depth, children = int(self.forest.depth[cluster]), len(self.forest.children[cluster])
         alone = cluster if self._large(cluster) or (parent >= 0 and self._large(parent)) else -1
         return depth, self._rows(cluster), children, above, alone
 
@@ -86,14 +84,14 @@ class _Planner:
         columns = sum(self.width[k] for k in clusters)
         offset = 0
         for k in clusters:
-            rest = tuple(v for v in self.graph.clusters[k].scope if v not in self.sepsets[k])
+            rest = without(discrete(self.graph.clusters[k].scope), self.sepsets[k])
             scope = (*rest, *self.sepsets[k])
             self.first[k] = column + offset
             large = self._large(k)
             if rows <= columns:
-                place = Place(scope, rows, self.width[k], start + offset, columns, 1, large)  # type: ignore[arg-type]
+                place = Place(scope, rows, self.width[k], start + offset, columns, 1, large)
             else:
-                place = Place(scope, rows, self.width[k], start + offset * rows, 1, rows, large)  # type: ignore[arg-type]
+                place = Place(scope, rows, self.width[k], start + offset * rows, 1, rows, large)
             self.places[k] = place
             offset += self.width[k]
         return start + rows * columns, column + columns
@@ -105,7 +103,7 @@ class _Planner:
         start = storage.places[clusters[0]].start
         first = int(self.first[clusters[0]])
         absorbed = self._absorbed(clusters, storage, start, rows * columns)
-        hub = len(self.children[clusters[0]]) > CHUNK
+        hub = len(self.forest.children[clusters[0]]) > CHUNK
         scales = len(clusters) * (len(absorbed) if hub else 1)
         return Stack(
             np.array(clusters),
@@ -123,22 +121,22 @@ class _Planner:
 
     def _absorbed(
         self, clusters: list[int], storage: Storage, start: int, entries: int
-    ) -> list[Spread]:
+    ) -> list[Product]:
         """Which column of each child's message meets each entry."""
         only = storage.places[clusters[0]]
         if only.large:
             return [
-                BlockSpread(np.array([[k]]), only, self.sepsets[k], int(self.first[k]))
-                for k in self.children[clusters[0]]
+                BlockProduct(np.array([[k]]), only, self.sepsets[k], int(self.first[k]))
+                for k in self.forest.children[clusters[0]]
             ]
-        senders = np.array([self.children[k] for k in clusters], dtype=np.intp).T
-        count = len(self.children[clusters[0]])
+        senders = np.array([self.forest.children[k] for k in clusters], dtype=np.intp).T
+        count = len(self.forest.children[clusters[0]])
         maps = np.empty((count, entries), dtype=np.intp)
         for k in clusters:
             place = storage.places[k]
             axis = {variable: j for j, variable in enumerate(place.scope)}
             target = place.positions(place.scope) - start
-            for slot, child in enumerate(self.children[k]):
+            for slot, child in enumerate(self.forest.children[k]):
                 sepset = self.sepsets[child]
                 shape = np.ones(len(place.scope), dtype=np.intp)
                 shape[[axis[v] for v in sepset]] = sizes(sepset)
@@ -147,7 +145,7 @@ class _Planner:
                 maps[slot, target] = self.first[child] + own.transpose(order).reshape(shape)
         size = min(CHUNK, max(1, SMALL // entries))
         chunks = [slice(at, at + size) for at in range(0, count, size)]
-        return [GatheredSpread(senders[some], maps[some]) for some in chunks]
+        return [GatheredProduct(senders[some], maps[some]) for some in chunks]
 
     def _down(self, clusters: list[int], storage: Storage) -> Sum | None:
         """What sums the parents' tables to the columns of a stack."""

@@ -1,4 +1,4 @@
-"""Messages that are spread over the tables that they are multiplied into."""
+"""Messages that are multiplied into tables: which column of them meets which entry."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import Semiring
 
 
-class Spread(Protocol):
+class Product(Protocol):
     """Which column of some messages meets which entry of the tables of a stack.
 
     Attributes
@@ -37,7 +37,7 @@ class Spread(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class GatheredSpread:
+class GatheredProduct:
     """Messages to tables of any kind.
 
     Attributes
@@ -64,7 +64,7 @@ class GatheredSpread:
 
 
 @dataclass(frozen=True, eq=False)
-class BlockSpread:
+class BlockProduct:
     """A message to a table that stands by itself.
 
     Attributes

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.evidence.discrete import BoundStates
-from pgm.inference.discrete.entering import enter
-from pgm.inference.discrete.plan import Stack, TreePlan
+from pgm.inference.discrete.evidence import enter
+from pgm.inference.discrete.tree_plan import Stack, TreePlan
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 
@@ -44,8 +44,11 @@ def collect(plan: TreePlan, tables: Array, semiring: Semiring) -> Collected:
         matrix = entries.reshape(*stack.shape, *tail)
         own = slice(stack.tops.start, stack.tops.start + stack.clusters.size)
         taken = own.stop
-        for spread in stack.absorbed:
-            spread.multiply(entries, messages, semiring)
+        for product in stack.absorbed:
+            product.multiply(entries, messages, semiring)
+            # The product of a hub's many messages may underflow although none of them does: their
+            # largest entries need not meet. So its table is rescaled after every few, and the
+            # hub owns a scale for each time, beside that of its own message.
             if stack.hub and semiring.linear and taken < stack.tops.stop:
                 top = _largest(stack, np.maximum.reduce(matrix, stack.axis))
                 tops[taken : taken + stack.clusters.size] = top

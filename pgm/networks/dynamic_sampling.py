@@ -11,9 +11,10 @@ import numpy as np
 
 from pgm.errors import ModelError
 from pgm.evidence import Evidence, Reading, Sightings, bind, sightings
+from pgm.factors.strangers import stranger
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
-from pgm.networks import drawing
+from pgm.networks import ancestral
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ class Sample(Immutable):
         """The values of a variable."""
         if variable not in self.values:
             raise ModelError(
-                f"the sample has no values of {variable!r}; it has {list(self.values)}",
+                f"no values of {variable!r}, {stranger(variable, self.values, 'the sample')}",
                 variable=variable,
             )
         return self.values[variable]
@@ -68,14 +69,14 @@ def draw(
     }
     for cpd in model.prior:
         now = {v: path[v][0] for v in cpd.given}
-        path[cpd.child][0] = drawing.gaussian(cpd, now, bound.lead, rng, (count,), 0)
+        path[cpd.child][0] = ancestral.gaussian(cpd, now, bound.lead, rng, (count,), 0)
     for step in range(1, bound.steps + 1):
         for cpd, known in zip(model.transition, bound.transition, strict=True):
             values = {v: rows[step - 1] for v, rows in known.items()}
             for parent in cpd.given:
                 if parent not in values:
                     values[parent] = path[parent.template][step - parent.lag]
-            path[cpd.child][step] = drawing.gaussian(cpd, values, bound.lead, rng, (count,), step)
+            path[cpd.child][step] = ancestral.gaussian(cpd, values, bound.lead, rng, (count,), step)
     evidence: dict[Variable, Any] = dict(inputs)
     values = {v: _unflat(path[v], bound.lead) for v in model.states}
     values |= {v: _unflat(path[v][1:], bound.lead) for v in model.controls}
@@ -107,7 +108,7 @@ def _draw_reading(
     wide = {v: np.broadcast_to(a, (size, runs, a.shape[-1])) for v, a in values.items()}
     if not size:
         return np.empty((0, runs, reading.cpd.child.dimension))
-    return drawing.gaussian(reading.cpd, wide, lead, rng, (size, runs), reading.step[:, None])
+    return ancestral.gaussian(reading.cpd, wide, lead, rng, (size, runs), reading.step[:, None])
 
 
 def _unflat(rows: Array, lead: tuple[int, ...]) -> Array:

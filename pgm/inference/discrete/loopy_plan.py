@@ -1,4 +1,4 @@
-"""How clusters of a graph of any shape compute their messages, many of like shape in one call."""
+"""Rounds of messages on a graph of any shape, laid out: clusters of like shape in one call."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.factors.axes import States, sizes
+from pgm.factors.axes import States, discrete, sizes
+from pgm.inference import limits
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.loopy import Directed
 from pgm.kernels.arrays import Integers
-
-# Entries times neighbours times runs that are computed in one call.
-BATCH = 2**22
-
 
 # Which axes of a cluster its sepset has.
 Kept = tuple[bool, ...]
@@ -23,7 +20,7 @@ Kept = tuple[bool, ...]
 
 @dataclass(frozen=True, eq=False)
 class Outlet:
-    """Messages of one shape that a fan sends.
+    """Messages of one shape that a group of clusters sends.
 
     Attributes
     ----------
@@ -33,15 +30,18 @@ class Outlet:
         (messages, columns): where the messages are kept.
     order : ndarray of int
         (messages,): which of the round's messages they are.
+    senders : ndarray of int
+        (messages,): the clusters that send them.
     """
 
     index: Integers
     columns: Integers
     order: Integers
+    senders: Integers
 
 
 @dataclass(frozen=True, eq=False)
-class Fan:
+class Group:
     """Clusters with equally many neighbours and entries, and the messages asked of them.
 
     Attributes
@@ -58,7 +58,7 @@ class Fan:
     outlets: Sequence[Outlet]
 
 
-class Fans:
+class LoopyPlan:
     """Lays out rounds of messages of a graph.
 
     Parameters
@@ -70,20 +70,20 @@ class Fans:
     def __init__(self, storage: Storage, directed: Directed) -> None:
         self.storage, self.directed = storage, directed
         edges = storage.graph.sepsets.values()
-        self.sepsets: list[States] = [s for s in edges for _ in range(2)]  # type: ignore[misc]
+        self.sepsets: list[States] = [discrete(s) for s in edges for _ in range(2)]
         self.widths = np.array([math.prod(sizes(s)) for s in self.sepsets], dtype=np.intp)
         self.first = np.cumsum(self.widths) - self.widths
         self._slot = {m: k for found in directed.outgoing for k, m in enumerate(found)}
-        self._all: tuple[int, list[Fan]] | None = None
+        self._all: tuple[int, list[Group]] | None = None
         self._shapes: dict[tuple[tuple[int, ...], Kept], tuple[Integers, Integers]] = {}
 
-    def everything(self, runs: int) -> list[Fan]:
+    def everything(self, runs: int) -> list[Group]:
         """All messages; laid out once for a number of runs."""
         if self._all is None or self._all[0] != runs:
             self._all = runs, self.lay_out(range(len(self.directed)), runs)
         return self._all[1]
 
-    def lay_out(self, messages: Sequence[int], runs: int) -> list[Fan]:
+    def lay_out(self, messages: Sequence[int], runs: int) -> list[Group]:
         """Group the sources of some messages by shape."""
         asked: dict[int, list[tuple[int, int]]] = {}
         for order, message in enumerate(messages):
@@ -92,14 +92,14 @@ class Fans:
         for cluster in asked:
             degree = len(self.directed.outgoing[cluster])
             kinds.setdefault((degree, self.storage.graph.sizes[cluster]), []).append(cluster)
-        fans = []
+        groups = []
         for (degree, entries), clusters in kinds.items():
-            some = max(1, BATCH // (degree * entries * runs))
+            some = max(1, limits.BATCH // (degree * entries * runs))
             for at in range(0, len(clusters), some):
-                fans.append(self._fan(clusters[at : at + some], asked))
-        return fans
+                groups.append(self._group(clusters[at : at + some], asked))
+        return groups
 
-    def _fan(self, clusters: list[int], asked: dict[int, list[tuple[int, int]]]) -> Fan:
+    def _group(self, clusters: list[int], asked: dict[int, list[tuple[int, int]]]) -> Group:
         size = self.storage.graph.sizes[clusters[0]]
         total = size * len(clusters)
         entries = [self.storage.positions(k).ravel() for k in clusters]
@@ -115,10 +115,11 @@ class Fans:
                 np.concatenate([rows for _, _, rows in found], axis=1),
                 np.array([self.first[m] + np.arange(width) for _, m, _ in found]),
                 np.array([order for order, _, _ in found]),
+                self.directed.source[[m for _, m, _ in found]],
             )
             for width, found in shapes.items()
         ]
-        return Fan(np.concatenate(entries), np.concatenate(incoming, axis=1), outlets)
+        return Group(np.concatenate(entries), np.concatenate(incoming, axis=1), outlets)
 
     def _incoming(self, cluster: int) -> Integers:
         """The columns of the messages to a cluster that meet each of its entries."""

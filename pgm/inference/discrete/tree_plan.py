@@ -17,9 +17,8 @@ import numpy as np
 from pgm.clustergraph import ClusterGraph
 from pgm.factors.axes import States, sizes
 from pgm.inference.discrete.place import LARGE, Place
-from pgm.inference.discrete.rooted import roots, sepset_to_parent
-from pgm.inference.discrete.spreads import Spread
-from pgm.inference.discrete.storage import Storage
+from pgm.inference.discrete.products import Product
+from pgm.inference.discrete.storage import Storage, sepset_to_parent
 from pgm.inference.discrete.sums import Marginals, Sum
 from pgm.inference.forest import Forest
 from pgm.kernels.arrays import Array, Integers
@@ -37,17 +36,18 @@ class Stack:
     ----------
     clusters : ndarray of int
     entries, columns, tops : slice
-        Where their tables, the columns of their messages, and the scales taken out of these stand.
+        Where their tables, the columns of their messages, and the scales taken out of these stand:
+        one for each cluster, and of a hub one more for each time that its table is rescaled.
     shape : tuple of int
         Of their tables as one matrix: (rows, columns), or (columns, rows) where `axis` is 1.
     axis : int
         The axis of the rows.
     first, widths : ndarray of int
         Of each cluster, its first column in the stack and their number.
-    absorbed : sequence of Spread
+    absorbed : sequence of Product
         Messages from the children.
     hub : bool
-        Whether the tables are rescaled in between.
+        Whether the clusters have so many children that their tables are rescaled in between.
     down : Sum or None
         Sums the parents' tables to the columns; of roots None.
     """
@@ -60,7 +60,7 @@ class Stack:
     axis: int
     first: Integers
     widths: Integers
-    absorbed: Sequence[Spread]
+    absorbed: Sequence[Product]
     hub: bool
     down: Sum | None
 
@@ -113,14 +113,10 @@ class TreePlan:
         return self.numbers if semiring.linear else self.logs
 
     @cached_property
-    def tree(self) -> Integers:
-        """The root of each cluster's tree, (clusters,)."""
-        return roots(self.forest)
-
-    @cached_property
     def tree_of_top(self) -> Integers:
         """The root of the tree from which each scale was taken, (tops,)."""
-        found = [np.resize(self.tree[s.clusters], s.tops.stop - s.tops.start) for s in self.stacks]
+        roots = self.forest.roots
+        found = [np.resize(roots[s.clusters], s.tops.stop - s.tops.start) for s in self.stacks]
         return np.concatenate(found)
 
     @cached_property

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.errors import EvidenceError, GraphError
 from pgm.evidence.discrete import BoundStates
-from pgm.evidence.indices import in_run
 from pgm.inference import limits
-from pgm.inference.discrete.entering import enter_everywhere
-from pgm.inference.discrete.fans import Fan, Fans
+from pgm.inference.discrete.evidence import enter_everywhere
+from pgm.inference.discrete.impossible import contradicted
+from pgm.inference.discrete.loopy_plan import Group, LoopyPlan, Outlet
 from pgm.inference.discrete.storage import Storage, contiguous
 from pgm.inference.loopy import Directed
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -28,11 +27,11 @@ class Round:
     ----------
     size : int
         Number of messages.
-    fans : sequence of Fan
+    groups : sequence of Group
     """
 
     size: int
-    fans: Sequence[Fan]
+    groups: Sequence[Group]
 
 
 class TableMessages:
@@ -44,23 +43,23 @@ class TableMessages:
 
     def __init__(self, graph: ClusterGraph, evidence: BoundStates, damping: float) -> None:
         _require_room(graph, evidence)
-        self.fans: Fans = graph.derived(_fans)
-        self.storage: Storage = self.fans.storage
-        self.directed: Directed = self.fans.directed
+        self.plan: LoopyPlan = graph.derived(_loopy_plan)
+        self.storage: Storage = self.plan.storage
+        self.directed: Directed = self.plan.directed
         self.evidence = evidence
         self.damping = damping
         self.runs: int = evidence.runs
         potentials = graph.derived(_logs)
         self.potentials: Array = enter_everywhere(self.storage, potentials, evidence)
-        self.logs: Array = np.repeat(-np.log(self.fans.widths), self.fans.widths)[:, None]
+        self.logs: Array = np.repeat(-np.log(self.plan.widths), self.plan.widths)[:, None]
         self.logs = self.logs + np.zeros(self.runs)
         self._proposed: Array = np.empty_like(self.logs)
 
     def round(self, messages: Sequence[int]) -> Round:
         """Lay out the computation of some messages."""
         if messages == range(len(self.directed)):
-            return Round(len(messages), self.fans.everything(self.runs))
-        return Round(len(messages), self.fans.lay_out(messages, self.runs))
+            return Round(len(messages), self.plan.everything(self.runs))
+        return Round(len(messages), self.plan.lay_out(messages, self.runs))
 
     def propose(self, round: Round) -> Array:
         """Compute them from those kept; the largest changes of their entries, (messages, runs).
@@ -71,51 +70,48 @@ class TableMessages:
             If a message is all zero: the evidence has probability zero.
         """
         change = np.empty((round.size, self.runs))
-        for fan in round.fans:
-            products = self._products(fan)
-            for outlet in fan.outlets:
+        for group in round.groups:
+            products = self._products(group)
+            for outlet in group.outlets:
                 sums: Array = log_sum(products.take(outlet.index, 0), 0)
-                new = self._normalised(sums.reshape(*outlet.columns.shape, self.runs))
+                new = self._normalised(sums.reshape(*outlet.columns.shape, self.runs), outlet)
                 old = self.logs[outlet.columns]
                 change[outlet.order] = np.abs(_exp(new) - _exp(old)).max(axis=1)
                 self._proposed[outlet.columns] = new
         return change
 
-    def _products(self, fan: Fan) -> Array:
+    def _products(self, group: Group) -> Array:
         """The potential times all messages but that of one neighbour, of each in turn."""
-        incoming = self.logs.take(fan.incoming, 0)
+        incoming = self.logs.take(group.incoming, 0)
         products = np.empty_like(incoming)
-        products[0] = self.potentials.take(fan.entries, 0)
+        products[0] = self.potentials.take(group.entries, 0)
         products[1:] = incoming[:-1]
         np.add.accumulate(products, 0, out=products)
         after = np.add.accumulate(incoming[:0:-1], 0)
         products[:-1] += after[::-1]
         return products.reshape(-1, self.runs)
 
-    def _normalised(self, messages: Array) -> Array:
+    def _normalised(self, messages: Array, outlet: Outlet) -> Array:
         """Messages (messages, columns, runs) divided by their sums."""
         total = log_sum(messages, 1)
-        self._require_possible(total)
+        self._require_possible(total, outlet.senders)
         normalised: Array = messages - total[:, None]
         return normalised
 
-    def _require_possible(self, totals: Array) -> None:
-        empty = (totals == -np.inf).any(axis=0)
+    def _require_possible(self, totals: Array, clusters: Integers) -> None:
+        """Refuse sums, (clusters, runs), that are zero."""
+        empty = totals == -np.inf
         if empty.any():
-            where = in_run(empty.reshape(self.evidence.lead))
-            raise EvidenceError(
-                f"the evidence has probability zero{where}: the messages contradict each other; "
-                "take some of it out, or give states that the tables hold for impossible a "
-                "probability"
-            )
+            found = [self.storage.graph.clusters[k] for k in clusters.tolist()]
+            raise contradicted(empty, found, self.evidence.lead)
 
     def accept(self, round: Round, active: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active, (runs,)."""
-        for fan in round.fans:
-            for outlet in fan.outlets:
+        for group in round.groups:
+            for outlet in group.outlets:
                 new, old = self._proposed[outlet.columns], self.logs[outlet.columns]
                 if self.damping:
-                    new = self._normalised((1.0 - self.damping) * new + self.damping * old)
+                    new = self._normalised((1.0 - self.damping) * new + self.damping * old, outlet)
                 self.logs[outlet.columns] = np.where(active, new, old)
 
     def relinearise(self, active: Mask) -> None:
@@ -128,43 +124,42 @@ class TableMessages:
         The beliefs stand as in the storage; the sums are (clusters, runs).
         """
         logs = self.potentials.copy()
-        for fan in self.fans.everything(self.runs):
-            logs[fan.entries] += self.logs.take(fan.incoming, 0).sum(axis=0)
+        for group in self.plan.everything(self.runs):
+            logs[group.entries] += self.logs.take(group.incoming, 0).sum(axis=0)
         sizes = np.array(self.storage.graph.sizes)
         totals = _segments(logs, sizes)
-        self._require_possible(totals)
+        self._require_possible(totals, np.arange(sizes.size))
         return _exp(logs - totals.repeat(sizes, 0)), totals
 
     def log_evidence(self, totals: Array) -> Array:
         """The Bethe value Σ ln Z_cluster − Σ ln Z_sepset, (runs,)."""
         value: Array = totals.sum(axis=0)
-        widths = self.fans.widths
+        widths = self.plan.widths
         if widths.size:
             owner = np.repeat(np.arange(widths.size), widths)
             there, back = self.logs[owner % 2 == 0], self.logs[owner % 2 == 1]
             sepsets = _segments(there + back, widths[::2])
-            self._require_possible(sepsets)
+            self._require_possible(sepsets, self.directed.source[::2])
             value = value - sepsets.sum(axis=0)
         return value
 
 
-def _fans(graph: ClusterGraph) -> Fans:
-    return Fans(contiguous(graph), Directed.of(graph))
+def _loopy_plan(graph: ClusterGraph) -> LoopyPlan:
+    return LoopyPlan(contiguous(graph), Directed.of(graph))
 
 
 def _logs(graph: ClusterGraph) -> Array:
-    fans: Fans = graph.derived(_fans)
-    return fans.storage.potentials(LOG_SUM_PRODUCT)
+    plan: LoopyPlan = graph.derived(_loopy_plan)
+    return plan.storage.potentials(LOG_SUM_PRODUCT)
 
 
 def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
-    limits.require_size(graph, graph.sizes, "tables")
-    entries = sum(graph.sizes) * evidence.runs
-    if evidence.runs > 1 and entries > limits.LIMIT:
-        raise GraphError(
-            f"the tables of {graph!r} have {entries} entries for {evidence.runs} runs, where "
-            f"{limits.LIMIT} are the limit; give the evidence for fewer runs at once"
-        )
+    # A cluster's table is multiplied by the messages of all neighbours but each in turn: where
+    # these meet it is laid out for all clusters, the products are made for some at once.
+    products = [size * max(1, len(graph.neighbours(k))) for k, size in enumerate(graph.sizes)]
+    limits.require_size(graph, products, "tables, one for each message that a cluster sends,")
+    entries = sum(graph.sizes) + max(products)
+    limits.require_runs(entries, evidence.runs, "messages round the graph")
 
 
 def _segments(logs: Array, sizes: Integers) -> Array:

@@ -1,4 +1,4 @@
-"""Drawing children given their parents, one after another."""
+"""Ancestral sampling: drawing children given their parents, one after another."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy.typing as npt
 from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD, TableCPD
 from pgm.cpds.noise import evaluate
 from pgm.errors import EvidenceError, LinearisationError, ModelError
-from pgm.evidence import Evidence
-from pgm.evidence.static import bind_values
-from pgm.factors.scope import names
+from pgm.evidence import Evidence, bind_values
+from pgm.evidence.keys import unknown
+from pgm.factors.scope import listed
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, apply
 from pgm.variables import Variable
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Draws = npt.NDArray[Any]
 
 
-def ancestral(
+def draw(
     network: BayesianNetwork,
     n: int | tuple[int, ...] | None,
     inputs: Evidence,
@@ -34,12 +34,16 @@ def ancestral(
 ) -> dict[Variable, Draws]:
     """Draw each variable of a network without time after its parents."""
     shape = _as_shape(n)
-    for stranger in set(inputs).difference(network.inputs):
-        raise EvidenceError(
-            f"{stranger!r} is no input of the network, whose inputs are {names(network.inputs)}; "
-            "given evidence of other variables one infers, not samples",
-            variable=stranger,
-        )
+    for variable in inputs:
+        if variable not in network.variables:
+            raise unknown(variable, network.variables)
+        if variable not in network.inputs:
+            raise EvidenceError(
+                f"{variable!r} is no input of the network, whose inputs are "
+                f"({listed(network.inputs)}); given evidence of other variables one infers, not "
+                "samples",
+                variable=variable,
+            )
     try:
         shape = np.broadcast_shapes(shape, network.lead)
     except ValueError:
@@ -63,6 +67,19 @@ def ancestral(
         values[cpd.child] = child
         drawn[cpd.child] = child.reshape((*lead, *child.shape[1:]))
     return drawn
+
+
+def as_generator(rng: Any) -> np.random.Generator:
+    """What draws: a generator, or one of a seed; refuses None, since draws must be repeatable."""
+    if isinstance(rng, np.random.Generator):
+        return rng
+    whole = isinstance(rng, int | np.integer) and not isinstance(rng, bool)
+    if not whole or rng < 0:
+        raise ModelError(
+            "rng is a numpy.random.Generator or a seed, a whole number from 0, so that draws can "
+            f"be repeated; not {rng!r}"
+        )
+    return np.random.default_rng(int(rng))
 
 
 def _as_shape(n: Any) -> tuple[int, ...]:

@@ -6,14 +6,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
 from pgm.evidence.arrays import as_rows, require_finite
+from pgm.evidence.keys import unknown
+from pgm.evidence.runs import common_runs, flat
 from pgm.evidence.values import Constant, Evidence, Sightings
-from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.arrays import Array
 from pgm.variables import Variable
+
+NOT_OBSERVED = "leave a variable that was not observed out of the evidence, in all runs alike"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +67,7 @@ def bind_values(
     arrays: dict[Variable, Array] = {}
     for variable, value in evidence.items():
         if variable not in known:
-            raise EvidenceError(
-                f"evidence for {variable!r}, which the network does not have; it has "
-                f"{sorted(map(repr, known))}",
-                variable=variable,
-            )
+            raise unknown(variable, known)
         if isinstance(value, Sightings):
             raise EvidenceError(
                 f"sightings of {variable!r} are for dynamic networks; give the value of "
@@ -77,21 +75,14 @@ def bind_values(
                 variable=variable,
             )
         row = as_rows(variable, value.value if isinstance(value, Constant) else value, None)
-        arrays[variable] = require_finite(variable, row[..., None, :])[..., 0, :]
+        arrays[variable] = require_finite(variable, row[..., None, :], advice=NOT_OBSERVED)[
+            ..., 0, :
+        ]
     for variable in needed:
         if variable not in arrays:
             _refuse_missing(variable, cpds)
-    try:
-        shape = np.broadcast_shapes(lead, *(array.shape[:-1] for array in arrays.values()))
-    except ValueError:
-        listed = ", ".join(f"{v!r} {a.shape[:-1]}" for v, a in arrays.items() if a.ndim > 1)
-        raise EvidenceError(
-            "the leading axes of the evidence and the model do not broadcast to one set of runs: "
-            f"{listed}{f', the model {lead}' if lead else ''}"
-        ) from None
-    if 0 in shape:
-        raise EvidenceError(f"the evidence has the axes of runs {shape}: there is no run in it")
-    return BoundValues(shape, {v: _flat(a, shape) for v, a in arrays.items()})
+    shape = common_runs([*((v, a.shape[:-1]) for v, a in arrays.items()), ("the model", lead)])
+    return BoundValues(shape, {v: flat(a, shape, 1) for v, a in arrays.items()})
 
 
 def _refuse_missing(variable: Variable, cpds: Iterable[CPD]) -> None:
@@ -104,10 +95,3 @@ def _refuse_missing(variable: Variable, cpds: Iterable[CPD]) -> None:
     raise EvidenceError(
         f"no evidence for {variable!r} in {cpd!r}, {why}", variable=variable, cpd=cpd
     )
-
-
-def _flat(array: Array, lead: tuple[int, ...]) -> Array:
-    if all(length == 1 for length in array.shape[:-1]):
-        return frozen(array.reshape(1, array.shape[-1]))
-    full = np.broadcast_to(array, (*lead, array.shape[-1]))
-    return frozen(np.ascontiguousarray(full.reshape(math.prod(lead), array.shape[-1])))

@@ -1,0 +1,66 @@
+"""The leading axes of evidence: the runs they broadcast to, and arrays with these axes as one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.errors import EvidenceError
+from pgm.kernels.arrays import frozen
+
+Shape = tuple[int, ...]
+
+
+def common_runs(shapes: Iterable[tuple[object, Shape]]) -> Shape:
+    """The axes of runs that all evidence broadcasts to, from whose axes each are.
+
+    Raises
+    ------
+    EvidenceError
+        If they do not broadcast, or there is no run.
+    """
+    found = tuple(shapes)
+    try:
+        lead = np.broadcast_shapes(*(shape for _, shape in found))
+    except ValueError:
+        raise EvidenceError(
+            "the leading axes of the evidence do not broadcast to one set of runs: "
+            f"{clash(found)}; give them the same, or 1"
+        ) from None
+    if 0 in lead:
+        owner, shape = next((owner, shape) for owner, shape in found if 0 in shape)
+        raise EvidenceError(f"the axes of runs of {owner} are {shape}: there is no run in it")
+    return lead
+
+
+def clash(shapes: Iterable[tuple[object, Shape]]) -> str:
+    """The first two of some shapes that do not broadcast, and whose they are."""
+    first: dict[Shape, object] = {}
+    for owner, shape in shapes:
+        first.setdefault(shape, owner)
+    one, other = next(pair for pair in combinations(first, 2) if not _fit(*pair))
+    return f"{first[one]} {one}, {first[other]} {other}"
+
+
+def _fit(one: Shape, other: Shape) -> bool:
+    pairs = zip(reversed(one), reversed(other), strict=False)
+    return all(a == b or 1 in (a, b) for a, b in pairs)
+
+
+def flat(array: npt.NDArray[Any], lead: Shape, own: int) -> npt.NDArray[Any]:
+    """An array (..., own axes) with the axes of runs as one, (runs or 1, own axes).
+
+    Read-only, since functions of users see it.
+    """
+    cut = array.ndim - own
+    rest = array.shape[cut:]
+    runs = math.prod(array.shape[:cut])
+    if runs > 1:
+        runs = math.prod(lead)
+        array = np.broadcast_to(array, (*lead, *rest))
+    return frozen(np.ascontiguousarray(array.reshape(runs, *rest)))

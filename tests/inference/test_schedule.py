@@ -1,0 +1,73 @@
+"""Schedules refuse what is no number; a status is immutable and keeps its record."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+import pgm
+
+LOOPY = (pgm.Flooding, pgm.Sequential, pgm.Residual)
+TREES = (pgm.Calibration, pgm.Smoothing)
+ODD = ["a", None, 1j, True, [0.5], (), np.array([0.1, 0.2])]
+
+
+@pytest.mark.parametrize("odd", ODD, ids=repr)
+@pytest.mark.parametrize(
+    ("kind", "argument", "words"),
+    [
+        *((kind, "damping", "damping is the share") for kind in LOOPY),
+        *((kind, "tolerance", "a tolerance must be 0 or more") for kind in (*LOOPY, *TREES)),
+        *((kind, "max_iterations", "max_iterations must be a whole number") for kind in LOOPY),
+        *((kind, "iterations", "iterations, which count") for kind in TREES),
+    ],
+)
+def test_what_is_no_number_is_refused(kind, argument, words, odd):
+    with pytest.raises(pgm.ModelError, match=words) as caught:
+        kind(**{argument: odd})
+    assert str(caught.value).startswith(f"{kind.__name__}(")
+    assert str(caught.value).endswith(f"not {odd!r}")
+
+
+def test_smooth_refuses_it_too():
+    x = pgm.Variable("x")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0)], [pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=1.0)]
+    )
+    with pytest.raises(pgm.ModelError, match="a tolerance must be 0 or more, not 'tight'"):
+        pgm.smooth(model, {}, steps=2, tolerance="tight")
+
+
+def test_numpys_numbers_are_numbers():
+    assert pgm.Flooding(np.float32(0.5), np.float64(0.25), np.int64(7)) == pgm.Flooding(
+        0.5, 0.25, 7
+    )
+    assert pgm.Flooding(tolerance=0, damping=0) == pgm.Flooding(0.0, 0.0)
+    assert pgm.Calibration(tolerance=np.inf).tolerance == np.inf
+
+
+WAYS = {
+    "copy": copy.copy,
+    "deepcopy": copy.deepcopy,
+    "pickle": lambda value: pickle.loads(pickle.dumps(value)),
+}
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+def test_a_status_is_immutable_and_so_are_its_copies(way):
+    edges = {(0, 1): np.array(1e-12)}
+    status = pgm.Status(3, np.array([1.0, 0.5, 1e-12]), np.array(True), edges)
+    edges.clear()
+    for one in (status, way(status)):
+        assert one.iterations == 3
+        assert list(one.by_edge) == [(0, 1)]
+        np.testing.assert_array_equal(one.residuals, [1.0, 0.5, 1e-12])
+        with pytest.raises(AttributeError, match="a Status is immutable; make a new one"):
+            one.iterations = 4
+        with pytest.raises(TypeError):
+            one.by_edge[0, 1] = 0.0
+        for array in (one.residuals, one.converged):
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 0
+    assert dict(pgm.Status(1, np.empty(0), np.array(True)).by_edge) == {}
