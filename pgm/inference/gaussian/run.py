@@ -20,7 +20,7 @@ from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.gaussian.tree import Calibrated, TreePlan, calibrate
-from pgm.inference.limits import require_size
+from pgm.inference.limits import require_runs, require_size
 from pgm.inference.loopy import run_loopy
 from pgm.inference.schedule import Calibration, Loopy, Schedule, Status
 from pgm.kernels import moments
@@ -45,8 +45,9 @@ def run(
     bound = bind_values(network.cpds, evidence, network.lead, needed)
     plan = graph.derived(_plan, frozenset(bound.values), absent)
     linear = all(isinstance(cpd, AffineCPD) for cpd in cpds)
-    runs = 1 if linear else bound.runs
-    require_size(graph, [runs * size * size for size in plan.places.sizes], "covariances")
+    squares = [size * size for size in plan.places.sizes]
+    require_size(graph, squares, "covariances")
+    require_runs(sum(squares), 1 if linear else bound.runs, "the covariances of all clusters")
     given = None if start is None else _start(plan.layout, bound, start)
     model = Model.make(plan.layout, bound, lineariser, given)
     if isinstance(schedule, Loopy):

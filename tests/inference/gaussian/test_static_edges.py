@@ -11,6 +11,7 @@ from scipy.stats import multivariate_normal
 
 import pgm
 from pgm import EvidenceError
+from pgm.inference import limits
 
 a, b, c, d, u, w = pgm.variables("a b c d u w")
 
@@ -198,3 +199,16 @@ def test_a_repr_of_a_posterior():
     posterior, _ = posterior_of(regular(5, 4, 1), lead=(2, 1))
     assert repr(posterior).startswith("GaussianPosterior(ClusterGraph(")
     assert "runs (2, 1)" in repr(posterior)
+
+
+def test_covariances_too_large_are_refused(monkeypatch):
+    x, y = pgm.Variable("x", components=("p", "q", "r")), pgm.Variable("y")
+    bent = pgm.NonlinearGaussianCPD(y, x, lambda x: x[..., :1] ** 2, cov=1.0)
+    graph = pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(x, [1, 2, 3], np.eye(3)), bent]))
+    monkeypatch.setattr(limits, "LIMIT", 8)
+    with pytest.raises(pgm.GraphError, match=r"covariances.*too large.*cluster 0 over \(x, y\)"):
+        pgm.infer(graph, {y: 1.0})
+    monkeypatch.setattr(limits, "LIMIT", 30)
+    assert pgm.infer(graph, {y: np.ones((3, 1))})[x].mean.shape == (3, 3)
+    with pytest.raises(pgm.GraphError, match=r"for 4 runs.*fewer runs at once, 3 at the most"):
+        pgm.infer(graph, {y: np.ones((4, 1))})
