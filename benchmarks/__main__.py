@@ -6,6 +6,7 @@ import json
 import statistics
 import time
 from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -55,8 +56,9 @@ def check(task: work.Work) -> None:
 
 def main() -> None:
     """Run every row, print the tables, write results/bench/summary.json."""
-    summary: dict[str, object] = {"versions": versions(), **dynamic(), **calibration()}
-    note(f"versions: {versions()}")
+    known = versions() | {peer: metadata.version(peer) for peer in ("filterpy", "pyagrum")}
+    summary: dict[str, object] = {"versions": known, **dynamic(), **calibration()}
+    note(f"versions: {known}")
     OUT.mkdir(parents=True, exist_ok=True)
     (OUT / "summary.json").write_text(json.dumps(summary, indent=2))
 
