@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, overload
 
-import numpy.typing as npt
-
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import SliceGraph, compile
 from pgm.errors import EvidenceError, GraphError, ModelError
@@ -17,11 +15,9 @@ from pgm.inference.chain.run import bind_chain
 from pgm.inference.chain.run import run as run_chain
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
+from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
-from pgm.variables import Variable
-
-Start = Mapping[Variable, npt.ArrayLike]
 
 
 @overload

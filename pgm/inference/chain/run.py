@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pgm.compile import SliceGraph, SliceLayout
 from pgm.errors import EvidenceError, ModelError
@@ -19,11 +18,9 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.smoother import smooth as run_smoothing
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing, Status
+from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
-from pgm.variables import Variable
-
-Start = Mapping[Variable, npt.ArrayLike]
 
 
 def bind_chain(model: Any, evidence: Evidence, steps: int | None) -> BoundEvidence:
@@ -63,14 +60,7 @@ def run(
 
 
 def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Beliefs:
-    if not isinstance(start, Mapping):
-        raise EvidenceError(f"start maps variables to means; found {type(start).__name__}")
-    for variable in start:
-        if variable not in layout.slice:
-            raise EvidenceError(
-                f"start has {variable!r}, which is not hidden; it takes {list(layout.slice)}",
-                variable=variable,
-            )
+    require_hidden(start, layout.slice)
     mean = np.zeros((bound.steps + 1, bound.runs, layout.slice_size))
     for variable in layout.slice:
         if variable not in start:
@@ -86,14 +76,6 @@ def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Beliefs:
                 f"{first}..{bound.steps}",
                 variable=variable,
             )
-        try:
-            wide = np.broadcast_to(rows, (*bound.lead, *rows.shape[-2:]))
-        except ValueError:
-            raise EvidenceError(
-                f"start for {variable!r} has the axes of runs {rows.shape[:-2]}, which do not "
-                f"broadcast to those of the evidence, {bound.lead}",
-                variable=variable,
-            ) from None
-        wide = wide.reshape(bound.runs, *rows.shape[-2:]).swapaxes(0, 1)
+        wide = over_runs(variable, rows, bound.lead, 2).swapaxes(0, 1)
         mean[first:][..., positions(layout.slice, [variable])] = wide
     return Beliefs(mean, np.zeros((*mean.shape, mean.shape[-1])))

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
-import numpy.typing as npt
 
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import AffineCPD
@@ -23,6 +20,7 @@ from pgm.inference.gaussian.tree import Calibrated, TreePlan, calibrate
 from pgm.inference.limits import require_runs, require_size
 from pgm.inference.loopy import run_loopy
 from pgm.inference.schedule import Calibration, Loopy, Schedule, Status
+from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Lineariser
@@ -34,7 +32,7 @@ def run(
     evidence: Evidence,
     schedule: Schedule | None,
     lineariser: Lineariser,
-    start: Mapping[Variable, npt.ArrayLike] | None,
+    start: Start | None,
 ) -> GaussianPosterior:
     """Send the messages of a schedule; see `pgm.infer`."""
     network = graph.network
@@ -92,16 +90,9 @@ def _move(before: Array, beliefs: Beliefs) -> Array:
     return moments.marginal_error(mean[None], before[None], std[None])
 
 
-def _start(layout: Layout, bound: BoundValues, start: Mapping[Variable, npt.ArrayLike]) -> Array:
+def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
     """Means of all hidden components, (runs, size); NaN of a child without one or children."""
-    if not isinstance(start, Mapping):
-        raise EvidenceError(f"start maps variables to means; found {type(start).__name__}")
-    for variable in start:
-        if variable not in layout.places:
-            raise EvidenceError(
-                f"start has {variable!r}, which is not hidden; it takes {list(layout.hidden)}",
-                variable=variable,
-            )
+    require_hidden(start, layout.places)
     mean = np.full((bound.runs, layout.size), np.nan)
     parents = {v for group in layout.groups for cpd in group.cpds for v in cpd.given}
     for variable in layout.hidden:
@@ -114,13 +105,5 @@ def _start(layout: Layout, bound: BoundValues, start: Mapping[Variable, npt.Arra
             )
         row = as_rows(variable, start[variable], None)
         row = require_finite(variable, row[..., None, :])[..., 0, :]
-        try:
-            wide = np.broadcast_to(row, (*bound.lead, row.shape[-1]))
-        except ValueError:
-            raise EvidenceError(
-                f"start for {variable!r} has the axes of runs {row.shape[:-1]}, which do not "
-                f"broadcast to those of the evidence, {bound.lead}",
-                variable=variable,
-            ) from None
-        mean[:, layout.places[variable]] = wide.reshape(bound.runs, row.shape[-1])
+        mean[:, layout.places[variable]] = over_runs(variable, row, bound.lead, 1)
     return mean
