@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from types import ModuleType
 
 import matplotlib as mpl
 import typer
 
-from experiments import belief_propagation, localisation, plaza, seven_nodes
+from experiments.catalogue import EXPERIMENTS
 from experiments.record import note
 from pgm import PgmError
-
-# One line each, in the order in which a newcomer would run them.
-EXPERIMENTS: dict[str, Callable[..., None]] = {
-    "localisation": localisation.run,
-    "plaza": plaza.run,
-    "seven_nodes": seven_nodes.run,
-    "belief_propagation": belief_propagation.run,
-}
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
-def summary_line(experiment: Callable[..., None]) -> str:
+def summary_line(experiment: ModuleType) -> str:
     """The first line of an experiment's docstring."""
-    return (inspect.getdoc(experiment) or "").splitlines()[0]
+    return (inspect.getdoc(experiment.run) or "").splitlines()[0]
 
 
 @app.callback(invoke_without_command=True)
@@ -38,7 +30,7 @@ def listing(context: typer.Context) -> None:
 
 
 for _name, _experiment in EXPERIMENTS.items():
-    app.command(_name, help=summary_line(_experiment))(_experiment)
+    app.command(_name, help=summary_line(_experiment))(_experiment.run)
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 import pgm
 import pgm.plot
-from experiments.record import Out, Record, Seed, note, progress, table
+from experiments.record import Out, Record, Seed, progress
 from models import networks, simulation
 from models.networks import pose
 from pgm import consistency
@@ -26,20 +26,23 @@ REACH = 4.0  # m, how far the sensor sees
 MOTION_STD = (0.06, 0.06, 0.04)  # m, m, rad a step
 LANDMARKS = 8
 FIELD = (-8.0, 9.0, -9.0, 10.0)  # west, east, south, north [m]
+QUICK = {"runs": 5, "steps": 40}
 
 
 def run(
     out: Out = None,
     seed: Seed = 0,
-    runs: int = typer.Option(50, min=1, help="Drives to average over."),
-    steps: int = typer.Option(200, min=1, help="Steps of a drive, a quarter of a second each."),
+    runs: Annotated[int, typer.Option(min=1, help="Drives to average over.")] = 50,
+    steps: Annotated[
+        int, typer.Option(min=1, help="Steps of a drive, a quarter of a second each.")
+    ] = 200,
 ) -> None:
     """Filter and smooth a simulated drive among landmarks, with three linearisers."""
     record = Record("localisation", out, seed=seed, runs=runs, steps=steps, dt=DT, reach=REACH)
     network, drive = simulate(seed, runs, steps)
     results, posteriors = compare(network, drive)
     linear = linear_check(seed)
-    table(
+    record.table(
         f"RMSE and mean NEES, {runs} simulated drives of {steps} steps",
         ("lineariser", "belief", "xy [m]", "heading [rad]", "NEES (3)", "ln p(z)"),
         [
@@ -48,16 +51,16 @@ def run(
             for kind in ("filter", "smoother")
         ],
     )
-    note(
+    record.note(
         f"linear model, {linear['runs']} runs: mean NEES filter {linear['nees']['filter']:.3f}, "
         f"smoother {linear['nees']['smoother']:.3f}; 99 % band of the mean at one step "
         f"{linear['band'][0]:.3f} to {linear['band'][1]:.3f}"
     )
-    record.figure(_network_figure(network), "network")
-    record.figure(_graph_figure(network, steps), "cluster_graph")
+    record.figure(_network_figure(network), "network", "The network, two slices.")
+    record.figure(_graph_figure(network, steps), "cluster_graph", "Its cluster graph.")
     one = simulation.Drive(drive.truth[0], drive.landmarks, drive.evidence)
-    record.figure(_trajectory_figure(posteriors, one), "trajectories")
-    record.figure(_error_figure(posteriors, one), "errors")
+    record.figure(_trajectory_figure(posteriors, one), "trajectories", "The first drive.")
+    record.figure(_error_figure(posteriors, one), "errors", "Its errors in bands of three σ.")
     record.summary(**results, linear=linear)
 
 

@@ -42,20 +42,38 @@ class Record:
         self.folder = out or Path("results") / name
         self.settings = settings
         self.folder.mkdir(parents=True, exist_ok=True)
+        self._page: list[dict[str, Any]] = []
 
-    def figure(self, figure: Figure, name: str) -> None:
-        """Write a figure as PNG and PDF."""
+    def figure(self, figure: Figure, name: str, caption: str = "") -> None:
+        """Write a figure as PNG and PDF; the caption stands below it in the report."""
         for ending in ("png", "pdf"):
             figure.savefig(self.folder / f"{name}.{ending}", dpi=150, bbox_inches="tight")
+        self.picture(f"{name}.png", caption)
+
+    def picture(self, file: str, caption: str = "") -> None:
+        """Show a file that was written into the folder, an animation for one, in the report."""
+        self._page.append({"figure": file, "caption": caption})
+
+    def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+        """Print a table, numbers to four digits, and keep it for the report."""
+        cells = [[_shown(value) for value in row] for row in rows]
+        self._page.append({"table": title, "columns": list(columns), "rows": cells})
+        table(title, columns, cells)
+
+    def note(self, text: str) -> None:
+        """Print a line, word for word, and keep it for the report."""
+        self._page.append({"note": text})
+        note(text)
 
     def summary(self, **values: Any) -> Path:
-        """Write summary.json: settings, versions, and every figure in numbers."""
+        """Write summary.json: settings, versions, all results, and the page for the report."""
         path = self.folder / "summary.json"
         content = {
             "experiment": self.name,
             "settings": self.settings,
             "versions": versions(),
             **values,
+            "page": self._page,
         }
         path.write_text(json.dumps(content, indent=2, default=_plain) + "\n")
         note(f"{self.folder}/", style="dim")
@@ -74,7 +92,7 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) 
     for k, column in enumerate(columns):
         shown.add_column(escape(column), justify="left" if k == 0 else "right", no_wrap=True)
     for row in rows:
-        shown.add_row(*(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row))
+        shown.add_row(*(escape(_shown(value)) for value in row))
     _console.print(shown)
 
 
@@ -88,6 +106,11 @@ def progress(items: Sequence[Item], what: str) -> Iterator[Item]:
     yield from track(
         items, what, console=_console, transient=True, disable=not _console.is_terminal
     )
+
+
+def _shown(value: object) -> str:
+    """A number to four digits, anything else as it prints."""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _plain(value: Any) -> Any:

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import pgm
-from experiments import belief_propagation, loop_cases
-from experiments.checks import difference
-from experiments.enumeration import enumerate_states
+from experiments import belief_propagation
+from experiments.belief_propagation import cases
+from experiments.belief_propagation.checks import difference
+from experiments.belief_propagation.enumeration import enumerate_states
 from models.discrete import ANSWERS, asia, rain, smoking, wet, xray
 
 SCHEDULES = {"flooding", "sequential", "residual"}
@@ -119,7 +120,7 @@ def test_figures_are_png_and_pdf(done):
 
 @pytest.mark.parametrize(
     "case",
-    [loop_cases.wet_grass(), loop_cases.places(1.0), loop_cases.robot(0, 4)[0]],
+    [cases.wet_grass(), cases.places(1.0), cases.robot(0, 4)[0]],
     ids=["table", "linear", "nonlinear"],
 )
 def test_the_check_would_notice_a_wrong_answer(case):

@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import localisation, plaza, plaza_log
-from experiments.__main__ import EXPERIMENTS, app, summary_line
+from experiments import localisation, plaza
+from experiments.__main__ import app, summary_line
+from experiments.catalogue import EXPERIMENTS
+from experiments.plaza import log as plaza_log
+from experiments.plaza.experiment import localise
 from pgm import EvidenceError, consistency
 
 ROOT = Path(__file__).parent.parent.parent
@@ -89,7 +92,7 @@ def test_plaza_meets_the_baselines(name):
         pytest.skip("the recordings come with gtsam, which is not installed")
     setting = plaza_log.SETTINGS[name]
     log = plaza_log.load(path, setting)
-    results, _ = plaza.localise(log, setting, name)
+    results, _ = localise(log, setting, name)
     due = BASELINES[name]
     assert results["dead_reckoning"] == pytest.approx(due["dead_reckoning"], rel=0.03)
     for label in ("Taylor", "Unscented"):

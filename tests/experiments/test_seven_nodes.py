@@ -8,8 +8,9 @@ from matplotlib.path import Path
 
 import pgm.plot
 from experiments import seven_nodes
-from experiments.boundaries import draw_boundaries
 from experiments.dense import Dense
+from experiments.seven_nodes.boundaries import draw_boundaries
+from experiments.seven_nodes.experiment import solve
 from models.seven_nodes import CLUSTERS, c, seven_nodes_clusters
 
 
@@ -60,7 +61,7 @@ def test_the_difference_shows_a_wrong_joint(monkeypatch):
 
     given = Dense.given
     monkeypatch.setattr(Dense, "given", wrong)
-    difference = seven_nodes.solve(seven_nodes_clusters(), {c: 1.0})["difference"]
+    difference = solve(seven_nodes_clusters(), {c: 1.0})["difference"]
     assert set(difference) == {"marginals", "beliefs", "sepsets", "log_evidence"}
     assert min(difference.values()) > 1e-4
 

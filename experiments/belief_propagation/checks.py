@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 import pgm
+from experiments.belief_propagation.enumeration import enumerate_states
+from experiments.belief_propagation.loops import Case
+from experiments.belief_propagation.mode import mode
 from experiments.dense import Dense
-from experiments.enumeration import enumerate_states
 from experiments.kinds import as_gaussian, as_table
-from experiments.loops import Case
-from experiments.mode import mode
 
 
 def difference(case: Case) -> float:

@@ -23,28 +23,28 @@ summary.json:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
 import pgm
-from experiments import loop_cases as cases
-from experiments import loop_figures as figures
-from experiments.checks import difference
-from experiments.loops import Case, Numbers
-from experiments.record import Out, Record, Seed, note, table
+from experiments.belief_propagation import cases, figures
+from experiments.belief_propagation.checks import difference
+from experiments.belief_propagation.loops import Case, Numbers
+from experiments.record import Out, Record, Seed
 
 By = dict[str, dict[str, pgm.Posterior]]  # graph and schedule
 
 # Precision of sums of three, of which undamped messages diverge.
 _DIVERGING = 2.0
+QUICK: dict[str, Any] = {}
 
 
 def run(
     out: Out = None,
     seed: Seed = 0,
-    coupling: float = typer.Option(1.0, min=0.01, help="Strength of the four-cycle."),
-    steps: int = typer.Option(5, min=4, help="Steps of the robot."),
+    coupling: Annotated[float, typer.Option(min=0.01, help="Strength of the four-cycle.")] = 1.0,
+    steps: Annotated[int, typer.Option(min=4, help="Steps of the robot.")] = 5,
 ) -> None:
     """Exact against loopy: marginals, means, deviations, and where messages converge."""
     record = Record("belief_propagation", out, seed=seed, coupling=coupling, steps=steps)
@@ -64,11 +64,11 @@ def run(
     posteriors = {name: case.posteriors() for name, case in compared.items()}
     found = {name: summarise(case, posteriors[name]) for name, case in compared.items()}
     for name, title in titles.items():
-        _table(title, found[name])
+        _table(record, title, found[name])
     swept = {"discrete": cases.discrete_sweep(), "gaussian": cases.gaussian_sweep()}
     at = {"discrete": cases.SPINS, "gaussian": cases.PRECISIONS}
     for kind, networks in swept.items():
-        _note_convergence(kind, networks, at[kind])
+        _note_convergence(record, kind, networks, at[kind])
     drawn = {"sprinkler": "sprinkler", "four_cycle": "places", "localisation": "localisation"}
     for name, case in drawn.items():
         record.figure(figures.graphs(compared[case]), f"{name}_graphs")
@@ -94,14 +94,14 @@ def summarise(case: Case, posteriors: By) -> dict[str, Any]:
     return {"junction_tree": tree, **loopy}
 
 
-def _table(title: str, found: Mapping[str, Any]) -> None:
+def _table(record: Record, title: str, found: Mapping[str, Any]) -> None:
     tree = found["junction_tree"]
     rows: list[tuple[str, str, Numbers]] = [("junction tree", "–", tree)]
     for graph, schedules in found.items():
         if schedules is not tree:
             rows += [(graph.replace("_", " "), name, each) for name, each in schedules.items()]
     columns = ("error",) if "error" in tree else ("means", "std ratio")
-    table(
+    record.table(
         title,
         ("graph", "schedule", *columns, "ln p(e)", "iter.", "conv."),
         [
@@ -116,7 +116,7 @@ def _table(title: str, found: Mapping[str, Any]) -> None:
             for graph, schedule, numbers in rows
         ],
     )
-    note(
+    record.note(
         f"ln p(e) of the tree is {tree['log_evidence_kind']}, of the others bethe; "
         f"the tree differs from an independent answer by {tree['check']:.1g}"
     )
@@ -131,16 +131,21 @@ def _errors(numbers: Numbers) -> tuple[str, ...]:
 
 
 def _note_convergence(
-    kind: str, networks: Mapping[str, Mapping[str, list[Numbers]]], at: tuple[float, ...]
+    record: Record,
+    kind: str,
+    networks: Mapping[str, Mapping[str, list[Numbers]]],
+    at: tuple[float, ...],
 ) -> None:
     """Say where messages did not converge."""
     limit = cases.LIMITS[kind]
-    note(f"{kind}, Bethe, coupling {at[0]:g} to {at[-1]:g}; within {limit} iterations converges")
+    record.note(
+        f"{kind}, Bethe, coupling {at[0]:g} to {at[-1]:g}; within {limit} iterations converges"
+    )
     for network, schedules in networks.items():
         for schedule, found in schedules.items():
             lost = [f"{c:.3g}" for c, each in zip(at, found, strict=True) if not each["converged"]]
             says = f"except at {', '.join(lost)}" if lost else "throughout"
-            note(f"  {network}, {schedule}: {says}")
+            record.note(f"  {network}, {schedule}: {says}")
 
 
 def _records(

@@ -14,7 +14,7 @@ cluster 2 to cluster 3. For each case of evidence, summary.json has under ``case
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -23,15 +23,16 @@ from matplotlib.figure import Figure
 
 import pgm
 import pgm.plot
-from experiments.boundaries import draw_boundaries
 from experiments.dense import Dense
 from experiments.kinds import as_form, as_gaussian
-from experiments.record import Out, Record, note, table
+from experiments.record import Out, Record
+from experiments.seven_nodes.boundaries import draw_boundaries
 from models.seven_nodes import c, e, g, seven_nodes_clusters
 
 Evidence = Mapping[pgm.Variable, float]
 
 # Messages that have a table of their own.
+QUICK: dict[str, Any] = {}
 SHOWN = {
     "2,3": "δ₂,₃(b), from {b, d, e} to {b, c, f}: exp(weight) N(b; mean, var.)",
     "3,4": "δ₃,₄(f), from {b, c, f} to {f, g}: exp(weight) N(f; mean, var.)",
@@ -40,7 +41,7 @@ SHOWN = {
 
 def run(
     out: Out = None,
-    value: float = typer.Option(1.0, help="Of the evidence on c."),
+    value: Annotated[float, typer.Option(help="Of the evidence on c.")] = 1.0,
 ) -> None:
     """Seven variables in four clusters: messages with and without evidence, against the joint."""
     record = Record("seven_nodes", out, value=value)
@@ -48,17 +49,17 @@ def run(
     cases = {_name(evidence): solve(graph, evidence) for evidence in _cases(value)}
     worst = max(found for case in cases.values() for found in case["difference"].values())
     for key, title in SHOWN.items():
-        table(
+        record.table(
             title,
             ("evidence", "K", "h", "g", "mean", "var.", "weight"),
             [(name, *_figures(case["messages"][key])) for name, case in cases.items()],
         )
-    table(
+    record.table(
         "largest difference from the dense joint",
         ("evidence", *next(iter(cases.values()))["difference"]),
         [(name, *case["difference"].values()) for name, case in cases.items()],
     )
-    note(f"largest difference of all: {worst:.2g}")
+    record.note(f"largest difference of all: {worst:.2g}")
     for name, figure in figures(graph).items():
         record.figure(figure, name)
     record.summary(cases=cases, largest_difference=worst)

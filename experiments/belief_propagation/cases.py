@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import pgm
-from experiments.loops import Case, Numbers, sweep
+from experiments.belief_propagation.loops import Case, Numbers, sweep
 from models.discrete import cloudy, rain, sprinkler, sprinkling, wet
 from models.networks import velocity
 from models.rings import discrete_ring, gaussian_ring, ring_clusters

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 import pgm
 import pgm.plot
+from experiments.belief_propagation.loops import Case, Numbers
 from experiments.kinds import as_gaussian
-from experiments.loops import Case, Numbers
 from models.networks import landmark, pose
 from pgm.plot.colours import PALETTE
 

@@ -12,14 +12,15 @@ from matplotlib.figure import Figure
 
 import pgm
 import pgm.plot
-from experiments import plaza_log
-from experiments.plaza_log import SETTINGS, Log, Setting
-from experiments.record import Out, Record, Seed, note, progress, table
+from experiments.plaza import log as plaza_log
+from experiments.plaza.log import SETTINGS, Log, Setting
+from experiments.record import Out, Record, Seed, note, progress
 from models import networks
 from models.networks import distance, pose
 from pgm import consistency
 
 COLOURS = {"filter": "#0072B2", "smoother": "#D55E00"}
+QUICK = {"data": "plaza1"}
 LINEARISERS: dict[str, pgm.Lineariser] = {"Taylor": pgm.Taylor(), "Unscented": pgm.Unscented()}
 
 
@@ -51,7 +52,7 @@ def run(
     for name, file in files.items():
         assert file is not None
         log = plaza_log.load(file, SETTINGS[name])
-        note(f"{name}: {log.timeline!r}")
+        record.note(f"{name}: {log.timeline!r}")
         results[name], posteriors = localise(log, SETTINGS[name], name)
         record.figure(_path_figure(log, posteriors["Taylor"], name), f"{name}_path")
         record.figure(_error_figure(log, posteriors["Taylor"], name), f"{name}_errors")
@@ -60,8 +61,8 @@ def run(
             (name, label, results[name][label]["filter"], results[name][label]["smoother"])
             for label in LINEARISERS
         ]
-    table("Position RMSE [m]", ("data", "lineariser", "filter", "smoother"), rows)
-    note(
+    record.table("Position RMSE [m]", ("data", "lineariser", "filter", "smoother"), rows)
+    record.note(
         "Ranges were calibrated with the truth and the noise was tuned: these numbers check an "
         "engine, they claim no accuracy."
     )
