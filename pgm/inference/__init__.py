@@ -4,6 +4,7 @@ from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.marginals import Marginals
 from pgm.inference.chain.online import OnlineBelief, OnlineFilter
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.engine import filter, infer, smooth
 from pgm.inference.posterior import Posterior
@@ -15,8 +16,8 @@ from pgm.inference.schedule import (
     Schedule,
     Sequential,
     Smoothing,
-    Status,
 )
+from pgm.inference.status import Status
 
 __all__ = [
     "Calibration",
@@ -24,6 +25,7 @@ __all__ = [
     "Filtering",
     "Flooding",
     "Innovations",
+    "LevenbergMarquardt",
     "Marginals",
     "MostProbable",
     "OnlineBelief",

@@ -13,6 +13,7 @@ from pgm.inference import discrete, gaussian
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.chain.run import run as run_chain
+from pgm.inference.damping import Damping
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
 from pgm.inference.start import Start
@@ -100,6 +101,11 @@ def infer(
         return run_chain(graph, bound, schedule, lineariser, start)
     if isinstance(schedule, Filtering):
         raise GraphError("only a dynamic network is filtered; leave the schedule out for a tree")
+    if isinstance(schedule, Smoothing) and schedule.damping:
+        raise GraphError(
+            f"{schedule!r}: the damping of linearisation points is for dynamic networks; on other "
+            "graphs pgm.Flooding(damping=...) damps messages"
+        )
     if schedule is None and not graph.is_tree:
         raise GraphError(
             f"{graph!r} has loops, on which messages go round: say how, schedule=pgm.Flooding(), "
@@ -128,8 +134,11 @@ def filter(
     *,
     lineariser: Lineariser = TAYLOR,
     steps: int | None = None,
+    iterations: int = 1,
+    tolerance: float = 1e-9,
+    damping: Damping = 0.0,
 ) -> ChainPosterior:
-    """Compile a network and filter: `infer` with `Filtering()`.
+    """Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
 
     Parameters
     ----------
@@ -140,10 +149,13 @@ def filter(
         `Taylor()` if not given.
     steps : int, optional
         T, where no plain array of the evidence tells.
+    iterations, tolerance, damping
+        Of `Filtering`.
     """
+    schedule = Filtering(iterations, tolerance, damping)
     _require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps)
-    return run_chain(compile(model, bound.steps), bound, Filtering(), lineariser, None)
+    return run_chain(compile(model, bound.steps), bound, schedule, lineariser, None)
 
 
 def smooth(
@@ -155,8 +167,9 @@ def smooth(
     start: Start | None = None,
     iterations: int = 1,
     tolerance: float = 1e-9,
+    damping: Damping = 0.0,
 ) -> ChainPosterior:
-    """Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance)`.
+    """Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
 
     Parameters
     ----------
@@ -169,10 +182,10 @@ def smooth(
         T, where no plain array of the evidence tells.
     start : mapping of Variable to array_like, optional
         As for `infer`.
-    iterations, tolerance
+    iterations, tolerance, damping
         Of `Smoothing`.
     """
-    schedule = Smoothing(iterations, tolerance)
+    schedule = Smoothing(iterations, tolerance, damping)
     _require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps)
     return run_chain(compile(model, bound.steps), bound, schedule, lineariser, start)

@@ -8,7 +8,7 @@ from typing import ClassVar, overload
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.errors import EvidenceError
 from pgm.factors import CanonicalForm, Gaussian, Table
-from pgm.inference.schedule import Status
+from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 

@@ -2,41 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from numbers import Real
-from types import MappingProxyType
-from typing import TypeGuard
-
-import numpy as np
 
 from pgm.errors import ModelError
-from pgm.immutable import Immutable
-from pgm.kernels.arrays import Array, Mask
-
-
-def _require_count(schedule: object, name: str, value: object) -> None:
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or value < 1:  # type: ignore[operator]
-        raise ModelError(f"{schedule!r}: {name} must be a whole number, 1 or more, not {value!r}")
-
-
-def _require_tolerance(schedule: object, tolerance: object) -> None:
-    if not _is_number(tolerance) or not tolerance >= 0.0:
-        raise ModelError(f"{schedule!r}: a tolerance must be 0 or more, not {tolerance!r}")
-
-
-def _is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, Real) and not isinstance(value, bool)
+from pgm.inference.checks import is_number, require_count, require_tolerance
+from pgm.inference.damping import Damping, require_damping
 
 
 @dataclass(frozen=True)
 class Filtering:
     """Forward messages alone: each belief knows the readings up to its step.
 
-    Each CPD is linearised once: a transition at the incoming message, a sensor at the predicted
-    belief. With `Taylor` it is the extended Kalman filter, with `Unscented` the unscented one.
+    A transition is linearised at the incoming message, a sensor at the predicted belief. With
+    `Taylor` it is the extended Kalman filter, with `Unscented` the unscented one. Further
+    iterations linearise the sensors of a step together at the step's posterior, and each starts
+    again from the predicted belief, so that no reading counts twice: the iterated extended Kalman
+    filter, the iterated posterior linearisation filter.
+
+    Parameters
+    ----------
+    iterations : int
+        Linearisations of a step's sensors at the most.
+    tolerance : float
+        A step of a run is done when no mean is more than this many standard deviations from where
+        it was linearised.
+    damping : float or LevenbergMarquardt
+        The share of the old point of linearisation that is kept, in [0, 1), or a control of each
+        step by its cost.
+
+    References
+    ----------
+    García-Fernández, Svensson, Morelande & Särkkä, Posterior linearization filter, 2015.
     """
+
+    iterations: int = 1
+    tolerance: float = 1e-9
+    damping: Damping = 0.0
+
+    def __post_init__(self) -> None:
+        require_count(self, "iterations, which count linearisations,", self.iterations)
+        require_tolerance(self, self.tolerance)
+        require_damping(self, self.damping)
+
+
+ONCE = Filtering()
 
 
 @dataclass(frozen=True)
@@ -60,8 +69,8 @@ class Calibration:
     tolerance: float = 1e-9
 
     def __post_init__(self) -> None:
-        _require_count(self, "iterations, which count linearisations,", self.iterations)
-        _require_tolerance(self, self.tolerance)
+        require_count(self, "iterations, which count linearisations,", self.iterations)
+        require_tolerance(self, self.tolerance)
 
 
 @dataclass(frozen=True)
@@ -77,8 +86,22 @@ class Smoothing(Calibration):
     iterations : int
         Linearisations at the most.
     tolerance : float
-        A run stops when no smoothed mean moves by more than this many standard deviations.
+        A run stops when no smoothed mean is more than this many standard deviations from where it
+        was linearised.
+    damping : float or LevenbergMarquardt
+        The share of the old point of linearisation that is kept, in [0, 1), or a control of each
+        step by its cost.
+
+    References
+    ----------
+    García-Fernández, Svensson & Särkkä, Iterated posterior linearization smoother, 2017.
     """
+
+    damping: Damping = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_damping(self, self.damping)
 
 
 @dataclass(frozen=True)
@@ -105,9 +128,9 @@ class Loopy:
     max_iterations: int = 1000
 
     def __post_init__(self) -> None:
-        _require_count(self, "max_iterations", self.max_iterations)
-        _require_tolerance(self, self.tolerance)
-        if not _is_number(self.damping) or not 0.0 <= self.damping < 1.0:
+        require_count(self, "max_iterations", self.max_iterations)
+        require_tolerance(self, self.tolerance)
+        if not is_number(self.damping) or not 0.0 <= self.damping < 1.0:
             raise ModelError(
                 f"{self!r}: damping is the share of the old message, in [0, 1), not "
                 f"{self.damping!r}"
@@ -138,51 +161,3 @@ class Residual(Loopy):
 
 
 Schedule = Filtering | Calibration | Loopy
-
-
-class Status(Immutable):
-    """How a schedule went.
-
-    Attributes
-    ----------
-    iterations : int
-        Linearisations made of a tree. After a schedule for any graph, its iterations: fewer than
-        the maximum also where messages diverged, which `converged` tells (False).
-    residuals : ndarray
-        The convergence record. Of a tree, (iterations − 1, *runs): the largest move of a mean at
-        each relinearisation, in standard deviations. Of other graphs, (iterations, *runs): the
-        largest change of a message in each iteration, or the largest move of a mean, if larger,
-        where CPDs were linearised anew.
-    converged : ndarray of bool
-        (*runs): whether the last residual was within the tolerance, or nothing was to iterate.
-    by_edge : mapping of (int, int) to ndarray
-        After a schedule for any graph, (*runs): how much the messages between each two joined
-        clusters would still change, for ``pgm.plot.cluster_graph(graph, residuals=...)``; empty
-        after others.
-    """
-
-    iterations: int
-    residuals: Array
-    converged: Mask
-    by_edge: Mapping[tuple[int, int], Array]
-
-    def __init__(
-        self,
-        iterations: int,
-        residuals: Array,
-        converged: Mask,
-        by_edge: Mapping[tuple[int, int], Array] = MappingProxyType({}),
-    ) -> None:
-        residuals.flags.writeable = False
-        converged.flags.writeable = False
-        self._set(
-            iterations=iterations,
-            residuals=residuals,
-            converged=converged,
-            by_edge=MappingProxyType(dict(by_edge)),
-        )
-
-    def __repr__(self) -> str:
-        last = f", last residual {self.residuals[-1].max():.3g}" if len(self.residuals) else ""
-        share = f"{int(self.converged.sum())} of {self.converged.size} runs converged"
-        return f"Status({self.iterations} iterations, {share}{last})"

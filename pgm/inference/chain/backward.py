@@ -10,7 +10,7 @@ import numpy as np
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels import moments, roots
-from pgm.kernels.arrays import Array, apply, block, sandwich, symmetric, transpose
+from pgm.kernels.arrays import Array, Index, apply, block, sandwich, symmetric, transpose
 from pgm.kernels.moments import Conditional
 
 
@@ -70,6 +70,16 @@ class Reverse:
         return cls(
             states, _given_states(plan, forward) if plan.layout.control_places.size else None
         )
+
+    def moved(self, mean: Array, states: Index) -> Reverse:
+        """The same covariances with other smoothed means of the slices, (T+1, runs, n)."""
+        matrix, _, cov = self.states
+        offset = mean[:-1][..., states] - apply(matrix, mean[1:])
+        slices = self.slices
+        if slices is not None:
+            shift = mean - apply(slices.matrix, mean[..., states])
+            slices = slices._replace(offset=shift)
+        return Reverse(Conditional(matrix, offset, cov), slices)
 
     def step_back(self, step: int, mean: Array, cov: Array) -> tuple[Array, Array]:
         """Moments of the slice at a step from those of the slice after it."""

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from pgm.errors import NumericalError
+from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Link
-from pgm.inference.chain.update import update
+from pgm.inference.chain.reading import take
+from pgm.inference.chain.update import sensors_due, update
+from pgm.inference.schedule import Filtering
+from pgm.inference.status import Status
 from pgm.kernels import moments, roots
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Index, block
@@ -44,28 +49,64 @@ class Forward:
         )
 
 
-def sweep(plan: ChainPlan, *, linearise: bool) -> Forward:
-    """Run the forward sweep, linearising each CPD at its incoming belief, or as it is laid out."""
+def sweep(plan: ChainPlan, anchor: Anchor | None = None) -> Forward:
+    """Run the forward sweep with every CPD as it is laid out."""
     out = Forward.empty(plan)
-    states, last = plan.layout.state_places, plan.steps
-    mean, cov = start(plan, linearise=linearise)
-    out.predicted_mean[0][:, states] = mean
-    put(out.predicted_cov[0], states, cov)
-    for step in range(last + 1):
-        if step:
-            mean = out.mean[step - 1][:, states]
-            cov = block(out.cov[step - 1], states, states)
-            out.predicted_mean[step], out.predicted_cov[step] = predict(
-                plan, step - 1, mean, cov, linearise=linearise
-            )
-        out.mean[step], out.cov[step], out.log_density[step] = update(
-            plan.sensors,
+    for step in _predictions(plan, out, linearise=False):
+        mean, cov, out.log_density[step] = update(
+            sensors_due(plan.sensors, step),
             step,
             out.predicted_mean[step],
             out.predicted_cov[step],
-            linearise=linearise,
         )
+        if anchor is not None:
+            mean, cov = anchor.hold(step, mean, cov)
+        out.mean[step], out.cov[step] = mean, cov
     return out
+
+
+def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
+    """Run the forward sweep, linearising each CPD at its incoming belief."""
+    out = Forward.empty(plan)
+    record = np.zeros((0, plan.runs))
+    converged = np.ones(plan.runs, dtype=bool)
+    for step in _predictions(plan, out, linearise=True):
+        taken = take(
+            plan.sensors, step, out.predicted_mean[step], out.predicted_cov[step], schedule
+        )
+        out.mean[step], out.cov[step], out.log_density[step] = taken[:3]
+        record = _largest(record, taken.residuals)
+        converged &= taken.converged
+    shape = (len(record), *plan.lead)
+    return out, Status(len(record) + 1, record.reshape(shape), converged.reshape(plan.lead))
+
+
+def _predictions(plan: ChainPlan, out: Forward, *, linearise: bool) -> Iterator[int]:
+    """Predict each step in turn, once the step before has taken its readings."""
+    states = plan.layout.state_places
+    mean, cov = start(plan, linearise=linearise)
+    out.predicted_mean[0][:, states] = mean
+    put(out.predicted_cov[0], states, cov)
+    yield 0
+    for step in range(1, plan.steps + 1):
+        mean = out.mean[step - 1][:, states]
+        cov = block(out.cov[step - 1], states, states)
+        out.predicted_mean[step], out.predicted_cov[step] = predict(
+            plan, step - 1, mean, cov, linearise=linearise
+        )
+        yield step
+
+
+def _largest(record: Array, residuals: list[Array]) -> Array:
+    """The largest residuals of all steps; a step that was done earlier keeps its last one."""
+    if not residuals:
+        return record
+    new = np.array(residuals)
+    if not len(record):
+        return new
+    length = max(len(record), len(new))
+    record, new = (np.pad(a, ((0, length - len(a)), (0, 0)), mode="edge") for a in (record, new))
+    return np.maximum(record, new)
 
 
 def put(cov: Array, places: Index, value: Array) -> None:

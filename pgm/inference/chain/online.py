@@ -17,8 +17,9 @@ from pgm.factors.scope import positions
 from pgm.immutable import Immutable
 from pgm.inference.chain import forward
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.update import update
+from pgm.inference.chain.reading import take
 from pgm.inference.posterior import require_variable
+from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels.arrays import Array, block, frozen
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -83,6 +84,8 @@ class OnlineFilter(Immutable):
     model : DynamicBayesianNetwork
     lineariser : Lineariser, optional
         For every CPD that has none of its own; `Taylor()` without.
+    schedule : Filtering, optional
+        How often readings are linearised; once without.
 
     Examples
     --------
@@ -94,13 +97,21 @@ class OnlineFilter(Immutable):
 
     model: DynamicBayesianNetwork
     lineariser: Lineariser
+    schedule: Filtering
 
-    def __init__(self, model: DynamicBayesianNetwork, lineariser: Lineariser = TAYLOR) -> None:
+    def __init__(
+        self,
+        model: DynamicBayesianNetwork,
+        lineariser: Lineariser = TAYLOR,
+        schedule: Filtering = ONCE,
+    ) -> None:
         if not isinstance(model, DynamicBayesianNetwork):
             raise ModelError(f"a dynamic network was due, not {model!r}")
         if not callable(lineariser) or isinstance(lineariser, type):
             raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
-        self._set(model=model, lineariser=lineariser)
+        if not isinstance(schedule, Filtering):
+            raise ModelError(f"a filter takes pgm.Filtering(...), not {schedule!r}")
+        self._set(model=model, lineariser=lineariser, schedule=schedule)
 
     @cached_property
     def _graph(self) -> Any:
@@ -187,8 +198,9 @@ class OnlineFilter(Immutable):
         )
         plan = self._plan(bound, belief.step)
         mean, cov, log_density = _wide(belief, bound)
-        mean, cov, gained = update(plan.sensors, 0, mean, cov, linearise=True)
-        return OnlineBelief(belief.step, plan.layout, bound.lead, mean, cov, log_density + gained)
+        taken = take(plan.sensors, 0, mean, cov, self.schedule)
+        total = log_density + taken.log_density
+        return OnlineBelief(belief.step, plan.layout, bound.lead, taken.mean, taken.cov, total)
 
     def _check(self, belief: OnlineBelief) -> None:
         if not isinstance(belief, OnlineBelief) or belief.layout.model is not self.model:

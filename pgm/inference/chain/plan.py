@@ -100,10 +100,12 @@ class Sensor:
         """The reading's variable."""
         return self.family.cpd.child
 
-    def move(self, rows: slice, predicted: Array) -> None:
+    def move(self, rows: slice, predicted: Array, active: Mask | None = None) -> None:
         """Move angles to the branch nearest the CPD's values at the point of linearisation."""
-        angles = self.variable.angle_mask
-        self.moved[rows] = nearest_branch(self.values[rows], predicted, angles)
+        moved = nearest_branch(self.values[rows], predicted, self.variable.angle_mask)
+        if active is not None:
+            moved = np.where(active[:, None], moved, self.moved[rows])
+        self.moved[rows] = moved
 
     def reading(self, rows: slice) -> tuple[Array, Array, Array, Mask | None]:
         """F, value as moved, noise and who was taken of some rows."""

@@ -22,7 +22,7 @@ from pgm.inference.chain.innovations import BySensor, Innovations, innovations
 from pgm.inference.chain.marginals import Marginals
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.posterior import Posterior, require_variable
-from pgm.inference.schedule import Status
+from pgm.inference.status import Status
 from pgm.kernels import canonical
 from pgm.kernels.arrays import Array, block
 from pgm.variables import Variable

@@ -17,7 +17,7 @@ from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.smoother import smooth as run_smoothing
-from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing, Status
+from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -50,13 +50,12 @@ def run(
     given = None if start is None else _start(graph.layout, bound, start)
     plan = ChainPlan.make(graph, bound, lineariser)
     if isinstance(schedule, Filtering):
-        ahead = forward.sweep(plan, linearise=True)
-        status = Status(1, np.empty((0, *plan.lead)), np.full(plan.lead, plan.exact))
+        ahead, status = forward.run(plan, schedule)
         return ChainPosterior(graph, status, plan, ahead, None, None)
-    result = run_smoothing(plan, schedule, given)
-    return ChainPosterior(
-        graph, result.status, plan, result.forward, result.beliefs, result.reverse
-    )
+    if not isinstance(schedule, Smoothing):
+        schedule = Smoothing(schedule.iterations, schedule.tolerance)
+    result, status = run_smoothing(plan, schedule, given)
+    return ChainPosterior(graph, status, plan, result.forward, result.beliefs, result.reverse)
 
 
 def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Beliefs:

@@ -3,107 +3,125 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from pgm.factors.scope import angle_mask
-from pgm.inference.chain import backward, forward, grouped
+from pgm.inference.chain import backward, cost, forward, grouped
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.iteration import Anchor, Point, iterate
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.schedule import Calibration, Status
-from pgm.kernels import moments
+from pgm.inference.damping import LevenbergMarquardt
+from pgm.inference.schedule import ONCE, Smoothing
+from pgm.inference.status import Status
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, block
 
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """What a smoothing leaves."""
+    """A forward sweep, what reverses it, and the smoothed beliefs."""
 
     forward: Forward
     reverse: Reverse
     beliefs: Beliefs
-    status: Status
 
-
-def smooth(plan: ChainPlan, schedule: Calibration, start: Beliefs | None) -> Smoothed:
-    """Run a smoothing schedule; `start` are means of the slices for the first linearisation."""
-    if start is not None:
-        start = _on_chart(plan, start)
-        relinearise(plan, start, _start_pairs(plan, start), None)
-    ahead = forward.sweep(plan, linearise=start is None)
-    reverse = Reverse.make(plan, ahead)
-    beliefs = backward.sweep(ahead, reverse)
-    residuals: list[Array] = []
-    converged = np.full(plan.runs, plan.exact)
-    while len(residuals) + 1 < schedule.iterations and not converged.all():
-        relinearise(plan, beliefs, backward.pairs(beliefs, reverse, slice(None)), ~converged)
-        before = beliefs
-        ahead = forward.sweep(plan, linearise=False)
+    @classmethod
+    def of(cls, plan: ChainPlan, ahead: Forward) -> Smoothed:
+        """Sweep back."""
         reverse = Reverse.make(plan, ahead)
-        beliefs = backward.sweep(ahead, reverse)
-        std = np.sqrt(np.maximum(np.diagonal(beliefs.cov, axis1=-2, axis2=-1), 0.0))
-        residuals.append(moments.marginal_error(beliefs.mean, before.mean, std))
-        converged = converged | (residuals[-1] <= schedule.tolerance)
-    shape = (len(residuals), *plan.lead)
-    status = Status(
-        len(residuals) + 1,
-        np.array(residuals).reshape(shape),
-        converged.reshape(plan.lead),
-    )
-    return Smoothed(ahead, reverse, beliefs, status)
+        return cls(ahead, reverse, backward.sweep(ahead, reverse))
+
+    @cached_property
+    def point(self) -> Point:
+        """Moments of slices and of pairs."""
+        pairs = backward.pairs(self.beliefs, self.reverse, slice(None))
+        return Point(self.beliefs.mean, self.beliefs.cov, pairs.cov)
+
+    def at(self, plan: ChainPlan, mean: Array) -> Smoothed:
+        """The same with other means."""
+        reverse = self.reverse.moved(mean, plan.layout.state_places)
+        return Smoothed(self.forward, reverse, Beliefs(mean, self.beliefs.cov))
 
 
-def relinearise(plan: ChainPlan, beliefs: Beliefs, pairs: Beliefs, active: Mask | None) -> None:
+def smooth(plan: ChainPlan, schedule: Smoothing, start: Beliefs | None) -> tuple[Smoothed, Status]:
+    """Run a smoothing schedule; `start` are means of the slices for the first linearisation."""
+    if isinstance(schedule.damping, LevenbergMarquardt) and schedule.iterations > 1:
+        cost.require_cost(plan.families)
+    chain, first = _Chain(plan), None
+    if start is None:
+        solution = Smoothed.of(plan, forward.run(plan, ONCE)[0])
+    else:
+        first = _start(plan, start)
+        chain.linearise(first, None)
+        solution = chain.solve()
+    result = iterate(chain, solution, schedule, np.full(plan.runs, plan.exact), first)
+    smoothed = result.solution
+    if not np.array_equal(result.mean, smoothed.beliefs.mean):
+        smoothed = smoothed.at(plan, result.mean)
+    residuals = np.array(result.residuals).reshape(len(result.residuals), *plan.lead)
+    status = Status(len(residuals) + 1, residuals, result.converged.reshape(plan.lead))
+    return smoothed, status
+
+
+@dataclass(frozen=True, eq=False)
+class _Chain:
+    """All CPDs of a chain, to be linearised anywhere and solved."""
+
+    plan: ChainPlan
+
+    def linearise(self, at: Point, active: Mask | None) -> None:
+        relinearise(self.plan, at, active)
+
+    def solve(self, anchor: Anchor | None = None) -> Smoothed:
+        return Smoothed.of(self.plan, forward.sweep(self.plan, anchor))
+
+    def cost(self, at: Point) -> Array:
+        return cost.trajectory(self.plan, at)
+
+
+def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
     """Linearise every CPD at given beliefs over its hidden parents, all steps in one call each."""
-    layout = plan.layout
-    states = layout.state_places
-    start = Beliefs(beliefs.mean[:1][..., states], block(beliefs.cov[:1], states, states))
+    states = plan.layout.state_places
     everything = slice(None)
-    for links, at in ((plan.prior, start), (plan.transition, pairs)):
+    for links, (mean, cov) in ((plan.prior, at.start(states)), (plan.transition, at.pairs(states))):
         for link in links:
             family, parents = link.family, link.parents
             if family.exact or not family.step.size:
                 continue
-            mean = at.mean[..., parents]
-            family.linearise(everything, mean, block(at.cov, parents, parents), active)
-            family.to_chart(mean, at.mean[..., link.child])
+            family.linearise(everything, mean[..., parents], block(cov, parents, parents), active)
+            family.to_chart(mean[..., parents], mean[..., link.child])
     for sensor in plan.sensors:
         family, parents = sensor.family, sensor.parents
         if not family.step.size:
             continue
-        mean = beliefs.mean[family.step][..., parents]
+        mean = at.mean[family.step][..., parents]
         if sensor.grouped:
             counts = np.diff(sensor.bounds)
             for count in np.unique(counts[counts > 0]):
                 steps = np.flatnonzero(counts == count)
-                grouped.linearise(sensor, steps, beliefs.mean[steps], beliefs.cov[steps], active)
+                grouped.linearise(sensor, steps, at.mean[steps], at.cov[steps], active)
         elif not family.exact:
-            cov = block(beliefs.cov[family.step], parents, parents)
+            cov = block(at.cov[family.step], parents, parents)
             family.linearise(everything, mean, cov, active)
-        kept = sensor.moved.copy()
-        sensor.move(everything, family.value(everything, mean))
-        if active is not None:
-            sensor.moved[:, ~active] = kept[:, ~active]
+        sensor.move(everything, family.value(everything, mean), active)
 
 
-def _on_chart(plan: ChainPlan, start: Beliefs) -> Beliefs:
-    """A start whose angles run on without whole turns, from the prior's on."""
+def _start(plan: ChainPlan, start: Beliefs) -> Point:
+    """A start as a point without spread, its angles without whole turns, from the prior's on."""
     layout = plan.layout
+    size = layout.state_size + layout.slice_size
+    joint = np.zeros((plan.steps, plan.runs, size, size))
     angles = angle_mask(layout.slice)
     angles[layout.control_places] = False
     if not angles.any():
-        return start
+        return Point(start.mean, start.cov, joint)
     mean = start.mean.copy()
     first, _ = forward.start(plan, linearise=True)
     prior = mean[0].copy()
     prior[:, layout.state_places] = first
     mean[0] = nearest_branch(mean[0], prior, angles)
     mean[..., angles] = np.unwrap(mean[..., angles], axis=0)
-    return Beliefs(mean, start.cov)
-
-
-def _start_pairs(plan: ChainPlan, start: Beliefs) -> Beliefs:
-    mean = np.concatenate([start.mean[:-1][..., plan.layout.state_places], start.mean[1:]], axis=-1)
-    return Beliefs(mean, np.zeros((*mean.shape, mean.shape[-1])))
+    return Point(mean, start.cov, joint)

@@ -18,15 +18,10 @@ NEARLY_SINGULAR = 1e-6
 Due = list[tuple[Sensor, slice]]
 
 
-def update(
-    sensors: list[Sensor], step: int, mean: Array, cov: Array, *, linearise: bool
-) -> tuple[Array, Array, Array]:
+def update(due: Due, step: int, mean: Array, cov: Array) -> tuple[Array, Array, Array]:
     """Moments of the slice given the readings of a step, and the readings' log-density."""
-    due = sensors_due(sensors, step)
     if not due:
         return mean, cov, np.zeros(mean.shape[0])
-    for sensor, _ in due if linearise else ():
-        linearise_sensor(sensor, step, mean, cov)
     result = _absorb(due, step, mean, cov)
     if result is None:
         result = mean, cov, np.zeros(mean.shape[0])
@@ -89,17 +84,19 @@ def sensors_due(sensors: list[Sensor], step: int) -> Due:
     ]
 
 
-def linearise_sensor(sensor: Sensor, step: int, mean: Array, cov: Array) -> None:
+def linearise_sensor(
+    sensor: Sensor, step: int, mean: Array, cov: Array, active: Mask | None = None
+) -> None:
     """Linearise each sighting of a step by itself, or all as one where they are grouped."""
     family, parents, rows = sensor.family, sensor.parents, sensor.rows(step)
     count = rows.stop - rows.start
     at = np.broadcast_to(mean[:, parents], (count, *mean[:, parents].shape))
     if sensor.grouped:
-        grouped.linearise(sensor, np.array([step]), mean[None], cov[None])
+        grouped.linearise(sensor, np.array([step]), mean[None], cov[None], active)
     elif not family.exact:
         spread = block(cov, parents, parents)
-        family.linearise(rows, at, np.broadcast_to(spread, (count, *spread.shape)))
-    sensor.move(rows, family.value(rows, at))
+        family.linearise(rows, at, np.broadcast_to(spread, (count, *spread.shape)), active)
+    sensor.move(rows, family.value(rows, at), active)
 
 
 def stack(due: Due, step: int, mean: Array) -> tuple[Array, Array, Array, Array | None]:

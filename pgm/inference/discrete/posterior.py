@@ -18,7 +18,7 @@ from pgm.inference.discrete.beliefs import Beliefs
 from pgm.inference.discrete.evidence import axes_left, put_in
 from pgm.inference.discrete.joints import holder, within
 from pgm.inference.posterior import Posterior, require_variable
-from pgm.inference.schedule import Status
+from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Discrete, Variable
 

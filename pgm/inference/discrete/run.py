@@ -12,7 +12,8 @@ from pgm.inference.discrete.loopy_messages import TableMessages
 from pgm.inference.discrete.posterior import DiscretePosterior
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
 from pgm.inference.loopy import run_loopy
-from pgm.inference.schedule import Loopy, Schedule, Status
+from pgm.inference.schedule import Loopy, Schedule
+from pgm.inference.status import Status
 from pgm.variables import Variable
 
 

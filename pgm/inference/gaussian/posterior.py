@@ -17,7 +17,7 @@ from pgm.inference.gaussian.joints import joint_moments
 from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.tree import Calibrated, TreePlan
 from pgm.inference.posterior import Posterior, require_variable
-from pgm.inference.schedule import Status
+from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Integers, apply, frozen, transpose
 from pgm.kernels.rows import Rows
 from pgm.variables import Variable

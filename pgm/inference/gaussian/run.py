@@ -19,8 +19,9 @@ from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.gaussian.tree import Calibrated, TreePlan, calibrate
 from pgm.inference.limits import require_runs, require_size
 from pgm.inference.loopy import run_loopy
-from pgm.inference.schedule import Calibration, Loopy, Schedule, Status
+from pgm.inference.schedule import Calibration, Loopy, Schedule
 from pgm.inference.start import Start, over_runs, require_hidden
+from pgm.inference.status import Status
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Lineariser

@@ -1,0 +1,109 @@
+"""The cost of a trajectory: what every CPD leaves unexplained, in its own deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from pgm.errors import ModelError, NumericalError
+from pgm.inference.chain.iteration import Point
+from pgm.inference.chain.plan import ChainPlan, Sensor
+from pgm.inference.family import Family
+from pgm.kernels import roots
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, apply, block, inner
+
+
+def trajectory(plan: ChainPlan, at: Point) -> Array:
+    """The cost of the means of all slices, (runs,)."""
+    states = plan.layout.state_places
+    total = np.zeros(plan.runs)
+    for links, (mean, cov) in ((plan.prior, at.start(states)), (plan.transition, at.pairs(states))):
+        for link in links:
+            if not link.family.step.size:
+                continue
+            parents = mean[..., link.parents]
+            spread = block(cov, link.parents, link.parents)
+            expected = _expected(link.family, slice(None), parents, spread)
+            total += _square(link.family, mean[..., link.child], expected)
+    for sensor in plan.sensors:
+        steps = sensor.family.step
+        total += readings(sensor, slice(None), at.mean[steps], at.cov[steps])
+    return total
+
+
+def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
+    """The cost of some steps' readings at beliefs over their slices, (k, runs, n): (runs,)."""
+    family, parents = sensor.family, sensor.parents
+    if not mean.shape[0]:
+        return np.zeros(mean.shape[1])
+    expected = _expected(family, rows, mean[..., parents], block(cov, parents, parents))
+    left = difference(sensor.values[rows], expected, family.cpd.child.angle_mask)
+    if sensor.taken is not None:
+        left = np.where(sensor.taken[rows][..., None], left, 0.0)
+    if sensor.cross:
+        return _grouped(sensor, rows, left)
+    return weighted(family, left, family.noise[rows])
+
+
+def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
+    """The same with the covariances between the sightings of a step."""
+    runs, height = left.shape[1:]
+    first, last, _ = rows.indices(len(sensor.values))
+    total = np.zeros(runs)
+    for step in range(len(sensor.bounds) - 1):
+        own = sensor.rows(step)
+        if not first <= own.start < own.stop <= last:
+            continue
+        stacked = left[own.start - first : own.stop - first].swapaxes(0, 1).reshape(runs, -1)
+        size = stacked.shape[1]
+        noise = np.zeros((runs, size, size)) + sensor.cross.get(step, 0.0)
+        for k, row in enumerate(range(own.start, own.stop)):
+            place = slice(k * height, (k + 1) * height)
+            noise[:, place, place] = sensor.family.noise[row]
+        total += weighted(sensor.family, stacked[None], noise[None])
+    return total
+
+
+def weighted(family: Family, residual: Array, cov: Array) -> Array:
+    """Σ rᵀ Σ⁺ r over the first axis; determined components, which solutions obey, do not count."""
+    lower = roots.root(cov)
+    if not roots.is_proper(lower):
+        raise NumericalError(
+            f"{family.cpd!r}: with {family.lineariser!r} its noise is indefinite, so that a step "
+            "has no cost; use a rule with positive weights, or damping=0.5",
+            variable=family.cpd.child,
+            cpd=family.cpd,
+        )
+    white = roots.solve_lower(lower, residual[..., None])[..., 0]
+    white = np.where(roots.determined(lower), 0.0, white)
+    total: Array = inner(white, white).sum(axis=0)
+    return total
+
+
+def require_cost(families: Iterable[Family]) -> None:
+    """Refuse nonlinear CPDs with singular noise: only their solutions have a finite cost."""
+    for family in families:
+        if not family.exact and roots.determined(roots.root(family.own_noise)).any():
+            raise ModelError(
+                f"{family.cpd!r} is nonlinear and its noise is singular, so that nearly all "
+                "points have an infinite cost: pgm.LevenbergMarquardt() cannot control the steps; "
+                "use damping=0.5, or give it noise in all components",
+                variable=family.cpd.child,
+                cpd=family.cpd,
+            )
+
+
+def _square(family: Family, mean: Array, expected: Array) -> Array:
+    left = difference(mean, expected, family.cpd.child.angle_mask)
+    return weighted(family, left, family.noise)
+
+
+def _expected(family: Family, rows: slice, mean: Array, cov: Array) -> Array:
+    """E[f(X)] for X ~ N(mean, cov), as the lineariser sees it."""
+    if family.exact:
+        return family.value(rows, mean)
+    function = family.bound(rows, mean.ndim - 1, mean.shape[:-1])
+    affine = family.call(function, mean, cov)
+    return apply(affine.F, mean) + affine.b

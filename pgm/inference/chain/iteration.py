@@ -1,0 +1,229 @@
+"""Relinearising: linearise at a point, solve, choose the next point, until it stays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from pgm.inference.damping import LevenbergMarquardt
+from pgm.inference.schedule import Filtering, Smoothing
+from pgm.kernels import moments
+from pgm.kernels.arrays import Array, Index, Mask, block
+
+# A cost that rises by less than this part is no worse: it is rounding.
+_NO_WORSE = 1e-9
+
+
+class Point(NamedTuple):
+    """Where everything is linearised: moments with the runs as second axis.
+
+    Attributes
+    ----------
+    mean : ndarray
+        (steps, runs, n).
+    cov : ndarray
+        (steps, runs, n, n).
+    joint : ndarray or None
+        (steps − 1, runs, m, m): the covariances of neighbouring steps, where they are needed.
+    """
+
+    mean: Array
+    cov: Array
+    joint: Array | None = None
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations, (steps, runs, n)."""
+        return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=-2, axis2=-1), 0.0))
+
+    def start(self, states: Index) -> tuple[Array, Array]:
+        """Moments of the states at step 0, (1, runs, ...)."""
+        return self.mean[:1][..., states], block(self.cov[:1], states, states)
+
+    def pairs(self, states: Index) -> tuple[Array, Array]:
+        """Moments of the states before each later step together with its slice."""
+        assert self.joint is not None
+        before, after = self.mean[:-1][..., states], self.mean[1:]
+        return np.concatenate([before, after], axis=-1), self.joint
+
+    def mixed(self, other: Point, share: float | Mask) -> Point:
+        """A share of this point, one for all runs or (runs,), and the rest of another."""
+        share = np.asarray(share, dtype=np.float64)
+
+        def mix(mine: Array, its: Array) -> Array:
+            part = share.reshape(share.shape + (1,) * (mine.ndim - 2)) if share.ndim else share
+            return part * mine + (1.0 - part) * its
+
+        joint = None
+        if self.joint is not None and other.joint is not None:
+            joint = mix(self.joint, other.joint)
+        return Point(mix(self.mean, other.mean), mix(self.cov, other.cov), joint)
+
+
+class Anchor(NamedTuple):
+    """A reading of all components that holds a solution near a point.
+
+    Attributes
+    ----------
+    mean, std : ndarray
+        (steps, runs, n): the point, and the deviation of the reading at a weight of one.
+    weight : ndarray
+        (runs,): λ; nothing is held where it is zero, or where the deviation is.
+    """
+
+    mean: Array
+    std: Array
+    weight: Array
+
+    def hold(self, step: int, mean: Array, cov: Array) -> tuple[Array, Array]:
+        """Take the reading of a step into a belief, (runs, n) and (runs, n, n)."""
+        held = (self.std[step] > 0.0) & (self.weight > 0.0)[:, None]
+        eye = np.eye(mean.shape[-1])
+        variance = self.std[step] ** 2 / np.where(self.weight > 0.0, self.weight, 1.0)[:, None]
+        result = moments.update(
+            mean,
+            cov,
+            held[..., None] * eye,
+            np.where(held, self.mean[step] - mean, 0.0),
+            np.where(held, variance, 1.0)[..., None] * eye,
+            exact=False,
+        )
+        return result.mean, result.cov
+
+
+class Solution(Protocol):
+    """What solving a linearised model gives."""
+
+    @property
+    def point(self) -> Point:
+        """Its moments."""
+        ...
+
+
+S = TypeVar("S", bound=Solution)
+Found = TypeVar("Found", bound=Solution, covariant=True)
+
+
+class Problem(Protocol[Found]):
+    """A model that can be linearised and solved."""
+
+    def linearise(self, at: Point, active: Mask) -> None:
+        """Linearise at a point, for the runs that are active."""
+        ...
+
+    def solve(self, anchor: Anchor | None = None) -> Found:
+        """The solution of the model as it is linearised."""
+        ...
+
+    def cost(self, at: Point) -> Array:
+        """The cost of means with the covariances given, the noise as linearised, (runs,)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Iterated(Generic[S]):
+    """How an iteration went.
+
+    Attributes
+    ----------
+    solution : Solution
+        Of the last linearisation.
+    mean : ndarray
+        (steps, runs, n): its means, or those that the step control kept.
+    residuals : list of ndarray
+        (runs,) for each relinearisation: how far the solution is from where it was linearised.
+    converged : ndarray of bool
+        (runs,).
+    """
+
+    solution: S
+    mean: Array
+    residuals: list[Array]
+    converged: Mask
+
+
+def iterate(
+    problem: Problem[S],
+    solution: S,
+    schedule: Filtering | Smoothing,
+    converged: Mask,
+    first: Point | None = None,
+) -> Iterated[S]:
+    """Relinearise from the first solution on, at most so often as the schedule says.
+
+    Parameters
+    ----------
+    problem : Problem
+        As it was linearised for the first solution.
+    solution : Solution
+    schedule : Filtering or Smoothing
+    converged : ndarray of bool
+        (runs,): those that have nothing to iterate.
+    first : Point, optional
+        Where the first solution was linearised, if it was at one point.
+    """
+    control = _Control(problem, schedule.damping, converged.size)
+    residuals: list[Array] = []
+    mean = solution.point.mean
+    if schedule.iterations > 1 and not converged.all():
+        point = solution.point
+        if first is not None:
+            point = control.step(first, solution.point, ~converged)
+            mean = control.shown(mean, point, ~converged)
+    while len(residuals) + 1 < schedule.iterations and not converged.all():
+        active = ~converged
+        problem.linearise(point, active)
+        solution = problem.solve()
+        found = solution.point
+        residual = moments.marginal_error(found.mean, point.mean, found.std)
+        residuals.append(np.where(active, residual, residuals[-1]) if residuals else residual)
+        converged = converged | (residual <= schedule.tolerance)
+        point = point.mixed(control.step(point, found, active), ~active)
+        mean = np.where(active[:, None], control.shown(found.mean, point, active), mean)
+    return Iterated(solution, mean, residuals, converged)
+
+
+class _Control:
+    """The choice of the next point of linearisation."""
+
+    def __init__(self, problem: Problem[S], damping: float | LevenbergMarquardt, runs: int) -> None:
+        self.problem = problem
+        self.damping = damping
+        self.weight = np.full(runs, getattr(damping, "start", 0.0))
+
+    def step(self, point: Point, found: Point, active: Mask) -> Point:
+        """The point after this one, from which its linearisation has led to what was found."""
+        if isinstance(self.damping, LevenbergMarquardt):
+            return found._replace(mean=self._accepted(self.damping, point, found, active))
+        return point.mixed(found, self.damping) if self.damping else found
+
+    def shown(self, solved: Array, point: Point, active: Mask) -> Array:
+        """The means to tell of: those solved for, unless the control has held them back."""
+        if not isinstance(self.damping, LevenbergMarquardt):
+            return solved
+        return np.where(active[:, None], point.mean, solved)
+
+    def _accepted(
+        self, rule: LevenbergMarquardt, point: Point, found: Point, active: Mask
+    ) -> Array:
+        """Means that do not raise the cost; those of the point where none were found."""
+        cost = self.problem.cost(point)
+        limit = cost + _NO_WORSE * np.abs(cost)
+        mean = found.mean
+        settled = ~active | (self.problem.cost(point._replace(mean=mean)) <= limit)
+        self.weight = np.where(active & settled, self.weight / rule.factor, self.weight)
+        for _ in range(rule.tries):
+            if settled.all():
+                break
+            weight = np.where(settled, 0.0, self.weight)
+            tried = self.problem.solve(Anchor(point.mean, found.std, weight)).point.mean
+            lower = self.problem.cost(point._replace(mean=tried)) <= limit
+            good = ~settled & lower
+            mean = np.where(good[:, None], tried, mean)
+            change = np.where(good, 1.0 / rule.factor, rule.factor)
+            self.weight = np.where(settled, self.weight, self.weight * change)
+            settled = settled | good
+        self.weight = np.maximum(self.weight, rule.start)
+        return np.where(settled[:, None], mean, point.mean)
