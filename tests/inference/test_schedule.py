@@ -9,7 +9,7 @@ import pytest
 import pgm
 
 LOOPY = (pgm.Flooding, pgm.Sequential, pgm.Residual)
-TREES = (pgm.Calibration, pgm.Smoothing)
+TREES = (pgm.Calibration, pgm.Smoothing, pgm.Filtering)
 ODD = ["a", None, 1j, True, [0.5], (), np.array([0.1, 0.2])]
 
 

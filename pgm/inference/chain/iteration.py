@@ -12,8 +12,8 @@ from pgm.inference.schedule import Filtering, Smoothing
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Index, Mask, block
 
-# A cost that rises by less than this part is no worse: it is rounding.
-_NO_WORSE = 1e-9
+# A cost that rises by no more than this part is no worse: it is rounding.
+_NO_WORSE = 1e-13
 
 
 class Point(NamedTuple):
