@@ -34,8 +34,8 @@ class LevenbergMarquardt:
 
     References
     ----------
-    Lindqvist, Särkkä, García-Fernández & Piché, Levenberg–Marquardt and line-search iterated
-    posterior linearisation smoothing, 2021.
+    Lindqvist, Särkkä, García-Fernández, Raitoharju & Svensson, Posterior linearisation smoothing
+    with robust iterations, 2021.
     """
 
     start: float = 0.01
