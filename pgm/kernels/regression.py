@@ -9,21 +9,32 @@ from pgm.kernels.arrays import Array, apply, transpose
 
 
 def regress(
-    s: Array, values: Array, mean_weights: Array, cov_weights: Array, lower: Array
+    s: Array,
+    values: Array,
+    mean_weights: Array,
+    cov_weights: Array,
+    lower: Array,
+    *,
+    known: bool = False,
 ) -> tuple[Array, Array, Array]:
     """The line through values (..., N, d) at points s (..., N, n) of N(0, I).
 
     Returns the slope J (..., d, n), the line's value at s = 0, (..., d), and the covariance of what
     the line leaves, (..., d, d). Components of s that a root L does not use have no part in it: x
-    does not vary with them, whatever a sample says.
+    does not vary with them, whatever a sample says. The mean and covariance of s are those of the
+    sample, or, where they are `known`, 0 and I; what is left may then be indefinite.
     """
     value_mean, s_mean = mean_weights @ values, mean_weights @ s
     deviation, ds = values - value_mean[..., None, :], s - s_mean[..., None, :]
     unused = roots.determined(lower)
     if unused.any():
         ds = np.where(unused[..., None, :], 0.0, ds)
-    weighted = cov_weights[:, None] * ds
-    normal, moment = transpose(weighted) @ ds, transpose(weighted) @ deviation
+    weighted = transpose(cov_weights[:, None] * ds)
+    moment = weighted @ deviation
+    if known:
+        spread = transpose(cov_weights[:, None] * deviation) @ deviation
+        return transpose(moment), value_mean, spread - transpose(moment) @ moment
+    normal = weighted @ ds
     if unused.any():
         normal = normal + unused[..., None] * np.eye(unused.shape[-1])
     slope = transpose(np.asarray(np.linalg.solve(normal, moment), dtype=np.float64))

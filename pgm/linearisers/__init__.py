@@ -2,7 +2,8 @@
 
 from pgm.linearisers.function import BoundFunction, FunctionTemplate, Lineariser
 from pgm.linearisers.regression import Points, StatisticalRegression
-from pgm.linearisers.rules import Cubature, MonteCarlo, Unscented
+from pgm.linearisers.rules import Cubature, GaussHermite, Unscented
+from pgm.linearisers.sampled import MonteCarlo, QuasiMonteCarlo
 from pgm.linearisers.taylor import TAYLOR, Taylor
 
 __all__ = [
@@ -10,9 +11,11 @@ __all__ = [
     "BoundFunction",
     "Cubature",
     "FunctionTemplate",
+    "GaussHermite",
     "Lineariser",
     "MonteCarlo",
     "Points",
+    "QuasiMonteCarlo",
     "StatisticalRegression",
     "Taylor",
     "Unscented",

@@ -45,7 +45,8 @@ class StatisticalRegression(ABC):
     is zero F takes the limit P → 0, the Jacobian at μ. Angles of y are averaged as the value at
     the centre plus the mean of offsets, wrapped about the tangent where they exceed half a turn.
 
-    A subclass gives `points`.
+    A subclass gives `points`, and may say that they are fresh for each run, or that moments of x
+    are the belief's own.
 
     References
     ----------
@@ -66,6 +67,16 @@ class StatisticalRegression(ABC):
             The step, or an array over the belief's leading axes.
         """
 
+    @property
+    def fresh_per_run(self) -> bool:
+        """Whether each run has points of its own; steps are then always given as an array."""
+        return False
+
+    @property
+    def prior_moments(self) -> bool:
+        """Whether the mean and covariance of x are the belief's, rather than the points' own."""
+        return False
+
     def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
         """Linearise a function at a belief."""
         lower = roots.root(at.cov)
@@ -75,11 +86,14 @@ class StatisticalRegression(ABC):
                 f"the belief at which the CPD of {function.name} is linearised{when} has an "
                 "indefinite covariance; use a rule with positive weights or more samples"
             )
-        s, mean_weights, cov_weights, centred = self.points(
-            at.mean.shape[-1], function.name, function.step
-        )
+        step = function.step
+        if self.fresh_per_run:
+            step = np.broadcast_to(0 if step is None else step, at.mean.shape[:-1])
+        s, mean_weights, cov_weights, centred = self.points(at.mean.shape[-1], function.name, step)
         offset, value = self._values(function, at, s @ transpose(lower), centred)
-        slope, centre, noise = regress(s, offset, mean_weights, cov_weights, lower)
+        slope, centre, noise = regress(
+            s, offset, mean_weights, cov_weights, lower, known=self.prior_moments
+        )
         matrix = _divide(slope, lower, function, at)
         return AffineGaussian(matrix, value + centre - apply(matrix, at.mean), noise)
 

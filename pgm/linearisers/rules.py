@@ -1,12 +1,12 @@
-"""Sigma-point rules."""
+"""Deterministic sigma-point rules."""
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
 
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers, frozen
@@ -92,62 +92,53 @@ def _cross(n: int, square: float) -> Array:
     return np.vstack([arm, -arm])
 
 
-@dataclass(frozen=True)
-class MonteCarlo(StatisticalRegression):
-    """Random points, weights 1/N, regressed with the sample's own mean and covariance.
+# More points than this are refused: a product rule outgrows every memory within a few dimensions.
+MOST_POINTS = 10**6
 
-    Points are drawn once per seed, CPD and step and shared by all runs: a batch equals its single
-    runs, and one call for many steps equals many calls.
+
+@dataclass(frozen=True)
+class GaussHermite(StatisticalRegression):
+    """The Gauss–Hermite product rule: orderⁿ points, exact to degree 2·order − 1 in each component.
+
+    The points are all combinations of the zeros of the Hermite polynomial of the given order, the
+    weights the products of the zeros' weights: E[x₁ᵃ x₂ᵇ …] is exact where no exponent exceeds
+    2·order − 1.
 
     Parameters
     ----------
-    samples : int
-        N, at least 2n + 2: with n + 1 the line passes through every point, and nothing is left
-        to tell how wrong it is.
-    seed : int
-        A whole number, not negative.
+    order : int
+        Points for each component, 2 to 100.
+
+    References
+    ----------
+    Ito & Xiong, Gaussian filters for nonlinear filtering problems, 2000.
     """
 
-    samples: int
-    seed: int = 0
+    order: int = 3
 
     def __post_init__(self) -> None:
-        for what, value, least in (("samples", self.samples, 1), ("seed", self.seed, 0)):
-            if not isinstance(value, int | np.integer) or not least <= value < 2**63:
-                raise LinearisationError(
-                    f"MonteCarlo({what}={value!r}): {what} must be a whole number from {least} to "
-                    "2⁶³ − 1"
-                )
+        if not isinstance(self.order, int | np.integer) or not 2 <= self.order <= 100:
+            raise LinearisationError(
+                f"GaussHermite(order={self.order!r}): order, the number of points for each "
+                "component, must be a whole number from 2 to 100"
+            )
 
     def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
-        """The sample, one for each step asked for."""
-        if self.samples < 2 * dimension + 2:
+        """The orderⁿ points."""
+        if int(self.order) ** dimension > MOST_POINTS:
             raise LinearisationError(
-                f"MonteCarlo(samples={self.samples}) is too few for the {dimension} hidden "
-                f"components of the CPD of {name}: ask for {2 * dimension + 2} or more"
+                f"GaussHermite(order={self.order}) has {self.order}^{dimension} points for the "
+                f"{dimension} hidden components of the CPD of {name}, more than {MOST_POINTS}; "
+                "lower the order, or use Cubature() or QuasiMonteCarlo(...)"
             )
-        weights = np.full(self.samples, 1.0 / self.samples)
-        shape = (self.samples, dimension)
-        if step is None or isinstance(step, int):
-            points = _draw(self.seed, name, step or 0, 1, shape)[0]
-        else:
-            steps, inverse = np.unique(step, return_inverse=True)
-            drawn = _draw(self.seed, name, int(steps[0]), int(steps[-1] - steps[0]) + 1, shape)
-            points = drawn[(steps - steps[0])[inverse.reshape(np.shape(step))]]
-        return Points(points, weights, weights, False)
+        return _gauss_hermite(dimension, int(self.order))
 
 
-def _draw(seed: int, name: str, first: int, steps: int, shape: tuple[int, int]) -> Array:
-    """Standard normal points of consecutive steps, (steps, N, n).
-
-    The generator counts, so that each step has its own stretch of one stream, wherever a call
-    starts.
-    """
-    from scipy.special import ndtri  # here, since it is half of the time that importing pgm takes
-
-    size = shape[0] * shape[1]
-    stretch = -(-size // 4)  # Philox makes four numbers a count
-    bits = np.random.Philox(key=[seed, zlib.crc32(name.encode())], counter=first * stretch)
-    uniform = np.random.Generator(bits).random((steps, 4 * stretch))[:, :size]
-    normal: Array = ndtri(uniform + 2.0**-54)  # never exactly zero
-    return normal.reshape(steps, *shape)
+@lru_cache(maxsize=16)
+def _gauss_hermite(n: int, order: int) -> Points:
+    nodes, weights = hermegauss(order)
+    nearest = np.argsort(np.abs(nodes))  # the origin, where it is a point, comes first
+    nodes, weights = nodes[nearest], weights[nearest] / weights.sum()
+    index = np.indices((order,) * n).reshape(n, -1)
+    product = frozen(np.prod(weights[index], axis=0))
+    return Points(frozen(np.ascontiguousarray(nodes[index].T)), product, product, order % 2 == 1)

@@ -22,8 +22,15 @@ RULES = {
     "unscented": pgm.Unscented(),
     "unscented alpha": pgm.Unscented(alpha=0.5),
     "cubature": pgm.Cubature(),
+    "gauss hermite 2": pgm.GaussHermite(2),
+    "gauss hermite 5": pgm.GaussHermite(5),
     "monte carlo": pgm.MonteCarlo(20),
+    "antithetic": pgm.MonteCarlo(12, antithetic=True),
+    "fresh": pgm.MonteCarlo(20, fresh_per_run=True),
+    "sobol": pgm.QuasiMonteCarlo(32),
+    "fresh sobol": pgm.QuasiMonteCarlo(32, fresh_per_run=True),
 }
+SHARED = [name for name in RULES if not name.startswith("fresh")]
 rules = pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
 sigma_rules = pytest.mark.parametrize("rule", list(RULES.values())[1:], ids=list(RULES)[1:])
 
@@ -215,6 +222,22 @@ def test_bearings_near_the_cut(rule, north, heading):
     assert_allclose(np.exp(1j * value), np.exp(1j * other), atol=1e-9)
 
 
+@rules
+def test_headings_beyond_half_a_turn(rule):
+    """An angle that turns linearly with the state is no angle, however far its points turn."""
+    turn, heading = pgm.Variable("turn"), pgm.Variable("heading", angles=("heading",))
+    at = pgm.Gaussian(X, [0.2, -0.4, 1.0], np.diag([0.3, 0.2, 2.5**2]))
+
+    def function(x):
+        return (0.5 * x[..., 0] + x[..., 2])[..., None]
+
+    found = rule(bound_function(cpd_of(function, heading)), at)
+    expected = rule(bound_function(cpd_of(function, turn)), at)
+    assert_allclose(found.F, expected.F, atol=1e-9)
+    assert_allclose(found.b, expected.b, atol=1e-9)
+    assert_allclose(found.cov, 0.0, atol=1e-9)
+
+
 @sigma_rules
 def test_bearings_of_a_singular_belief_near_the_cut(rule):
     at = pgm.Gaussian(X, [0.0, 0.01, 0.0], np.diag([0.0, 0.5, 0.0]))
@@ -224,10 +247,11 @@ def test_bearings_of_a_singular_belief_near_the_cut(rule):
     assert_allclose(found.cov, expected.cov, atol=1e-12)
 
 
-@rules
+@pytest.mark.parametrize("name", SHARED)
 @pytest.mark.parametrize("lead", [(3,), (40,), (2, 3)])
 @pytest.mark.parametrize("rank", [1, 3])
-def test_a_batch_is_its_singles(rule, lead, rank):
+def test_a_batch_is_its_singles(name, lead, rank):
+    rule = RULES[name]
     rng = np.random.default_rng(0)
     mean, cov = rng.normal(size=(*lead, 3)), random_covariance(rng, 3, rank, lead)
     batch = rule(bound_function(cpd_of(curved), lead=len(lead)), pgm.Gaussian(X, mean, cov))

@@ -1,4 +1,7 @@
-"""The rules themselves: weights, moments, and what random rules draw."""
+"""The rules themselves: weights and moments."""
+
+import itertools
+import math
 
 import numpy as np
 import pytest
@@ -20,12 +23,12 @@ def curved(x):
     return np.stack([np.sin(x[..., 0]) * x[..., -1], np.exp(0.3 * x[..., -1])], axis=-1)
 
 
-def linearise(rule, function, n, mean=None, cov=None, child=Y, step=None):
+def linearise(rule, function, n, mean=None, cov=None, child=Y):
     cpd = pgm.NonlinearGaussianCPD(child, state(n), function, np.eye(child.dimension))
     at = pgm.Gaussian(
         state(n), np.zeros(n) if mean is None else mean, np.eye(n) if cov is None else cov
     )
-    return rule(bound_function(cpd, step=step), at)
+    return rule(bound_function(cpd), at)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6])
@@ -96,7 +99,15 @@ def test_cubature_points(n):
 
 
 @pytest.mark.parametrize(
-    "rule", [pgm.Unscented(), pgm.Unscented(alpha=0.3), pgm.Cubature(), pgm.MonteCarlo(50)]
+    "rule",
+    [
+        pgm.Unscented(),
+        pgm.Unscented(alpha=0.3),
+        pgm.Cubature(),
+        pgm.GaussHermite(),
+        pgm.MonteCarlo(50),
+        pgm.QuasiMonteCarlo(50),
+    ],
 )
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_weights_add_up_to_one(rule, n):
@@ -106,73 +117,67 @@ def test_weights_add_up_to_one(rule, n):
     assert_allclose(weights.sum(), 1.0)
 
 
-def test_monte_carlo_points_are_standard_normal():
-    s = pgm.MonteCarlo(20_000).points(3, "y", 0).points
-    assert (np.abs(s.mean(axis=0)) < 5 / np.sqrt(20_000)).all()
-    assert (np.abs(np.cov(s.T) - np.eye(3)) < 5 * np.sqrt(2 / 20_000)).all()
-    assert (np.abs((s**4).mean(axis=0) - 3) < 5 * np.sqrt(96 / 20_000)).all()
+def exact_moment(exponents):
+    """E[Π sᵢ^eᵢ] of N(0, I): (e − 1)!! for even exponents, else none."""
+    return np.prod([0 if e % 2 else math.prod(range(e - 1, 0, -2)) for e in exponents])
 
 
-def test_monte_carlo_points_are_keyed_by_seed_cpd_and_step():
-    draw = pgm.MonteCarlo(10, seed=1).points(3, "y", 4).points
-    assert_array_equal(draw, pgm.MonteCarlo(10, seed=1).points(3, "y", 4).points)
-    for rule, name, step in [
-        (pgm.MonteCarlo(10, seed=2), "y", 4),
-        (pgm.MonteCarlo(10, seed=1), "z", 4),
-        (pgm.MonteCarlo(10, seed=1), "y", 5),
-        (pgm.MonteCarlo(10, seed=1), "y", 3),
-    ]:
-        other = rule.points(3, name, step).points
-        # Not one number in common, so no stretch of the stream is used twice.
-        assert not np.isin(other, draw).any()
+@pytest.mark.parametrize(("order", "n"), [(2, 1), (2, 4), (3, 3), (5, 2), (7, 1)])
+def test_gauss_hermite_moments(order, n):
+    s, weights, cov_weights, _ = pgm.GaussHermite(order).points(n, "y", None)
+    assert s.shape == (order**n, n)
+    assert_array_equal(cov_weights, weights)
+    assert (weights > 0).all()
+    for exponents in itertools.product(range(2 * order), repeat=n):
+        moment = weights @ np.prod(s ** np.array(exponents), axis=-1)
+        scale = weights @ np.prod(np.abs(s) ** np.array(exponents), axis=-1)
+        assert_allclose(moment, exact_moment(exponents), atol=1e-12 * scale)
+    # Of degree 2p it is wrong by p!, the square of the Hermite polynomial that is zero at all p.
+    assert_allclose(
+        exact_moment([2 * order]) - weights @ s[:, 0] ** (2 * order), math.factorial(order)
+    )
 
 
-@pytest.mark.parametrize("samples", [10, 11, 13])
-@pytest.mark.parametrize(
-    "steps", [np.arange(7), np.array([5, 5, 2, 9]), np.array([[0, 1], [1, 0]]), np.array([3])]
-)
-def test_one_call_for_many_steps_is_many_calls(steps, samples):
-    rule = pgm.MonteCarlo(samples, seed=3)
-    together = rule.points(3, "y", steps).points
-    assert together.shape == (*steps.shape, samples, 3)
-    for k in np.ndindex(steps.shape):
-        assert_array_equal(together[k], rule.points(3, "y", int(steps[k])).points)
+@pytest.mark.parametrize("order", [2, 3, 4, 5])
+def test_an_odd_gauss_hermite_rule_has_its_centre_first(order):
+    rule = pgm.GaussHermite(order).points(3, "y", None)
+    origins = (rule.points == 0.0).all(axis=-1)
+    assert rule.centred == (order % 2 == 1)
+    assert origins[0] == rule.centred
+    assert origins.sum() == rule.centred
 
 
-def test_many_steps_are_linearised_in_one_call():
-    rng = np.random.default_rng(0)
-    steps = np.array([[4, 4], [0, 0], [7, 7]])  # sightings by runs
-    mean, cov = rng.normal(size=(3, 2, 3)), random_covariance(rng, 3, lead=(3, 2))
-    rule = pgm.MonteCarlo(20, seed=3)
-    cpd = pgm.NonlinearGaussianCPD(Y, state(3), curved, np.eye(2))
-    batch = rule(bound_function(cpd, lead=2, step=steps), pgm.Gaussian(state(3), mean, cov))
-    for k in np.ndindex(3, 2):
-        single = linearise(rule, curved, 3, mean[k], cov[k], step=int(steps[k]))
-        assert_allclose(batch.F[k], single.F, atol=1e-9)
-        assert_allclose(batch.b[k], single.b, atol=1e-9)
-        assert_allclose(batch.cov[k], single.cov, atol=1e-9)
+def test_gauss_hermite_in_one_dimension_is_the_unscented_rule():
+    # Three points at 0 and ±√3, weights 2/3 and 1/6: λ = 2.
+    hermite = pgm.GaussHermite(3).points(1, "y", None)
+    unscented = pgm.Unscented(alpha=1.0, beta=0.0, kappa=2.0).points(1, "y", None)
+    assert_allclose(np.sort(hermite.points, axis=0), np.sort(unscented.points, axis=0))
+    assert_allclose(hermite.mean_weights, unscented.mean_weights)
 
 
-@pytest.mark.parametrize(("n", "enough"), [(1, 4), (3, 8)])
-def test_too_few_samples_are_refused(n, enough):
-    linearise(pgm.MonteCarlo(enough), curved, n)
-    with pytest.raises(pgm.LinearisationError, match=f"ask for {enough}") as caught:
-        linearise(pgm.MonteCarlo(enough - 1), curved, n)
-    assert "y" in str(caught.value)
+@pytest.mark.parametrize("order", [1, 0, -3, 101, 2.5, "3", None])
+def test_malformed_orders_are_refused(order):
+    with pytest.raises(pgm.LinearisationError, match=r"GaussHermite\(order=.*from 2 to 100"):
+        pgm.GaussHermite(order)
 
 
-@pytest.mark.parametrize("arguments", [(0,), (-5,), (10, -1)])
-def test_malformed_monte_carlo_is_refused(arguments):
-    with pytest.raises(pgm.LinearisationError, match="MonteCarlo"):
-        pgm.MonteCarlo(*arguments)
+def test_a_product_of_too_many_points_is_refused():
+    pgm.GaussHermite(100).points(3, "y", None)
+    with pytest.raises(pgm.LinearisationError, match=r"5\^9 points.*CPD of y.*lower the order"):
+        pgm.GaussHermite(5).points(9, "y", None)
+    with pytest.raises(pgm.LinearisationError, match=r"100\^4 points"):
+        pgm.GaussHermite(100).points(4, "y", None)
 
 
 def test_rules_are_values():
     assert pgm.Unscented() == pgm.Unscented(None, 2.0, 0.0)
+    assert pgm.GaussHermite() == pgm.GaussHermite(3) != pgm.GaussHermite(5)
     assert pgm.MonteCarlo(10) != pgm.MonteCarlo(10, seed=1)
+    assert pgm.MonteCarlo(10) != pgm.MonteCarlo(10, antithetic=True)
+    assert pgm.MonteCarlo(16) != pgm.QuasiMonteCarlo(16)
     assert len({pgm.Cubature(), pgm.Cubature(), pgm.Taylor()}) == 2
     with pytest.raises(AttributeError):
         pgm.Unscented().alpha = 1.0
-    for rule in (pgm.Unscented(), pgm.Cubature()):
+    for rule in (pgm.Unscented(), pgm.Cubature(), pgm.GaussHermite()):
         with pytest.raises(ValueError, match="read-only"):
             rule.points(2, "y", None).points[0] = 1.0

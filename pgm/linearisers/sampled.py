@@ -1,0 +1,132 @@
+"""Rules that draw their points: Monte Carlo and quasi-Monte Carlo."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.errors import LinearisationError
+from pgm.kernels.arrays import Array, Integers
+from pgm.linearisers import draws
+from pgm.linearisers.regression import Points, StatisticalRegression
+
+
+@dataclass(frozen=True)
+class SampledRule(StatisticalRegression):
+    """Random points for N(0, I), all of one weight, keyed by seed, CPD and step.
+
+    A subclass gives `_sample`.
+
+    Parameters
+    ----------
+    samples : int
+        N, at least 2n + 2.
+    seed : int
+        A whole number, not negative.
+    """
+
+    samples: int
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for what, value, least in (("samples", self.samples, 1), ("seed", self.seed, 0)):
+            if not isinstance(value, int | np.integer) or not least <= value < 2**63:
+                raise LinearisationError(
+                    f"{type(self).__name__}({what}={value!r}): {what} must be a whole number from "
+                    f"{least} to 2⁶³ − 1"
+                )
+
+    @abstractmethod
+    def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
+        """The points, (*axes of step, N, n)."""
+
+    def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
+        """The sample, one for each step asked for."""
+        if self.samples < 2 * dimension + 2:
+            raise LinearisationError(
+                f"{type(self).__name__}(samples={self.samples}) is too few for the {dimension} "
+                f"hidden components of the CPD of {name}: ask for {2 * dimension + 2} or more"
+            )
+        weights = np.full(self.samples, 1.0 / self.samples)
+        sample = self._sample(dimension, name, 0 if step is None else step)
+        return Points(sample, weights, weights, False)
+
+
+@dataclass(frozen=True)
+class MonteCarlo(SampledRule):
+    """Random points, weights 1/N, regressed with the sample's own mean and covariance.
+
+    Points are drawn once per seed, CPD and step and shared by all runs: a batch equals its single
+    runs, and one call for many steps equals many calls.
+
+    Parameters
+    ----------
+    samples : int
+        N, at least 2n + 2: with n + 1 the line passes through every point, and nothing is left
+        to tell how wrong it is.
+    seed : int
+        A whole number, not negative.
+    prior_moments : bool
+        Take μ and P from the belief instead of the sample: F = Σ_xyᵀ P⁻¹, b = μ_y − F μ, Σ_n =
+        Σ_yy − F P Fᵀ. The line is then not exact even for a linear function, and Σ_n often is
+        indefinite, though F P Fᵀ + Σ_n never is.
+    fresh_per_run : bool
+        Draw other points for each run, the same at each linearisation of a step. A batch then
+        does not equal its single runs, but its first runs equal a smaller batch.
+    antithetic : bool
+        Draw pairs ±s, N even. What is odd about μ then leaves no error in the mean, and what is
+        even none in F; but the mean of the even part sees N/2 points.
+    """
+
+    prior_moments: bool = False
+    fresh_per_run: bool = False
+    antithetic: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.antithetic and self.samples % 2:
+            raise LinearisationError(
+                f"MonteCarlo(samples={self.samples}, antithetic=True): antithetic points come in "
+                "pairs; ask for an even number"
+            )
+
+    def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
+        """Standard normal points, in antithetic pairs where asked for."""
+        count = self.samples // 2 if self.antithetic else self.samples
+        uniform = draws.uniform(self.seed, name, step, count * dimension, self.fresh_per_run)
+        half = draws.normal(uniform).reshape(*uniform.shape[:-1], count, dimension)
+        return np.concatenate([half, -half], axis=-2) if self.antithetic else half
+
+
+@dataclass(frozen=True)
+class QuasiMonteCarlo(SampledRule):
+    """Scrambled Sobol points through the normal quantile, regressed as a Monte Carlo sample.
+
+    The points fill space evenly, so that for smooth functions of few components errors fall about
+    as 1/N, where those of random points fall as 1/√N. Each seed, CPD and step has a scrambling of
+    its own, shared by all runs: a batch equals its single runs, and one call for many steps equals
+    many calls.
+
+    Parameters
+    ----------
+    samples : int
+        N, at least 2n + 2, best a power of two, which the balance of the points needs.
+    seed : int
+        A whole number, not negative.
+    fresh_per_run : bool
+        Scramble anew for each run, as `MonteCarlo` draws anew.
+
+    References
+    ----------
+    Owen, Scrambled net variance for integrals of smooth functions, 1997.
+    """
+
+    fresh_per_run: bool = False
+
+    def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
+        """Standard normal points, (*axes of step, N, n)."""
+        size = draws.scrambling_size(self.samples, dimension)
+        uniform = draws.uniform(self.seed, name, step, size, self.fresh_per_run)
+        return draws.normal(draws.scrambled_net(uniform, self.samples, dimension))
