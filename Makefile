@@ -5,11 +5,14 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check
 export MPLBACKEND := Agg
 
-.PHONY: demo test test-slow lint bench clean
+.PHONY: demo report test test-slow lint bench clean
 
 demo: $(VENV)/.demo
 	$(PY) -m experiments localisation
 	$(PY) -m experiments plaza
+
+report: $(VENV)/.demo
+	$(PY) -m experiments report
 
 test: $(VENV)/.test
 	$(PY) -m pytest

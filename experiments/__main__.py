@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import inspect
-from types import ModuleType
-
 import matplotlib as mpl
 import typer
 
-from experiments.catalogue import EXPERIMENTS
+from experiments.catalogue import EXPERIMENTS, summary_line
 from experiments.record import note
+from experiments.report import report
 from pgm import PgmError
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-
-
-def summary_line(experiment: ModuleType) -> str:
-    """The first line of an experiment's docstring."""
-    return (inspect.getdoc(experiment.run) or "").splitlines()[0]
 
 
 @app.callback(invoke_without_command=True)
@@ -31,6 +24,7 @@ def listing(context: typer.Context) -> None:
 
 for _name, _experiment in EXPERIMENTS.items():
     app.command(_name, help=summary_line(_experiment))(_experiment.run)
+app.command("report")(report)
 
 
 def main() -> None:

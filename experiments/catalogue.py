@@ -1,13 +1,34 @@
 """The experiments by name; each module or package has `run`, and `QUICK`, its quick settings."""
 
+import inspect
 from types import ModuleType
 
-from experiments import belief_propagation, localisation, plaza, seven_nodes
+from experiments import (
+    belief_propagation,
+    cluster_graph,
+    differential_drive,
+    imu_heading,
+    kalman,
+    linearisers,
+    localisation,
+    plaza,
+    seven_nodes,
+)
 
 # In the order in which a newcomer would run them.
 EXPERIMENTS: dict[str, ModuleType] = {
     "localisation": localisation,
     "plaza": plaza,
+    "kalman": kalman,
+    "cluster_graph": cluster_graph,
+    "linearisers": linearisers,
+    "imu_heading": imu_heading,
+    "differential_drive": differential_drive,
     "seven_nodes": seven_nodes,
     "belief_propagation": belief_propagation,
 }
+
+
+def summary_line(experiment: ModuleType) -> str:
+    """The first line of an experiment's docstring, without its full stop."""
+    return (inspect.getdoc(experiment.run) or "").partition("\n")[0].removesuffix(".")

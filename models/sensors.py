@@ -36,6 +36,17 @@ def position_by_state(x: Array) -> Array:
     return _identity(x, 2)
 
 
+def heading(x: Array) -> Array:
+    """Sense the heading [rad], ``(..., 1)``, as an inertial unit does; a view of x, not wrapped."""
+    ahead: Array = x[..., 2:3]
+    return ahead
+
+
+def heading_by_state(x: Array) -> Array:
+    """Differentiate `heading`: the last row of the identity, ``(..., 1, 3)``."""
+    return _identity(x, 3)[..., 2:, :]
+
+
 def range_only(x: Array, m: Array) -> Array:
     """Sense the distance to a landmark.
 
@@ -76,6 +87,41 @@ def range_only_by_state(x: Array, m: Array) -> Array:
 def range_only_by_landmark(x: Array, m: Array) -> Array:
     """Differentiate `range_only` by (m_east, m_north), ``(..., 1, 2)``; NaN at range 0."""
     return _by_landmark(range_only_by_state(x, m))
+
+
+def bearing_only(x: Array, m: Array) -> Array:
+    """Sense the direction to a landmark from the robot's heading, as a camera does.
+
+        β = atan2(m_north − north, m_east − east) − θ
+
+    Parameters
+    ----------
+    x : array, shape (..., 3)
+        East [m], north [m], heading [rad].
+    m : array, shape (..., 2)
+        The landmark's east [m] and north [m].
+
+    Returns
+    -------
+    array, shape (..., 1)
+        The bearing [rad], anticlockwise from straight ahead, wrapped to [−π, π).
+
+    Examples
+    --------
+    >>> bearing_only(np.array([1.0, 1.0, 0.0]), np.array([1.0, 3.0])).round(4).tolist()
+    [1.5708]
+    """
+    return range_bearing(x, m)[..., 1:]
+
+
+def bearing_only_by_state(x: Array, m: Array) -> Array:
+    """Differentiate `bearing_only` by (east, north, heading), ``(..., 1, 3)``; NaN at range 0."""
+    return range_bearing_by_state(x, m)[..., 1:, :]
+
+
+def bearing_only_by_landmark(x: Array, m: Array) -> Array:
+    """Differentiate `bearing_only` by (m_east, m_north), ``(..., 1, 2)``; NaN at range 0."""
+    return range_bearing_by_landmark(x, m)[..., 1:, :]
 
 
 def range_bearing(x: Array, m: Array) -> Array:

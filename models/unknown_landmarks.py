@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 import pgm
 from models import motion, sensors
 from models.networks import landmark, pose, sighting, velocity
+from models.networks.covariances import diagonal
 
-Array = npt.NDArray[np.float64]
 # Which landmark is seen from which pose: (step, landmark).
 Seen = Iterable[tuple[int, int]]
 
@@ -64,7 +63,7 @@ def unknown_landmarks(
     """
     drive = motion.Velocity(dt=dt)
     cpds: list[pgm.GaussianCPD | pgm.NonlinearGaussianCPD] = [
-        pgm.GaussianCPD(pose.at(0), mean=np.zeros(3), cov=_diagonal(start_std))
+        pgm.GaussianCPD(pose.at(0), mean=np.zeros(3), cov=diagonal(start_std))
     ]
     for t in range(1, steps + 1):
         before, control = pose.at(t - 1), velocity.at(t)
@@ -73,7 +72,7 @@ def unknown_landmarks(
                 pose.at(t),
                 given=(before, control),
                 function=drive,
-                cov=_diagonal(motion_std),
+                cov=diagonal(motion_std),
                 jacobian={before: drive.by_state, control: drive.by_control},
             )
         )
@@ -87,7 +86,7 @@ def unknown_landmarks(
                 reading(t, k),
                 given=(pose.at(t), place(k)),
                 function=sensors.range_bearing,
-                cov=_diagonal(sensor_std),
+                cov=diagonal(sensor_std),
                 jacobian={
                     pose.at(t): sensors.range_bearing_by_state,
                     place(k): sensors.range_bearing_by_landmark,
@@ -133,7 +132,3 @@ def landmark_clusters(
             sepsets[last[m], new] = {m}
         last[m] = new
     return pgm.ClusterGraph(network, [*chain, *sighted], sepsets)
-
-
-def _diagonal(std: Sequence[float]) -> Array:
-    return np.diag(np.square(std))

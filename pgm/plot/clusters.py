@@ -21,6 +21,7 @@ from pgm.plot.canvas import Canvas, Size, open_canvas, room, slack, text_size
 from pgm.plot.colours import CLUSTER, INK, SEPSET, readable_on
 from pgm.plot.contents import contents, joined, shown
 from pgm.plot.layout import Node
+from pgm.plot.messages import cluster_name, draw_messages, with_messages
 from pgm.plot.shading import Shading, by_residual, by_size
 from pgm.plot.stubs import around, draw_stub, stub
 
@@ -35,6 +36,7 @@ def cluster_graph(
     sizes: bool = False,
     colour: str | None = None,
     residuals: Mapping[Edge, npt.ArrayLike] | None = None,
+    messages: bool = False,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw clusters as ellipses and, on the edges between them, sepsets as rectangles.
@@ -58,6 +60,8 @@ def cluster_graph(
     residuals : mapping of (int, int) to array_like, optional
         How much the messages between two clusters still change; of several numbers, as of runs or
         of the two directions, the largest is shown. Implies ``colour="residual"``.
+    messages : bool
+        Whether to name the clusters, as C₁, and to draw the messages between them, as δ₁,₂.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's, as large as it needs, without.
 
@@ -79,20 +83,23 @@ def cluster_graph(
     sepsets, cut = joined(graph, clusters)
     shading = _shading(graph, clusters, sepsets, colour, residuals)
     texts = contents(graph, clusters, sepsets, evidence, sizes)
+    if messages:
+        texts |= {c.index: f"{cluster_name(c.index)}\n{texts[c.index]}" for c in clusters}
     room_of = {node: text_size(text) for node, text in texts.items()}
+    ovals: list[Node] = [cluster.index for cluster in clusters]
     shapes: dict[Node, Size] = {
         node: _plate(size) if node in sepsets else _oval(size) for node, size in room_of.items()
     }
     links = nx.Graph()
-    links.add_nodes_from(cluster.index for cluster in clusters)
+    links.add_nodes_from(ovals)
     links.add_edges_from(sepsets)
-    layout = arrange(links, shapes, None if ax is None else room(ax))
+    rooms = with_messages(shapes, sepsets, links) if messages else shapes
+    layout = arrange(links, rooms, None if ax is None else room(ax))
 
-    stubs = [stub(layout, shapes, k) for k in dict.fromkeys(cut)]
-    box = around(layout.box(shapes), stubs)
+    stubs = [stub(layout, rooms, k) for k in dict.fromkeys(cut)]
+    box = around(layout.box(rooms), stubs)
     if shading:
         box = shading.bar_box(box)
-    ovals: list[Node] = [cluster.index for cluster in clusters]
     letters = min(
         slack([room_of[k] for k in nodes], [shapes[k] for k in nodes], round=nodes is ovals)
         for nodes in (ovals, list[Node](sepsets))
@@ -105,6 +112,9 @@ def cluster_graph(
         draw_stub(canvas, one)
     for node in [*ovals, *sepsets]:
         _draw(canvas, layout.points[node], shapes[node], texts[node], node, shading)
+    if messages:
+        for edge in sepsets:
+            draw_messages(canvas, edge, layout.points[edge], shapes[edge], layout.lines[edge])
     if shading:
         shading.draw_bar(canvas, box)
     return canvas.ax

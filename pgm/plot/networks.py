@@ -14,12 +14,14 @@ from pgm.errors import ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.plot.arrows import bends, draw_arrow
 from pgm.plot.axes import check_axes
-from pgm.plot.canvas import Box, Size, open_canvas, room, slack, text_size
+from pgm.plot.canvas import FONT, Size, open_canvas, room, slack, text_size
 from pgm.plot.colours import INK, OBSERVED
 from pgm.plot.columns import place
+from pgm.plot.densities import densities, lower_right, spread
 from pgm.plot.graphs import Network, directed, in_slices
 from pgm.plot.labels import node_label
 from pgm.plot.layered import layered
+from pgm.plot.layout import Layout, Node
 from pgm.variables import Variable
 
 _SMALLEST = 15.0
@@ -31,6 +33,7 @@ def network(
     *,
     steps: int | None = None,
     evidence: Iterable[Variable] | None = None,
+    cpds: bool = False,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw a network: parents above their children, observed variables shaded.
@@ -47,6 +50,9 @@ def network(
     evidence : iterable or mapping of Variable, optional
         What is observed beside the inputs, a template standing for all its steps. Without, the
         sensors of a dynamic network, and nothing of a static one.
+    cpds : bool
+        Whether to write its density, like ``p(x[1] | x[0], u[1])``, to each node that has a CPD:
+        beside it in slices, else below its name.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's, as large as it needs, without.
 
@@ -69,33 +75,38 @@ def network(
     if ax is not None:
         check_axes(ax)
     slices = isinstance(model, DynamicBayesianNetwork) or in_slices(graph)
-    return _slices(graph, ax) if slices else _layers(graph, ax)
+    texts = densities(model, graph) if cpds else {}
+    return (_slices if slices else _layers)(graph, texts, ax)
 
 
-def _slices(graph: nx.DiGraph, ax: Axes | None) -> Axes:
-    """Circles of one size."""
+def _slices(graph: nx.DiGraph, beside: dict[Variable, str], ax: Axes | None) -> Axes:
+    """Circles of one size, and texts at the lower right of some."""
     labels = {node: node_label(node) for node in graph}
     texts = [text_size(label) for label in labels.values()]
     radius = max(_SMALLEST, *(0.5 * float(np.hypot(*size)) + 3.0 for size in texts))
-    points = place(graph, radius)
-
-    x, y = np.array(list(points.values())).T
-    reach = radius + 1.0
-    box = Box(x.min() - reach, y.min() - reach, x.max() + reach, y.max() + reach)
+    points = spread(place(graph, radius), beside, radius)
+    layout = Layout(dict(points.items()))
+    sizes: dict[Node, Size] = dict.fromkeys(graph, Size(2.0 * radius + 2.0, 2.0 * radius + 2.0))
+    for node, text in beside.items():
+        sizes[text] = text_size(text)
+        layout.points[text] = lower_right(points[node], radius, sizes[text])
+    box = layout.box(sizes)
     letters = slack(texts, [Size(2.0 * radius, 2.0 * radius)] * len(texts))
     canvas = open_canvas(ax, box, letters)
     circles = {node: Circle(points[node], radius) for node in graph}
     for node, circle in circles.items():
         canvas.shape(circle, _FILL[graph.nodes[node]["observed"]], 1.0)
         canvas.text(points[node], labels[node])
+    for text in beside.values():
+        canvas.text(layout.points[text], text, size=FONT * canvas.scale / canvas.letters)
     for (parent, child), bend in bends(graph, points, radius).items():
         draw_arrow(canvas, circles[parent], circles[child], bend)
     return canvas.ax
 
 
-def _layers(graph: nx.DiGraph, ax: Axes | None) -> Axes:
-    """Ellipses as wide as their names."""
-    labels = {node: node_label(node) for node in graph}
+def _layers(graph: nx.DiGraph, below: dict[Variable, str], ax: Axes | None) -> Axes:
+    """Ellipses as wide as their names, and as the texts below some of these."""
+    labels = {node: "\n".join(filter(None, (node_label(node), below.get(node)))) for node in graph}
     texts = {node: text_size(label) for node, label in labels.items()}
     least = 2.0 * _SMALLEST
     high = max(least, *(1.3 * size.height + 6.0 for size in texts.values()))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from experiments import localisation, plaza
-from experiments.__main__ import app, summary_line
-from experiments.catalogue import EXPERIMENTS
+from experiments.__main__ import app
+from experiments.catalogue import EXPERIMENTS, summary_line
 from experiments.plaza import log as plaza_log
 from experiments.plaza.experiment import localise
 from pgm import EvidenceError, consistency
@@ -114,4 +114,4 @@ def test_plaza_refuses_a_file_of_unknown_kind(tmp_path):
 
 
 def test_the_command_line_knows_them_all():
-    assert {command.name for command in app.registered_commands} == set(EXPERIMENTS)
+    assert {command.name for command in app.registered_commands} == {*EXPERIMENTS, "report"}

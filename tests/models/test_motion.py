@@ -12,13 +12,21 @@ from scipy.special import spherical_jn
 from models import motion
 
 DRIVE = motion.Velocity(dt=0.3)
+WHEELS = motion.DifferentialDrive(radius=0.8, wheelbase=0.5, dt=0.3)
 MODELS = {
     "velocity": (motion.velocity, motion.velocity_by_state, motion.velocity_by_control),
     "Velocity": (DRIVE, DRIVE.by_state, DRIVE.by_control),
     "increment": (motion.increment, motion.increment_by_state, motion.increment_by_control),
     "travelled": (motion.travelled, motion.travelled_by_state, motion.travelled_by_control),
     "odometry": (motion.odometry, motion.odometry_by_state, motion.odometry_by_control),
+    "turn_after_move": (
+        motion.turn_after_move,
+        motion.turn_after_move_by_state,
+        motion.turn_after_move_by_control,
+    ),
+    "DifferentialDrive": (WHEELS, WHEELS.by_state, WHEELS.by_control),
 }
+PAIRS = ("Velocity", "turn_after_move", "DifferentialDrive")  # whose controls have two components
 every_model = pytest.mark.parametrize("name", MODELS)
 
 coordinate = st.floats(-100.0, 100.0)
@@ -34,9 +42,11 @@ def arguments(name, seed=0, runs=(4, 25)):
     """Draw states and controls; every third control of a run has a component that is 0."""
     rng = np.random.default_rng(seed)
     x = rng.normal(size=(*runs, 3)) * [3.0, 3.0, 6.0]
-    u = rng.normal(size=(*runs, 2 if name == "Velocity" else 3))
+    u = rng.normal(size=(*runs, 2 if name in PAIRS else 3))
     u[..., ::3, 1] = 0.0
     u[..., 1::3, 1] *= 1e-6
+    if name == "DifferentialDrive":  # straight where the others are
+        u[..., 0] += u[..., 1]
     return x, u
 
 
@@ -87,7 +97,7 @@ def test_no_runs_give_no_states(name):
 @every_model
 def test_whole_numbers_are_numbers(name):
     function, *_ = MODELS[name]
-    x, u = np.array([[1, 2, 3]]), np.array([[1, 1, 1][: 2 if name == "Velocity" else 3]])
+    x, u = np.array([[1, 2, 3]]), np.array([[1, 1, 1][: 2 if name in PAIRS else 3]])
     assert_array_equal(function(x, u), function(x.astype(float), u.astype(float)))
 
 
@@ -179,6 +189,8 @@ def test_fixed_duration_is_a_given_duration():
 def test_a_duration_that_is_none_is_refused(dt):
     with pytest.raises(ValueError, match="duration of a step"):
         motion.Velocity(dt=dt)
+    with pytest.raises(ValueError, match="duration of a step"):
+        motion.DifferentialDrive(radius=0.1, wheelbase=0.3, dt=dt)
 
 
 @given(states, coordinate, coordinate, angle)
@@ -200,6 +212,52 @@ def test_odometry_is_turn_move_turn(x, rot1, trans, rot2):
     for step in ([0.0, 0.0, rot1], [trans, 0.0, 0.0], [0.0, 0.0, rot2]):
         reached = motion.increment(reached, np.array(step))
     assert_allclose(motion.odometry(x, np.array([rot1, trans, rot2])), reached, atol=1e-11)
+
+
+@given(states, speed, angle)
+def test_turn_after_move_is_an_increment(x, distance, turn):
+    """Straight ahead by d, then the turn, is the step (d, 0, φ) of the robot's own frame."""
+    reached = motion.increment(x, np.array([distance, 0.0, turn]))
+    assert_allclose(motion.turn_after_move(x, np.array([distance, turn])), reached, atol=1e-11)
+
+
+@pytest.mark.parametrize(("left", "right"), [(3.0, 5.0), (4.0, 4.0), (-2.0, 2.0), (5.0, -1.0)])
+def test_wheels_roll_without_slip(left, right):
+    """Each wheel's contact point, left or right of the axle's middle, rolls radius · ω · dt."""
+    radius, base, dt = 0.1, 0.3, 1.7
+    drive = motion.DifferentialDrive(radius=radius, wheelbase=base, dt=dt)
+
+    def motions(_, x):
+        tread = np.array([left, right]) * radius
+        return [tread.mean() * np.cos(x[2]), tread.mean() * np.sin(x[2]), np.diff(tread)[0] / base]
+
+    start = np.array([4.0, -2.0, 2.5])
+    rolled = solve_ivp(motions, (0.0, dt), start, method="DOP853", rtol=1e-13, atol=1e-13)
+    assert_allclose(drive(start, np.array([left, right])), rolled.y[:, -1], atol=1e-12)
+
+    # The two wheels' own paths: their lengths are what the wheels have rolled.
+    fine = motion.DifferentialDrive(radius=radius, wheelbase=base, dt=dt / 2000)
+    path = [start]
+    for _ in range(2000):
+        path.append(fine(path[-1], np.array([left, right])))
+    poses = np.array(path)
+    for side, omega in ((1.0, left), (-1.0, right)):
+        beside = np.exp(1j * (poses[:, 2] + side * np.pi / 2)) * base / 2
+        wheel = poses[:, 0] + 1j * poses[:, 1] + beside
+        assert_allclose(np.abs(np.diff(wheel)).sum(), abs(omega) * radius * dt, rtol=1e-6)
+
+
+def test_equal_wheels_go_exactly_straight():
+    drive = motion.DifferentialDrive(radius=0.1, wheelbase=0.3, dt=0.125)
+    assert drive(np.zeros(3), np.array([7.3, 7.3]))[1:].tolist() == [0.0, 0.0]
+    assert drive.velocity(np.array([-7.3, 7.3]))[0] == 0.0
+
+
+@pytest.mark.parametrize("name", ["radius", "wheelbase"])
+@pytest.mark.parametrize("value", [0.0, -0.1, np.nan, np.inf])
+def test_a_length_that_is_none_is_refused(name, value):
+    with pytest.raises(ValueError, match=f"{name} is .* length above 0"):
+        motion.DifferentialDrive(**{"radius": 0.1, "wheelbase": 0.3, "dt": 1.0} | {name: value})
 
 
 @given(states, speed, st.floats(-0.3, 0.3), duration)

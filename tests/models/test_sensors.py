@@ -11,12 +11,18 @@ from models import sensors
 OF_STATE = {
     "pose": (sensors.pose, sensors.pose_by_state),
     "position": (sensors.position, sensors.position_by_state),
+    "heading": (sensors.heading, sensors.heading_by_state),
 }
 OF_LANDMARK = {
     "range_only": (
         sensors.range_only,
         sensors.range_only_by_state,
         sensors.range_only_by_landmark,
+    ),
+    "bearing_only": (
+        sensors.bearing_only,
+        sensors.bearing_only_by_state,
+        sensors.bearing_only_by_landmark,
     ),
     "range_bearing": (
         sensors.range_bearing,
@@ -43,8 +49,7 @@ def central_jacobian(function, at, step=1e-2):
 
     def about_centre(moved):
         change = function(moved) - centre
-        if change.shape[-1] == 2:
-            change[..., 1] = np.angle(np.exp(1j * change[..., 1]))
+        change[..., -1] = np.angle(np.exp(1j * change[..., -1]))  # of a range, never near π
         return change
 
     columns = []
@@ -59,7 +64,7 @@ def test_jacobians_without_a_landmark(name):
     function, by_state = OF_STATE[name]
     x, _ = arguments()
     rows = function(x).shape[-1]
-    assert_array_equal(function(x), x[..., :rows])
+    assert_array_equal(function(x), x[..., 2:] if name == "heading" else x[..., :rows])
     jacobian = by_state(x)
     assert jacobian.shape == (4, 25, rows, 3)
     assert_array_equal(np.einsum("...ij,...j", jacobian, x), function(x))
@@ -87,7 +92,7 @@ def test_a_batch_is_its_single_runs(name):
 @pytest.mark.parametrize("name", OF_LANDMARK)
 def test_no_sightings_give_no_readings(name):
     x, m = arguments(runs=(0,))
-    rows = 1 if name == "range_only" else 2
+    rows = 2 if name == "range_bearing" else 1
     shapes = [function(x, m).shape for function in OF_LANDMARK[name]]
     assert shapes == [(0, rows), (0, rows, 3), (0, rows, 2)]
 
@@ -98,6 +103,7 @@ def test_range_and_bearing_lead_back_to_the_landmark(x, m):
     reached = complex(x[0], x[1]) + distance * np.exp(1j * (x[2] + bearing))
     assert_allclose([reached.real, reached.imag], m, atol=1e-11)
     assert_array_equal(sensors.range_only(x, m), [distance])
+    assert_array_equal(sensors.bearing_only(x, m), [bearing])
 
 
 @given(states, landmarks, st.integers(-1000, 1000))

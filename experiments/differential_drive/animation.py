@@ -1,0 +1,81 @@
+"""A drive as a moving picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.animation import PillowWriter
+from matplotlib.axes import Axes
+
+import pgm.plot
+from experiments.differential_drive.errors import at_steps
+from experiments.differential_drive.figures import MOTION, READING
+from experiments.differential_drive.problems import DT, LANDMARK, MOTIONS
+from experiments.differential_drive.results import Drive
+from pgm.plot.colours import INK, MUTED
+
+EVERY = MOTIONS // 2  # two pictures a second of the drive: between readings, and after each
+_RATE = 10  # pictures a second
+_NEAR = 2.0  # m, how far the picture that follows the robot reaches
+
+
+def animate(drive: Drive, path: Path) -> int:
+    """Write a GIF, the whole map beside what is near the robot; returns how many pictures."""
+    steps = range(0, drive.problem.steps + 1, EVERY)
+    figure, axes = plt.subplots(1, 2, figsize=(7.2, 3.9), layout="constrained")
+    writer = PillowWriter(fps=_RATE)
+    with writer.saving(figure, str(path), dpi=75):
+        for step in steps:
+            _draw(drive, step, axes)
+            if step == 0:
+                figure.canvas.draw()  # a layout that is kept: nothing shakes
+                figure.set_layout_engine("none")
+            writer.grab_frame()
+    plt.close(figure)
+    return len(steps)
+
+
+def _draw(drive: Drive, step: int, axes: Iterable[Axes]) -> None:
+    """One picture: truth and estimate up to a step, and the ellipse at it."""
+    past, here = slice(0, step + 1), drive.truth[step, :2]
+    measured = step in drive.problem.measured
+    whole, near = axes
+    for ax in (whole, near):
+        ax.clear()
+        ax.grid(color=MUTED, alpha=0.2, lw=0.6)
+        ax.plot(*drive.truth[past, :2].T, color=INK, lw=1.0, label="truth")
+        ax.plot(*drive.filtered.mean[past, :2].T, color=MOTION, lw=1.2, label="estimate")
+        ax.plot(*here, "o", color=INK, markersize=4)
+        if drive.problem.given:
+            ax.plot(*LANDMARK, "^", color=INK, markersize=6)
+            if measured:
+                ax.plot(*np.stack([here, LANDMARK], axis=1), color=READING, lw=0.8, ls=":")
+        pgm.plot.ellipses(
+            at_steps(drive.filtered, [step]),
+            colour=READING if measured else MOTION,
+            ax=ax,
+            linewidth=1.6,
+            zorder=4,
+        )
+        ax.set(xlabel="east [m]", ylabel="north [m]", aspect="equal")
+    centre, half = _bounds(drive)
+    _limit(whole, centre, half)
+    _limit(near, here, _NEAR)
+    whole.legend(loc="lower right", fontsize="small")
+    kind = "the start" if step == 0 else "after a reading" if measured else "after a motion"
+    near.set_title(kind, fontsize="small")
+    whole.set_title(f"problem {drive.problem.name}, {step * DT:.1f} s", fontsize="small")
+
+
+def _bounds(drive: Drive) -> tuple[np.ndarray, float]:
+    """Centre and half width of a square that holds the whole drive."""
+    places = np.concatenate([drive.truth[:, :2], drive.filtered.mean[:, :2]])
+    lows, highs = places.min(axis=0), places.max(axis=0)
+    return 0.5 * (lows + highs), 0.56 * float((highs - lows).max())
+
+
+def _limit(ax: Axes, centre: np.ndarray, half: float) -> None:
+    ax.set(xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - half, centre[1] + half))

@@ -1,0 +1,161 @@
+"""A drive with an ellipse at every motion and at every reading, and consistency over many."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import matplotlib.pyplot as plt
+import numpy as np
+import numpy.typing as npt
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+
+import pgm
+import pgm.plot
+from experiments.differential_drive.errors import at_steps
+from experiments.differential_drive.problems import DT, LANDMARK, MOTIONS
+from experiments.differential_drive.results import Drive
+from pgm import consistency
+from pgm.plot.colours import INK, MUTED, PALETTE
+
+Array = npt.NDArray[np.float64]
+
+# By what made a belief: a motion, a reading, the smoother.
+MOTION, READING, SMOOTHED = PALETTE[0], PALETTE[1], PALETTE[2]
+_WINDOW = 4 * MOTIONS  # four seconds
+_BY_LINEARISER = {"exact": INK, "Taylor": MOTION, "Unscented": READING}
+
+
+def drive_figure(drive: Drive) -> Figure:
+    """A drive, and four seconds in its middle."""
+    figure, (whole, part) = plt.subplots(1, 2, figsize=(12, 5.8), layout="constrained")
+    steps = drive.problem.steps
+    first = max(MOTIONS * (steps // MOTIONS // 2) - _WINDOW // 2, 0)
+    last = min(first + _WINDOW, steps)
+    window = slice(first, last + 1)
+    _draw(drive, whole, slice(0, steps + 1), 0.5)
+    _draw(drive, part, window, 1.0)
+    _zoom(drive, whole, part, window)
+    whole.set_title(f"{drive.problem.title}, {steps * DT:g} s")
+    part.set_title(f"seconds {first * DT:g} to {last * DT:g}")
+    figure.legend(handles=_handles(drive), loc="outside lower center", ncols=4, frameon=False)
+    plt.close(figure)
+    return figure
+
+
+def _draw(drive: Drive, ax: Axes, window: slice, strength: float) -> None:
+    """Draw what belongs to a window of steps; `strength` is the opacity of ellipses."""
+    moved = np.arange(max(window.start, 1), window.stop)
+    measured = np.intersect1d(moved, drive.problem.measured)
+    for belief, at, colour, alpha, width in (
+        (drive.predicted, moved, MOTION, 0.7 * strength, 0.6),
+        (drive.filtered, measured, READING, strength, 1.1),
+    ):
+        pgm.plot.ellipses(
+            at_steps(belief, at),
+            ax=ax,
+            facecolor="none",
+            edgecolor=to_rgba(colour, alpha),
+            linewidth=width,
+        )
+    if drive.problem.given:
+        ax.plot(*LANDMARK, "^", color=INK, markersize=7)
+    ax.plot(*drive.smoothed.mean[window, :2].T, color=SMOOTHED, lw=1.4)
+    ax.plot(*drive.filtered.mean[window, :2].T, color=MOTION, lw=1.0)
+    ax.plot(*drive.filtered.mean[measured, :2].T, ".", color=READING, markersize=4)
+    ax.plot(*drive.truth[window, :2].T, color=INK, lw=1.0)
+    ax.set(xlabel="east [m]", ylabel="north [m]")
+    ax.set_aspect("equal", adjustable="datalim")
+
+
+def _zoom(drive: Drive, whole: Axes, part: Axes, window: slice) -> None:
+    """Show a window on the right, and its frame on the left."""
+    at = np.arange(window.start, window.stop)
+    shown = [at_steps(belief, at) for belief in (drive.predicted, drive.filtered)]
+    means = np.stack([belief.mean[:, :2] for belief in shown])
+    reach = 2.6 * np.stack([belief.std[:, :2] for belief in shown])
+    truth = drive.truth[window, :2]
+    lows = np.minimum(means - reach, truth).min(axis=(0, 1))
+    highs = np.maximum(means + reach, truth).max(axis=(0, 1))
+    centre, half = 0.5 * (lows + highs), 0.5 * float((highs - lows).max())
+    part.set_aspect("equal", adjustable="box")
+    part.set(xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - half, centre[1] + half))
+    corner = (float(centre[0] - half), float(centre[1] - half))
+    whole.add_patch(
+        Rectangle(corner, 2 * half, 2 * half, fill=False, edgecolor=MUTED, lw=1.0, zorder=3)
+    )
+
+
+def _handles(drive: Drive) -> list[Line2D]:
+    def ring(colour: str, label: str) -> Line2D:
+        style = {"marker": "o", "markersize": 9, "markerfacecolor": "none", "ls": "none"}
+        return Line2D([], [], color=colour, label=label, **style)  # type: ignore[arg-type]
+
+    handles = [
+        Line2D([], [], color=INK, lw=1.0, label="truth"),
+        Line2D([], [], color=MOTION, lw=1.0, label="filter"),
+        Line2D([], [], color=SMOOTHED, lw=1.4, label="smoother"),
+        ring(MOTION, "95 %, after a motion"),
+        ring(READING, "95 %, after a reading"),
+        Line2D([], [], color=MUTED, marker="s", markerfacecolor="none", ls="none", label="detail"),
+    ]
+    if drive.problem.given:
+        mark = Line2D([], [], color=INK, marker="^", ls="none", label="landmark")
+        handles.append(mark)
+    return handles
+
+
+Curves = Mapping[tuple[str, str], Array]
+
+
+def nees_figure(nees: Mapping[str, Mapping[str, Curves]], runs: int) -> Figure:
+    """The mean NEES of each step, by noise, problem and estimator.
+
+    Parameters
+    ----------
+    nees : mapping
+        ``nees[noise][problem][lineariser, estimator]``, (T,), from step 1 on.
+    runs : int
+        That were averaged.
+    """
+    names = list(next(iter(nees.values())))
+    figure, axes = plt.subplots(
+        len(nees), len(names), figsize=(12, 5.6), sharex="col", layout="constrained"
+    )
+    for row, (noise, problems) in zip(axes, nees.items(), strict=True):
+        for ax, (name, estimators) in zip(row, problems.items(), strict=True):
+            dimension = 2 if name == "1" else 3
+            low, high = consistency.mean_band(dimension, runs)
+            ax.axhspan(low, high, color=MUTED, alpha=0.25, lw=0, label="99 % band")
+            for (lineariser, kind), values in estimators.items():
+                ax.plot(
+                    DT * np.arange(1, len(values) + 1),
+                    values,
+                    color=_BY_LINEARISER[lineariser],
+                    ls="--" if kind == "smoother" else "-",
+                    lw=1.1,
+                    label=f"{lineariser}, {kind}",
+                )
+            ax.set_title(f"problem {name}, N(0, ·) tells {noise}s")
+            ax.set_ylim(0.0, max(2.0 * dimension, 1.05 * ax.get_ylim()[1]))
+    for ax in axes[-1]:
+        ax.set_xlabel("time [s]")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("mean NEES")
+    shown: dict[str, Artist] = {}
+    for ax in axes[0]:
+        handles, labels = ax.get_legend_handles_labels()
+        shown |= dict(zip(labels, handles, strict=True))
+    figure.legend(
+        list(shown.values()),
+        list(shown),
+        loc="outside lower center",
+        ncols=(len(shown) + 1) // 2,
+        frameon=False,
+    )
+    plt.close(figure)
+    return figure

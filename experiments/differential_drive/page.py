@@ -1,0 +1,155 @@
+"""What the report shows of the drives: tables, notes, figures and animations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from experiments.differential_drive.animation import animate
+from experiments.differential_drive.figures import drive_figure, nees_figure
+from experiments.differential_drive.problems import NOISE
+from experiments.differential_drive.results import Solved
+from experiments.record import Record
+from pgm import consistency
+
+By = dict[str, dict[str, Any]]  # numbers, by meaning of the noise and by problem
+
+
+def note_readings(record: Record, drawn: str) -> None:
+    """How the reference was read."""
+    listed = ", ".join(f"{name} {value:g}" for name, value in NOISE.items())
+    record.note(
+        f"The reference's N(0, ·): {listed}. It does not say whether these are deviations or "
+        "variances: the tables have both, the other figures and the animations take them for "
+        f"{drawn}s. White noise of a velocity is w √T after a step of T = 1/8 s; the reference's "
+        "w T is right only for a disturbance that is held over the step. Its landmark sensor needs "
+        "atan2, its equation 11 means w_x and w_y."
+    )
+    record.note(
+        "Problem 1: wheel speeds are taken in rad/s, 0.1 each, so that 1 m takes 100 s (read as "
+        "0.1 m/s at the rim they would be 1 rad/s and take 10 s); both axes get the speed of both "
+        "wheels, so that the robot drives a diagonal. The noise of 100 s is as large as the drive, "
+        "or larger. Problem 2 does not tell start and speed: here the robot starts at the origin "
+        "and goes round the landmark at 2 m/s. Every drive starts from an exactly known state."
+    )
+
+
+def tabulate(record: Record, found: By, runs: int) -> None:
+    """Errors of every estimator."""
+    bands = [consistency.mean_band(dimension, runs) for dimension in (2, 3)]
+    for meaning, problems in found.items():
+        record.table(
+            f"RMSE and mean NEES over {runs} drives, where N(0, ·) tells {meaning}s; NEES of all "
+            "steps, of the last, and how many steps have theirs in its band",
+            ("", "lineariser", "belief", "xy [m]", "θ [rad]", "NEES", "last", "in band"),
+            [
+                (
+                    problem,
+                    name,
+                    kind,
+                    f"{each['rmse']:.3f}",
+                    f"{each['rmse_heading']:.3f}" if "rmse_heading" in each else "",
+                    f"{each['nees']:.2f}",
+                    f"{each['nees_last']:.2f}",
+                    f"{each['inside']:.0%}",
+                )
+                for problem, numbers in problems.items()
+                for name, both in numbers.items()
+                for kind, each in both.items()
+                if kind != "log_evidence"
+            ],
+        )
+    (low, high), (low_3, high_3) = bands
+    record.note(
+        f"The band of a step's mean NEES over {runs} drives is {low:.2f} to {high:.2f} in problem "
+        f"1 (two components) and {low_3:.2f} to {high_3:.2f} in problem 2 (three); a right belief "
+        "is inside 99 times in 100."
+    )
+
+
+def tabulate_particles(record: Record, found: dict[str, Any]) -> None:
+    """The particle filter beside the Kalman filter."""
+    record.table(
+        "Problem 1: bootstrap particle filters beside the Kalman filter, on the same drives",
+        ("particles", "RMSE [m]", "excess [m²]", "± s.e.", "worse in"),
+        [
+            ("Kalman", f"{found['kalman']:.4f}", "", "", ""),
+            *(
+                (
+                    count,
+                    f"{each['rmse']:.4f}",
+                    f"{each['excess']:.2e}",
+                    f"{each['excess_se']:.1e}",
+                    f"{each['worse']:.0%}",
+                )
+                for count, each in found["particles"].items()
+            ),
+        ],
+    )
+    record.note(
+        "The reference finds its particle filter of 100 much more accurate than the Kalman filter. "
+        "On a linear Gaussian model no estimator has a smaller mean square error than the Kalman "
+        "filter; a particle filter reaches it as its particles grow in number, from above. Excess "
+        "is its mean square error less the Kalman filter's, over the same drives."
+    )
+
+
+def note_findings(
+    record: Record, found: By, drawn: str, held: dict[str, Any], around: dict[str, Any]
+) -> None:
+    """What the numbers say beyond the reference."""
+    exact = found[drawn]["1"]["exact"]["filter"]
+    taylor, unscented = (found["variance"]["2b"][rule] for rule in ("Taylor", "Unscented"))
+    record.note(
+        f"Told w T in place of w √T, the Kalman filter of problem 1 has a NEES of "
+        f"{held['nees']:.1f} where {exact['nees']:.2f} is right (2 is due), and its RMSE grows "
+        f"from {exact['rmse']:.3f} m to {held['rmse']:.3f} m."
+    )
+    ends = "; ".join(
+        f"{each['tangential'][-1]:.2f} m along the circle and {each['radial'][-1]:.2f} m towards "
+        f"the landmark, with {meaning}s"
+        for meaning, each in around.items()
+    )
+    record.note(
+        "Problem 2b: a turn of the whole robot about the only landmark changes neither range nor "
+        "bearing. Nothing but the known start fixes its place on the circle, and the ellipse grows "
+        f"along it without end: at the last reading its standard deviation is {ends}. The "
+        "place is then known to lie on an arc, which no ellipse follows. Where noise is larger, "
+        "with variances, the NEES of the last step is "
+        f"{taylor['filter']['nees_last']:.1f} with Taylor and "
+        f"{unscented['filter']['nees_last']:.1f} with the unscented rule where 3 is due, and that "
+        f"of all steps {taylor['filter']['nees']:.1f} and {unscented['filter']['nees']:.1f} for "
+        f"filters, {taylor['smoother']['nees']:.1f} and {unscented['smoother']['nees']:.1f} for "
+        "smoothers."
+    )
+
+
+def show(record: Record, solved: dict[str, dict[str, Solved]], drawn: str) -> dict[str, int]:
+    """Figures and animations; returns the number of pictures of each animation."""
+    for name, each in solved[drawn].items():
+        drive = each.drive()
+        record.figure(
+            drive_figure(drive),
+            f"problem_{name}",
+            f"{drive.problem.title}. An ellipse (95 %) at each of the {drive.problem.steps} "
+            f"motions and at each of the {len(drive.problem.measured)} readings, which shrink it; "
+            "on the right, four seconds of the same.",
+        )
+    runs = len(next(iter(solved[drawn].values())).truth)
+    record.figure(
+        nees_figure({m: {n: s.nees() for n, s in by.items()} for m, by in solved.items()}, runs),
+        "nees",
+        f"Do the beliefs know their errors? The NEES of each step, averaged over {runs} drives, "
+        "with its 99 % band; above it a belief is too sure of itself. Problem 1 needs no "
+        "lineariser. Where a curve is not seen it lies below another.",
+    )
+    counts = {}
+    for name in ("2a", "2b"):
+        drive = solved[drawn][name].drive()
+        file = f"problem_{name}.gif"
+        counts[file] = animate(drive, record.folder / file)
+        record.picture(
+            file,
+            f"{drive.problem.title}: truth, the filter's estimate, and its ellipse (95 %), blue "
+            "after a motion and orange after a reading, two pictures a second of the drive.",
+        )
+    return counts

@@ -1,0 +1,107 @@
+"""Experiments run one after another; one that fails does not take the others with it."""
+
+from __future__ import annotations
+
+import inspect
+import io
+import json
+import sys
+import time
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+
+from experiments.catalogue import summary_line
+
+SUMMARY = "summary.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of one experiment.
+
+    Attributes
+    ----------
+    name, title : str
+        Its name, and the first line of its docstring.
+    folder : Path
+        Where its results are.
+    seconds : float
+        How long it ran.
+    summary : mapping or None
+        Its summary.json; None where it wrote none.
+    said : str
+        What it printed.
+    error : str
+        Its traceback; empty where it did not fail.
+    """
+
+    name: str
+    title: str
+    folder: Path
+    seconds: float
+    summary: Mapping[str, Any] | None
+    said: str
+    error: str
+
+
+def run_all(
+    experiments: Mapping[str, Any], out: Path, *, seed: int, quick: bool
+) -> Iterator[Outcome]:
+    """Run experiments one at a time, each into a folder of its own; see `make_report`."""
+    for name, experiment in experiments.items():
+        folder = out / name
+        settings: dict[str, Any] = {"out": folder}
+        if "seed" in inspect.signature(experiment.run).parameters:
+            settings["seed"] = seed
+        if quick:
+            settings |= experiment.QUICK
+        # An earlier run's would hide that this one wrote none.
+        (folder / SUMMARY).unlink(missing_ok=True)
+        begin, said, error, summary = time.perf_counter(), _Tee(), "", None
+        try:
+            with redirect_stdout(said):
+                experiment.run(**settings)
+            summary = _summary(folder)
+        except Exception:
+            error = traceback.format_exc()
+        finally:
+            plt.close("all")
+        yield Outcome(
+            name,
+            summary_line(experiment),
+            folder,
+            time.perf_counter() - begin,
+            summary,
+            said.getvalue(),
+            error,
+        )
+
+
+def _summary(folder: Path) -> Mapping[str, Any] | None:
+    """What an experiment wrote, all its pictures being there."""
+    path = folder / SUMMARY
+    if not path.exists():
+        return None
+    found: Mapping[str, Any] = json.loads(path.read_text())
+    for entry in found["page"]:
+        if "figure" in entry and not (folder / entry["figure"]).exists():
+            raise FileNotFoundError(f"the page names {entry['figure']}, which was not written")
+    return found
+
+
+class _Tee(io.StringIO):
+    """Prints, and keeps what was printed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._out = sys.stdout
+
+    def write(self, text: str) -> int:
+        self._out.write(text)
+        return super().write(text)

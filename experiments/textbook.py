@@ -1,0 +1,181 @@
+"""The Kalman filters and their smoothers as textbooks print them, in NumPy alone.
+
+One run at a time, and nothing of the engine, whose results are compared with these. Names follow
+Thrun, Burgard and Fox (Probabilistic Robotics, 2005, chapters 2 and 3) and the report's Algorithms
+1 to 4, misprints corrected: μ and Σ are the last belief's, μ̄ and Σ̄ the predicted one's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Function = Callable[[Array], Array]
+
+
+class Belief(NamedTuple):
+    """A Gaussian belief bel(x): mean (n,), covariance (n, n)."""
+
+    mean: Array
+    cov: Array
+
+
+class Step(NamedTuple):
+    """What one call of a filter finds, all given the readings so far.
+
+    Attributes
+    ----------
+    predicted : Belief
+        Of x_t, before its reading.
+    filtered : Belief
+        Of x_t.
+    cross : ndarray
+        (n, n): covariance of x_{t−1} and x_t before the reading, which the smoother needs.
+    log_density : float
+        ln p(z_t | readings before).
+    """
+
+    predicted: Belief
+    filtered: Belief
+    cross: Array
+    log_density: float
+
+
+def bayes_filter(
+    one_step: Callable[[Belief, Array, Array], Step],
+    initial: Belief,
+    controls: Iterable[Array],
+    readings: Iterable[Array],
+) -> list[Step]:
+    """Algorithm 1: each belief from the one before, the control and the reading."""
+    steps: list[Step] = []
+    for u, z in zip(controls, readings, strict=True):
+        steps.append(one_step(steps[-1].filtered if steps else initial, u, z))
+    return steps
+
+
+def kalman_filter(
+    belief: Belief,
+    u: Array,
+    z: Array,
+    *,
+    A: Array,
+    B: Array,
+    C: Array,
+    process_noise: Array,
+    sensor_noise: Array,
+) -> Step:
+    """Algorithm 2: x_t = A x_{t−1} + B u_t + noise and z_t = C x_t + noise."""
+    mu, sigma = belief
+    mu_bar = A @ mu + B @ u  # line 2
+    sigma_bar = A @ sigma @ A.T + process_noise
+    S = C @ sigma_bar @ C.T + sensor_noise
+    K = sigma_bar @ C.T @ np.linalg.inv(S)  # line 4
+    innovation = z - C @ mu_bar
+    filtered = Belief(mu_bar + K @ innovation, (np.eye(mu.size) - K @ C) @ sigma_bar)
+    return Step(Belief(mu_bar, sigma_bar), filtered, sigma @ A.T, log_normal(innovation, S))
+
+
+def extended_kalman_filter(
+    belief: Belief,
+    u: Array,
+    z: Array,
+    *,
+    g: Callable[[Array, Array], Array],
+    G: Callable[[Array, Array], Array],
+    h: Function,
+    H: Function,
+    process_noise: Array,
+    sensor_noise: Array,
+) -> Step:
+    """Algorithm 3: x_t = g(x_{t−1}, u_t) + noise and z_t = h(x_t) + noise, with Jacobians G and H.
+
+    G is taken at the last mean, H at the predicted one.
+    """
+    mu, sigma = belief
+    slope = G(mu, u)
+    mu_bar = g(mu, u)  # line 2
+    sigma_bar = slope @ sigma @ slope.T + process_noise
+    C = H(mu_bar)
+    S = C @ sigma_bar @ C.T + sensor_noise
+    K = sigma_bar @ C.T @ np.linalg.inv(S)  # line 4
+    innovation = z - h(mu_bar)
+    filtered = Belief(mu_bar + K @ innovation, (np.eye(mu.size) - K @ C) @ sigma_bar)
+    return Step(Belief(mu_bar, sigma_bar), filtered, sigma @ slope.T, log_normal(innovation, S))
+
+
+def sigma_points(belief: Belief) -> tuple[Array, Array, Array]:
+    """Points (2n + 1, n) and their weights for means and for covariances, (4.27) to (4.33).
+
+    With λ = n − 1, κ = 0 and β = 2, so that α² = (n + λ) / (n + κ) = (2n − 1) / n.
+    """
+    n = belief.mean.size
+    spread, beta = n - 1.0, 2.0  # the first is λ
+    alpha_squared = (n + spread) / n
+    columns = np.linalg.cholesky((n + spread) * belief.cov).T
+    points = belief.mean + np.vstack([np.zeros(n), columns, -columns])
+    mean_weights = np.full(2 * n + 1, 0.5 / (n + spread))
+    mean_weights[0] = spread / (n + spread)
+    cov_weights = mean_weights.copy()
+    cov_weights[0] += 1.0 - alpha_squared + beta
+    return points, mean_weights, cov_weights
+
+
+def unscented_kalman_filter(
+    belief: Belief,
+    u: Array,
+    z: Array,
+    *,
+    g: Callable[[Array, Array], Array],
+    h: Function,
+    process_noise: Array,
+    sensor_noise: Array,
+) -> Step:
+    """Algorithm 4: the same model with sigma points, drawn anew from the predicted belief."""
+    points, w_m, w_c = sigma_points(belief)  # line 2
+    moved = np.array([g(point, u) for point in points])
+    mu_bar = w_m @ moved
+    sigma_bar = _covariance(w_c, moved - mu_bar, moved - mu_bar) + process_noise
+    cross = _covariance(w_c, points - belief.mean, moved - mu_bar)
+    redrawn, _, _ = sigma_points(Belief(mu_bar, sigma_bar))  # line 6
+    seen = np.array([h(point) for point in redrawn])
+    z_hat = w_m @ seen
+    S = _covariance(w_c, seen - z_hat, seen - z_hat) + sensor_noise
+    K = _covariance(w_c, redrawn - mu_bar, seen - z_hat) @ np.linalg.inv(S)  # lines 10, 11
+    filtered = Belief(mu_bar + K @ (z - z_hat), sigma_bar - K @ S @ K.T)
+    return Step(Belief(mu_bar, sigma_bar), filtered, cross, log_normal(z - z_hat, S))
+
+
+def rts_smoother(initial: Belief, steps: Sequence[Step]) -> list[Belief]:
+    """Smooth what a filter found, from the last step back to the initial belief.
+
+    With the filtered μ, Σ of x_t and the predicted μ̄, Σ̄ of x_{t+1}, the gain is
+    J = Cov(x_t, x_{t+1}) Σ̄⁻¹, and (Rauch, Tung and Striebel, 1965)
+
+        μˢ_t = μ + J (μˢ_{t+1} − μ̄),    Σˢ_t = Σ + J (Σˢ_{t+1} − Σ̄) Jᵀ.
+
+    The covariance is Σ Aᵀ or Σ Gᵀ, or that of the sigma points: one smoother for three filters.
+    """
+    before = [initial, *(step.filtered for step in steps)]
+    smoothed = [before.pop()]
+    for (mu, sigma), step in zip(reversed(before), reversed(steps), strict=True):
+        J = step.cross @ np.linalg.inv(step.predicted.cov)
+        mean = mu + J @ (smoothed[-1].mean - step.predicted.mean)
+        cov = sigma + J @ (smoothed[-1].cov - step.predicted.cov) @ J.T
+        smoothed.append(Belief(mean, cov))
+    return smoothed[::-1]
+
+
+def log_normal(offset: Array, cov: Array) -> float:
+    """The log-density of N(0, cov) at an offset."""
+    _, log_determinant = np.linalg.slogdet(2.0 * np.pi * cov)
+    return float(-0.5 * (offset @ np.linalg.solve(cov, offset) + log_determinant))
+
+
+def _covariance(weights: Array, a: Array, b: Array) -> Array:
+    """Σ w a bᵀ over the points."""
+    return (weights[:, None] * a).T @ b

@@ -1,0 +1,228 @@
+"""The wheeled robot's problems: what was declared, what was found, and what was drawn."""
+
+import json
+
+import numpy as np
+import pytest
+from matplotlib.collections import EllipseCollection
+from numpy.testing import assert_allclose
+from PIL import Image
+
+import pgm
+from experiments import differential_drive
+from experiments.differential_drive.animation import EVERY
+from experiments.differential_drive.errors import about_landmark
+from experiments.differential_drive.figures import drive_figure
+from experiments.differential_drive.particles import particle_means, resampled
+from experiments.differential_drive.problems import DT, NOISE, deviations, loop, problems
+from experiments.differential_drive.results import held_noise, solve, spread
+from models.networks import pose, wheels
+from models.sensors import range_bearing
+from pgm import consistency
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    out = tmp_path_factory.mktemp("differential_drive")
+    differential_drive.run(out=out, seed=0, **differential_drive.QUICK)
+    return out, json.loads((out / "summary.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def linear():
+    """Problem 1 for 20 s, in 200 runs."""
+    return solve(problems("deviation", 20)["1"], 200, np.random.default_rng(1))
+
+
+def test_the_kalman_filter_is_the_textbook_s(linear):
+    """The axes are independent: a scalar filter each, its readings scaled by 1 and by 2."""
+    std, row = deviations("deviation"), 3
+    filtered = linear.posteriors["exact"].filtered[linear.problem.state]
+    readings = linear.evidence[linear.problem.reading].values[row]
+    for axis, (w, r, scale) in enumerate(
+        [(std["w_x"], std["r_x"], 1.0), (std["w_y"], std["r_y"], 2.0)]
+    ):
+        mean = var = 0.0
+        for t in range(1, 161):
+            mean, var = mean + 0.01 / 8, var + w**2 / 8
+            if t % 8 == 0:
+                gain = var * scale / (scale**2 * var + r**2)
+                mean += gain * (readings[t // 8 - 1, axis] - scale * mean)
+                var *= 1.0 - gain * scale
+            assert filtered.mean[row, t, axis] == pytest.approx(mean, abs=1e-12)
+            assert filtered.cov[row, t, axis, axis] == pytest.approx(var, abs=1e-14)
+
+
+def test_a_deviation_is_the_square_root_of_a_variance():
+    assert deviations("deviation") == NOISE
+    assert {k: v**2 for k, v in deviations("variance").items()} == pytest.approx(NOISE)
+
+
+def test_white_noise_grows_with_the_root_of_the_step():
+    """After a second, unmeasured, the variances are w² · 1 s, not w² / 8."""
+    for problem in problems("deviation", 2).values():
+        belief = pgm.filter(problem.network, problem.sample(2, np.random.default_rng(0))[1])
+        cov = belief.predicted[problem.state].cov[0, 8]
+        assert not belief.predicted[problem.state].cov[0, 0].any()
+        added = np.diagonal(cov)[:2] - [0.1**2, 0.15**2]
+        # In problem 2 the heading's noise adds a little, across the way of 2 m.
+        assert_allclose(added, 0.0, atol=1e-12 if problem.name == "1" else (2.0 * 0.01) ** 2)
+
+
+def test_the_loop_is_a_circle_about_the_landmark():
+    problem = problems("deviation", 48)["2b"]
+    drive, x = problem.network.transition[0].function, np.array([[0.0, 0.0, -np.pi / 4]])
+    distance, bearing = [], []
+    for u in loop(360):
+        x = drive(x, u[None])
+        r, beta = range_bearing(x, np.array([[10.0, 10.0]]))[0]
+        distance.append(r)
+        bearing.append(beta)
+    assert_allclose(distance, np.sqrt(200.0), rtol=1e-9)
+    assert_allclose(bearing, np.pi / 2, atol=1e-9)
+    assert 2 * np.pi < x[0, 2] + np.pi / 4 < 2.1 * np.pi  # once round, in 45 s
+
+
+def test_ten_seconds_of_slow_wheels_are_a_tenth_of_a_metre_on_both_axes():
+    problem = problems("deviation", 100)["1"]
+    belief = pgm.filter(problem.network, {wheels: problem.controls})[problem.state]
+    assert_allclose(belief.mean[80], [0.1, 0.1], rtol=1e-12)
+    assert_allclose(belief.mean[-1], [1.0, 1.0], rtol=1e-12)
+    assert not belief.cov[0].any()
+
+
+def test_the_linear_problem_is_consistent(linear):
+    low, high = consistency.mean_band(2, 200)
+    for values in linear.nees().values():
+        assert ((low < values) & (values < high)).mean() > 0.95
+    for kind in ("filter", "smoother"):
+        assert linear.numbers()["exact"][kind]["inside"] > 0.95
+
+
+def test_noise_taken_for_held_is_found_out(linear):
+    """Its covariance is 8 times too small between readings: a NEES far above its band."""
+    held, right = held_noise(linear, "deviation"), linear.numbers()["exact"]["filter"]
+    assert held["nees"] > 3.0 * right["nees"]
+    assert held["inside"] < 0.1
+    assert held["rmse"] > right["rmse"]
+
+
+def test_particles_tend_to_the_kalman_filter(linear):
+    """With 3000 of them the means agree within their own sampling error, a run's worth of them."""
+    readings = linear.evidence[linear.problem.reading].values[:4]
+    kalman = linear.posteriors["exact"].filtered[linear.problem.state].mean[:4]
+    away = {}
+    for count in (100, 3000):
+        means = particle_means(
+            linear.problem.controls,
+            readings,
+            deviations("deviation"),
+            count,
+            np.random.default_rng(2),
+        )
+        away[count] = np.sqrt(np.mean((means - kalman) ** 2))
+    assert away[3000] < 0.01
+    assert 3.0 < away[100] / away[3000] < 10.0  # √30 = 5.5
+
+
+def test_resampling_keeps_each_particle_in_proportion():
+    weight = np.array([[0.5, 0.25, 0.25, 0.0], [0.0, 0.0, 0.0, 1.0], [0.1, 0.2, 0.3, 0.4]])
+    picks = np.array([resampled(weight, np.random.default_rng(k)) for k in range(400)])
+    assert picks.shape == (400, 3, 4)
+    count = (picks[..., None] == np.arange(4)).sum(axis=2)  # runs of 4 particles
+    # A comb of 4 teeth takes 4 w of each, rounded up or down, and 4 w on average.
+    assert (np.abs(count - 4 * weight) < 1.0).all()
+    assert_allclose(count.mean(axis=0), 4 * weight, atol=0.1)
+
+
+def test_particles_are_worse_than_the_kalman_filter(done):
+    found = done[1]["particles"]
+    rmse = [each["rmse"] for each in found["particles"].values()]
+    assert list(found["particles"]) == ["30", "100", "300"]
+    assert rmse[0] > rmse[1] > rmse[2] > found["kalman"]
+    for count in ("30", "100"):
+        each = found["particles"][count]
+        assert each["excess"] > 3.0 * each["excess_se"] > 0.0
+        assert each["worse"] > 0.5
+
+
+def test_smoothers_beat_filters(done):
+    """Where readings tell the whole state."""
+    for problems_found in done[1]["results"].values():
+        for name in ("1", "2a"):
+            for both in problems_found[name].values():
+                assert both["smoother"]["rmse"] < both["filter"]["rmse"]
+
+
+def test_problem_2_s_estimators_agree_at_mild_noise(done):
+    found = done[1]["results"]["deviation"]
+    for name in ("2a", "2b"):
+        taylor, unscented = (found[name][rule]["filter"] for rule in ("Taylor", "Unscented"))
+        assert taylor["rmse"] == pytest.approx(unscented["rmse"], rel=0.02)
+        assert 2.0 < unscented["nees"] < 4.0
+        assert unscented["inside"] > 0.8
+
+
+@pytest.mark.parametrize("meaning", ["deviation", "variance"])
+def test_the_circle_about_the_landmark_is_not_seen(meaning, done):
+    """Along it the deviation grows all the time; towards the landmark readings hold it."""
+    each = spread(solve(problems(meaning, 30)["2b"], 10, np.random.default_rng(0)))
+    assert each["second"] == list(range(1, 31))
+    tangential, radial = np.array(each["tangential"]), np.array(each["radial"])
+    assert (np.diff(tangential) > 0.0).all()
+    assert tangential[-1] > 4.0 * radial[-1]
+    assert radial[-1] < 1.3 * radial[5]
+    assert done[1]["about_landmark"][meaning]["second"] == [1, 2, 3, 4]
+
+
+def test_deviations_about_the_landmark():
+    """North-west of it, the way there is south-east: (1, −1)/√2."""
+    cov = np.zeros((3, 3))
+    cov[:2, :2] = [[5.0, -4.0], [-4.0, 5.0]]  # 9 along (1, −1)/√2, 1 along (1, 1)/√2
+    radial, tangential = about_landmark(pgm.Gaussian(pose, [7.0, 13.0, 0.3], cov))
+    assert (float(radial), float(tangential)) == pytest.approx((3.0, 1.0))
+
+
+@pytest.mark.parametrize("name", ["1", "2b"])
+def test_an_ellipse_at_every_motion_and_at_every_reading(name):
+    problem = problems("deviation", 6)[name]
+    drive = solve(problem, 2, np.random.default_rng(0)).drive()
+    figure = drive_figure(drive)
+    counts = [
+        [len(c.get_offsets()) for c in ax.collections if isinstance(c, EllipseCollection)]
+        for ax in figure.axes
+    ]
+    assert counts == [[problem.steps, len(problem.measured)], [33, 5]]
+    assert (problem.steps, len(problem.measured)) == (48, 6)
+    assert_allclose(problem.measured * DT, np.arange(1, 7))
+
+
+def test_animations_are_gifs_of_two_pictures_a_second(done):
+    out, summary = done
+    assert list(summary["pictures"]) == ["problem_2a.gif", "problem_2b.gif"]
+    for file, count in summary["pictures"].items():
+        with Image.open(out / file) as picture:
+            assert picture.format == "GIF"
+            assert picture.n_frames == count == 4 * 8 // EVERY + 1
+            first = np.asarray(picture.convert("RGB"), dtype=int)
+            picture.seek(count - 1)
+            assert np.abs(np.asarray(picture.convert("RGB"), dtype=int) - first).max() > 100
+        assert (out / file).stat().st_size < 3_000_000
+
+
+def test_the_page_shows_everything(done):
+    out, summary = done
+    files = [part["figure"] for part in summary["page"] if "figure" in part]
+    assert files == [
+        "problem_1.png",
+        "problem_2a.png",
+        "problem_2b.png",
+        "nees.png",
+        "problem_2a.gif",
+        "problem_2b.gif",
+    ]
+    assert all((out / file).stat().st_size > 1000 for file in files)
+    text = " ".join(part["note"] for part in summary["page"] if "note" in part)
+    assert all(f"{name} {value:g}" in text for name, value in NOISE.items())
+    assert "√T" in text
+    assert summary["settings"]["table"] == NOISE

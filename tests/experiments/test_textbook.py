@@ -1,0 +1,125 @@
+"""The textbook against dense conditioning, linear models, and numbers worked out by hand."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from experiments.textbook import (
+    Belief,
+    bayes_filter,
+    extended_kalman_filter,
+    kalman_filter,
+    log_normal,
+    rts_smoother,
+    sigma_points,
+    unscented_kalman_filter,
+)
+
+A = np.array([[1.0, 0.4], [-0.2, 0.9]])
+B = np.array([[0.5], [1.0]])
+C = np.array([[1.0, 0.3]])
+NOISE = {
+    "process_noise": np.array([[0.3, 0.1], [0.1, 0.2]]),
+    "sensor_noise": np.array([[0.4]]),
+}
+INITIAL = Belief(np.array([1.0, -2.0]), np.array([[0.5, 0.2], [0.2, 0.7]]))
+CONTROLS = np.array([[0.3], [-1.0], [0.7], [0.1]])
+READINGS = np.array([[0.5], [1.1], [-0.8], [0.2]])
+FILTERS = {
+    "kalman": partial(kalman_filter, A=A, B=B, C=C, **NOISE),
+    "extended": partial(
+        extended_kalman_filter,
+        g=lambda x, u: A @ x + B @ u,
+        G=lambda x, u: A,
+        h=lambda x: C @ x,
+        H=lambda x: C,
+        **NOISE,
+    ),
+    "unscented": partial(
+        unscented_kalman_filter, g=lambda x, u: A @ x + B @ u, h=lambda x: C @ x, **NOISE
+    ),
+}
+
+
+def dense(seen):
+    """Means and covariances of x_0..x_T given the first readings, and their log-density."""
+    steps = len(CONTROLS)
+    total = np.linalg.inv(np.eye(2 * steps + 2) - np.kron(np.eye(steps + 1, k=-1), A))
+    offset = np.concatenate([INITIAL.mean, *(B @ u for u in CONTROLS)])
+    noise = np.kron(np.eye(steps + 1), NOISE["process_noise"])
+    noise[:2, :2] = INITIAL.cov
+    mean, cov = total @ offset, total @ noise @ total.T
+    H = np.kron(np.eye(steps + 1)[1 : seen + 1], C)
+    S = H @ cov @ H.T + NOISE["sensor_noise"] * np.eye(seen)
+    residual = READINGS[:seen, 0] - H @ mean
+    gain = np.linalg.solve(S, H @ cov).T
+    mean, cov = mean + gain @ residual, cov - gain @ H @ cov
+    blocks = [slice(2 * k, 2 * k + 2) for k in range(steps + 1)]
+    return [Belief(mean[k], cov[k, k]) for k in blocks], log_normal(residual, S)
+
+
+def assert_belief(found, due):
+    np.testing.assert_allclose(found.mean, due.mean, atol=1e-12)
+    np.testing.assert_allclose(found.cov, due.cov, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_filters_and_smoother_condition_a_linear_model(name):
+    steps = bayes_filter(FILTERS[name], INITIAL, CONTROLS, READINGS)
+    for k, step in enumerate(steps, start=1):
+        assert_belief(step.predicted, dense(k - 1)[0][k])
+        assert_belief(step.filtered, dense(k)[0][k])
+    due, log_density = dense(len(READINGS))
+    assert sum(step.log_density for step in steps) == pytest.approx(log_density, abs=1e-12)
+    smoothed = rts_smoother(INITIAL, steps)
+    assert len(smoothed) == len(due)
+    for found, belief in zip(smoothed, due, strict=True):
+        assert_belief(found, belief)
+
+
+def test_one_step_by_hand():
+    """A prior N(0, 1), no motion, a reading of 1 with variance 1: half way, half the variance."""
+    one = np.eye(1)
+    step = kalman_filter(
+        Belief(np.zeros(1), one),
+        np.zeros(1),
+        np.ones(1),
+        A=one,
+        B=one,
+        C=one,
+        process_noise=0.0 * one,
+        sensor_noise=one,
+    )
+    assert step.filtered == (0.5, 0.5)
+    assert step.log_density == pytest.approx(-0.25 - 0.5 * np.log(4.0 * np.pi))
+
+
+@pytest.mark.parametrize(("n", "variance"), [(1, 2.0), (3, 16 / 3), (6, 67 / 6)])
+def test_sigma_points_of_the_report(n, variance):
+    """Mean and covariance are kept; x² has mean 1, and the variance that λ = n − 1 gives it."""
+    points, w_m, w_c = sigma_points(Belief(np.zeros(n), np.eye(n)))
+    assert len(points) == 2 * n + 1
+    np.testing.assert_allclose(w_m @ points, 0.0, atol=1e-15)
+    np.testing.assert_allclose((w_c[:, None] * points).T @ points, np.eye(n), atol=1e-15)
+    squares = points[:, -1] ** 2
+    assert w_m @ squares == pytest.approx(1.0)
+    assert w_c @ (squares - w_m @ squares) ** 2 == pytest.approx(variance)
+
+
+def test_a_nonlinear_step_differs_by_rule():
+    """A quadratic motion moves the mean by the variance, which only sigma points see."""
+    parts = {"g": lambda x, u: x**2, "h": lambda x: x}
+    noise = {"process_noise": np.eye(1), "sensor_noise": np.eye(1)}
+    belief, nothing = Belief(np.ones(1), np.array([[0.25]])), np.zeros(1)
+    slopes = {"G": lambda x, u: 2.0 * np.diag(x), "H": lambda x: np.eye(1)}
+    extended = extended_kalman_filter(belief, nothing, nothing, **parts, **slopes, **noise)
+    unscented = unscented_kalman_filter(belief, nothing, nothing, **parts, **noise)
+    assert extended.predicted == (1.0, 2.0)
+    assert unscented.predicted.mean == pytest.approx(1.25)
+    assert unscented.predicted.cov == pytest.approx(2.0 + 2.0 * 0.25**2)
+
+
+def test_controls_and_readings_go_together():
+    with pytest.raises(ValueError, match="shorter"):
+        bayes_filter(FILTERS["kalman"], INITIAL, CONTROLS, READINGS[:-1])
