@@ -13,6 +13,7 @@ from experiments import (
     localisation,
     plaza,
     seven_nodes,
+    smoothing,
 )
 
 # In the order in which a newcomer would run them.
@@ -22,6 +23,7 @@ EXPERIMENTS: dict[str, ModuleType] = {
     "kalman": kalman,
     "cluster_graph": cluster_graph,
     "linearisers": linearisers,
+    "smoothing": smoothing,
     "imu_heading": imu_heading,
     "differential_drive": differential_drive,
     "seven_nodes": seven_nodes,

@@ -1,0 +1,29 @@
+"""Is a belief right about its own errors? Errors, normalised errors, coverage, whiteness."""
+
+from pgm.consistency.autocorrelation import Whiteness, whiteness
+from pgm.consistency.averages import Average, anees, anis, average, mean_band
+from pgm.consistency.divergence import kl
+from pgm.consistency.errors import error, rmse
+from pgm.consistency.normalised import nees, nis
+from pgm.consistency.over_time import OverTime, over_time, rmse_over_time
+from pgm.consistency.regions import Coverage, coverage
+
+__all__ = [
+    "Average",
+    "Coverage",
+    "OverTime",
+    "Whiteness",
+    "anees",
+    "anis",
+    "average",
+    "coverage",
+    "error",
+    "kl",
+    "mean_band",
+    "nees",
+    "nis",
+    "over_time",
+    "rmse",
+    "rmse_over_time",
+    "whiteness",
+]

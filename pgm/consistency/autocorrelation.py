@@ -1,0 +1,139 @@
+"""Are innovations white? What a filter could still predict, it has not used."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaincc
+
+from pgm.consistency.normalised import check_innovations
+from pgm.consistency.quantiles import chi_squared, normal
+from pgm.errors import ModelError
+from pgm.inference import Innovations
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, Integers, inner
+
+
+@dataclass(frozen=True, eq=False)
+class Whiteness:
+    """The autocorrelation of whitened innovations, and what white ones would have of it.
+
+    Attributes
+    ----------
+    lags : ndarray of int
+        (L,): 1 and up, counted in steps at which the sensor was read.
+    autocorrelation : ndarray
+        (L,), in [−1, 1]; NaN where no two readings are that far apart.
+    band : ndarray
+        (L,): its size stays below with the confidence asked for, at each lag by itself.
+    statistic : float
+        The sum of squared autocorrelations, each by its own variance: χ² for white innovations.
+    dof : int
+        Its degrees of freedom, the number of lags.
+    limit : float
+        What the statistic stays below with the confidence asked for.
+    """
+
+    lags: Integers
+    autocorrelation: Array
+    band: Array
+    statistic: float
+    dof: int
+    limit: float
+
+    @property
+    def inside(self) -> bool:
+        """Whether the statistic stays below its limit: nothing speaks against white."""
+        return self.statistic <= self.limit
+
+    @property
+    def probability(self) -> float:
+        """That white innovations have a larger statistic."""
+        return float(gammaincc(0.5 * self.dof, 0.5 * self.statistic))
+
+
+def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0.95) -> Whiteness:
+    r"""The autocorrelation of innovations, whitened by their own covariances.
+
+    .. math:: w = S^{-1/2} r, \qquad p_l(t) = w_t^\top w_{t+l}, \qquad
+        \rho_l = \frac{\sum p_l}{\sqrt{\sum |w_t|^2 \sum |w_{t+l}|^2}}
+
+    Sums are over steps and runs. Innovations of an exact filter are independent from step to
+    step; its ρ_l has the variance Σ p_l² / (Σ |w_t|² Σ |w_{t+l}|²), which for one reading a step
+    tends to 1/N, N the number of products of components summed. Several readings of one step
+    share its prediction: the variance above allows for it. The k-th reading of a step meets the
+    k-th of a later one, so that sightings of several landmarks are best given in one order.
+
+    Parameters
+    ----------
+    innovations : Innovations
+        As ``posterior.innovations[z]``; rows that were not taken are left out.
+    lags : int
+        The number of lags.
+    confidence : float
+        Probability of the band and below the limit.
+
+    Raises
+    ------
+    ModelError
+        If there are no more steps with readings than lags, or no run was read at two of them.
+
+    References
+    ----------
+    Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
+    section 5.4.2; Box & Pierce, Distribution of residual autocorrelations, 1970.
+    """
+    white = _by_step(check_innovations(innovations))
+    if not 1 <= lags < len(white):
+        raise ModelError(
+            f"lags = {lags} for readings at {len(white)} steps; ask for 1 or more, and fewer "
+            "than there are steps with readings"
+        )
+    z = normal(confidence)
+    correlation, deviation = np.array(
+        [_correlation(white[:-lag], white[lag:]) for lag in range(1, lags + 1)]
+    ).T
+    known = deviation > 0.0
+    statistic = float(np.sum((correlation[known] / deviation[known]) ** 2))
+    dof = int(known.sum())
+    if not dof:
+        raise ModelError(f"no run was read at two steps {lags} or fewer readings apart")
+    limit = float(chi_squared(confidence, dof))
+    return Whiteness(np.arange(1, lags + 1), correlation, z * deviation, statistic, dof, limit)
+
+
+def _by_step(innovations: Innovations) -> Array:
+    """Whitened innovations, (steps with readings, runs, readings, d), 0 where none was taken."""
+    shape = innovations.residual.shape
+    runs = math.prod(shape[:-2])
+    residual = innovations.residual.reshape(runs, *shape[-2:])
+    cov = innovations.cov.reshape(*residual.shape, shape[-1])
+    taken = ~np.isnan(residual[..., 0])
+    residual = np.where(taken[..., None], residual, 0.0)
+    lower = roots.root(np.where(taken[..., None, None], cov, np.eye(shape[-1])))
+    white = roots.solve_lower(lower, residual[..., None])[..., 0]
+    white = np.where(roots.determined(lower), 0.0, white)
+
+    order = np.argsort(innovations.step, kind="stable")
+    _, first, step, counts = np.unique(
+        innovations.step[order], return_index=True, return_inverse=True, return_counts=True
+    )
+    result = np.zeros((counts.size, runs, max(counts, default=0), shape[-1]))
+    result[step, :, np.arange(order.size) - first[step]] = white[:, order].swapaxes(0, 1)
+    return result[np.any(result, axis=(1, 2, 3))]
+
+
+def _correlation(now: Array, later: Array) -> tuple[float, float]:
+    """The autocorrelation between rows, and its standard deviation if they are white."""
+    met = inner(now, now) * inner(later, later) > 0.0
+    now, later = now[met], later[met]
+    scale = np.sqrt(np.sum(now**2) * np.sum(later**2))
+    if scale == 0.0:
+        return np.nan, np.nan
+    product = np.zeros(met.shape)
+    product[met] = inner(now, later)
+    # The readings of a step are no independent ones: their products are one term.
+    terms = product.sum(axis=-1)
+    return float(terms.sum() / scale), float(np.sqrt(np.sum(terms**2)) / scale)

@@ -1,0 +1,180 @@
+"""Averages of normalised errors squared, in the χ² band that right ones keep to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.consistency.errors import places
+from pgm.consistency.normalised import check_innovations, nees
+from pgm.consistency.quantiles import chi_squared, tails
+from pgm.errors import ModelError
+from pgm.factors import Gaussian
+from pgm.inference import Innovations
+from pgm.kernels.arrays import Array, Integers, Mask
+
+
+@dataclass(frozen=True, eq=False)
+class Average:
+    """The mean of normalised errors squared, beside the two-sided χ² band of a right belief.
+
+    Attributes
+    ----------
+    value : ndarray
+        (...): the mean; NaN where there is nothing to average.
+    low, high : ndarray
+        (...): the band, within which a right belief has it with the confidence asked for.
+    dof : ndarray
+        (...): degrees of freedom of the sum.
+    count : ndarray of int
+        (...): how many were averaged.
+    """
+
+    value: Array
+    low: Array
+    high: Array
+    dof: Array
+    count: Integers
+
+    @property
+    def expected(self) -> Array:
+        """The mean that a right belief has: degrees of freedom of one, averaged."""
+        return _quotient(self.dof, self.count)
+
+    @property
+    def inside(self) -> Mask:
+        """Whether the mean lies in its band; a mean of nothing does not."""
+        return np.asarray((self.low <= self.value) & (self.value <= self.high))
+
+    def per_dof(self) -> Average:
+        """The same, divided by what is expected, so that 1 is right whatever the degrees."""
+        value, low, high = (
+            _quotient(part * self.count, self.dof) for part in (self.value, self.low, self.high)
+        )
+        return Average(value, low, high, self.dof, self.dof.astype(np.intp))
+
+    def overall(self) -> Average:
+        """One mean of all, in the mean of their bands: that of means which move as one.
+
+        The errors of a run at two steps depend on each other, so that a mean over steps varies
+        more than one of as many runs. This band allows for that, and is wider than due where
+        they depend on each other less; for independent ones take `average`.
+        """
+        count = self.count.sum()
+        value, low, high = (
+            _quotient(np.sum(np.where(self.count > 0, part * self.count, 0.0)), count)
+            for part in (self.value, self.low, self.high)
+        )
+        return Average(value, low, high, self.dof.sum(), count)
+
+
+def average(
+    squares: npt.ArrayLike,
+    dof: npt.ArrayLike,
+    *,
+    axis: int | tuple[int, ...] | None = None,
+    confidence: float = 0.99,
+) -> Average:
+    r"""The mean of normalised errors squared that are independent of each other.
+
+    .. math:: \bar\epsilon = \frac1N \sum_i \epsilon_i, \qquad
+        N \bar\epsilon \sim \chi^2_{\sum_i d_i}
+
+    Runs are independent; steps of one run are not, except for the innovations of a filter that
+    is exact. A mean over steps that depend on each other leaves this band too often: see
+    `Average.overall`.
+
+    Parameters
+    ----------
+    squares : array_like
+        Normalised errors squared, NaN where there is none.
+    dof : array_like
+        Degrees of freedom of each; they broadcast.
+    axis : int or tuple of int, optional
+        What to average over; everything without.
+    confidence : float
+        Probability of the band.
+
+    Raises
+    ------
+    ModelError
+        If the degrees of freedom do not fit, or the confidence is not between 0 and 1.
+
+    References
+    ----------
+    Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
+    section 5.4.2.
+    """
+    values = np.asarray(squares, dtype=float)
+    try:
+        each = np.broadcast_to(np.asarray(dof, dtype=float), values.shape)
+    except ValueError:
+        raise ModelError(
+            f"degrees of freedom of shape {np.shape(dof)} for normalised errors of shape "
+            f"{values.shape}; they must broadcast"
+        ) from None
+    there = ~np.isnan(values)
+    count = np.sum(there, axis=axis)
+    total = np.sum(np.where(there, each, 0.0), axis=axis)
+    value = _quotient(np.sum(np.where(there, values, 0.0), axis=axis), count)
+    low, high = (_quotient(chi_squared(p, total), count) for p in tails(confidence))
+    return Average(value, low, high, total, count)
+
+
+def anees(
+    belief: Gaussian,
+    truth: npt.ArrayLike,
+    components: Sequence[str] = (),
+    *,
+    confidence: float = 0.99,
+) -> Average:
+    """The NEES at each step, averaged over runs, (T+1,); over all of a belief without steps.
+
+    Above its band the belief claims too much, below it too little. See `nees` and `average`.
+    """
+    squares = nees(belief, truth, components)
+    return average(
+        squares,
+        len(places(belief, components)),
+        axis=run_axes(squares, belief.steps),
+        confidence=confidence,
+    )
+
+
+def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:
+    """The NIS at each step, averaged over the runs that read the sensor there, (T+1,).
+
+    Degrees of freedom differ with what was read; the band is that of their sum. See `average`,
+    which with ``innovations.nis`` and ``innovations.dof`` takes all steps together.
+    """
+    found = check_innovations(innovations)
+    axes = tuple(range(found.nis.ndim - 1))
+    return average(found.nis, found.dof, axis=axes, confidence=confidence)
+
+
+def mean_band(dof: int, count: int, confidence: float = 0.99) -> tuple[float, float]:
+    """The two-sided χ² band of the mean of independent normalised errors squared.
+
+    Parameters
+    ----------
+    dof : int
+        Degrees of freedom of each.
+    count : int
+        How many are averaged.
+    confidence : float
+        Probability of the band.
+    """
+    low, high = (float(chi_squared(p, dof * count)) / count for p in tails(confidence))
+    return low, high
+
+
+def run_axes(values: Array, steps: Integers | None) -> tuple[int, ...]:
+    """The axes of runs of values of a belief: all, but the last where it is of steps."""
+    return tuple(range(values.ndim - (steps is not None)))
+
+
+def _quotient(a: Array, b: npt.NDArray[np.floating | np.integer]) -> Array:
+    return np.asarray(np.divide(a, b, out=np.full(np.shape(a), np.nan), where=np.asarray(b) > 0))

@@ -1,0 +1,96 @@
+"""Whether confidence regions hold the truth as often as they say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.consistency.averages import run_axes
+from pgm.consistency.errors import places
+from pgm.consistency.normalised import nees
+from pgm.consistency.quantiles import check_confidence, chi_squared, clopper_pearson
+from pgm.factors import Gaussian
+from pgm.kernels.arrays import Array, Mask
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """The share of truths inside regions of a confidence.
+
+    Attributes
+    ----------
+    nominal : ndarray
+        (...): the confidence of the region.
+    actual : ndarray
+        (...): the share of truths inside it.
+    low, high : ndarray
+        (...): the binomial interval of the region's probability, from the runs alone.
+    runs : int
+        How many of them, independent of each other.
+    """
+
+    nominal: Array
+    actual: Array
+    low: Array
+    high: Array
+    runs: int
+
+    @property
+    def inside(self) -> Mask:
+        """Whether the confidence lies in the interval."""
+        return np.asarray((self.low <= self.nominal) & (self.nominal <= self.high))
+
+
+def coverage(
+    belief: Gaussian,
+    truth: npt.ArrayLike,
+    confidence: npt.ArrayLike = 0.95,
+    components: Sequence[str] = (),
+    *,
+    band: float = 0.99,
+) -> Coverage:
+    r"""How often the confidence region of a belief holds the truth.
+
+    .. math:: \{x : (x - \mu)^\top P^{-1} (x - \mu) \le \chi^2_n(c)\}
+
+    The interval of the probability is that of Clopper and Pearson. Steps of one run depend on
+    each other: they sharpen the share, but only runs count as trials, so that the interval is
+    wider than need be rather than too narrow.
+
+    Parameters
+    ----------
+    belief : Gaussian
+        Over runs and steps, as ``posterior[x]``; without steps, all its leading axes are runs.
+    truth : array_like
+        (..., n).
+    confidence : array_like
+        (...): the probability c of the region, or several.
+    components : sequence of str
+        Whose region, two for an ellipse in the plane; all without.
+    band : float
+        Probability of the interval.
+
+    Raises
+    ------
+    ModelError
+        If a confidence is not between 0 and 1, or the truth does not fit the belief.
+    NumericalError
+        If a covariance is singular.
+
+    References
+    ----------
+    Clopper & Pearson, The use of confidence or fiducial limits illustrated in the case of the
+    binomial, 1934.
+    """
+    check_confidence(confidence)
+    nominal = np.asarray(confidence, dtype=float)
+    squares = nees(belief, truth, components)
+    runs = math.prod(squares.shape[axis] for axis in run_axes(squares, belief.steps))
+    ordered = np.sort(squares, axis=None)
+    edge = chi_squared(nominal, len(places(belief, components)))
+    actual = np.searchsorted(ordered, edge, side="right") / ordered.size
+    return Coverage(nominal, actual, *clopper_pearson(actual, runs, band), runs)
