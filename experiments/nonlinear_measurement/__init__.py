@@ -1,0 +1,5 @@
+"""Which lineariser, where the measurement is nonlinear: KL from the exact posterior, and cost."""
+
+from experiments.nonlinear_measurement.experiment import QUICK, run
+
+__all__ = ["QUICK", "run"]

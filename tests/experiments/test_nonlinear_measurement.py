@@ -1,0 +1,351 @@
+"""The experiment's numbers against twins written out: one step of each filter, and a dense grid."""
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments import nonlinear_measurement
+from experiments.nonlinear_measurement import reference
+from experiments.nonlinear_measurement.cases import HEADINGS, SENSORS, simulate
+from experiments.nonlinear_measurement.rules import Tally, cost, rules
+from experiments.nonlinear_measurement.truth import draw, posterior
+from models.networks import pose
+
+RULES = set(reference.KL)
+RUNS = 60
+LANDMARKS = {
+    "far": [(3.0, 2.0)],
+    "near": [(1.6, 0.9)],
+    "two_ranges": [(3.0, 2.0), (3.0, -2.0)],
+    "collinear": [(4.0, 0.3), (-2.0, 0.2)],
+}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    out = tmp_path_factory.mktemp("nonlinear_measurement")
+    nonlinear_measurement.run(out=out, seed=0, **nonlinear_measurement.QUICK)
+    return out, json.loads((out / "summary.json").read_text())
+
+
+# ---- the twin: one step of a filter, from the textbook's equations, all simulations at once
+
+
+def wrap(angle):
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def transpose(matrix):
+    return np.swapaxes(matrix, -1, -2)
+
+
+def apply(matrix, vector):
+    return np.einsum("bij,bj->bi", matrix, vector)
+
+
+def drive(x):
+    """Speed 1 m/s, turn rate 0.5 rad/s, one second: the chord of an arc."""
+    chord = 2 * np.sin(0.25) / 0.5
+    course = x[..., 2] + 0.25
+    return x + np.stack([chord * np.cos(course), chord * np.sin(course), 0.5 + 0 * course], -1)
+
+
+def sensor(name):
+    """What is read, stacked, which of it is an angle, and its noise."""
+    if name == "position":
+        return lambda x: x[..., :2], np.array([False, False]), 0.01 * np.eye(2)
+    bearing = name in ("far", "near")
+
+    def sense(x):
+        found = []
+        for east, north in LANDMARKS[name]:
+            found.append(np.hypot(east - x[..., 0], north - x[..., 1]))
+            if bearing:
+                found.append(np.arctan2(north - x[..., 1], east - x[..., 0]) - x[..., 2])
+        return np.stack(found, axis=-1)
+
+    return sense, np.array([False, bearing]), np.diag([0.01, 0.0025 if bearing else 0.01])
+
+
+def taylor(function, mean, cov, angles):
+    step = 1e-5 * np.eye(3)
+    offset = function(mean[:, None] + step) - function(mean[:, None] - step)
+    slope = transpose(np.where(angles, wrap(offset), offset)) / 2e-5
+    return slope, function(mean), 0.0
+
+
+def sigma_points(points, mean_weights, cov_weights):
+    def rule(function, mean, cov, angles):
+        x = mean[:, None] + points @ transpose(np.linalg.cholesky(cov))
+        centre = function(mean)
+        offset = function(x) - centre[:, None]
+        offset = np.where(angles, wrap(offset), offset)
+        value = mean_weights @ offset
+        dx, dy = x - mean[:, None], offset - value[:, None]
+        cross = transpose(cov_weights[:, None] * dx) @ dy
+        slope = transpose(np.linalg.solve(cov, cross))
+        own = transpose(cov_weights[:, None] * dy) @ dy
+        return slope, centre + value, own - slope @ cov @ transpose(slope)
+
+    return rule
+
+
+ARMS = np.vstack([np.eye(3), -np.eye(3)])
+CUBATURE = sigma_points(np.sqrt(3) * ARMS, np.full(6, 1 / 6), np.full(6, 1 / 6))
+WEIGHTS = np.array([0.4, *[0.1] * 6])  # λ = 2 at n = 3, so α² = 5/3
+UNSCENTED = sigma_points(
+    np.sqrt(5) * np.vstack([np.zeros(3), ARMS]), WEIGHTS, WEIGHTS + np.eye(7)[0] * (1 - 5 / 3 + 2)
+)
+
+
+def twin(case, name, rule, iterations=1):
+    """Mean and covariance after the step; the sensor is linearised again at its posterior."""
+    sense, angles, noise = sensor(name)
+    z = case.readings.reshape(len(case.readings), -1)
+    mean = np.zeros((len(z), 3))
+    cov = np.broadcast_to(np.diag([0.04, 0.04, case.heading_std**2]), (len(z), 3, 3))
+    slope, mean, left = rule(drive, mean, cov, np.zeros(3, dtype=bool))
+    cov = slope @ cov @ transpose(slope) + left + 0.0025 * np.eye(3)
+    at = mean, cov
+    for _ in range(iterations):
+        slope, value, left = rule(sense, *at, angles)
+        residual = z - value
+        residual = np.where(angles, wrap(residual), residual) + apply(slope, at[0] - mean)
+        predictive = slope @ cov @ transpose(slope) + left + noise
+        gain = transpose(np.linalg.solve(predictive, slope @ cov))
+        at = mean + apply(gain, residual), cov - gain @ predictive @ transpose(gain)
+    return at
+
+
+def kl(p_mean, p_cov, q_mean, q_cov):
+    solved = np.linalg.solve(q_cov, p_cov)
+    off = q_mean - p_mean
+    far = np.sum(off * np.linalg.solve(q_cov, off[..., None])[..., 0], axis=-1)
+    trace = np.trace(solved, axis1=-2, axis2=-1)
+    return 0.5 * (trace + far - 3 - np.linalg.slogdet(solved)[1])
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_the_kl_of_the_summary_is_that_of_the_twin(done, name):
+    for s in (0.1, 0.3):
+        case = simulate(SENSORS[name], s, RUNS, 0)
+        exact = posterior(case, 12, 125, 0)
+        for rule, linearise, iterations in (
+            ("Taylor", taylor, 1),
+            ("Unscented", UNSCENTED, 1),
+            ("Cubature", CUBATURE, 1),
+            ("IteratedCubature", CUBATURE, 10),
+        ):
+            due = kl(exact.mean, exact.cov, *twin(case, name, linearise, iterations))
+            assert done[1]["kl"][name][str(s)][rule] == pytest.approx(due.mean(), rel=1e-6)
+            assert done[1]["kl_median"][name][str(s)][rule] == pytest.approx(
+                np.median(due), rel=1e-6
+            )
+            spread = due.std(ddof=1) / np.sqrt(RUNS)
+            assert done[1]["kl_se"][name][str(s)][rule] == pytest.approx(spread, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_iterating_in_the_engine_is_iterating_in_the_twin(name):
+    """Beliefs of single simulations, to part of a deviation, where iterating came to rest."""
+    case = simulate(SENSORS[name], 0.6, 40, 3)
+    after = rules(0)["IteratedCubature"].filter(case)
+    belief = after[pose.at(1)]
+    mean, cov = twin(case, name, CUBATURE, 10)
+    rest = after.status.converged
+    assert rest.mean() > (0.0 if name == "collinear" else 0.5)
+    assert np.abs((belief.mean - mean) / belief.std)[rest].max() < 1e-7
+    assert np.abs(belief.cov - cov)[rest].max() < 1e-8
+
+
+def test_the_twin_would_notice_a_second_count_of_the_reading():
+    """Restarting from the posterior instead of the prediction is another answer."""
+    case = simulate(SENSORS["far"], 0.3, 20, 0)
+    belief = rules(0)["IteratedCubature"].filter(case)[pose.at(1)]
+    once = twin(case, "far", CUBATURE, 1)
+    assert np.abs((belief.mean - once[0]) / belief.std).max() > 0.1
+
+
+# ---- the truth
+
+
+def grid_moments(case, name, run):
+    """Moments of the pose on a dense grid, the first heading summed out; nothing is sampled."""
+    s = case.heading_std
+    start = np.linspace(-6.5 * s, 6.5 * s, 301)
+    east = north = np.linspace(-1.9, 2.3, 61)
+    heading = np.linspace(-6.5 * s, 6.5 * s + 0.8, 201)
+
+    def normal(x, mean, variance):
+        return np.exp(-0.5 * (x - mean) ** 2 / variance)
+
+    chord = 2 * np.sin(0.25) / 0.5
+    a = normal(east[:, None], chord * np.cos(start + 0.25), 0.0425)
+    b = normal(north[:, None], chord * np.sin(start + 0.25), 0.0425)
+    c = normal(heading[:, None], start + 0.5, 0.0025) * normal(start, 0.0, s**2)
+    density = np.einsum("it,jt,kt->ijk", a, b, c, optimize=True)
+    grid = np.stack(np.meshgrid(east, north, heading, indexing="ij"), axis=-1)
+    sense, angles, noise = sensor(name)
+    off = case.readings[run].ravel() - sense(grid)
+    off = np.where(angles, wrap(off), off)
+    density *= np.exp(-0.5 * np.sum(off**2 / np.diag(noise), axis=-1))
+    density /= density.sum()
+    mean = np.einsum("ijk,ijkc->c", density, grid)
+    centred = grid - mean
+    return mean, np.einsum("ijk,ijkc,ijkd->cd", density, centred, centred, optimize=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "s"), [("near", 0.3), ("far", 0.6), ("two_ranges", 0.3), ("collinear", 0.6)]
+)
+def test_the_truth_is_that_of_a_dense_grid(name, s):
+    case = simulate(SENSORS[name], s, 4, 1)
+    exact = posterior(case, 14, 500, 0)
+    for run in (0, 3):
+        mean, cov = grid_moments(case, name, run)
+        std = np.sqrt(np.diagonal(cov))
+        assert np.abs((exact.mean[run] - mean) / std).max() < 0.01
+        assert np.abs((exact.cov[run] - cov) / np.outer(std, std)).max() < 0.02
+
+
+def test_the_truth_of_a_linear_reading_is_unbiased_and_calibrated():
+    """Drawn poses are draws from the exact posterior: their NEES averages 3 by construction."""
+    case = simulate(SENSORS["position"], 0.6, 1500, 7)
+    exact = posterior(case, 10, 30, 0)
+    off = case.truth - exact.mean
+    nees = np.einsum("bi,bij,bj->b", off, np.linalg.inv(exact.cov), off)
+    assert nees.mean() == pytest.approx(3.0, abs=4 * nees.std() / np.sqrt(1500))
+
+
+def test_effective_sample_sizes_follow_the_number_of_points():
+    case = simulate(SENSORS["near"], 0.6, 8, 2)
+    few, many = (posterior(case, k, 0.0, 0).effective for k in (10, 13))
+    assert np.all((few > 1) & (few < 2**10))
+    assert np.all((many > 1) & (many < 2**13))
+    assert np.median(many / few) == pytest.approx(8, rel=0.2)
+
+
+def test_a_better_pilot_helps_where_the_first_was_lost():
+    """A reading far out in the prior's tail leaves the first pilot few points."""
+    case = simulate(SENSORS["far"], 0.3, 600, 0)
+    once, again = (posterior(case, 12, enough, 0).effective for enough in (0.0, 500.0))
+    lost = once < 500
+    assert lost.any()
+    assert np.all(again[lost] > 500)
+    assert np.array_equal(once[~lost], again[~lost])
+
+
+def test_places_drawn_have_the_exact_moments():
+    case = simulate(SENSORS["collinear"], 0.6, 3, 4)
+    exact = posterior(case, 14, 500, 0)
+    for run in range(3):
+        places = draw(case, run, 4000, seed=1)
+        std = np.sqrt(np.diagonal(exact.cov[run])[:2])
+        assert np.abs((places.mean(axis=0) - exact.mean[run, :2]) / std).max() < 0.1
+        assert places.std(axis=0) == pytest.approx(std, rel=0.1)
+
+
+# ---- what the experiment says
+
+
+def test_every_sensor_s_and_rule_has_its_numbers(done):
+    summary = done[1]
+    for key in ("kl", "kl_se", "kl_median"):
+        assert set(summary[key]) == set(SENSORS) == {*LANDMARKS, "position"}
+        for cases in summary[key].values():
+            assert set(cases) == set(map(str, HEADINGS)) == {"0.1", "0.3", "0.6"}
+            for found in cases.values():
+                assert set(found) == RULES
+                assert all(0.0 < value < 100.0 for value in found.values())
+    for key in ("nees", "rmse", "rmse_heading"):
+        assert all(set(found) == {*RULES, "Exact"} for found in summary[key]["far"].values())
+
+
+def test_the_truth_kept_every_simulation(done):
+    for cases in done[1]["truth"].values():
+        for found in cases.values():
+            assert found["dropped"] == 0
+            assert 125 <= found["effective_min"] <= found["effective_median"] < 2**12
+
+
+def test_the_point_of_linearisation_matters_more_than_the_rule(done):
+    kl = done[1]["kl"]
+    for name in ("far", "near", "two_ranges"):
+        for found in kl[name].values():
+            others = [value for rule, value in found.items() if rule != "IteratedCubature"]
+            assert found["IteratedCubature"] < 0.7 * min(others)
+    assert kl["near"]["0.6"]["Taylor"] > 10 * kl["near"]["0.6"]["IteratedCubature"]
+    assert done[1]["nees"]["near"]["0.6"]["Taylor"] > 6.0
+    assert done[1]["nees"]["near"]["0.6"]["IteratedCubature"] == pytest.approx(3.0, abs=0.8)
+
+
+def test_iterating_hurts_where_the_posterior_has_two_modes(done):
+    found = done[1]["kl"]["collinear"]["0.6"]
+    assert found["IteratedCubature"] > 2 * found["Cubature"]
+    rest = done[1]["settled"]["collinear"]["0.6"]
+    assert rest["share"] < 0.9
+    assert done[1]["settled"]["far"]["0.6"]["share"] > 0.9
+    mean = rest["share"] * rest["kl"] + (1 - rest["share"]) * rest["kl_others"]
+    assert mean == pytest.approx(found["IteratedCubature"])
+
+
+def test_iterating_changes_nothing_about_a_linear_reading(done):
+    for found in done[1]["kl"]["position"].values():
+        assert found["IteratedCubature"] == pytest.approx(found["Cubature"], rel=1e-12)
+
+
+def test_kl_grows_with_the_spread_of_the_heading(done):
+    for name, cases in done[1]["kl"].items():
+        for rule in RULES:
+            low, middle, high = (cases[str(s)][rule] for s in HEADINGS)
+            assert low < middle < high, (name, rule)
+
+
+def test_costs_are_counted(done):
+    for name, costs in done[1]["cost"].items():
+        count = {rule: found["evaluations"] for rule, found in costs.items()}
+        calls = 1 if name == "position" else 2  # a linear sensor is not linearised
+        assert count["Taylor"] == 2 * calls  # a value and a Jacobian
+        assert count["Unscented"] == pytest.approx(7 * calls, abs=0.5)
+        assert count["GaussHermite5"] == pytest.approx(125 * calls, abs=1.5)
+        assert count["MonteCarlo100"] > 4 * count["MonteCarlo10"]
+        assert (count["IteratedCubature"] > 2 * count["Cubature"]) == (calls == 2)
+        assert all(found["microseconds"] > 0 for found in costs.values())
+
+
+def test_counting_changes_no_belief():
+    case = simulate(SENSORS["far"], 0.3, 5, 0)
+    rule = rules(0)["Unscented"]
+    assert cost(rule, case, repeats=1).evaluations == 14
+    counted = rule.filter(case, Tally(rule.lineariser))
+    assert np.array_equal(counted[pose].mean, rule.filter(case)[pose].mean)
+
+
+def test_z_is_in_standard_errors_of_the_difference(done):
+    found = done[1]["against_reference"]["near"]["0.3"]["Taylor"]
+    ours, se = (done[1][key]["near"]["0.3"]["Taylor"] for key in ("kl", "kl_se"))
+    assert found["reference"] == 1.87
+    assert found["difference"] == pytest.approx(ours - 1.87)
+    assert found["z"] == pytest.approx((ours - 1.87) / np.hypot(se, se * np.sqrt(RUNS / 1000)))
+    every = [
+        each["z"]
+        for cases in done[1]["against_reference"].values()
+        for rules_ in cases.values()
+        for each in rules_.values()
+    ]
+    assert len(every) == 5 * 2 * 8
+    assert abs(done[1]["largest_z"]["z"]) == max(map(abs, every))
+
+
+def test_figures_are_png_and_pdf(done):
+    for name in ("kl_against_cost", "scenes"):
+        assert (done[0] / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert (done[0] / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.slow
+def test_a_full_run_agrees_with_the_reference(tmp_path):
+    nonlinear_measurement.run(out=tmp_path, seed=0, runs=1000, log2_points=12)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert abs(summary["largest_z"]["z"]) < 3.0
