@@ -24,6 +24,7 @@ from pgm.errors import (
 from pgm.evidence import constant, sightings, soft
 from pgm.factors import AffineGaussian, CanonicalForm, Gaussian, Table
 from pgm.inference import (
+    Audit,
     Calibration,
     ChainPosterior,
     Filtering,
@@ -37,6 +38,7 @@ from pgm.inference import (
     Sequential,
     Smoothing,
     Status,
+    audit,
     filter,
     infer,
     most_probable,
@@ -60,14 +62,15 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> ModuleType:
-    """Load `pgm.plot` when it is first asked for, since matplotlib is slow to import."""
-    if name == "plot":
-        return import_module("pgm.plot")
+    """Load what is slow to import (matplotlib, scipy.special) when it is first asked for."""
+    if name in ("consistency", "plot"):
+        return import_module(f"pgm.{name}")
     raise AttributeError(f"module 'pgm' has no attribute {name!r}")
 
 
 __all__ = [
     "AffineGaussian",
+    "Audit",
     "BayesianNetwork",
     "Bethe",
     "Calibration",
@@ -115,6 +118,7 @@ __all__ = [
     "Unscented",
     "Variable",
     "WeightedMinFill",
+    "audit",
     "compile",
     "constant",
     "filter",

@@ -1,5 +1,6 @@
 """Inference: schedules of messages, and what they leave."""
 
+from pgm.inference.audit import Audit, audit
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.marginals import Marginals
 from pgm.inference.chain.online import OnlineBelief, OnlineFilter
@@ -20,6 +21,7 @@ from pgm.inference.schedule import (
 from pgm.inference.status import Status
 
 __all__ = [
+    "Audit",
     "Calibration",
     "ChainPosterior",
     "Filtering",
@@ -36,6 +38,7 @@ __all__ = [
     "Sequential",
     "Smoothing",
     "Status",
+    "audit",
     "filter",
     "infer",
     "most_probable",

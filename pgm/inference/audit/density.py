@@ -1,0 +1,210 @@
+"""What each CPD adds to the log-weight of draws."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from pgm.errors import LinearisationError, NumericalError
+from pgm.factors.scope import names
+from pgm.inference.family import Family
+from pgm.kernels import roots
+from pgm.kernels.angles import difference, nearest_branch
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, transpose
+
+Stack = TypeVar("Stack", Array, Mask)
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """The density of a CPD at draws of its family.
+
+    Attributes
+    ----------
+    family : Family
+    own : ndarray
+        (rows or 1, runs or 1, d, d): the root of the CPD's own noise.
+    relative : bool
+        Whether densities are divided by those of the linearised CPD, which leaves nothing of an
+        affine one.
+    linearised : ndarray or None
+        (rows, runs, d, d): the root of the noise of the linearised CPD, where it is divided by.
+    """
+
+    family: Family
+    own: Array
+    relative: bool
+    linearised: Array | None = None
+
+    @classmethod
+    def make(cls, family: Family, *, relative: bool) -> Term:
+        """Take the roots of the noise."""
+        own = roots.root(family.own_noise)
+        if not relative or family.exact:
+            return cls(family, own, relative)
+        linearised = roots.root(family.noise)
+        if roots.determined(own).any() or not _regular(linearised):
+            cpd = family.cpd
+            raise NumericalError(
+                f"{cpd!r} is nonlinear and its noise is singular or that of its linearisation is "
+                "no covariance, beside a sensor without noise or a covariance too near to "
+                "singular: a Gaussian draw then misses where the model lives; give the CPD noise "
+                "in all components, or the exact sensor some",
+                variable=cpd.child,
+                cpd=cpd,
+            )
+        return cls(family, own, relative, linearised)
+
+    def free(self) -> Mask:
+        """Which components of the child its parents leave open, (rows or 1, runs or 1, d)."""
+        return ~roots.determined(self.own)
+
+    def child(self, row: int, parents: Array, proposed: Array) -> tuple[Array, Array]:
+        """The child, and its log-density, for free components as proposed.
+
+        The others follow from the parents and the noise that the free ones imply, as the model has
+        it.
+
+        Parameters
+        ----------
+        row : int
+        parents : ndarray
+            (runs, S, n).
+        proposed : ndarray
+            (runs, S, d).
+        """
+        value = self._value(row, parents, on_chart=True)
+        white, log_density = _log_density(_at(self.own, row), proposed - value)
+        free = self.free()
+        if not free.all():
+            implied = value + white @ transpose(_at(self.own, row))
+            proposed = np.where(_at(free, row)[..., None, :], proposed, implied)
+        return proposed, self._relative(row, parents, proposed, log_density)
+
+    def readings(
+        self, rows: slice, parents: Array, values: Array, moved: Array, taken: Mask | None
+    ) -> Array:
+        """The log-density of readings, (runs, S), their sum over rows.
+
+        Parameters
+        ----------
+        rows : slice
+        parents : ndarray
+            (k, runs, S, n).
+        values, moved : ndarray
+            (k, runs or 1, d): as given, and with angles on the branch of the linearisation, where
+            an affine CPD takes them.
+        taken : ndarray of bool or None
+            (k, runs or 1).
+        """
+        if self.relative and self.family.exact:
+            return np.zeros(parents.shape[1:3])
+        value = self._value(rows, parents, taken=taken)
+        reading = moved if self.family.exact else values
+        angles = self.family.cpd.child.angle_mask & (not self.family.exact)
+        residual = difference(reading[..., None, :], value, angles)
+        _, log_density = _log_density(_at(self.own, rows), residual)
+        log_density = self._relative(rows, parents, moved[..., None, :], log_density)
+        if taken is not None:
+            log_density = np.where(taken[..., None], log_density, 0.0)
+        total: Array = log_density.sum(axis=0)
+        return total
+
+    def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:
+        """The log-density, less that of the linearised CPD where it is divided by."""
+        if not self.relative:
+            return own
+        if self.linearised is None:
+            return np.zeros(parents.shape[:-1])
+        residual = child - self._affine(rows, parents)
+        return own - _log_density(self.linearised[rows], residual)[1]
+
+    def _affine(self, rows: int | slice, parents: Array) -> Array:
+        matrix, offset = self.family.matrix[rows], self.family.offset[rows]
+        value: Array = parents @ transpose(matrix) + offset[..., None, :]
+        return value
+
+    def _value(
+        self,
+        rows: int | slice,
+        parents: Array,
+        *,
+        on_chart: bool = False,
+        taken: Mask | None = None,
+    ) -> Array:
+        """The CPD's mean at draws of its parents, (..., S, d).
+
+        The branch of an angle is a matter of the parents alone, so that the density of the child
+        on the unwrapped chart integrates to one: that of the linearisation, where the function may
+        have wrapped.
+        """
+        family = self.family
+        if family.exact:
+            return self._affine(rows, parents)
+        function = family.bound(rows, parents.ndim - 2, parents.shape[:-2])
+        with np.errstate(all="ignore"):  # non-finite values are refused below
+            value = function(parents)
+        lost = np.asarray(~np.isfinite(value).all(axis=-1))
+        if taken is not None:
+            lost &= taken[..., None]
+        if lost.any():
+            self._refuse(rows, parents, lost)
+        if on_chart and function.angles.any():
+            return nearest_branch(value, self._affine(rows, parents), function.angles)
+        return value
+
+    def _refuse(self, rows: int | slice, parents: Array, lost: Mask) -> None:
+        where = tuple(int(axis[0]) for axis in np.nonzero(lost))
+        family = self.family
+        first = rows if isinstance(rows, int) else rows.start + where[0]
+        step = int(family.step[first]) if family.timed else None
+        at = "" if step is None else f" at step {step}"
+        raise LinearisationError(
+            f"{family.cpd!r}: its function{at}, run {where[-2]}, is NaN or infinite at a draw from "
+            f"the posterior, {names(family.hidden)} = {parents[where]}; an audit needs the model "
+            "wherever the Gaussian answer puts weight",
+            variable=family.cpd.child,
+            cpd=family.cpd,
+            step=step,
+        )
+
+
+def refuse_exact(family: Family) -> None:
+    """Refuse readings of a nonlinear sensor whose noise is singular."""
+    if family.exact or not roots.determined(roots.root(family.own_noise)).any():
+        return
+    cpd = family.cpd
+    raise NumericalError(
+        f"{cpd!r} is nonlinear, its noise is singular, and it has readings: they leave a curved "
+        "set of states, which no Gaussian draw meets; give it noise in all components",
+        variable=cpd.child,
+        cpd=cpd,
+    )
+
+
+def _at(stacked: Stack, rows: int | slice) -> Stack:
+    """Some rows of an array that may have one for all."""
+    if stacked.shape[0] == 1:
+        rows = 0 if isinstance(rows, int) else slice(None)
+    part: Stack = stacked[rows]
+    return part
+
+
+def _regular(lower: Array) -> bool:
+    return roots.is_proper(lower) and not bool(roots.determined(lower).any())
+
+
+def _log_density(lower: Array, residual: Array) -> tuple[Array, Array]:
+    """White residuals, zero where determined, and log-densities of the open components.
+
+    For a root (..., d, d) and residuals (..., S, d).
+    """
+    fixed = roots.determined(lower)
+    white = transpose(roots.solve_lower(lower, transpose(residual)))
+    if fixed.any():
+        white = np.where(fixed[..., None, :], 0.0, white)
+    dimension = (~fixed).sum(axis=-1)
+    constant = roots.log_determinant(lower) + dimension * LOG_2PI
+    return white, -0.5 * ((white * white).sum(axis=-1) + constant[..., None])

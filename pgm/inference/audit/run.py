@@ -1,0 +1,109 @@
+"""Auditing a posterior."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pgm.errors import ModelError
+from pgm.inference.audit.chain import ChainDraws
+from pgm.inference.audit.result import Audit
+from pgm.inference.audit.tree import TreeDraws
+from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.gaussian.posterior import GaussianPosterior
+from pgm.inference.limits import require_runs
+from pgm.inference.posterior import Posterior
+from pgm.networks.ancestral import as_generator
+
+# Numbers drawn at once: what stays near the processor.
+BATCH = 2**18
+
+
+def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator | int) -> Audit:
+    """Say how far a Gaussian answer is from the exact one, by importance sampling.
+
+    Trajectories x_s are drawn from the smoothed joint Gaussian q of the linearised model and
+    weighed with the model as it was declared,
+
+        w_s = p(x_s, z) / q(x_s),    ln p(z) ≈ ln (1/S) Σ w_s,
+
+    p(x, z) being the product of all CPDs with their own noise: priors, transitions, hidden
+    controls and every reading taken. For a linear model all weights are p(z). Where a CPD without
+    noise determines components, q proposes the others, and these follow from the model. After
+    filtering, q is the smoothed joint of the filter's linearisation.
+
+    Residuals of readings of angles are wrapped, and an angle that a function wraps is taken on
+    the branch of the linearisation, so that wrapping it or not gives the same.
+
+    Parameters
+    ----------
+    posterior : ChainPosterior or GaussianPosterior
+        Of a filter or smoother, or of a tree.
+    samples : int
+        S, 2 or more draws for each run; each is drawn by itself. The result keeps a number for
+        each draw, and the draws are made in batches of bounded size.
+    rng : numpy.random.Generator or int
+        What draws, or a seed.
+
+    Raises
+    ------
+    ModelError
+        If the posterior is none of these, or an argument is no such number.
+    GraphError
+        If the graph has loops, or the weights of all runs would not fit.
+    NumericalError
+        If nothing can be drawn: a nonlinear sensor with singular noise was read, or nonlinear CPDs
+        with singular noise stand beside linear sensors with it.
+    LinearisationError
+        If a function is NaN or infinite at a draw.
+
+    References
+    ----------
+    Owen, Monte Carlo theory, methods and examples, 2013, chapter 9; Särkkä & Svensson, Bayesian
+    Filtering and Smoothing, 2nd edition, 2023, chapter 11.
+
+    Examples
+    --------
+    >>> from pgm import DynamicBayesianNetwork, GaussianCPD, NonlinearGaussianCPD, Variable
+    >>> from pgm import sightings, smooth
+    >>> x, z = Variable("x"), Variable("z")
+    >>> model = DynamicBayesianNetwork(
+    ...     prior=[GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[NonlinearGaussianCPD(x, x.previous, lambda x: x + np.sin(x), 0.1)],
+    ...     observation=[NonlinearGaussianCPD(z, x, lambda x: x + 0.3 * x**2, 0.1)],
+    ... )
+    >>> posterior = smooth(model, {z: sightings([[1.0], [2.0]], step=[0, 1])}, steps=1)
+    >>> found = audit(posterior, rng=0)
+    >>> bool(abs(found.correction) > 10 * found.standard_error)
+    True
+    """
+    draws: ChainDraws | TreeDraws
+    whole = isinstance(samples, int | np.integer) and not isinstance(samples, bool)
+    if not whole or samples < 2:
+        raise ModelError(f"samples is the number of draws, 2 or more; not {samples!r}")
+    generator = as_generator(rng)
+    if isinstance(posterior, ChainPosterior):
+        draws, lead = ChainDraws.make(posterior), posterior._plan.lead
+    elif isinstance(posterior, GaussianPosterior):
+        draws, lead = TreeDraws.make(posterior), posterior._buffer.model.lead
+    else:
+        raise ModelError(_advice(posterior))
+    known = posterior.log_evidence
+    require_runs(samples, known.size, "the weights of an audit")
+    size = max(1, BATCH // (max(known.size, 1) * max(draws.width, 1)))
+    weights = np.empty((known.size, samples))
+    for first in range(0, samples, size):
+        count = min(size, samples - first)
+        with np.errstate(over="ignore"):  # a residual too large to be squared has no weight
+            weights[:, first : first + count] = draws.log_weights(count, generator)
+    return Audit(weights.reshape(*lead, samples), known)
+
+
+def _advice(posterior: Any) -> str:
+    if isinstance(posterior, Posterior):
+        return f"{posterior!r} is of a discrete network; of a tree its log-evidence is exact"
+    return (
+        f"audit takes a posterior of pgm.filter, pgm.smooth or pgm.infer, not "
+        f"{type(posterior).__name__}"
+    )

@@ -1,0 +1,105 @@
+"""Draws of all variables of a network without time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.errors import GraphError
+from pgm.inference.audit.density import Term, refuse_exact
+from pgm.inference.audit.proposal import Proposal
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.posterior import GaussianPosterior
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array
+from pgm.kernels.moments import Conditional
+
+
+@dataclass(frozen=True, eq=False)
+class TreeDraws:
+    """Draws from the joint Gaussian of a calibrated tree, with their log-weights.
+
+    Attributes
+    ----------
+    model : Model
+    proposal : Proposal
+        Of all hidden components at once.
+    terms : list of Term
+        One a group of CPDs.
+    reference : ndarray
+        (runs,): the log-weight that is common to all draws.
+    relative : bool
+        Whether weights are relative to the densities of the linearised network.
+    """
+
+    model: Model
+    proposal: Proposal
+    terms: list[Term]
+    reference: Array
+    relative: bool
+
+    @classmethod
+    def make(cls, posterior: GaussianPosterior) -> TreeDraws:
+        """Prepare to draw from the joint of a posterior."""
+        if posterior.log_evidence_kind == "bethe":
+            raise GraphError(
+                f"{posterior!r}: an audit draws from the joint of all variables, which only a "
+                "calibrated tree has; infer on pgm.compile(network)"
+            )
+        model = posterior._buffer.model
+        exact = False
+        for group, family in zip(model.layout.groups, model.families, strict=True):
+            if group.observed:
+                refuse_exact(family)
+                exact |= bool(roots.determined(roots.root(family.own_noise)).any())
+        draws = cls._make(posterior, relative=False)
+        if exact or not draws.proposal.regular:
+            return cls._make(posterior, relative=True)
+        return draws
+
+    @classmethod
+    def _make(cls, posterior: GaussianPosterior, *, relative: bool) -> TreeDraws:
+        model = posterior._buffer.model
+        layout, runs = model.layout, model.runs
+        mean, cov = np.zeros((runs, 0)), np.zeros((runs, 0, 0))
+        if layout.size:
+            joint = posterior.joint(*layout.hidden)
+            mean, cov = joint.mean.reshape(runs, -1), joint.cov.reshape(runs, *joint.cov.shape[-2:])
+        terms = [Term.make(family, relative=relative) for family in model.families]
+        free = np.zeros((1, *mean.shape), dtype=bool)
+        for group, term in zip(layout.groups, terms, strict=True):
+            mask = term.free()
+            for row, child in enumerate(() if group.observed else group.child):
+                free[0][:, child] = mask[row if mask.shape[0] > 1 else 0]
+        proposal = Proposal.make(
+            Conditional(np.zeros((1, *mean.shape, 0)), mean[None], cov[None]), free
+        )
+        known = posterior.log_evidence.reshape(runs) if relative else np.zeros(runs)
+        return cls(model, proposal, terms, known, relative)
+
+    @property
+    def width(self) -> int:
+        """Numbers that one draw of one run takes at a time."""
+        return 3 * self.model.layout.size
+
+    def log_weights(self, count: int, rng: np.random.Generator) -> Array:
+        """Log-weights, (runs, S), of so many new draws."""
+        model = self.model
+        total = np.repeat(self.reference[:, None], count, axis=1)
+        values, log_density = self.proposal.draw(0, np.zeros((*total.shape, 0)), count, rng)
+        total -= 0.0 if self.relative else log_density
+        for g, row in model.layout.order:
+            group, term = model.layout.groups[g], self.terms[g]
+            parents = values[..., group.parents[row]]
+            if group.observed:
+                given, moved = model.readings[g], model.moved[g]
+                assert given is not None
+                assert moved is not None
+                rows = slice(row, row + 1)
+                total += term.readings(rows, parents[None], given[rows], moved[rows], None)
+            else:
+                child = group.child[row]
+                values[..., child], weight = term.child(row, parents, values[..., child])
+                total += weight
+        return total
