@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.kernels import roots
 from pgm.kernels.arrays import Array
 from pgm.kernels.roots import NEGLIGIBLE
 
@@ -19,3 +20,15 @@ def regression(cross: Array, cov: Array) -> Array:
     inverse = np.linalg.pinv(correlation, rcond=NEGLIGIBLE, hermitian=True)
     gain: Array = (cross / deviation[..., None, :]) @ inverse / deviation[..., None, :]
     return gain
+
+
+def gain(cross: Array, cov: Array, lower: Array) -> Array:
+    """The gain C P⁺ by a root of P, or by `regression` where the root was lost to rounding.
+
+    Eliminating a component that is nearly determined magnifies the rounding of those after it.
+    """
+    result = roots.gain(cross, lower)
+    lost = np.isnan(lower).any(axis=(-2, -1))
+    if lost.any():
+        result[lost] = regression(cross[lost], cov[lost])
+    return result

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
-from pgm.kernels import moments
+from pgm.kernels import moments, roots
 from tests.dense import (
     Joint,
     algebra,
@@ -237,3 +237,22 @@ def test_the_twin_conditions_as_it_should():
     assert_allclose(posterior.marginal("a")[0], [0.5])
     assert_allclose(posterior.marginal("a")[1], [[1.75]])
     assert_allclose(log_density, -0.5 * (np.log(2 * np.pi * 4) + 1.0))
+
+
+def test_a_reverse_whose_root_is_lost_to_rounding():
+    """Five components of rank two, two of them nearly one another: elimination calls it indefinite.
+
+    y = B x without noise determines x, so that the gain inverts B and nothing is left.
+    """
+    lost = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        matrix = rng.normal(size=(5, 2))
+        matrix[1] = matrix[0] + 1e-6 * rng.normal(size=2)
+        cov, nothing = matrix @ matrix.T, np.zeros((5, 5))
+        size = moments.spread(matrix, np.eye(2), nothing)
+        lost += np.isnan(roots.root(cov, size, negligible=0.1 * moments.ROUNDING)).any()
+        back = moments.reverse(np.zeros(2), np.eye(2), matrix, nothing, np.zeros(5), cov)
+        assert_allclose(back.matrix @ matrix, np.eye(2), atol=1e-5)
+        assert_allclose(back.cov, 0.0, atol=1e-10)
+    assert lost > 0

@@ -9,7 +9,7 @@ import numpy as np
 
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
-from pgm.kernels import moments, roots
+from pgm.kernels import moments, pseudoinverse, roots
 from pgm.kernels.arrays import Array, Index, apply, block, sandwich, symmetric, transpose
 from pgm.kernels.moments import Conditional
 
@@ -93,11 +93,12 @@ def _given_states(plan: ChainPlan, forward: Forward) -> Conditional:
     """The slice given its states and the readings up to it; the states are given exactly."""
     layout = plan.layout
     states, controls = layout.state_places, layout.control_places
-    lower = roots.root(block(forward.cov, states, states))
+    known = block(forward.cov, states, states)
+    lower = roots.root(known)
     size, front = layout.slice_size, layout.state_size
     gain = np.zeros((*forward.mean.shape[:-1], size, front))
     gain[..., states, :] = np.eye(front)
-    gain[..., controls, :] = roots.gain(block(forward.cov, controls, states), lower)
+    gain[..., controls, :] = pseudoinverse.gain(block(forward.cov, controls, states), known, lower)
     rest = np.eye(size) - gain @ np.eye(size)[states]
     offset = forward.mean - apply(gain, forward.mean[..., states])
     return Conditional(gain, offset, symmetric(sandwich(rest, forward.cov)))
