@@ -23,6 +23,9 @@ class LevenbergMarquardt:
     posterior's means are those of the last point accepted, its covariances those of the last
     linearisation, without the added reading.
 
+    With sigma points F is only nearly the derivative of E[f(X)], so that close to a fixed point no
+    step may lower the cost: the means then stay, a small residual short of it.
+
     Parameters
     ----------
     start : float

@@ -1,0 +1,208 @@
+"""Figures of iterated filters and smoothers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import pgm
+import pgm.plot
+from experiments.iterated import chain
+from experiments.iterated.case import Case
+from experiments.iterated.methods import KINDS, TITLES, Array, Grid, Outcome
+from experiments.iterated.published import GROWTH
+from pgm.plot.colours import INK, MUTED, PALETTE
+
+COLOURS = dict(zip(TITLES, PALETTE, strict=False))
+_STYLES = {"Unscented": "-", "Taylor": "--"}
+_SENSORS = {"cubic": "z = x³/20", "square": "z = x²/20"}
+
+
+def linearisations(grids: Mapping[str, Mapping[str, Grid]]) -> Figure:
+    """RMSE of the growth model by number of linearisations."""
+    figure, axes = plt.subplots(
+        2, 2, figsize=(10, 7.5), sharex=True, sharey="row", layout="constrained"
+    )
+    for row, (sensor, by_lineariser) in zip(axes, grids.items(), strict=True):
+        for ax, kind in zip(row, KINDS, strict=True):
+            for name, grid in by_lineariser.items():
+                _by_linearisations(ax, grid[kind], _STYLES[name], name)
+                _published(ax, sensor, kind, name)
+            ax.set(xscale="log", yscale="log", title=f"{_SENSORS[sensor]}, {kind}")
+            counts = sorted({k for each in grid[kind].values() for k in each})
+            ax.set_xticks(counts, [str(k) for k in counts])
+            ax.xaxis.minorticks_off()
+            low, high = ax.get_ylim()
+            ticks = [t for t in (0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0) if low <= t <= high]
+            ax.set_yticks(ticks, [f"{t:g}" for t in ticks])
+            ax.yaxis.minorticks_off()
+        row[0].set_ylabel("RMSE")
+    for ax in axes[-1]:
+        ax.set_xlabel("linearisations")
+    handles, labels = axes[0, 1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize="small")
+    plt.close(figure)
+    return figure
+
+
+def residuals(panels: Mapping[str, Mapping[str, Outcome]]) -> Figure:
+    """How far each relinearisation still moved the means: the median run, and the worst tenth."""
+    figure, axes = plt.subplots(
+        1, len(panels), figsize=(3.5 * len(panels), 3.8), sharey=True, layout="constrained"
+    )
+    for ax, (title, outcomes) in zip(axes, panels.items(), strict=True):
+        for control, outcome in outcomes.items():
+            # Zero, a step that was refused to the last digit, has no place on a log axis.
+            moved = np.maximum(outcome.residuals, 1e-16)
+            at = np.arange(2, len(moved) + 2)
+            low, middle, high = np.quantile(moved, (0.1, 0.5, 0.9), axis=1)
+            ax.semilogy(at, middle, color=COLOURS[control], label=TITLES[control])
+            ax.fill_between(at, low, high, color=COLOURS[control], alpha=0.15, linewidth=0)
+        ax.set(title=title, xlabel="linearisation")
+        ax.xaxis.get_major_locator().set_params(integer=True)
+    axes[0].set_ylabel("largest move of a mean [standard deviations]")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small")
+    plt.close(figure)
+    return figure
+
+
+def over_time(grids: Mapping[str, Grid], growing: Mapping[str, Array], iterations: int) -> Figure:
+    """RMSE of the position at each step of the chain."""
+    figure, axes = plt.subplots(
+        1, len(grids), figsize=(5.6 * len(grids), 4.3), sharey=True, layout="constrained"
+    )
+    steps = np.arange(1, chain.STEPS + 1)
+    for ax, (name, grid) in zip(np.atleast_1d(axes), grids.items(), strict=True):
+        filters, smoothers = grid["filter"], grid["smoother"]
+        ax.plot(steps, filters["plain"][1].by_step, color=INK, label="filter, linearised once")
+        for control, each in filters.items():
+            ax.plot(
+                steps,
+                each[iterations].by_step,
+                color=COLOURS[control],
+                label=f"filter, {iterations} linearisations, {TITLES[control]}",
+            )
+        ax.plot(
+            steps,
+            np.sqrt((growing[name] ** 2).mean(axis=0)),
+            color=INK,
+            linestyle=":",
+            label="the same readings, all steps relinearised",
+        )
+        ax.plot(
+            steps,
+            smoothers["plain"][iterations].by_step,
+            color=MUTED,
+            linestyle="--",
+            label=f"smoother, {iterations} linearisations, plain",
+        )
+        ax.set(title=name, xlabel="step of one second")
+    highest = max(line.get_ydata().max() for ax in np.atleast_1d(axes) for line in ax.lines)
+    np.atleast_1d(axes)[0].set(ylabel="RMSE of the position [m]", ylim=(0.0, 1.05 * highest))
+    handles, labels = np.atleast_1d(axes)[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize="small")
+    plt.close(figure)
+    return figure
+
+
+def distributions(grids: Mapping[str, Grid], iterations: int) -> Figure:
+    """The shares of runs by their RMSE, a row of panels for each lineariser."""
+    figure, axes = plt.subplots(
+        len(grids),
+        2,
+        figsize=(10, 3.6 * len(grids)),
+        sharex=True,
+        sharey=True,
+        layout="constrained",
+        squeeze=False,
+    )
+    for row, (name, grid) in zip(axes, grids.items(), strict=True):
+        for ax, kind in zip(row, KINDS, strict=True):
+            _share(ax, grid[kind]["plain"][1], INK, "linearised once")
+            for control, each in grid[kind].items():
+                label = f"{iterations} linearisations, {TITLES[control]}"
+                _share(ax, each[iterations], COLOURS[control], label)
+            ax.set(title=f"{name}, {kind}", xscale="log")
+            ticks = (0.1, 0.2, 0.5, 1.0, 2.0)
+            ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
+            ax.xaxis.minorticks_off()
+        row[0].set_ylabel("share of runs")
+    for ax in axes[-1]:
+        ax.set_xlabel("RMSE of a run's positions [m]")
+    axes[0, 0].legend(fontsize="small", loc="upper left")
+    plt.close(figure)
+    return figure
+
+
+def failure(case: Case, outcomes: Mapping[str, Outcome], run: int) -> Figure:
+    """One drive: the beliefs of some methods, each in its own panel."""
+    figure, axes = plt.subplots(
+        1,
+        len(outcomes),
+        figsize=(3.5 * len(outcomes), 4.6),
+        sharex=True,
+        sharey=True,
+        layout="constrained",
+    )
+    for ax, (title, outcome) in zip(axes, outcomes.items(), strict=True):
+        pgm.plot.trajectory(
+            outcome.belief.run(run),
+            truth=case.truth[run],
+            landmarks=chain.LANDMARK[None],
+            label="estimate",
+            ax=ax,
+        )
+        ax.set_title(f"{title}\nRMSE {outcome.by_run[run]:.2f} m", fontsize="medium")
+        ax.set(xlabel="east [m]", ylabel="north [m]" if ax is axes[0] else "")
+        if ax is not axes[0] and (legend := ax.get_legend()):
+            legend.remove()
+    plt.close(figure)
+    return figure
+
+
+def _by_linearisations(
+    ax: Axes, controls: Mapping[str, Mapping[int, Outcome]], style: str, name: str
+) -> None:
+    for control, each in controls.items():
+        ax.errorbar(
+            list(each),
+            [outcome.score.rmse for outcome in each.values()],
+            yerr=[outcome.score.rmse_se for outcome in each.values()],
+            color=COLOURS[control],
+            linestyle=style,
+            marker="o",
+            markersize=3,
+            linewidth=1.3,
+            label=f"{name}, {TITLES[control]}",
+        )
+
+
+def _published(ax: Axes, sensor: str, kind: str, name: str) -> None:
+    numbers = [
+        number
+        for number in GROWTH[sensor].get(name, ())
+        if number.method[0] == kind and number.quantity == "rmse"
+    ]
+    if numbers:
+        ax.plot(
+            [number.method[1] for number in numbers],
+            [number.value for number in numbers],
+            color="black",
+            linestyle="",
+            marker="x" if name == "Unscented" else "+",
+            markersize=9,
+            zorder=5,
+            label=f"{name}, published",
+        )
+
+
+def _share(ax: Axes, outcome: Outcome, colour: str, label: str) -> None:
+    found = np.sort(outcome.by_run)
+    ax.step(
+        found, np.arange(1, len(found) + 1) / len(found), where="post", color=colour, label=label
+    )
