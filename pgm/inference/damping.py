@@ -23,8 +23,11 @@ class LevenbergMarquardt:
     posterior's means are those of the last point accepted, its covariances those of the last
     linearisation, without the added reading.
 
-    With sigma points F is only nearly the derivative of E[f(X)], so that close to a fixed point no
-    step may lower the cost: the means then stay, a small residual short of it.
+    It suits `Taylor`, and rules as exact as `GaussHermite`. With few points F is only nearly the
+    derivative of E[f(X)], so that close to a fixed point no step may lower the cost: the means then
+    stay, a residual of some hundredths of a deviation short of it, and `status` says not converged;
+    a number as damping gets there. The first solution of a smoother is not controlled: it is the
+    filter's linearisation.
 
     Parameters
     ----------

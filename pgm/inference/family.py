@@ -166,10 +166,14 @@ class Family:
             value = self.value(slice(None), parents)
             self.offset += nearest_branch(value, child, angles) - value
 
-    def call(self, function: BoundFunction, mean: Array, cov: Array) -> AffineGaussian:
+    def call(
+        self, function: BoundFunction, mean: Array, cov: Array, *, finite: bool = True
+    ) -> AffineGaussian:
         """What the lineariser makes of the function at a belief, checked."""
         try:
-            with np.errstate(invalid="ignore", over="ignore"):  # non-finite values: see below
+            with np.errstate(
+                invalid="ignore", over="ignore", divide="ignore"
+            ):  # non-finite values: see below
                 if self.hidden:
                     affine = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
                 else:
@@ -205,7 +209,7 @@ class Family:
                 variable=self.cpd.child,
                 cpd=self.cpd,
             )
-        if not np.isfinite(affine.F.sum() + affine.b.sum() + affine.cov.sum()):
+        if finite and not np.isfinite(affine.F.sum() + affine.b.sum() + affine.cov.sum()):
             self._refuse_non_finite(function, mean, affine)
         return affine
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+import numpy as np
+
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 
@@ -50,6 +52,13 @@ class Status(Immutable):
             converged=converged,
             by_edge=MappingProxyType(dict(by_edge)),
         )
+
+    @classmethod
+    def of(cls, residuals: list[Array], converged: Mask, lead: tuple[int, ...]) -> Status:
+        """Of relinearisations, from (runs,) each, with the runs as the user's axes."""
+        count = len(residuals)
+        record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
+        return cls(count + 1, record, converged.reshape(lead))
 
     def __repr__(self) -> str:
         last = f", last residual {self.residuals[-1].max():.3g}" if len(self.residuals) else ""

@@ -123,6 +123,12 @@ def gain(cross: Array, lower: Array) -> Array:
     return transpose(solve(lower, transpose(cross)))
 
 
+def whiten(lower: Array, residual: Array) -> Array:
+    """L⁻¹ r, (..., n), zero in determined components."""
+    white = solve_lower(lower, residual[..., None])[..., 0]
+    return np.where(determined(lower), 0.0, white)
+
+
 def log_determinant(lower: Array) -> Array:
     """The value ln |L Lᵀ| over the components that are not determined, (...)."""
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)

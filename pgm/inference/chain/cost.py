@@ -9,7 +9,9 @@ import numpy as np
 from pgm.errors import ModelError, NumericalError
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.plan import ChainPlan, Sensor
+from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.family import Family
+from pgm.inference.schedule import Filtering, Smoothing
 from pgm.kernels import roots
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, apply, block, inner
@@ -62,6 +64,10 @@ def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
         for k, row in enumerate(range(own.start, own.stop)):
             place = slice(k * height, (k + 1) * height)
             noise[:, place, place] = sensor.family.noise[row]
+        if sensor.taken is not None:
+            seen = np.broadcast_to(sensor.taken[own], (own.stop - own.start, runs))
+            read = np.repeat(seen.T, height, axis=-1)
+            noise = np.where(read[..., None] & read[..., None, :], noise, np.eye(size))
         total += weighted(sensor.family, stacked[None], noise[None])
     return total
 
@@ -76,14 +82,18 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
             variable=family.cpd.child,
             cpd=family.cpd,
         )
-    white = roots.solve_lower(lower, residual[..., None])[..., 0]
-    white = np.where(roots.determined(lower), 0.0, white)
+    white = roots.whiten(lower, residual)
     total: Array = inner(white, white).sum(axis=0)
     return total
 
 
-def require_cost(families: Iterable[Family]) -> None:
-    """Refuse nonlinear CPDs with singular noise: only their solutions have a finite cost."""
+def require_cost(schedule: Filtering | Smoothing, families: Iterable[Family]) -> None:
+    """Refuse nonlinear CPDs with singular noise where steps are controlled by their cost.
+
+    Only their solutions have a finite one.
+    """
+    if schedule.iterations == 1 or not isinstance(schedule.damping, LevenbergMarquardt):
+        return
     for family in families:
         if not family.exact and roots.determined(roots.root(family.own_noise)).any():
             raise ModelError(
@@ -101,9 +111,9 @@ def _square(family: Family, mean: Array, expected: Array) -> Array:
 
 
 def _expected(family: Family, rows: slice, mean: Array, cov: Array) -> Array:
-    """E[f(X)] for X ~ N(mean, cov), as the lineariser sees it."""
+    """E[f(X)] for X ~ N(mean, cov), as the lineariser sees it; NaN where f is not defined."""
     if family.exact:
         return family.value(rows, mean)
     function = family.bound(rows, mean.ndim - 1, mean.shape[:-1])
-    affine = family.call(function, mean, cov)
+    affine = family.call(function, mean, cov, finite=False)
     return apply(affine.F, mean) + affine.b

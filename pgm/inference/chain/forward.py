@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.errors import NumericalError
+from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.reading import take
@@ -67,8 +68,9 @@ def sweep(plan: ChainPlan, anchor: Anchor | None = None) -> Forward:
 
 def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     """Run the forward sweep, linearising each CPD at its incoming belief."""
+    require_cost(schedule, (sensor.family for sensor in plan.sensors))
     out = Forward.empty(plan)
-    record = np.zeros((0, plan.runs))
+    record: list[Array] = []
     converged = np.ones(plan.runs, dtype=bool)
     for step in _predictions(plan, out, linearise=True):
         taken = take(
@@ -77,8 +79,7 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
         out.mean[step], out.cov[step], out.log_density[step] = taken[:3]
         record = _largest(record, taken.residuals)
         converged &= taken.converged
-    shape = (len(record), *plan.lead)
-    return out, Status(len(record) + 1, record.reshape(shape), converged.reshape(plan.lead))
+    return out, Status.of(record, converged, plan.lead)
 
 
 def _predictions(plan: ChainPlan, out: Forward, *, linearise: bool) -> Iterator[int]:
@@ -97,16 +98,13 @@ def _predictions(plan: ChainPlan, out: Forward, *, linearise: bool) -> Iterator[
         yield step
 
 
-def _largest(record: Array, residuals: list[Array]) -> Array:
+def _largest(record: list[Array], residuals: list[Array]) -> list[Array]:
     """The largest residuals of all steps; a step that was done earlier keeps its last one."""
-    if not residuals:
-        return record
-    new = np.array(residuals)
-    if not len(record):
-        return new
-    length = max(len(record), len(new))
-    record, new = (np.pad(a, ((0, length - len(a)), (0, 0)), mode="edge") for a in (record, new))
-    return np.maximum(record, new)
+    if not record or not residuals:
+        return record or residuals
+    length = max(len(record), len(residuals))
+    ours, others = (each + each[-1:] * (length - len(each)) for each in (record, residuals))
+    return [np.maximum(a, b) for a, b in zip(ours, others, strict=True)]
 
 
 def put(cov: Array, places: Index, value: Array) -> None:

@@ -21,6 +21,9 @@ from pgm.variables import Variable
 class Innovations:
     """The innovations of one sensor, one row a sighting, in the order of the evidence.
 
+    Where readings were linearised several times they are those of the last linearisation,
+    z − (F x⁻ + b), at the predicted mean x⁻; not z − h(x⁻).
+
     Attributes
     ----------
     residual : ndarray

@@ -14,6 +14,8 @@ from pgm.kernels.arrays import Array, Index, Mask, block
 
 # A cost that rises by no more than this part is no worse: it is rounding.
 _NO_WORSE = 1e-13
+# A weight beyond which a held step is rounding.
+_HEAVIEST = 1e12
 
 
 class Point(NamedTuple):
@@ -97,6 +99,11 @@ class Solution(Protocol):
     """What solving a linearised model gives."""
 
     @property
+    def means(self) -> Array:
+        """Its means, (steps, runs, n)."""
+        ...
+
+    @property
     def point(self) -> Point:
         """Its moments."""
         ...
@@ -166,7 +173,7 @@ def iterate(
     """
     control = _Control(problem, schedule.damping, converged.size)
     residuals: list[Array] = []
-    mean = solution.point.mean
+    mean = solution.means
     if schedule.iterations > 1 and not converged.all():
         point = solution.point
         if first is not None:
@@ -180,7 +187,8 @@ def iterate(
         residual = moments.marginal_error(found.mean, point.mean, found.std)
         residuals.append(np.where(active, residual, residuals[-1]) if residuals else residual)
         converged = converged | (residual <= schedule.tolerance)
-        point = point.mixed(control.step(point, found, active), ~active)
+        after = control.step(point, found, active)
+        point = after if active.all() else point.mixed(after, ~active)
         mean = np.where(active[:, None], control.shown(found.mean, point, active), mean)
     return Iterated(solution, mean, residuals, converged)
 
@@ -218,12 +226,12 @@ class _Control:
             if settled.all():
                 break
             weight = np.where(settled, 0.0, self.weight)
-            tried = self.problem.solve(Anchor(point.mean, found.std, weight)).point.mean
+            tried = self.problem.solve(Anchor(point.mean, found.std, weight)).means
             lower = self.problem.cost(point._replace(mean=tried)) <= limit
             good = ~settled & lower
             mean = np.where(good[:, None], tried, mean)
             change = np.where(good, 1.0 / rule.factor, rule.factor)
             self.weight = np.where(settled, self.weight, self.weight * change)
             settled = settled | good
-        self.weight = np.maximum(self.weight, rule.start)
+        self.weight = np.clip(self.weight, rule.start, max(rule.start, _HEAVIEST))
         return np.where(settled[:, None], mean, point.mean)

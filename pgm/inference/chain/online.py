@@ -16,10 +16,12 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import positions
 from pgm.immutable import Immutable
 from pgm.inference.chain import forward
+from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reading import take
 from pgm.inference.posterior import require_variable
 from pgm.inference.schedule import ONCE, Filtering
+from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, block, frozen
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -35,6 +37,8 @@ class OnlineBelief:
     step : int
     log_evidence : ndarray
         (...): ln p of all readings so far.
+    status : Status
+        How the linearisations of the last update went.
     """
 
     step: int
@@ -43,6 +47,7 @@ class OnlineBelief:
     mean: Array
     cov: Array
     log_density: Array
+    status: Status
 
     def __post_init__(self) -> None:
         for name in ("mean", "cov", "log_density"):
@@ -127,7 +132,9 @@ class OnlineFilter(Immutable):
         mean, cov = forward.start(plan, linearise=True)
         slice_mean[:, states] = mean
         forward.put(slice_cov, states, cov)
-        return OnlineBelief(0, layout, lead, slice_mean, slice_cov, np.zeros(plan.runs))
+        return OnlineBelief(
+            0, layout, lead, slice_mean, slice_cov, np.zeros(plan.runs), _nothing_to_iterate(lead)
+        )
 
     def predict(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None = None
@@ -163,7 +170,10 @@ class OnlineFilter(Immutable):
         mean, cov = forward.predict(
             plan, 0, mean[:, states], block(cov, states, states), linearise=True
         )
-        return OnlineBelief(belief.step + 1, plan.layout, bound.lead, mean, cov, log_density)
+        status = _nothing_to_iterate(bound.lead)
+        return OnlineBelief(
+            belief.step + 1, plan.layout, bound.lead, mean, cov, log_density, status
+        )
 
     def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
         """The belief given readings of its step; a further update goes on from the first.
@@ -198,9 +208,13 @@ class OnlineFilter(Immutable):
         )
         plan = self._plan(bound, belief.step)
         mean, cov, log_density = _wide(belief, bound)
+        require_cost(self.schedule, (sensor.family for sensor in plan.sensors))
         taken = take(plan.sensors, 0, mean, cov, self.schedule)
         total = log_density + taken.log_density
-        return OnlineBelief(belief.step, plan.layout, bound.lead, taken.mean, taken.cov, total)
+        status = Status.of(taken.residuals, taken.converged, bound.lead)
+        return OnlineBelief(
+            belief.step, plan.layout, bound.lead, taken.mean, taken.cov, total, status
+        )
 
     def _check(self, belief: OnlineBelief) -> None:
         if not isinstance(belief, OnlineBelief) or belief.layout.model is not self.model:
@@ -225,6 +239,10 @@ class OnlineFilter(Immutable):
         return ChainPlan.make(
             self._graph, bound, self.lineariser, first=step, prior=prior, probe=False
         )
+
+
+def _nothing_to_iterate(lead: tuple[int, ...]) -> Status:
+    return Status(1, np.empty((0, *lead)), np.ones(lead, dtype=bool))
 
 
 def _constant(value: Any) -> Constant:

@@ -14,7 +14,7 @@ from pgm.inference.chain.update import Due, linearise_sensor, sensors_due, updat
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Mask, inner
 
 
 class Taken(NamedTuple):
@@ -48,14 +48,15 @@ def take(sensors: list[Sensor], step: int, mean: Array, cov: Array, schedule: Fi
     nothing = np.full(mean.shape[0], all(sensor.family.exact for sensor, _ in due))
     if schedule.iterations == 1 or nothing.all():
         return Taken(*once, [], nothing)
-    if isinstance(schedule.damping, LevenbergMarquardt):
-        cost.require_cost(sensor.family for sensor, _ in due)
+    # The predicted belief need not agree with an exact reading, which all later points obey.
+    controlled = isinstance(schedule.damping, LevenbergMarquardt)
+    exact = controlled and any(sensor.exact for sensor, _ in due)
     result = iterate(
         _Reading(due, step, mean, cov),
         _Updated(*once),
         schedule,
         nothing,
-        Point(mean[None], cov[None]),
+        None if exact else Point(mean[None], cov[None]),
     )
     last = result.solution
     return Taken(result.mean[0], last.cov, last.log_density, result.residuals, result.converged)
@@ -67,6 +68,10 @@ class _Updated(NamedTuple):
     mean: Array
     cov: Array
     log_density: Array
+
+    @property
+    def means(self) -> Array:
+        return self.mean[None]
 
     @property
     def point(self) -> Point:
@@ -93,9 +98,8 @@ class _Reading:
         return _Updated(mean, cov, log_density)
 
     def cost(self, at: Point) -> Array:
-        move = at.mean[0] - self.mean
-        white = roots.solve_lower(lower := roots.root(self.cov), move[..., None])[..., 0]
-        total: Array = (np.where(roots.determined(lower), 0.0, white) ** 2).sum(axis=-1)
+        white = roots.whiten(roots.root(self.cov), at.mean[0] - self.mean)
+        total = inner(white, white)
         for sensor, rows in self.due:
             count = rows.stop - rows.start
             mean = np.broadcast_to(at.mean, (count, *at.mean.shape[1:]))

@@ -34,6 +34,11 @@ class Smoothed:
         reverse = Reverse.make(plan, ahead)
         return cls(ahead, reverse, backward.sweep(ahead, reverse))
 
+    @property
+    def means(self) -> Array:
+        """Of the slices."""
+        return self.beliefs.mean
+
     @cached_property
     def point(self) -> Point:
         """Moments of slices and of pairs."""
@@ -48,22 +53,23 @@ class Smoothed:
 
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Beliefs | None) -> tuple[Smoothed, Status]:
     """Run a smoothing schedule; `start` are means of the slices for the first linearisation."""
-    if isinstance(schedule.damping, LevenbergMarquardt) and schedule.iterations > 1:
-        cost.require_cost(plan.families)
+    cost.require_cost(schedule, plan.families)
     chain, first = _Chain(plan), None
     if start is None:
         solution = Smoothed.of(plan, forward.run(plan, ONCE)[0])
     else:
-        first = _start(plan, start)
-        chain.linearise(first, None)
+        at = _start(plan, start)
+        chain.linearise(at, None)
         solution = chain.solve()
-    result = iterate(chain, solution, schedule, np.full(plan.runs, plan.exact), first)
+        # A start need not obey exact CPDs, as what is solved for does: it has no cost.
+        first = None if isinstance(schedule.damping, LevenbergMarquardt) else at
+    if schedule.iterations == 1 or plan.exact:
+        return solution, Status.of([], np.full(plan.runs, plan.exact), plan.lead)
+    result = iterate(chain, solution, schedule, np.zeros(plan.runs, dtype=bool), first)
     smoothed = result.solution
     if not np.array_equal(result.mean, smoothed.beliefs.mean):
         smoothed = smoothed.at(plan, result.mean)
-    residuals = np.array(result.residuals).reshape(len(result.residuals), *plan.lead)
-    status = Status(len(residuals) + 1, residuals, result.converged.reshape(plan.lead))
-    return smoothed, status
+    return smoothed, Status.of(result.residuals, result.converged, plan.lead)
 
 
 @dataclass(frozen=True, eq=False)

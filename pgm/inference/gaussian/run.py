@@ -78,11 +78,7 @@ def _calibrate(plan: TreePlan, buffer: Buffer, schedule: Calibration) -> tuple[C
         done = calibrate(plan, buffer)
         residuals.append(_move(before, done.beliefs))
         converged = converged | (residuals[-1] <= schedule.tolerance)
-    return done, Status(
-        len(residuals) + 1,
-        np.array(residuals).reshape(len(residuals), *model.lead),
-        converged.reshape(model.lead),
-    )
+    return done, Status.of(residuals, converged, model.lead)
 
 
 def _move(before: Array, beliefs: Beliefs) -> Array:
