@@ -6,7 +6,7 @@ import matplotlib as mpl
 import typer
 
 from experiments.catalogue import EXPERIMENTS, summary_line
-from experiments.record import note
+from experiments.record import FolderError, note
 from experiments.report import report
 from pgm import PgmError
 
@@ -18,8 +18,9 @@ def listing(context: typer.Context) -> None:
     """Experiments with filters, smoothers and linearisers."""
     mpl.use("Agg")
     if context.invoked_subcommand is None:
+        width = max(map(len, EXPERIMENTS))
         for name, experiment in EXPERIMENTS.items():
-            note(f"{name:<19} {summary_line(experiment)}")
+            note(f"{name:<{width}}  {summary_line(experiment)}")
 
 
 for _name, _experiment in EXPERIMENTS.items():
@@ -28,10 +29,10 @@ app.command("report")(report)
 
 
 def main() -> None:
-    """Run the command line; an error of pgm's is told in a line."""
+    """Run the command line; a refusal, pgm's or of the folder, is told in a line."""
     try:
         app()
-    except PgmError as error:
+    except (PgmError, FolderError) as error:
         note(f"{type(error).__name__}: {error}", style="red")
         raise SystemExit(1) from error
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import platform
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Annotated, Any, TypeVar
 
 import typer
@@ -22,6 +24,12 @@ Seed = Annotated[int, typer.Option(min=0, help="Seed of everything that is drawn
 Item = TypeVar("Item")
 
 _console = Console()
+# A table as wide as a terminal would lose what does not fit.
+_wide = Console(width=sys.maxsize)
+
+
+class FolderError(OSError):
+    """A folder for results cannot be made, or nothing can be written there."""
 
 
 class Record:
@@ -35,13 +43,17 @@ class Record:
         The folder; ``results/NAME`` without.
     settings : Any
         Everything that the run depends on, the seed among it.
+
+    Raises
+    ------
+    FolderError
+        If nothing can be written into the folder.
     """
 
     def __init__(self, name: str, out: Path | None, **settings: Any) -> None:
         self.name = name
-        self.folder = out or Path("results") / name
+        self.folder = folder(out or Path("results") / name)
         self.settings = settings
-        self.folder.mkdir(parents=True, exist_ok=True)
         self._page: list[dict[str, Any]] = []
 
     def figure(self, figure: Figure, name: str, caption: str = "") -> None:
@@ -80,6 +92,25 @@ class Record:
         return path
 
 
+def folder(path: Path) -> Path:
+    """Make a folder for results, and see that files can be written there.
+
+    Raises
+    ------
+    FolderError
+        If not.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=path):
+            return path
+    except OSError as error:
+        raise FolderError(
+            f"results cannot be written into {path} ({error.strerror}); "
+            "name another folder with --out"
+        ) from error
+
+
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that results depend on."""
     packages = ("sepset", "numpy", "scipy", "networkx", "matplotlib")
@@ -93,7 +124,7 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) 
         shown.add_column(escape(column), justify="left" if k == 0 else "right", no_wrap=True)
     for row in rows:
         shown.add_row(*(escape(_shown(value)) for value in row))
-    _console.print(shown)
+    _wide.print(shown)
 
 
 def note(text: str, style: str = "") -> None:

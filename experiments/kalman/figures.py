@@ -25,13 +25,16 @@ def drive(problem: Problem, solved: Solved) -> Figure:
         _beliefs(ax, belief, slice(0, 1), "black", "initial belief")
     _beliefs(ax, belief, slice(start, None), problem.colour, f"{problem.title} filter")
     _finish(ax, solved.truth[0])
+    ax.set_aspect("equal", adjustable="datalim")
     plt.close(figure)
     return figure
 
 
 def smoothers(problems: dict[str, Problem], solved: dict[str, Solved]) -> Figure:
     """The same drives once messages have been sent back as well."""
-    figure, axes = plt.subplots(1, len(problems), figsize=(14.0, 4.2), layout="constrained")
+    figure, axes = plt.subplots(
+        1, len(problems), sharex=True, sharey=True, figsize=(14.0, 3.6), layout="compressed"
+    )
     for ax, (name, problem) in zip(axes, problems.items(), strict=True):
         ours = solved[name]
         for posterior, colour, label in (
@@ -41,8 +44,8 @@ def smoothers(problems: dict[str, Problem], solved: dict[str, Solved]) -> Figure
             _beliefs(ax, posterior[problem.state].run(0), slice(None), colour, label)
         _finish(ax, ours.truth[0])
         ax.set_title(f"{problem.title} smoother")
-        if ax is not axes[0]:
-            ax.set_ylabel("")
+        ax.set_aspect("equal")
+        ax.label_outer()
     plt.close(figure)
     return figure
 
@@ -56,5 +59,4 @@ def _beliefs(ax: Axes, belief: pgm.Gaussian, steps: slice, colour: str, label: s
 def _finish(ax: Axes, truth: Array) -> None:
     ax.plot(*truth[:, :2].T, "x", color="black", markersize=8, label="true position", zorder=4.0)
     ax.set(xlabel="east [m]", ylabel="north [m]")
-    ax.set_aspect("equal", adjustable="datalim")
     ax.legend(loc="upper left", fontsize="small")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 import pgm
-from experiments.linearisers.settings import Setting, simulate
+from experiments.linearisers.settings import Setting, simulate, unwrapped
 from models.networks import pose
 from pgm.networks.dynamic_sampling import Sample
 
@@ -21,11 +22,17 @@ REPORT = {"MC100": 0.0057, "MC10": 0.0744, "Taylor": 0.0758, "Unscented": 0.0769
 # Sample sizes of the trend over N, and how many points its simulations draw in all.
 SIZES = (10, 30, 100, 300, 1000, 3000)
 POINTS = 1_000_000
+FALLING = 30  # samples from which the trend falls as 1 / N
 
 
 def monte_carlo(samples: int, seed: int) -> pgm.MonteCarlo:
     """The report's rule: the prior's own moments, and points drawn anew in each simulation."""
     return pgm.MonteCarlo(samples, seed, prior_moments=True, fresh_per_run=True)
+
+
+def very_many(samples: int, seed: int) -> pgm.Lineariser:
+    """The rule of the truth: samples of a belief that all simulations hold."""
+    return _Shared(pgm.MonteCarlo(samples, seed, prior_moments=True))
 
 
 def rules(seed: int) -> dict[str, pgm.Lineariser]:
@@ -54,6 +61,8 @@ class Outcome:
         What the filter found.
     divergence : ndarray
         KL(truth ‖ belief) at step 1, (runs,), in nats.
+    unwrapped : float
+        The average divergence, were the difference of headings not wrapped.
     indefinite : float
         The share of simulations in which the noise of the linearised motion is indefinite.
     seconds : float
@@ -62,6 +71,7 @@ class Outcome:
 
     posterior: pgm.ChainPosterior
     divergence: Array
+    unwrapped: float
     indefinite: float
     seconds: float
 
@@ -105,8 +115,7 @@ class Trial:
         """Simulate, and find the best posteriors."""
         simulations, truth, *_ = seeds(seed, 4)
         network, sample = simulate(setting, runs, simulations)
-        rule = _Shared(pgm.MonteCarlo(truth_samples, truth, prior_moments=True))
-        best = pgm.filter(network, sample.evidence, lineariser=rule)
+        best = pgm.filter(network, sample.evidence, lineariser=very_many(truth_samples, truth))
         return cls(setting, network, sample, best)
 
     def filter(self, lineariser: pgm.Lineariser, runs: int | None = None) -> Outcome:
@@ -118,10 +127,13 @@ class Trial:
         posterior = pgm.filter(self.network, evidence, lineariser=kept)
         seconds = perf_counter() - start
         best = self.best[pose.at(1)]
+        found = posterior[pose.at(1)]
         truth = pgm.Gaussian(best.scope, best.mean[:runs], best.cov[:runs])
+        line = pgm.Gaussian(unwrapped, truth.mean, truth.cov)
+        plain = float(line.kl(pgm.Gaussian(unwrapped, found.mean, found.cov)).mean())
         least = np.linalg.eigvalsh(kept.affine.cov + self.setting.motion_cov)[..., 0]
         indefinite = float((least < 0.0).mean())
-        return Outcome(posterior, truth.kl(posterior[pose.at(1)]), indefinite, seconds)
+        return Outcome(posterior, truth.kl(found), plain, indefinite, seconds)
 
 
 def by_samples(trial: Trial, seed: int) -> dict[str, dict[str, float]]:
@@ -141,6 +153,17 @@ def by_samples(trial: Trial, seed: int) -> dict[str, dict[str, float]]:
             "times_samples": n * outcome.mean,
         }
     return table
+
+
+def constant(by_samples: Mapping[str, Mapping[str, float]]) -> float:
+    """The c of c / N through the averages where they fall so, in the mean of the logarithms."""
+    falling = [each["times_samples"] for n, each in by_samples.items() if int(n) >= FALLING]
+    return float(np.exp(np.mean(np.log(falling))))
+
+
+def second_truth(trial: Trial, truth_samples: int, seed: int) -> float:
+    """The average divergence of the truth from another one, of as many other samples."""
+    return trial.filter(very_many(truth_samples, seeds(seed, 5 + len(SIZES))[-1])).mean
 
 
 class _Shared:

@@ -3,11 +3,14 @@
 summary.json has, by setting (R1, R2) and technique (MC100, MC10, Taylor, Unscented):
 
 - ``table_8_1``, ``table_8_1_se``, ``table_8_1_median``: KL(truth ‖ belief) in nats, its average
-  over the simulations, the standard error of that, and the median;
+  over the simulations, the standard error of that, and the median; ``table_8_1_unwrapped``: the
+  average, were the difference of headings not wrapped;
 - ``indefinite_noise``: the share of simulations in which Σ_n plus the motion's noise is indefinite.
 
-``contrast`` has the same numbers in the mild setting. ``error_by_samples``: the average divergence
-of Monte Carlo at R1 by number of samples. ``table_8_2.by_technique`` and ``table_8_2.by_samples``:
+``contrast`` has the same numbers in the mild setting. ``second_truth``: the average divergence of
+the truth from one of as many other samples, by setting. ``error_by_samples``: the average
+divergence of Monte Carlo at R1 by number of samples; ``error_constant``: the c of its c / N.
+``table_8_2.by_technique`` and ``table_8_2.by_samples``:
 seconds of one filter step of one robot; ``table_8_2_linearisation``: those of the linearisation
 in it; ``table_8_2_batch``: seconds a robot where all simulations are filtered at once; ``trend``:
 the lines a + b N.
@@ -55,13 +58,20 @@ def run(
     for name in progress(list(SETTINGS), "linearisers"):
         trials[name] = Trial.draw(SETTINGS[name], simulations, truth_samples, seed)
         outcomes[name] = {k: trials[name].filter(rule) for k, rule in accuracy.rules(seed).items()}
+    again = {
+        name: accuracy.second_truth(trial, truth_samples, seed) for name, trial in trials.items()
+    }
     errors = accuracy.by_samples(trials["R1"], seed)
     costs = timing.measure(SETTINGS["mild"], timing.techniques(seed), seed, rounds)
     lines = timing.lines(costs)
     batch = {name: each.seconds / simulations for name, each in outcomes["R1"].items()}
-    pages.accuracy_page(record, outcomes)
-    record.figure(figures.beliefs(trials["R1"], outcomes["R1"], 0), "figure_8_1", pages.BELIEFS)
-    record.figure(figures.error(errors), "error", pages.ERROR)
+    pages.accuracy_page(record, outcomes, again["mild"], truth_samples)
+    record.figure(
+        figures.beliefs(trials["R1"], outcomes["R1"], 0),
+        "figure_8_1",
+        pages.beliefs(outcomes["R1"], 0),
+    )
+    record.figure(figures.error(errors), "error", pages.error(errors))
     pages.cost_page(record, costs, batch)
     record.figure(figures.cost(costs, lines), "cost", pages.COST)
     by_setting = {
@@ -71,9 +81,12 @@ def run(
         table_8_1=by_setting["mean"],
         table_8_1_se=by_setting["standard_error"],
         table_8_1_median=by_setting["median"],
+        table_8_1_unwrapped=by_setting["unwrapped"],
         indefinite_noise=by_setting["indefinite"],
+        second_truth=again,
         contrast={what: _each(outcomes["mild"], what) for what in _MEASURES},
         error_by_samples=errors,
+        error_constant=accuracy.constant(errors),
         table_8_2=timing.seconds(costs, "step"),
         table_8_2_linearisation=timing.seconds(costs, "linearisation"),
         table_8_2_batch=batch,
@@ -81,7 +94,7 @@ def run(
     )
 
 
-_MEASURES = ("mean", "standard_error", "median", "indefinite")
+_MEASURES = ("mean", "standard_error", "median", "unwrapped", "indefinite")
 
 
 def _each(outcomes: Mapping[str, Outcome], what: str) -> dict[str, float]:

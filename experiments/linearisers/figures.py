@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 import pgm
 import pgm.plot
-from experiments.linearisers import timing
+from experiments.linearisers import accuracy, timing
 from experiments.linearisers.accuracy import Outcome, Trial
 from experiments.linearisers.timing import Cost, Line
 from models.networks import pose, velocity
@@ -141,7 +141,7 @@ def cost(costs: Mapping[str, Cost], lines: Mapping[str, Line]) -> Figure:
 
 
 def error(by_samples: Mapping[str, Mapping[str, float]]) -> Figure:
-    """Mean divergence over the number of samples, with a line that falls as 1 / N."""
+    """Mean divergence over the number of samples, and the line c / N."""
     figure, ax = plt.subplots(figsize=(7, 4.5), layout="constrained")
     samples = np.array([float(n) for n in by_samples])
     means, errors = (
@@ -157,7 +157,8 @@ def error(by_samples: Mapping[str, Mapping[str, float]]) -> Figure:
         capsize=3,
         label="Monte Carlo, ± 2 standard errors",
     )
-    ax.plot(samples, 0.58 / samples, color="black", linewidth=1.0, label="0.58 / N")
+    c = accuracy.constant(by_samples)
+    ax.plot(samples, c / samples, color="black", linewidth=1.0, label=f"{c:.2f} / N")
     ax.set(xscale="log", yscale="log", xlabel="samples N", ylabel="mean KL(truth ‖ belief) [nats]")
     ax.grid(which="major", alpha=0.3)
     ax.legend(fontsize="small")

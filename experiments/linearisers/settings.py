@@ -16,7 +16,7 @@ CONTROL = (1.0, 0.5)  # m/s, rad/s
 DT = 1.0  # s
 # A reading of the pose on the state's own unwrapped chart. As an angle, a heading half a turn from
 # the prediction would go to one branch in one belief and to the other in the next, and a few such
-# simulations would make half of the mean divergence.
+# simulations would raise the mean divergence.
 unwrapped = pgm.Variable("z", components=("east", "north", "heading"))
 
 

@@ -13,15 +13,19 @@ from experiments.nonlinear_measurement.study import EXACT, Study
 from experiments.record import Record
 
 Shown = Callable[[Score], str]
-_ALL = " / ".join(f"{s:g}" for s in HEADINGS)
 _WIDEST = str(HEADINGS[-1])
 
 
 def write(record: Record, found: Study, against: Against, runs: int) -> None:
     """Write all tables and notes."""
     for s in map(str, HEADINGS):
-        told = ", in brackets the reference's" if s in next(iter(against.values())) else ""
-        _kl_table(record, found, against, s, f"mean KL [nats] ± standard error, s = {s} rad{told}")
+        _table(record, found, f"mean KL [nats] ± standard error, s = {s} rad", _means(found, s))
+        if s in next(iter(against.values())):
+            title = (
+                f"the reference's mean KL [nats], s = {s} rad (ours less it, in standard errors "
+                "of both)"
+            )
+            _table(record, found, title, _references(found, against, s))
     z, where = reference.largest(against)
     record.note(
         f"The reference is an earlier, independent implementation, one seed of {reference.RUNS} "
@@ -30,7 +34,15 @@ def write(record: Record, found: Study, against: Against, runs: int) -> None:
         "the mean is far above the median a few simulations make it, and its standard error is "
         "itself uncertain."
     )
-    _table(record, found, f"median KL [nats], s = {_ALL} rad", _medians(found))
+    record.table(
+        "median KL [nats]",
+        ("rule", "s [rad]", *found.scores),
+        [
+            (rule, s, *(cases[s][rule].kl_median for cases in found.scores.values()))
+            for s in map(str, HEADINGS)
+            for rule in found.rules
+        ],
+    )
     for title, shown in (
         ("NEES, 3 is right", lambda each: f"{each.nees:.2f} ± {each.nees_se:.2g}"),
         ("RMSE of position [m] / heading [rad]", _rmse),
@@ -46,9 +58,13 @@ def write(record: Record, found: Study, against: Against, runs: int) -> None:
     )
     record.table(
         "IteratedCubature: simulations at rest, whose last linearisation moved no mean by more "
-        f"than {SETTLED:g} deviations / their mean KL / that of the others",
-        ("s [rad]", *found.settled),
-        [(s, *(_rest(cases[s]) for cases in found.settled.values())) for s in map(str, HEADINGS)],
+        f"than {SETTLED:g} deviations, their mean KL [nats], and that of the others",
+        ("sensor", "s [rad]", "at rest", "KL at rest", "KL of the others"),
+        [
+            (sensor, s, *_rest(each))
+            for sensor, cases in found.settled.items()
+            for s, each in cases.items()
+        ],
     )
     truths = [each for cases in found.truth.values() for each in cases.values()]
     record.note(
@@ -59,27 +75,27 @@ def write(record: Record, found: Study, against: Against, runs: int) -> None:
     )
 
 
-def _kl_table(record: Record, found: Study, against: Against, s: str, title: str) -> None:
-    def cell(sensor: str, rule: str) -> str:
-        score, due = found.scores[sensor][s][rule], against[sensor].get(s, {}).get(rule)
-        told = f" ({due['reference']:g})" if due else ""
-        return f"{score.kl:.3g} ± {score.kl_se:.1g}{told}"
+def _means(found: Study, s: str) -> dict[str, list[str]]:
+    """The standard errors in per cent: as numbers of their own they are too wide for a page."""
+    scores = {rule: [cases[s][rule] for cases in found.scores.values()] for rule in found.rules}
+    return {
+        rule: [f"{each.kl:.3g} ±{each.kl_se / each.kl:.0%}" for each in cases]
+        for rule, cases in scores.items()
+    }
 
-    _table(record, found, title, {r: [cell(n, r) for n in found.scores] for r in found.rules})
+
+def _references(found: Study, against: Against, s: str) -> dict[str, list[str]]:
+    return {
+        rule: [
+            f"{due['reference']:g} ({due['z']:+z.1f})"
+            for due in (against[sensor][s][rule] for sensor in found.scores)
+        ]
+        for rule in found.rules
+    }
 
 
 def _table(record: Record, found: Study, title: str, rows: dict[str, list[str]]) -> None:
     record.table(title, ("rule", *found.scores), [(rule, *cells) for rule, cells in rows.items()])
-
-
-def _medians(found: Study) -> dict[str, list[str]]:
-    return {
-        rule: [
-            " / ".join(f"{cases[str(s)][rule].kl_median:.2g}" for s in HEADINGS)
-            for cases in found.scores.values()
-        ]
-        for rule in found.rules
-    }
 
 
 def _at_widest(found: Study, shown: Shown) -> dict[str, list[str]]:
@@ -93,9 +109,9 @@ def _rmse(each: Score) -> str:
     return f"{each.rmse:.3f} / {each.rmse_heading:.3f}"
 
 
-def _rest(each: dict[str, float]) -> str:
-    others = f"{each['kl_others']:.2g}" if each["share"] < 1.0 else "–"
-    return f"{each['share']:.1%} / {each['kl']:.2g} / {others}"
+def _rest(each: dict[str, float]) -> tuple[str, float, float | str]:
+    others = each["kl_others"] if each["share"] < 1.0 else "–"
+    return f"{each['share']:.1%}", each["kl"], others
 
 
 def _cost(found: Study, sensor: str, rule: str) -> str:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from experiments.catalogue import EXPERIMENTS
-from experiments.record import Seed, note, versions
+from experiments.record import Seed, folder, note, versions
 from experiments.report.page import page, state
 from experiments.report.running import Outcome, run_all
 
@@ -54,8 +54,14 @@ def make_report(
         Of those that draw.
     quick : bool
         Whether to use the quick settings.
+
+    Raises
+    ------
+    FolderError
+        If nothing can be written into the folder.
     """
     begin = time.perf_counter()
+    path = folder(out) / "index.html"
     outcomes: list[Outcome] = []
     for outcome in run_all(experiments, out, seed=seed, quick=quick):
         outcomes.append(outcome)
@@ -64,8 +70,6 @@ def make_report(
         note(f"{outcome.name}: {outcome.seconds:.1f} s {state(outcome)}", style="bold")
     size = "quick settings" if quick else "full size"
     made = f"{datetime.now():%d %B %Y, %H:%M} · {size} · seed {seed} · {_took(begin)}"
-    path = out / "index.html"
-    out.mkdir(parents=True, exist_ok=True)
     path.write_text(page(outcomes, versions(), made, quick), encoding="utf-8")
     note(str(path))
     return outcomes

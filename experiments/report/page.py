@@ -71,8 +71,7 @@ def _section(outcome: Outcome) -> str:
     lines = [
         f'<section id="{escape(outcome.name)}">',
         f"<h2>{escape(outcome.title)}</h2>",
-        f"<p class=meta><code>python -m experiments {escape(outcome.name)}</code> · "
-        f"{outcome.seconds:.1f} s</p>",
+        f"<p class=meta><code>{escape(outcome.command)}</code> · {outcome.seconds:.1f} s</p>",
     ]
     if outcome.error:
         last = outcome.error.strip().splitlines()[-1]
@@ -82,6 +81,7 @@ def _section(outcome: Outcome) -> str:
         lines.append(f"<p class=meta>{settings(outcome.summary['settings'])}</p>")
         lines += [part(entry, outcome.folder) for entry in outcome.summary["page"]]
     elif not outcome.error:
-        lines.append(f"<p class=bad>It wrote no results. It said: {escape(outcome.said)}</p>")
+        said = f"It wrote no results. It said: {escape(outcome.said.strip())}"
+        lines.append(f"<p class='bad note'>{said}</p>")
     lines.append("<p class=top><a href='#top'>to the top</a></p>\n</section>")
     return "\n".join(lines)

@@ -30,7 +30,7 @@ def part(entry: Mapping[str, Any], folder: Path) -> str:
     if "table" in entry:
         return table(entry["table"], entry["columns"], entry["rows"])
     if "note" in entry:
-        return f"<p>{escape(entry['note'])}</p>"
+        return f"<p class=note>{escape(entry['note'])}</p>"
     raise ValueError(f"a page has figures, tables and notes; found {sorted(entry)}")
 
 

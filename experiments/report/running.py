@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+import typer
 
 from experiments.catalogue import summary_line
 
@@ -29,6 +30,8 @@ class Outcome:
     ----------
     name, title : str
         Its name, and the first line of its docstring.
+    command : str
+        That makes the same results below ``results/``.
     folder : Path
         Where its results are.
     seconds : float
@@ -43,6 +46,7 @@ class Outcome:
 
     name: str
     title: str
+    command: str
     folder: Path
     seconds: float
     summary: Mapping[str, Any] | None
@@ -61,10 +65,10 @@ def run_all(
             settings["seed"] = seed
         if quick:
             settings |= experiment.QUICK
-        # An earlier run's would hide that this one wrote none.
-        (folder / SUMMARY).unlink(missing_ok=True)
         begin, said, error, summary = time.perf_counter(), _Tee(), "", None
         try:
+            # An earlier run's would hide that this one wrote none.
+            (folder / SUMMARY).unlink(missing_ok=True)
             with redirect_stdout(said):
                 experiment.run(**settings)
             summary = _summary(folder)
@@ -75,12 +79,26 @@ def run_all(
         yield Outcome(
             name,
             summary_line(experiment),
+            _command(name, experiment, settings),
             folder,
             time.perf_counter() - begin,
             summary,
             said.getvalue(),
             error,
         )
+
+
+def _command(name: str, experiment: Any, settings: Mapping[str, Any]) -> str:
+    """The settings that are not the defaults, as options."""
+    app = typer.Typer(add_completion=False)
+    app.command()(experiment.run)
+    words = ["python -m experiments", name]
+    for option in typer.main.get_command(app).params:
+        value = settings.get(str(option.name), option.default)
+        if option.name != "out" and value != option.default:
+            several = value if isinstance(value, list) else [value]
+            words += [f"{option.opts[0]} {each}" for each in several]
+    return " ".join(words)
 
 
 def _summary(folder: Path) -> Mapping[str, Any] | None:

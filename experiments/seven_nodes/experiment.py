@@ -1,6 +1,6 @@
 """The network of seven variables: its clusters, its messages, and every belief checked.
 
-Clusters are numbered from 1, as in the figures of reference 000, so that δ₂,₃ is the message from
+Clusters are numbered from 1, as in the figures of the 2018 report, so that δ₂,₃ is the message from
 cluster 2 to cluster 3. For each case of evidence, summary.json has under ``cases``:
 
 - ``messages``: ``"2,3": {scope, K, h, g}``, and mean, variance and log-weight where K > 0;
@@ -33,6 +33,11 @@ Evidence = Mapping[pgm.Variable, float]
 
 # Messages that have a table of their own.
 QUICK: dict[str, Any] = {}
+CAPTIONS = {
+    "network": "Figure 5.3: the network of seven variables.",
+    "boundaries": "Figure 5.4: the same with the boundaries of four clusters, dashed.",
+    "cluster_graph": "Figure 5.5: its cluster graph; clusters are ellipses, sepsets rectangles.",
+}
 SHOWN = {
     "2,3": "δ₂,₃(b), from {b, d, e} to {b, c, f}: exp(weight) N(b; mean, var.)",
     "3,4": "δ₃,₄(f), from {b, c, f} to {f, g}: exp(weight) N(f; mean, var.)",
@@ -61,7 +66,7 @@ def run(
     )
     record.note(f"largest difference of all: {worst:.2g}")
     for name, figure in figures(graph).items():
-        record.figure(figure, name)
+        record.figure(figure, name, CAPTIONS[name])
     record.summary(cases=cases, largest_difference=worst)
 
 

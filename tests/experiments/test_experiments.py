@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from experiments import localisation, plaza
-from experiments.__main__ import app
+from experiments.__main__ import app, main
 from experiments.catalogue import EXPERIMENTS, summary_line
 from experiments.plaza import log as plaza_log
 from experiments.plaza.experiment import localise
@@ -40,6 +40,25 @@ def test_the_list_has_a_line_for_each():
     assert [line.split()[0] for line in lines] == list(EXPERIMENTS)
     for line, experiment in zip(lines, EXPERIMENTS.values(), strict=True):
         assert line.endswith(summary_line(experiment))
+    starts = [
+        len(line) - len(summary_line(experiment))
+        for line, experiment in zip(lines, EXPERIMENTS.values(), strict=True)
+    ]
+    assert len(set(starts)) == 1
+
+
+@pytest.mark.parametrize("words", [("kalman",), ("report", "--quick")])
+def test_a_folder_that_cannot_be_is_told_in_a_line(words, tmp_path, monkeypatch, capsys):
+    taken = tmp_path / "taken"
+    taken.write_text("")
+    monkeypatch.setattr(sys, "argv", ["experiments", *words, "--out", str(taken)])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 1
+    told = capsys.readouterr()
+    assert told.err == ""
+    (line,) = told.out.splitlines()
+    assert line.startswith(f"FolderError: results cannot be written into {taken} (")
 
 
 @pytest.fixture(scope="module")

@@ -3,12 +3,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.collections import EllipseCollection
 
 from experiments import kalman
+from experiments.kalman import figures
 from experiments.kalman.comparison import differences, solve
 from experiments.kalman.experiment import largest
 from experiments.kalman.problems import problems
-from experiments.textbook import Belief
+from experiments.textbook import Belief, bayes_filter, rts_smoother
+from models.networks import fix
 
 NAMES = ("kalman", "extended", "unscented")
 
@@ -97,6 +100,76 @@ def test_figures_come_in_the_order_of_the_report(done):
         "smoothers.png",
     ]
     for entry, number in zip(figures, ("4.1", "4.2", "4.3"), strict=False):
-        assert entry["caption"].startswith(f"Figure {number}")
+        assert entry["caption"].startswith(f"Figure {number}: ")
     for entry in figures:
         assert (out / entry["figure"]).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.fixture(scope="module")
+def drives():
+    """The problems, their drives, and what the textbook filters and smooths of the first."""
+    models = problems()
+    solved = {name: solve(model, model.controls, 50, 0) for name, model in models.items()}
+    due = {}
+    for name, model in models.items():
+        readings = solved[name].evidence[fix][0]
+        steps = bayes_filter(model.one_step, model.initial, model.controls, readings)
+        due[name] = {
+            "filter": [model.initial, *(step.filtered for step in steps)],
+            "smoother": rts_smoother(model.initial, steps),
+        }
+    return models, solved, due
+
+
+def dots(ax):
+    """Where each kind of belief has its dots."""
+    return {line.get_label(): line.get_xydata() for line in ax.lines}
+
+
+def ellipses(ax):
+    """Centres and widths of all ellipses, in the order drawn."""
+    drawn = [found for found in ax.collections if isinstance(found, EllipseCollection)]
+    return (
+        np.concatenate([found.get_offsets() for found in drawn]),
+        np.concatenate([found.get_widths() for found in drawn]),
+    )
+
+
+def plane(beliefs):
+    """Positions, and the longer axes of their 95 % ellipses."""
+    largest = [np.linalg.eigvalsh(belief.cov[:2, :2])[-1] for belief in beliefs]
+    factor = -2.0 * np.log(0.05)
+    return np.array([b.mean[:2] for b in beliefs]), 2.0 * np.sqrt(factor * np.array(largest))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_drive_shows_what_was_filtered(drives, name):
+    models, solved, due = drives
+    (ax,) = figures.drive(models[name], solved[name]).axes
+    means, widths = plane(due[name]["filter"])
+    found = dots(ax)
+    np.testing.assert_array_equal(found.pop("true position"), solved[name].truth[0, :, :2])
+    np.testing.assert_allclose(np.concatenate(list(found.values())), means, atol=1e-9)
+    centres, drawn = ellipses(ax)
+    np.testing.assert_allclose(centres, means, atol=1e-9)
+    np.testing.assert_allclose(drawn, widths, atol=1e-9)
+
+
+def test_smoothers_are_shown_beside_their_filters(drives):
+    models, solved, due = drives
+    for ax, name in zip(figures.smoothers(models, solved).axes, NAMES, strict=True):
+        found = dots(ax)
+        both = [plane(due[name][kind]) for kind in ("filter", "smoother")]
+        for kind, (means, _) in zip(("filter", "smoother"), both, strict=True):
+            np.testing.assert_allclose(found[kind], means, atol=1e-9)
+        centres, drawn = ellipses(ax)
+        np.testing.assert_allclose(centres, np.concatenate([means for means, _ in both]), atol=1e-9)
+        np.testing.assert_allclose(drawn, np.concatenate([wide for _, wide in both]), atol=1e-9)
+
+
+def test_labels_stay_clear_of_the_panel_beside(drives):
+    models, solved, _ = drives
+    figure = figures.smoothers(models, solved)
+    figure.draw_without_rendering()
+    for left, ax in zip(figure.axes[:-1], figure.axes[1:], strict=True):
+        assert ax.get_tightbbox().x0 > left.get_window_extent().x1

@@ -77,9 +77,10 @@ def update(setting, mean, cov, z):
     return np.einsum("...ij,...j->...i", after, h), after
 
 
-def divergence(mean, cov, other_mean, other_cov):
+def divergence(mean, cov, other_mean, other_cov, wrap=True):
     inverse, d = np.linalg.inv(other_cov), other_mean - mean
-    d[..., 2] = np.mod(d[..., 2] + np.pi, 2.0 * np.pi) - np.pi
+    if wrap:
+        d[..., 2] = np.mod(d[..., 2] + np.pi, 2.0 * np.pi) - np.pi
     ratio = np.linalg.slogdet(other_cov)[1] - np.linalg.slogdet(cov)[1]
     trace = np.einsum("...ij,...ji->...", inverse, cov)
     return 0.5 * (ratio - 3.0 + trace + np.einsum("...i,...ij,...j->...", d, inverse, d))
@@ -191,7 +192,22 @@ def agree(case, outcome, affine):
     truth = update(case.setting, *case.predicted, case.z)
     assert outcome.divergence == pytest.approx(divergence(*truth, mean, cov), rel=1e-6, abs=1e-9)
     assert outcome.mean == pytest.approx(outcome.divergence.sum() / 300)
+    unwrapped = divergence(*truth, mean, cov, wrap=False).mean()
+    assert outcome.unwrapped == pytest.approx(unwrapped, rel=1e-6, abs=1e-9)
     assert outcome.standard_error == pytest.approx(np.std(outcome.divergence) / np.sqrt(299))
+
+
+def test_wrapping_the_difference_of_headings_alters_an_average():
+    trial = Trial.draw(SETTINGS["R1"], 10_000, 20_000, seed=0)
+    outcome = trial.filter(accuracy.rules(0)["MC10"])
+    best, found = trial.best[pose.at(1)], outcome.posterior[pose.at(1)]
+    wrapped, plain = (
+        divergence(best.mean, best.cov, found.mean, found.cov, wrap=wrap).mean()
+        for wrap in (True, False)
+    )
+    assert outcome.mean == pytest.approx(wrapped, rel=1e-6)
+    assert outcome.unwrapped == pytest.approx(plain, rel=1e-6)
+    assert wrapped < 0.999 * plain
 
 
 @pytest.mark.parametrize("name", SETTINGS)
@@ -246,6 +262,8 @@ def test_error_falls_as_one_over_the_samples(done):
         if int(n) >= 30:
             slack = 4.0 * int(n) * each["standard_error"] + int(n) * 2.0 / 20_000
             assert each["times_samples"] == pytest.approx(0.58, abs=slack)
+    product = np.prod([each["times_samples"] for n, each in table.items() if int(n) >= 30])
+    assert done[1]["error_constant"] == pytest.approx(product ** (1.0 / 5.0))
 
 
 def test_times_are_positive_and_grow_with_many_samples(done):
@@ -271,14 +289,133 @@ def test_a_line_is_found_again():
     assert timing.fit(timing.SAMPLES, noisy).knee == pytest.approx(1500.0, rel=0.25)
 
 
+# ---- the page: the report's numbers as it prints them, ours from the summary
+
+ORDER = ("MC100", "MC10", "Taylor", "Unscented")
+TITLES = {
+    "MC10000": "Monte Carlo 10000",
+    "MC100": "Monte Carlo 100",
+    "MC10": "Monte Carlo 10",
+    "Taylor": "Taylor",
+    "Unscented": "unscented",
+}
+
+
+def table(summary, title):
+    (found,) = (part for part in summary["page"] if part.get("table", "").startswith(title))
+    return found["columns"], found["rows"]
+
+
+def notes(summary):
+    return [part["note"] for part in summary["page"] if "note" in part]
+
+
+def shown(value):
+    return f"{value:.4g}"
+
+
+def test_table_8_1_has_the_report_and_the_summary_in_their_columns(done):
+    summary = done[1]
+    columns, rows = table(summary, "Table 8.1")
+    assert columns == ["setting", "technique", "report", "ours", "± s.e.", "median"]
+    reported = dict(zip(ORDER, ("0.0057", "0.0744", "0.0758", "0.0769"), strict=True))
+    contrast = summary["contrast"]
+    due = []
+    for name in ("R1", "R2", "mild"):
+        means, errors, medians = (
+            (contrast["mean"], contrast["standard_error"], contrast["median"])
+            if name == "mild"
+            else (summary[key][name] for key in ("table_8_1", "table_8_1_se", "table_8_1_median"))
+        )
+        for k in ORDER:
+            report = "–" if name == "mild" else reported[k]
+            ours = map(shown, (means[k], errors[k], medians[k]))
+            due.append([name, TITLES[k], report, *ours])
+    assert rows == due
+
+
+def test_table_8_2_has_the_report_and_the_summary_in_their_columns(done):
+    summary = done[1]
+    step, part = summary["table_8_2"], summary["table_8_2_linearisation"]
+    columns, rows = table(summary, "Table 8.2")
+    assert columns == ["technique", "report", "step", "linearisation", "batch"]
+    reported = {"MC10000": 1271.8, "MC100": 14.04, "MC10": 1.61, "Unscented": 1.61, "Taylor": 1.6}
+    batch = summary["table_8_2_batch"]
+    assert rows == [
+        [
+            TITLES[k],
+            shown(report),
+            shown(1e3 * step["by_technique"][k]),
+            shown(1e3 * part["by_technique"][k]),
+            shown(1e3 * batch[k]) if k in batch else "–",
+        ]
+        for k, report in reported.items()
+    ]
+    columns, rows = table(summary, "Time [ms] by number of samples")
+    assert columns == ["samples", "step", "linearisation"]
+    assert rows == [
+        [n, shown(1e3 * t), shown(1e3 * part["by_samples"][n])]
+        for n, t in step["by_samples"].items()
+    ]
+
+
+def test_notes_say_the_numbers_of_this_run(done):
+    summary = done[1]
+    (mild,) = (note for note in notes(summary) if "mild setting, ours alone" in note)
+    means = summary["contrast"]["mean"]
+    order = ", ".join(f"{TITLES[k]} ({means[k]:.2g})" for k in sorted(means, key=means.get))
+    assert f"from best to worst are: {order}." in mild
+    assert "20,000 samples" in mild
+    assert f"is {summary['second_truth']['mild']:.2g} on average" in mild
+    (heavy,) = (note for note in notes(summary) if "heavy-tailed" in note)
+    assert "of 500 simulations" in heavy
+    for name in ("R1", "R2"):
+        mean, median, error = (
+            summary[key][name]["MC10"] for key in ("table_8_1", "table_8_1_median", "table_8_1_se")
+        )
+        assert f"{name} {median:.2g} against {mean:.2g} ± {100 * error / mean:.1f} %" in heavy
+    (alike,) = (note for note in notes(summary) if "equation 8.4" in note)
+    change = max(
+        abs(summary["table_8_1_unwrapped"][name][k] / mean - 1.0)
+        for name in ("R1", "R2")
+        for k, mean in summary["table_8_1"][name].items()
+    )
+    assert f"by {100 * change:.1f} % at the most" in alike
+
+
+def test_captions_say_the_numbers_of_this_run(done):
+    summary = done[1]
+    captions = {part["figure"]: part["caption"] for part in summary["page"] if "figure" in part}
+    trial = Trial.draw(SETTINGS["R1"], 500, 20_000, 0)
+    first = {k: trial.filter(rule).divergence[0] for k, rule in accuracy.rules(0).items()}
+    order = ", ".join(f"{TITLES[k]} ({first[k]:.2g})" for k in sorted(first, key=first.get))
+    assert "unscented transform did best and Monte Carlo 10 worst" in captions["figure_8_1.png"]
+    assert f"from best to worst: {order}." in captions["figure_8_1.png"]
+    constant = summary["error_constant"]
+    ratio = 10 * summary["error_by_samples"]["10"]["mean"] / constant
+    assert f"{constant:.2f} / N" in captions["error.png"]
+    assert f"is {ratio:.2f} times" in captions["error.png"]
+
+
+def test_two_truths_are_as_far_apart_as_theory_says():
+    """Moments of N samples: a KL of 9 / 2N each, were all of the variance sampled and nothing read.
+
+    The truth of the mild setting is read, which can only take from it, and two differ by both.
+    """
+    trial = Trial.draw(SETTINGS["mild"], 50, 20_000, 0)
+    apart = [accuracy.second_truth(trial, 20_000, seed) for seed in range(20)]
+    assert 0.1 * 9.0 / 20_000 < np.mean(apart) < 9.0 / 20_000
+    assert apart[0] > 0.01 * np.mean(apart)  # the trial's own seed draws another truth too
+
+
 def test_figures_and_the_statement_are_there(done):
     out, summary = done
     for name in ("figure_8_1", "error", "cost"):
         assert (out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
         assert (out / f"{name}.pdf").read_bytes().startswith(b"%PDF")
-    notes = " ".join(part["note"] for part in summary["page"] if "note" in part)
-    assert "parameters are unknown" in notes
-    assert "proves nothing" in notes
+    said = " ".join(notes(summary))
+    assert "parameters are unknown" in said
+    assert "proves nothing" in said
     assert summary["settings"]["seed"] == 0
 
 

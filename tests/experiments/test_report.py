@@ -1,6 +1,7 @@
 """The report page: complete, self-contained, and not lost where an experiment is."""
 
 import base64
+import functools
 import json
 import re
 from html.parser import HTMLParser
@@ -13,7 +14,7 @@ from typer.testing import CliRunner
 
 from experiments import cluster_graph, kalman
 from experiments.catalogue import EXPERIMENTS
-from experiments.record import Record, note
+from experiments.record import FolderError, Record, note
 from experiments.report import command, report
 from experiments.report.command import make_report
 from experiments.report.page import page
@@ -30,7 +31,7 @@ def draws(out=None, seed=0, runs=100):
     More of it.
     """
     record = Record("draws", out, seed=seed, runs=runs)
-    record.note("a < b & <script>alert(1)</script>")
+    record.note("a < b & <script>alert(1)</script>\n  its second line")
     figure = plt.figure(figsize=(3, 2))
     record.figure(figure, "plot", "A “caption” <b>")
     plt.close(figure)
@@ -147,6 +148,33 @@ def test_texts_are_shown_word_for_word_and_in_order(done):
     assert "<script>" not in text
 
 
+def test_a_note_keeps_its_lines(done):
+    _, _, text, _ = done
+    assert re.search(r"<p class=note>a &lt; b .*&gt;\n  its second line</p>", text)
+    assert ".note { white-space: pre-wrap; }" in text
+
+
+def test_each_is_shown_with_the_command_that_makes_it(done, tmp_path):
+    assert "python -m experiments draws --seed 3 --runs 2 · " in done[3].text
+    assert "python -m experiments fails · " in done[3].text
+    assert make_report(GOOD, tmp_path)[0].command == "python -m experiments draws"
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_the_command_of_an_experiment_has_its_settings(name, tmp_path):
+    """What the command line makes of it is what `run` was called with."""
+    run, quick, called = EXPERIMENTS[name].run, EXPERIMENTS[name].QUICK, {}
+    fake = functools.wraps(run)(lambda **settings: called.update(settings))
+    (outcome,) = make_report({name: SimpleNamespace(run=fake, QUICK=quick)}, tmp_path, quick=True)
+    python, _, module, word, *options = outcome.command.split()
+    assert (python, module, word) == ("python", "experiments", name)
+    app = typer.Typer()
+    app.command()(run)
+    parsed = typer.main.get_command(app).make_context(name, options).params
+    assert called.pop("out") == tmp_path / name
+    assert called == {key: parsed[key] for key in called}
+
+
 def test_settings_seed_versions_and_size_are_told(done):
     _, _, _, reader = done
     assert "seed 3 · runs 2" in reader.text
@@ -204,6 +232,22 @@ def test_an_earlier_summary_is_not_taken_for_a_new_one(tmp_path):
     assert "It failed" in (tmp_path / "index.html").read_text()
 
 
+def test_a_folder_that_cannot_be_is_refused_before_anything_runs(tmp_path):
+    taken = tmp_path / "taken"
+    taken.write_text("")
+    ran = SimpleNamespace(run=lambda out=None: pytest.fail("it ran"), QUICK={})
+    for out in (taken, taken / "below"):
+        with pytest.raises(FolderError, match=r"cannot be written into .*taken"):
+            make_report({"ran": ran}, out)
+
+
+def test_a_file_in_the_place_of_one_folder_does_not_lose_the_others(tmp_path):
+    (tmp_path / "half").write_text("")
+    half, draws = make_report({name: ALL[name] for name in ("half", "draws")}, tmp_path)
+    assert "half" in half.error
+    assert draws.summary is not None
+
+
 @pytest.fixture
 def run(monkeypatch, tmp_path):
     """The command line with few experiments."""
@@ -226,6 +270,20 @@ def test_an_unknown_experiment_is_named(run):
     result = run("--only", "drawz")
     assert result.exit_code == 2
     assert "drawz" in result.output
+
+
+def test_what_is_reproduced():
+    assert {item: name for item, _, name in REPRODUCED} == {
+        "Figure 4.1": "kalman",
+        "Figure 4.2": "kalman",
+        "Figure 4.3": "kalman",
+        "Figures 5.3–5.5": "seven_nodes",
+        "Figure 6.1": "cluster_graph",
+        "Figure 6.2": "cluster_graph",
+        "Table 8.1": "linearisers",
+        "Table 8.2": "linearisers",
+        "Figure 8.1": "linearisers",
+    }
 
 
 def test_what_is_reproduced_is_linked_where_it_is_shown(tmp_path):
