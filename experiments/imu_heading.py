@@ -1,6 +1,6 @@
 """One step of a robot that moves, turns, and reads its heading: the numbers of a lecture.
 
-The example is that of reference 001 (lecture Intelligent Robotics, Hamburg, 2019): from an exactly
+The example is that of the lecture Intelligent Robotics (Hamburg, 2019): from an exactly
 known pose (0, 0, 0) the robot moves 1 m and then turns by 1.6 rad, with variances 0.01 |d| and
 0.01 |φ|; an inertial unit reads a heading of 2.0 rad with variance 0.01.
 """

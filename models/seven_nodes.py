@@ -2,8 +2,8 @@
 
     a → d → e ← b → f ← c,  f → g
 
-The structure, its clusters and their numbers 1 to 4 are those of the 2018 report (reference 000,
-sections 5.3 to 5.5, figures 5.3 to 5.5, equations 5.5, 5.11 and 5.12). The numbers in the CPDs are
+The structure, its clusters and their numbers 1 to 4 are those of the 2018 report
+(sections 5.3 to 5.5, figures 5.3 to 5.5, equations 5.5, 5.11 and 5.12). The numbers in the CPDs are
 of this project, for the report gives none; where the factor p(b) goes, which clusters 2 and 3 could
 both hold, is left to `pgm.ClusterGraph`.
 """
