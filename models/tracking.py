@@ -10,6 +10,7 @@ Sources: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Trackin
 
 from dataclasses import dataclass
 from math import isfinite
+from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -127,7 +128,7 @@ class CoordinatedTurn:
     dt: float
 
     def __post_init__(self) -> None:
-        if not (isfinite(self.dt) and self.dt > 0):
+        if not (isinstance(self.dt, Real) and isfinite(self.dt) and self.dt > 0):
             raise ValueError(
                 f"CoordinatedTurn: dt is {self.dt!r}; give the duration of a step, in seconds"
             )

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import isfinite
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,7 @@ class Velocity:
     dt: float
 
     def __post_init__(self) -> None:
-        if not (isfinite(self.dt) and self.dt > 0):
+        if not (isinstance(self.dt, Real) and isfinite(self.dt) and self.dt > 0):
             raise ValueError(
                 f"Velocity: dt is {self.dt!r}; give the duration of a step, in seconds"
             )

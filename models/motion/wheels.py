@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import isfinite
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ class DifferentialDrive:
     def __post_init__(self) -> None:
         for name in ("radius", "wheelbase"):
             value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
+            if not (isinstance(value, Real) and isfinite(value) and float(value) > 0):
                 raise ValueError(
                     f"DifferentialDrive: {name} is {value!r}; give a length above 0, in metres"
                 )

@@ -8,7 +8,7 @@ import numpy as np
 
 import pgm
 from models import sensors
-from models.networks.covariances import diagonal
+from models.networks.covariances import diagonal, variances
 from models.networks.variables import (
     bearing,
     compass,
@@ -43,18 +43,9 @@ def reads_pose(std: Sequence[float]) -> pgm.LinearGaussianCPD:
     return pgm.LinearGaussianCPD(pose_fix, given={pose: 1.0}, cov=diagonal(std))
 
 
-def reads_heading(std: float) -> pgm.NonlinearGaussianCPD:
-    """The heading is read, as an inertial unit or a compass does, with a standard deviation [rad].
-
-    The function is linear, so that every lineariser is exact.
-    """
-    return pgm.NonlinearGaussianCPD(
-        compass,
-        given=pose,
-        function=sensors.heading,
-        cov=std**2,
-        jacobian={pose: sensors.heading_by_state},
-    )
+def reads_heading(std: float) -> pgm.LinearGaussianCPD:
+    """The heading is read, as an inertial unit or a compass does: z = θ + e, e of std [rad]."""
+    return pgm.LinearGaussianCPD(compass, given={pose: [[0.0, 0.0, 1.0]]}, cov=variances(std))
 
 
 def sees_range(std: float) -> pgm.NonlinearGaussianCPD:
@@ -63,7 +54,7 @@ def sees_range(std: float) -> pgm.NonlinearGaussianCPD:
         distance,
         given=(pose, landmark),
         function=sensors.range_only,
-        cov=std**2,
+        cov=variances(std),
         jacobian={
             pose: sensors.range_only_by_state,
             landmark: sensors.range_only_by_landmark,
@@ -77,7 +68,7 @@ def sees_bearing(std: float) -> pgm.NonlinearGaussianCPD:
         bearing,
         given=(pose, landmark),
         function=sensors.bearing_only,
-        cov=std**2,
+        cov=variances(std),
         jacobian={
             pose: sensors.bearing_only_by_state,
             landmark: sensors.bearing_only_by_landmark,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import pgm
-from models.networks.covariances import diagonal
+from models.networks.covariances import diagonal, variances
 from models.networks.variables import fix, point, shift, speed
 
 
@@ -20,13 +20,15 @@ def linear(
     """A point moved by known displacements whose position is read: every CPD is linear [m]."""
     plane = np.eye(2)
     return pgm.DynamicBayesianNetwork(
-        prior=[pgm.GaussianCPD(point, mean=np.zeros(2), cov=start_std**2 * plane)],
+        prior=[pgm.GaussianCPD(point, mean=np.zeros(2), cov=variances(start_std) * plane)],
         transition=[
             pgm.LinearGaussianCPD(
-                point, given={point.previous: 1.0, shift: 1.0}, cov=motion_std**2 * plane
+                point, given={point.previous: 1.0, shift: 1.0}, cov=variances(motion_std) * plane
             )
         ],
-        observation=[pgm.LinearGaussianCPD(fix, given={point: 1.0}, cov=sensor_std**2 * plane)],
+        observation=[
+            pgm.LinearGaussianCPD(fix, given={point: 1.0}, cov=variances(sensor_std) * plane)
+        ],
     )
 
 

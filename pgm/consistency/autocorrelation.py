@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincc
 
-from pgm.consistency.normalised import check_innovations
+from pgm.consistency.checks import check_count, check_innovations
 from pgm.consistency.quantiles import chi_squared, normal
 from pgm.errors import ModelError
 from pgm.inference import Innovations
@@ -65,6 +65,8 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
     tends to 1/N, N the number of products of components summed. Several readings of one step
     share its prediction: the variance above allows for it. The k-th reading of a step meets the
     k-th of a later one, so that sightings of several landmarks are best given in one order.
+    After iterating, innovations are those of the last linearisation, z − (F x⁻ + b) at the
+    predicted mean x⁻, not z − h(x⁻): they have seen the reading that they are innovations of.
 
     Parameters
     ----------
@@ -78,7 +80,8 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
     Raises
     ------
     ModelError
-        If there are no more steps with readings than lags, or no run was read at two of them.
+        If there are no more steps with readings than lags, or no run was read at two of them; or
+        if an argument is not what it should be.
 
     References
     ----------
@@ -86,10 +89,11 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
     section 5.4.2; Box & Pierce, Distribution of residual autocorrelations, 1970.
     """
     white = _by_step(check_innovations(innovations))
-    if not 1 <= lags < len(white):
+    check_count("lags", lags)
+    if lags >= len(white):
         raise ModelError(
-            f"lags = {lags} for readings at {len(white)} steps; ask for 1 or more, and fewer "
-            "than there are steps with readings"
+            f"lags = {lags} for readings at {len(white)} steps; ask for fewer than there are "
+            "steps with readings"
         )
     z = normal(confidence)
     correlation, deviation = np.array(
@@ -113,8 +117,7 @@ def _by_step(innovations: Innovations) -> Array:
     taken = ~np.isnan(residual[..., 0])
     residual = np.where(taken[..., None], residual, 0.0)
     lower = roots.root(np.where(taken[..., None, None], cov, np.eye(shape[-1])))
-    white = roots.solve_lower(lower, residual[..., None])[..., 0]
-    white = np.where(roots.determined(lower), 0.0, white)
+    white = roots.whiten(lower, residual)
 
     order = np.argsort(innovations.step, kind="stable")
     _, first, step, counts = np.unique(

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pgm.consistency.checks import check_count, check_innovations, numbers
 from pgm.consistency.errors import places
-from pgm.consistency.normalised import check_innovations, nees
+from pgm.consistency.normalised import nees
 from pgm.consistency.quantiles import chi_squared, tails
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
@@ -92,7 +93,7 @@ def average(
     squares : array_like
         Normalised errors squared, NaN where there is none.
     dof : array_like
-        Degrees of freedom of each; they broadcast.
+        Degrees of freedom of each, above 0 where there is an error; they broadcast.
     axis : int or tuple of int, optional
         What to average over; everything without.
     confidence : float
@@ -101,22 +102,26 @@ def average(
     Raises
     ------
     ModelError
-        If the degrees of freedom do not fit, or the confidence is not between 0 and 1.
+        If the degrees of freedom do not fit or are none, or the confidence is not between 0 and 1.
 
     References
     ----------
     Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
     section 5.4.2.
     """
-    values = np.asarray(squares, dtype=float)
+    values, each = numbers("normalised errors", squares), numbers("degrees of freedom", dof)
     try:
-        each = np.broadcast_to(np.asarray(dof, dtype=float), values.shape)
+        each = np.broadcast_to(each, values.shape)
     except ValueError:
         raise ModelError(
             f"degrees of freedom of shape {np.shape(dof)} for normalised errors of shape "
             f"{values.shape}; they must broadcast"
         ) from None
     there = ~np.isnan(values)
+    if not (np.isfinite(each) & (each > 0.0))[there].all():
+        raise ModelError(
+            f"a normalised error has degrees of freedom above 0; {dof!r} are not all so"
+        )
     count = np.sum(there, axis=axis)
     total = np.sum(np.where(there, each, 0.0), axis=axis)
     value = _quotient(np.sum(np.where(there, values, 0.0), axis=axis), count)
@@ -134,6 +139,24 @@ def anees(
     """The NEES at each step, averaged over runs, (T+1,); over all of a belief without steps.
 
     Above its band the belief claims too much, below it too little. See `nees` and `average`.
+
+    Parameters
+    ----------
+    belief : Gaussian
+        Over steps, as ``posterior[x]``; without steps, all its leading axes are runs.
+    truth : array_like
+        (..., n), its leading axes as `error` asks for.
+    components : sequence of str
+        Whose marginal is judged; all without.
+    confidence : float
+        Probability of the band, at each step.
+
+    Raises
+    ------
+    ModelError
+        If an argument does not fit the belief, or the confidence is not between 0 and 1.
+    NumericalError
+        If a covariance is singular.
     """
     squares = nees(belief, truth, components)
     return average(
@@ -148,7 +171,20 @@ def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:
     """The NIS at each step, averaged over the runs that read the sensor there, (T+1,).
 
     Degrees of freedom differ with what was read; the band is that of their sum. See `average`,
-    which with ``innovations.nis`` and ``innovations.dof`` takes all steps together.
+    which with ``innovations.nis`` and ``innovations.dof`` takes all steps together, and `nis`,
+    which says what innovations are after iterating.
+
+    Parameters
+    ----------
+    innovations : Innovations
+        As ``posterior.innovations[z]``.
+    confidence : float
+        Probability of the band, at each step.
+
+    Raises
+    ------
+    ModelError
+        If they are no innovations, or the confidence is not between 0 and 1.
     """
     found = check_innovations(innovations)
     axes = tuple(range(found.nis.ndim - 1))
@@ -166,7 +202,14 @@ def mean_band(dof: int, count: int, confidence: float = 0.99) -> tuple[float, fl
         How many are averaged.
     confidence : float
         Probability of the band.
+
+    Raises
+    ------
+    ModelError
+        If a number is no whole one from 1, or the confidence is not between 0 and 1.
     """
+    check_count("degrees of freedom of each", dof)
+    check_count("how many are averaged", count)
     low, high = (float(chi_squared(p, dof * count)) / count for p in tails(confidence))
     return low, high
 

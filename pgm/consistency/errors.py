@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from pgm.consistency.checks import check_gaussian, numbers
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
+from pgm.factors.scope import names
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers
 
@@ -16,30 +18,78 @@ from pgm.kernels.arrays import Array, Integers
 def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
     """Mean less truth, (..., n), angles wrapped to [−π, π).
 
+    A truth has the steps of the belief. Its runs are the belief's, or it is one truth that all of
+    them had; several truths against one belief are refused, since statistics would count them as
+    runs that were each estimated.
+
+    Parameters
+    ----------
+    belief : Gaussian
+        (*runs, T+1, n), as ``posterior[x]``; without steps, all its leading axes are runs.
+    truth : array_like
+        (*runs, T+1, n), or without the axes of runs.
+
     Raises
     ------
     ModelError
-        If the truth has another number of components than the belief, or leading axes that do
-        not fit its own.
+        If the belief is no Gaussian, the axes do not fit, or a value is not finite.
     """
-    values = np.asarray(truth, dtype=float)
-    fault = f"a truth of shape {values.shape} for a belief with means of shape {belief.mean.shape}"
-    if values.shape[-1:] != belief.mean.shape[-1:]:
-        raise ModelError(f"{fault}; the last axes must agree")
+    shape = check_gaussian(belief).mean.shape
+    values = numbers("a truth", truth)
+    what = (
+        f"a truth of shape {values.shape} for the belief over {names(belief.scope)} with means of "
+        f"shape {shape}"
+    )
+    if values.shape[-1:] != shape[-1:]:
+        raise ModelError(f"{what}; the last axes, of components, must agree")
+    if belief.steps is not None and values.shape[-2:] != shape[-2:]:
+        raise ModelError(
+            f"{what}; the axes before the last, of steps, must agree: give the truth at each of "
+            f"its {belief.steps.size} steps, belief.steps"
+        )
     try:
-        return difference(belief.mean, values, belief.angles)
+        spread = np.broadcast_to(values, shape)
     except ValueError:
-        raise ModelError(f"{fault}; the leading axes, of runs and steps, must agree") from None
+        raise ModelError(
+            f"{what}; the leading axes, of runs, must agree: give as many truths as the belief has "
+            "runs, or one for all of them"
+        ) from None
+    if lost := int((~np.isfinite(values)).sum()):
+        *at, component = np.argwhere(~np.isfinite(spread))[0]
+        raise ModelError(
+            f"{what} has values that are NaN or infinite ({lost} of {values.size}), the first of "
+            f"{labels(belief)[component]}{place(belief, tuple(at))}; leave out the runs or steps "
+            "whose truth is not known"
+        )
+    return difference(belief.mean, spread, belief.angles)
+
+
+def labels(belief: Gaussian) -> list[str]:
+    """The names of the components of the stacked vector."""
+    return [label for variable in belief.scope for label in variable.components]
+
+
+def place(belief: Gaussian, index: tuple[int, ...]) -> str:
+    """Where one of the Gaussians stands, in words; nothing where there is but one."""
+    words = []
+    run = index if belief.steps is None else index[:-1]
+    if run:
+        words.append(f"run {', '.join(map(str, run))}")
+    if belief.steps is not None:
+        words.append(f"step {belief.steps[index[-1]]}")
+    return f" at {', '.join(words)}" if words else ""
 
 
 def places(belief: Gaussian, components: Sequence[str]) -> Integers:
     """Where the components named stand in the stacked vector; all of them, where none is named."""
-    labels = [label for variable in belief.scope for label in variable.components]
+    known = labels(check_gaussian(belief))
     if isinstance(components, str):
         raise ModelError(f"components are a tuple of names, not {components!r} alone")
-    if lost := [label for label in components if labels.count(label) != 1]:
-        raise ModelError(f"the belief has components {labels}, not {lost}")
-    found = [labels.index(label) for label in components] if components else range(len(labels))
+    if lost := [label for label in components if known.count(label) != 1]:
+        raise ModelError(f"the belief has components {known}, not {lost}")
+    if len(set(components)) < len(components):
+        raise ModelError(f"components are {tuple(components)}; name each of them once")
+    found = [known.index(label) for label in components] if components else range(len(known))
     return np.array(found, dtype=np.intp)
 
 
@@ -53,5 +103,19 @@ def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     """Root mean square error over all runs and steps.
 
     √ of the mean of Σ e², the sum taken over the components named, or over all.
+
+    Parameters
+    ----------
+    belief : Gaussian
+        As ``posterior[x]``.
+    truth : array_like
+        (..., n), its leading axes as `error` asks for.
+    components : sequence of str
+        Over which the error's length is taken; all without.
+
+    Raises
+    ------
+    ModelError
+        If the truth or a component does not fit the belief.
     """
     return float(np.sqrt(np.mean(size(belief, truth, components) ** 2)))

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
-from pgm.consistency.errors import error, places
-from pgm.errors import ModelError, NumericalError
+from pgm.consistency.checks import check_innovations
+from pgm.consistency.errors import error, labels, place, places
+from pgm.errors import NumericalError
 from pgm.factors import Gaussian
+from pgm.factors.scope import names
 from pgm.inference import Innovations
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, block, inner
+from pgm.kernels.arrays import Array, Mask, block, inner
 
 
 def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> Array:
@@ -22,12 +24,14 @@ def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     ----------
     belief : Gaussian
     truth : array_like
-        (..., n).
+        (..., n), its leading axes as `error` asks for.
     components : sequence of str
         Whose marginal is judged, n of them; all without.
 
     Raises
     ------
+    ModelError
+        If the truth or a component does not fit the belief.
     NumericalError
         If a covariance is singular.
 
@@ -36,30 +40,52 @@ def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
     section 5.4.
     """
+    errors = error(belief, truth)
     chosen = places(belief, components)
     lower = roots.root(block(belief.cov, chosen, chosen))
-    if not roots.is_proper(lower) or roots.determined(lower).any():
-        raise NumericalError(
-            f"no NEES of {belief.scope}: a covariance is singular, so that an error has no scale"
-        )
-    errors = error(belief, truth)[..., chosen]
-    white = roots.solve_lower(lower, errors[..., None])[..., 0]
+    # A root that does not exist is NaN.
+    faulty = ~(np.diagonal(lower, axis1=-2, axis2=-1) > 0.0)
+    if faulty.any():
+        raise _no_scale(belief, [labels(belief)[k] for k in chosen], faulty)
+    white = roots.whiten(lower, errors[..., chosen])
     return inner(white, white)
+
+
+def _no_scale(belief: Gaussian, judged: list[str], faulty: Mask) -> NumericalError:
+    singular = faulty.any(axis=-1)
+    first = tuple(np.argwhere(singular)[0])
+    found = ", ".join(label for label, at in zip(judged, faulty[first], strict=True) if at)
+    leave = ""
+    if where := place(belief, first):
+        found = f"{int(singular.sum())} of {singular.size}, the first{where}, in {found}"
+        steps = "" if belief.steps is None else ", steps=steps[kept]"
+        leave = (
+            ", or leave such beliefs out, with pgm.Gaussian(scope, mean[..., kept, :], "
+            f"cov[..., kept, :, :]{steps}) and truth[..., kept, :]"
+        )
+    return NumericalError(
+        f"no NEES of {names(belief.scope)}: a covariance is singular ({found}), so that an error "
+        f"has no scale; judge components that vary, with components=(...){leave}",
+        variable=belief.scope[0],
+        step=None if belief.steps is None else int(belief.steps[first[-1]]),
+    )
 
 
 def nis(innovations: Innovations) -> Array:
     """Normalised innovation squared of each step, rᵀS⁻¹r, (..., T+1); NaN where nothing was read.
 
-    χ² for a right model, its degrees the number of components read, ``innovations.dof``.
+    χ² for a right model, its degrees the number of components read, ``innovations.dof``. After
+    iterating, innovations are those of the last linearisation, z − (F x⁻ + b) at the predicted
+    mean x⁻, not z − h(x⁻): they have seen the reading that they are innovations of.
+
+    Parameters
+    ----------
+    innovations : Innovations
+        As ``posterior.innovations[z]``.
+
+    Raises
+    ------
+    ModelError
+        If they are no innovations.
     """
     return check_innovations(innovations).nis
-
-
-def check_innovations(innovations: Any) -> Innovations:
-    """The innovations; refuses anything else."""
-    if not isinstance(innovations, Innovations):
-        raise ModelError(
-            f"innovations are those of one sensor, posterior.innovations[z], not a "
-            f"{type(innovations).__name__}"
-        )
-    return innovations

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pgm.consistency.checks import numbers
 from pgm.consistency.errors import size
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
@@ -38,13 +39,13 @@ class OverTime:
 
 
 def over_time(
-    sizes: Array, steps: Integers | None, percentiles: tuple[float, float] = (5.0, 95.0)
+    sizes: npt.ArrayLike, steps: Integers | None, percentiles: tuple[float, float] = (5.0, 95.0)
 ) -> OverTime:
     """Root mean square and percentiles over runs of sizes (*runs, T+1).
 
     Parameters
     ----------
-    sizes : ndarray
+    sizes : array_like
         Of any statistic that has one a step, like `kl`.
     steps : ndarray of int
         (T+1,), as a belief over time carries them.
@@ -54,18 +55,21 @@ def over_time(
     Raises
     ------
     ModelError
-        If the sizes are not over those steps, or the percentiles no such pair.
+        If the sizes are not over those steps or some are NaN, or the percentiles no such pair.
     """
-    if steps is None or sizes.shape[-1:] != steps.shape:
+    values = numbers("a size", sizes)
+    if steps is None or values.shape[-1:] != steps.shape:
         raise ModelError(
-            f"sizes of shape {sizes.shape} over the steps {steps}; a belief over time is needed, "
+            f"sizes of shape {values.shape} over the steps {steps}; a belief over time is needed, "
             "like posterior[x]"
         )
-    low, high = percentiles
-    if not 0.0 <= low < high <= 100.0:
+    flat = values.reshape(-1, values.shape[-1])
+    if lost := int(np.isnan(flat).sum()):
+        raise ModelError(f"{lost} of the {flat.size} sizes are NaN; leave out their runs or steps")
+    pair = numbers("a percentile", percentiles)
+    if pair.shape != (2,) or not 0.0 <= pair[0] < pair[1] <= 100.0:
         raise ModelError(f"percentiles are a lower and an upper one in percent, not {percentiles}")
-    flat = sizes.reshape(-1, sizes.shape[-1])
-    below, median, above = np.percentile(flat, (low, 50.0, high), axis=0)
+    below, median, above = np.percentile(flat, (pair[0], 50.0, pair[1]), axis=0)
     return OverTime(steps, np.sqrt(np.mean(flat**2, axis=0)), median, below, above, flat.shape[0])
 
 
@@ -83,10 +87,15 @@ def rmse_over_time(
     belief : Gaussian
         Over steps, as ``posterior[x]``.
     truth : array_like
-        (*runs, T+1, n).
+        (*runs, T+1, n), its leading axes as `error` asks for.
     components : sequence of str
         Over which the error's length is taken; all without.
     percentiles : pair of float
         The lower and the upper one, in percent.
+
+    Raises
+    ------
+    ModelError
+        If the belief is over no steps, or an argument does not fit it.
     """
     return over_time(size(belief, truth, components), belief.steps, percentiles)

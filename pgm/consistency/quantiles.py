@@ -6,21 +6,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import betaincinv, gammaincinv, ndtri
 
+from pgm.consistency.checks import check_confidence
 from pgm.errors import ModelError
 from pgm.kernels.arrays import Array
 
 
-def check_confidence(confidence: npt.ArrayLike) -> None:
-    """Refuse what is no probability strictly between 0 and 1."""
-    values = np.asarray(confidence, dtype=float)
-    if not ((values > 0.0) & (values < 1.0)).all():
-        raise ModelError(f"a confidence lies between 0 and 1; {confidence!r} does not")
-
-
 def tails(confidence: float) -> tuple[float, float]:
     """The probabilities below the lower and below the upper end of a two-sided band."""
-    check_confidence(confidence)
-    return 0.5 * (1.0 - confidence), 0.5 * (1.0 + confidence)
+    value = check_confidence(confidence)
+    if value.ndim:
+        raise ModelError(f"a band has one confidence, not {value.size} of them; ask for each")
+    return 0.5 * float(1.0 - value), 0.5 * float(1.0 + value)
 
 
 def chi_squared(probability: npt.ArrayLike, dof: npt.ArrayLike) -> Array:

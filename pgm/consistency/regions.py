@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.consistency.averages import run_axes
+from pgm.consistency.checks import check_confidence
 from pgm.consistency.errors import places
 from pgm.consistency.normalised import nees
-from pgm.consistency.quantiles import check_confidence, chi_squared, clopper_pearson
+from pgm.consistency.quantiles import chi_squared, clopper_pearson
 from pgm.factors import Gaussian
 from pgm.kernels.arrays import Array, Mask
 
@@ -66,7 +67,7 @@ def coverage(
     belief : Gaussian
         Over runs and steps, as ``posterior[x]``; without steps, all its leading axes are runs.
     truth : array_like
-        (..., n).
+        (..., n), its leading axes as `error` asks for.
     confidence : array_like
         (...): the probability c of the region, or several.
     components : sequence of str
@@ -77,7 +78,8 @@ def coverage(
     Raises
     ------
     ModelError
-        If a confidence is not between 0 and 1, or the truth does not fit the belief.
+        If a confidence is not between 0 and 1, or the truth or a component does not fit the
+        belief.
     NumericalError
         If a covariance is singular.
 
@@ -86,8 +88,7 @@ def coverage(
     Clopper & Pearson, The use of confidence or fiducial limits illustrated in the case of the
     binomial, 1934.
     """
-    check_confidence(confidence)
-    nominal = np.asarray(confidence, dtype=float)
+    nominal = check_confidence(confidence)
     squares = nees(belief, truth, components)
     runs = math.prod(squares.shape[axis] for axis in run_axes(squares, belief.steps))
     ordered = np.sort(squares, axis=None)

@@ -25,6 +25,11 @@ class SampledRule(StatisticalRegression):
         N, at least 2n + 2.
     seed : int
         A whole number, not negative.
+
+    Raises
+    ------
+    LinearisationError
+        If one of them is no such number.
     """
 
     samples: int
@@ -32,10 +37,18 @@ class SampledRule(StatisticalRegression):
 
     def __post_init__(self) -> None:
         for what, value, least in (("samples", self.samples, 1), ("seed", self.seed, 0)):
-            if not isinstance(value, int | np.integer) or not least <= value < 2**63:
+            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not whole or not least <= value < 2**63:
                 raise LinearisationError(
                     f"{type(self).__name__}({what}={value!r}): {what} must be a whole number from "
                     f"{least} to 2⁶³ − 1"
+                )
+
+    def _check_switches(self, *names: str) -> None:
+        for name in names:
+            if not isinstance(value := getattr(self, name), bool | np.bool_):
+                raise LinearisationError(
+                    f"{type(self).__name__}({name}={value!r}): {name} is True or False"
                 )
 
     @abstractmethod
@@ -78,6 +91,11 @@ class MonteCarlo(SampledRule):
     antithetic : bool
         Draw pairs ±s, N even. What is odd about μ then leaves no error in the mean, and what is
         even none in F; but the mean of the even part sees N/2 points.
+
+    Raises
+    ------
+    LinearisationError
+        If an argument is not what it should be: when made; if N is below 2n + 2: when used.
     """
 
     prior_moments: bool = False
@@ -86,6 +104,7 @@ class MonteCarlo(SampledRule):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self._check_switches("prior_moments", "fresh_per_run", "antithetic")
         if self.antithetic and self.samples % 2:
             raise LinearisationError(
                 f"MonteCarlo(samples={self.samples}, antithetic=True): antithetic points come in "
@@ -118,12 +137,21 @@ class QuasiMonteCarlo(SampledRule):
     fresh_per_run : bool
         Scramble anew for each run, as `MonteCarlo` draws anew.
 
+    Raises
+    ------
+    LinearisationError
+        If an argument is not what it should be: when made; if N is below 2n + 2: when used.
+
     References
     ----------
     Owen, Scrambled net variance for integrals of smooth functions, 1997.
     """
 
     fresh_per_run: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_switches("fresh_per_run")
 
     def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
         """Standard normal points, (*axes of step, N, n)."""

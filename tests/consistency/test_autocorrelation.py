@@ -86,6 +86,21 @@ def test_the_band_of_one_reading_a_step_is_that_of_so_many_products(right):
     assert_allclose(found.band, norm.ppf(0.975) / np.sqrt(products), rtol=0.05)
 
 
+def test_determined_components_have_no_innovation():
+    """What rounding leaves of them is none, however large the readings' units make it."""
+    rng = np.random.default_rng(9)
+    one = rng.normal(size=(3, 12, 1))
+    both = 1e6 * np.concatenate([one, one], axis=-1)
+    both[..., 1] += 1e-3 * rng.normal(size=(3, 12))
+    due = consistency.whiteness(innovations(one, range(12)), 4)
+    found = consistency.whiteness(innovations(both, range(12), np.full((2, 2), 1e12)), 4)
+    assert_allclose(found.autocorrelation, due.autocorrelation, rtol=1e-12)
+    assert_allclose(found.band, due.band, rtol=1e-12)
+    known = innovations(1e-12 * one, range(12), np.zeros((1, 1)))
+    with pytest.raises(pgm.ModelError, match="readings at 0 steps"):
+        consistency.whiteness(known, 1)
+
+
 def test_a_right_filter_is_white_and_a_wrong_one_is_not(right, wrong):
     assert consistency.whiteness(right.innovations[fix], confidence=0.999).inside
     bad = consistency.whiteness(wrong.innovations[fix], confidence=0.999)
@@ -151,8 +166,9 @@ def test_refusals(right):
         np.full((3, 5), np.nan),
         np.zeros((3, 5), dtype=int),
     )
-    with pytest.raises(pgm.ModelError, match="lags = 0"):
-        consistency.whiteness(right.innovations[fix], 0)
+    for lags in (0, -1, 2.5, True, "3", None):
+        with pytest.raises(pgm.ModelError, match=r"lags = .* whole number, 1 or more"):
+            consistency.whiteness(right.innovations[fix], lags)
     with pytest.raises(pgm.ModelError, match="readings at 40 steps"):
         consistency.whiteness(right.innovations[fix], 40)
     with pytest.raises(pgm.ModelError, match="readings at 0 steps"):

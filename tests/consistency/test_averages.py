@@ -108,5 +108,17 @@ def test_refusals():
         consistency.average([1.0], 1, confidence=1.0)
     with pytest.raises(pgm.ModelError, match="between 0 and 1"):
         consistency.mean_band(1, 1, 95)
+    with pytest.raises(pgm.ModelError, match="one confidence, not 2"):
+        consistency.mean_band(1, 1, [0.9, 0.99])
+    for dof in (0, -3, 2.5, True, "2", np.nan):
+        with pytest.raises(pgm.ModelError, match=r"degrees of freedom of each = .* whole number"):
+            consistency.mean_band(dof, 3)
+        with pytest.raises(pgm.ModelError, match=r"how many are averaged = .* whole number"):
+            consistency.mean_band(3, dof)
+    for none in (0, -2, np.nan, np.inf, [1, 0]):
+        with pytest.raises(pgm.ModelError, match="degrees of freedom above 0"):
+            consistency.average([1.0, 2.0], none)
+    with pytest.raises(pgm.ModelError, match="normalised errors is made of numbers"):
+        consistency.average("much", 1)
     with pytest.raises(pgm.ModelError, match=r"posterior.innovations\[z\]"):
         consistency.anis(np.zeros(3))

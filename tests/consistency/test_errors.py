@@ -86,16 +86,15 @@ def test_kl_of_one_dimension_and_across_the_turn():
 def test_refusals():
     with pytest.raises(pgm.ModelError, match=r"shape \(2,\)"):
         consistency.error(BELIEF, [0.0, 0.0])
-    with pytest.raises(pgm.ModelError, match="leading axes"):
-        consistency.error(BELIEF, np.zeros((3, 3)))
     with pytest.raises(pgm.ModelError, match="up"):
         consistency.rmse(BELIEF, BELIEF.mean, ("up",))
     with pytest.raises(pgm.ModelError, match="tuple of names"):
         consistency.nees(BELIEF, BELIEF.mean, "east")
-    with pytest.raises(pgm.NumericalError, match="singular"):
-        consistency.nees(pgm.Gaussian(x, np.zeros(3), np.diag([1.0, 0.0, 1.0])), np.zeros(3))
-    with pytest.raises(pgm.ModelError, match="percentiles"):
-        consistency.rmse_over_time(BELIEF, BELIEF.mean, percentiles=(95, 5))
+    with pytest.raises(pgm.ModelError, match="name each of them once"):
+        consistency.nees(BELIEF, BELIEF.mean, ("east", "east"))
+    for percentiles in ((95, 5), (5, 50, 95), (5, np.nan), 5, ("a", "b")):
+        with pytest.raises(pgm.ModelError, match="percentile"):
+            consistency.rmse_over_time(BELIEF, BELIEF.mean, percentiles=percentiles)
     with pytest.raises(pgm.ModelError, match="over time"):
         consistency.rmse_over_time(pgm.Gaussian(x, np.zeros(3), np.eye(3)), np.zeros(3))
 
@@ -103,3 +102,103 @@ def test_refusals():
 def test_a_singular_component_does_not_spoil_the_others():
     belief = pgm.Gaussian(x, np.zeros(3), np.diag([1.0, 0.0, 4.0]))
     assert_allclose(consistency.nees(belief, [1.0, 0.0, 1.0], ("east", "heading")), 1.25)
+
+
+STATISTICS = (
+    consistency.error,
+    consistency.nees,
+    consistency.rmse,
+    consistency.anees,
+    consistency.coverage,
+    consistency.rmse_over_time,
+)
+every_statistic = pytest.mark.parametrize("statistic", STATISTICS)
+
+
+@every_statistic
+def test_a_truth_that_is_not_finite_is_refused(statistic):
+    steps = np.arange(3, 8)
+    belief = pgm.Gaussian(x, BELIEF.mean, BELIEF.cov, steps=steps)
+    truth = BELIEF.mean.copy()
+    truth[2, 1, 1], truth[3, 0, 0] = np.nan, np.inf
+    with pytest.raises(
+        pgm.ModelError, match=r"\(2 of 60\), the first of north at run 2, step 4; lea"
+    ):
+        statistic(belief, truth)
+    with pytest.raises(pgm.ModelError, match=r"\(2 of 60\), the first of north at run 2, 1; lea"):
+        consistency.rmse(pgm.Gaussian(x, BELIEF.mean, BELIEF.cov), truth)
+    with pytest.raises(pgm.ModelError, match=r"\(1 of 3\), the first of heading; leave"):
+        consistency.rmse(pgm.Gaussian(x, np.zeros(3), np.eye(3)), [0.0, 0.0, np.nan])
+
+
+@every_statistic
+@pytest.mark.parametrize("shape", [(4, 1, 3), (4, 6, 3), (1, 3), (3,), (3, 3)])
+def test_a_truth_at_other_steps_is_refused(statistic, shape):
+    with pytest.raises(pgm.ModelError, match=r"of steps, must agree: .* its 5 steps"):
+        statistic(BELIEF, np.zeros(shape))
+
+
+@every_statistic
+def test_several_truths_of_one_belief_are_refused(statistic):
+    one = BELIEF.run(0)
+    for belief in (one, pgm.Gaussian(x, one.mean, one.cov[0])):
+        with pytest.raises(pgm.ModelError, match=r"of runs, must agree: .* one for all"):
+            statistic(belief, np.zeros((7, 5, 3)))
+
+
+def test_one_truth_may_be_that_of_all_runs():
+    truth = np.random.default_rng(1).normal(size=(5, 3))
+    due = consistency.nees(BELIEF, np.broadcast_to(truth, (4, 5, 3)))
+    np.testing.assert_array_equal(consistency.nees(BELIEF, truth), due)
+    assert consistency.coverage(BELIEF, truth).runs == 4
+
+
+@every_statistic
+def test_what_is_no_belief_and_no_truth_is_refused(statistic):
+    with pytest.raises(pgm.ModelError, match=r"a belief is a Gaussian, .* not ndarray"):
+        statistic(BELIEF.mean, BELIEF.mean)
+    for truth in ("truth", [["a"]], [[1.0, 2.0], [3.0]], None):
+        with pytest.raises(pgm.ModelError, match="a truth"):
+            statistic(BELIEF, truth)
+
+
+def test_kl_refuses_what_it_cannot_compare():
+    for p, q in ((BELIEF, BELIEF.mean), (None, BELIEF)):
+        with pytest.raises(pgm.ModelError, match="a belief is a Gaussian"):
+            consistency.kl(p, q)
+    with pytest.raises(pgm.ModelError, match=r"\(4, 5\) and \(3, 5\); they must broadcast"):
+        consistency.kl(BELIEF, pgm.Gaussian(x, np.zeros((3, 5, 3)), np.eye(3)))
+
+
+def test_singular_covariances_are_named_with_their_remedies():
+    cov = np.broadcast_to(np.diag([1.0, 2.0, 3.0]), (4, 5, 3, 3)).copy()
+    cov[2, 0, 1, 1] = cov[3, 4, 0, 0] = 0.0
+    belief = pgm.Gaussian(x, np.zeros((4, 5, 3)), cov, steps=np.arange(5))
+    with pytest.raises(
+        pgm.NumericalError, match=r"2 of 20, the first at run 2, step 0, in north\)"
+    ):
+        consistency.nees(belief, np.zeros((4, 5, 3)))
+    with pytest.raises(pgm.NumericalError, match=r"1 of 20, the first at run 3, step 4, in east\)"):
+        consistency.nees(belief, np.zeros((4, 5, 3)), ("heading", "east"))
+    with pytest.raises(pgm.NumericalError, match=r"singular \(north\), .*=\(\.\.\.\)$") as caught:
+        consistency.nees(pgm.Gaussian(x, np.zeros(3), cov[2, 0]), np.zeros(3))
+    # What the message advises.
+    assert caught.value.variable == x
+    kept = [1, 2, 3]
+    rest = pgm.Gaussian(
+        x, belief.mean[..., kept, :], cov[..., kept, :, :], steps=belief.steps[kept]
+    )
+    assert consistency.nees(rest, np.zeros((4, 3, 3))).max() == 0.0
+    assert consistency.nees(belief, np.zeros((4, 5, 3)), ("heading",)).max() == 0.0
+
+
+def test_sizes_over_time_are_numbers():
+    sizes = np.ones((4, 5))
+    assert consistency.over_time(sizes.tolist(), np.arange(5)).rms.tolist() == [1.0] * 5
+    sizes[2, 3] = np.nan
+    with pytest.raises(pgm.ModelError, match="1 of the 20 sizes are NaN"):
+        consistency.over_time(sizes, np.arange(5))
+    with pytest.raises(pgm.ModelError, match="over the steps"):
+        consistency.over_time(np.ones((5, 4)), np.arange(5))
+    with pytest.raises(pgm.ModelError, match="a size is made of numbers"):
+        consistency.over_time("sizes", np.arange(5))

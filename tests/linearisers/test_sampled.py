@@ -301,14 +301,14 @@ def test_too_few_samples_are_refused(make, n, enough):
 
 
 @kinds
-@pytest.mark.parametrize("arguments", [(0,), (-5,), (10.0,), ("10",)])
+@pytest.mark.parametrize("arguments", [(0,), (-5,), (10.0,), ("10",), (True,)])
 def test_malformed_sizes_are_refused(make, arguments):
     with pytest.raises(pgm.LinearisationError, match=r"MonteCarlo\(samples=.*whole number from 1"):
         make(*arguments)
 
 
 @kinds
-@pytest.mark.parametrize("seed", [-1, 0.5, None, 2**63])
+@pytest.mark.parametrize("seed", [-1, 0.5, None, 2**63, False])
 def test_malformed_seeds_are_refused(make, seed):
     with pytest.raises(pgm.LinearisationError, match=r"MonteCarlo\(seed=.*whole number from 0"):
         make(10, seed=seed)
@@ -317,3 +317,19 @@ def test_malformed_seeds_are_refused(make, seed):
 def test_odd_antithetic_samples_are_refused():
     with pytest.raises(pgm.LinearisationError, match=r"samples=11, antithetic=True.*even"):
         pgm.MonteCarlo(11, antithetic=True)
+
+
+@pytest.mark.parametrize(
+    ("rule", "switch"),
+    [
+        (pgm.MonteCarlo, "prior_moments"),
+        (pgm.MonteCarlo, "fresh_per_run"),
+        (pgm.MonteCarlo, "antithetic"),
+        (pgm.QuasiMonteCarlo, "fresh_per_run"),
+    ],
+)
+def test_switches_are_true_or_false(rule, switch):
+    for value in ("yes", 3, 1, None, 0.0, np.array([True])):
+        with pytest.raises(pgm.LinearisationError, match=rf"\({switch}=.*True or False"):
+            rule(10, **{switch: value})
+    assert rule(10, **{switch: np.True_}) == rule(10, **{switch: True})

@@ -185,7 +185,7 @@ def test_fixed_duration_is_a_given_duration():
     assert motion.Velocity(dt=0.3) == DRIVE
 
 
-@pytest.mark.parametrize("dt", [0.0, -0.1, np.nan, np.inf])
+@pytest.mark.parametrize("dt", [0.0, -0.1, np.nan, np.inf, "a", None])
 def test_a_duration_that_is_none_is_refused(dt):
     with pytest.raises(ValueError, match="duration of a step"):
         motion.Velocity(dt=dt)
@@ -254,7 +254,7 @@ def test_equal_wheels_go_exactly_straight():
 
 
 @pytest.mark.parametrize("name", ["radius", "wheelbase"])
-@pytest.mark.parametrize("value", [0.0, -0.1, np.nan, np.inf])
+@pytest.mark.parametrize("value", [0.0, -0.1, np.nan, np.inf, "a", None, 1j, [0.1]])
 def test_a_length_that_is_none_is_refused(name, value):
     with pytest.raises(ValueError, match=f"{name} is .* length above 0"):
         motion.DifferentialDrive(**{"radius": 0.1, "wheelbase": 0.3, "dt": 1.0} | {name: value})

@@ -7,7 +7,7 @@ from scipy.linalg import solve_discrete_are
 
 import pgm
 from models import networks as n
-from models import tracking
+from models import sensors, tracking
 from pgm import consistency
 
 LANDMARKS = np.array([[4.0, 3.0], [-2.0, 5.0]])
@@ -180,3 +180,48 @@ def test_a_turn_rate_is_learnt_from_positions(omega):
     belief = pgm.smooth(network, {n.fix: readings}, lineariser=pgm.Unscented())[n.turning_target]
     error = belief.mean[-1, 4] - omega
     assert abs(error) < min(0.01, 3.0 * belief.std[-1, 4])
+
+
+def as_function(std):
+    """A compass as a function with derivatives: what `reads_heading` says without either."""
+    return pgm.NonlinearGaussianCPD(
+        n.compass,
+        given=n.pose,
+        function=sensors.heading,
+        cov=std**2,
+        jacobian={n.pose: sensors.heading_by_state},
+    )
+
+
+@pytest.mark.parametrize("lineariser", [pgm.Taylor(), pgm.Unscented()])
+def test_a_heading_is_read_linearly_on_either_side_of_a_half_turn(lineariser):
+    network = n.turn_after_move(start=(0.0, 0.0, 3.0), start_std=(0.1, 0.1, 0.2))
+    controls = {n.move: np.tile([0.5, 0.1], (12, 1))}
+    drawn = network.sample(controls, runs=20, rng=3)
+    wrapped = (drawn[n.compass] + np.pi) % (2 * np.pi) - np.pi
+    assert wrapped.min() < -2.5 < 2.5 < wrapped.max()
+    linear, nonlinear = (
+        pgm.smooth(
+            network.replace(observation=[sensor]),
+            controls | {n.compass: wrapped},
+            lineariser=lineariser,
+        )
+        for sensor in (n.reads_heading(0.1), as_function(0.1))
+    )
+    assert_allclose(linear[n.pose].mean, nonlinear[n.pose].mean, atol=1e-12)
+    assert_allclose(linear[n.pose].cov, nonlinear[n.pose].cov, atol=1e-12)
+    assert_allclose(linear.log_evidence, nonlinear.log_evidence, atol=1e-9)
+
+
+@pytest.mark.parametrize("std", [-0.1, np.nan, np.inf])
+def test_standard_deviations_that_are_none_are_refused(std):
+    for build in (
+        lambda: n.velocity_pose(0.5, motion_std=(0.1, std, 0.1)),
+        lambda: n.constant_velocity(0.5, start_std=(1.0, 1.0, 1.0, std)),
+        lambda: n.sees_landmark((0.1, std)),
+        lambda: n.sees_range(std),
+        lambda: n.sees_bearing(std),
+        lambda: n.reads_heading(std),
+    ):
+        with pytest.raises(ValueError, match=f"standard deviations: found .*{std}.*; give finite"):
+            build()

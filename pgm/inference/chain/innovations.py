@@ -129,8 +129,7 @@ def _by_step(
                 cov[index] += sensor.cross[step]
         cov = np.where(seen[..., None] & seen[..., None, :], cov, np.eye(cov.shape[-1]))
         lower = roots.root(cov)
-        white = roots.solve_lower(lower, r[..., None])[..., 0]
-        white = np.where(roots.determined(lower), 0.0, white)
+        white = roots.whiten(lower, r)
         dof[steps] = seen.sum(axis=-1)
         nis[steps] = np.where(dof[steps] > 0, inner(white, white), np.nan)
     return nis, dof
