@@ -13,6 +13,8 @@ from models.networks import landmark, pose, sighting, velocity
 Array = npt.NDArray[np.float64]
 
 STEPS = 25
+# Steps at which all earlier ones are relinearised, the last among them.
+ENDS = tuple(range(1, STEPS + 1, 4))
 DT = 1.0  # s
 CONTROL = (1.0, 0.4)  # m/s, rad/s
 LANDMARK = np.array([2.0, 2.5])  # m
@@ -42,13 +44,13 @@ def simulate(runs: int, seed: int) -> Case:
 
 
 def growing(case: Case, lineariser: pgm.Lineariser, iterations: int) -> Array:
-    """Errors of the last position when all steps up to it are relinearised, (runs, STEPS).
+    """Errors of the last position when all steps up to it are relinearised, (runs, ENDS).
 
     An iterated smoother of the first k readings has at step k what a filter has there, and may
     change its mind about all linearisations before.
     """
     errors = []
-    for steps in range(1, STEPS + 1):
+    for steps in ENDS:
         posterior = pgm.smooth(
             case.model,
             {

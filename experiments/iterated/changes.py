@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
-from experiments.iterated.methods import Outcome
+from experiments.iterated.methods import TITLES, Grid, Outcome
 
 # Standard errors from which on a difference is called one.
 CLEAR = 2.0
@@ -33,16 +35,34 @@ class Change:
 
     @property
     def verdict(self) -> str:
-        """Lowers, raises, or does not clearly change."""
+        """Lower, higher, or no clear change."""
         if abs(self.z) < CLEAR:
-            return "does not clearly change"
-        return "lowers" if self.z < 0.0 else "raises"
+            return "no clear change"
+        return "lower" if self.z < 0.0 else "higher"
 
-    def __str__(self) -> str:
-        before, after = self.before.score, self.after.score
-        return (
-            f"{self.verdict} the RMSE ({before.rmse:.3f} to {after.rmse:.3f}, "
-            f"{self.z:+.1f} standard errors of the paired difference; without the worst 5 % of "
-            f"runs {before.trimmed:.3f} to {after.trimmed:.3f}; median run {before.median:.3f} "
-            f"to {after.median:.3f})"
-        )
+
+def verdicts(grids: Mapping[str, Grid]) -> str:
+    """What each number of linearisations does to an RMSE, against one, by step control."""
+    return " ".join(
+        f"{name} {kind}: {_verdict(controls)}."
+        for name, grid in grids.items()
+        for kind, controls in grid.items()
+    )
+
+
+def _verdict(controls: Mapping[str, Mapping[int, Outcome]]) -> str:
+    counts = [k for k in controls["plain"] if k > 1]
+    return "; ".join(
+        f"after {', '.join(str(k) for k in alike)} {said}"
+        for said, alike in groupby(counts, lambda k: _said(controls, k))
+    )
+
+
+def _said(controls: Mapping[str, Mapping[int, Outcome]], count: int) -> str:
+    found: dict[str, list[str]] = {}
+    for control, each in controls.items():
+        if count in each:
+            found.setdefault(Change(each[1], each[count]).verdict, []).append(TITLES[control])
+    if len(found) == 1:
+        return f"{next(iter(found))} with each"
+    return ", ".join(f"{verdict} with {' and '.join(who)}" for verdict, who in found.items())

@@ -50,7 +50,7 @@ def linearisations(grids: Mapping[str, Mapping[str, Grid]]) -> Figure:
 
 
 def residuals(panels: Mapping[str, Mapping[str, Outcome]]) -> Figure:
-    """How far each relinearisation still moved the means: the median run, and the worst tenth."""
+    """How far each relinearisation still moved the means: the median run, and the middle 80 %."""
     figure, axes = plt.subplots(
         1, len(panels), figsize=(3.5 * len(panels), 3.8), sharey=True, layout="constrained"
     )
@@ -64,6 +64,7 @@ def residuals(panels: Mapping[str, Mapping[str, Outcome]]) -> Figure:
             ax.fill_between(at, low, high, color=COLOURS[control], alpha=0.15, linewidth=0)
         ax.set(title=title, xlabel="linearisation")
         ax.xaxis.get_major_locator().set_params(integer=True)
+        ax.yaxis.minorticks_off()
     axes[0].set_ylabel("largest move of a mean [standard deviations]")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small")
@@ -89,9 +90,18 @@ def over_time(grids: Mapping[str, Grid], growing: Mapping[str, Array], iteration
             )
         ax.plot(
             steps,
+            filters["damped"][2].by_step,
+            color=COLOURS["damped"],
+            linestyle="-.",
+            label=f"filter, 2 linearisations, {TITLES['damped']}",
+        )
+        ax.plot(
+            chain.ENDS,
             np.sqrt((growing[name] ** 2).mean(axis=0)),
             color=INK,
-            linestyle=":",
+            linestyle="",
+            marker="o",
+            markersize=4,
             label="the same readings, all steps relinearised",
         )
         ax.plot(
@@ -106,35 +116,6 @@ def over_time(grids: Mapping[str, Grid], growing: Mapping[str, Array], iteration
     np.atleast_1d(axes)[0].set(ylabel="RMSE of the position [m]", ylim=(0.0, 1.05 * highest))
     handles, labels = np.atleast_1d(axes)[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize="small")
-    plt.close(figure)
-    return figure
-
-
-def distributions(grids: Mapping[str, Grid], iterations: int) -> Figure:
-    """The shares of runs by their RMSE, a row of panels for each lineariser."""
-    figure, axes = plt.subplots(
-        len(grids),
-        2,
-        figsize=(10, 3.6 * len(grids)),
-        sharex=True,
-        sharey=True,
-        layout="constrained",
-        squeeze=False,
-    )
-    for row, (name, grid) in zip(axes, grids.items(), strict=True):
-        for ax, kind in zip(row, KINDS, strict=True):
-            _share(ax, grid[kind]["plain"][1], INK, "linearised once")
-            for control, each in grid[kind].items():
-                label = f"{iterations} linearisations, {TITLES[control]}"
-                _share(ax, each[iterations], COLOURS[control], label)
-            ax.set(title=f"{name}, {kind}", xscale="log")
-            ticks = (0.1, 0.2, 0.5, 1.0, 2.0)
-            ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
-            ax.xaxis.minorticks_off()
-        row[0].set_ylabel("share of runs")
-    for ax in axes[-1]:
-        ax.set_xlabel("RMSE of a run's positions [m]")
-    axes[0, 0].legend(fontsize="small", loc="upper left")
     plt.close(figure)
     return figure
 
@@ -199,10 +180,3 @@ def _published(ax: Axes, sensor: str, kind: str, name: str) -> None:
             zorder=5,
             label=f"{name}, published",
         )
-
-
-def _share(ax: Axes, outcome: Outcome, colour: str, label: str) -> None:
-    found = np.sort(outcome.by_run)
-    ax.step(
-        found, np.arange(1, len(found) + 1) / len(found), where="post", color=colour, label=label
-    )

@@ -25,6 +25,8 @@ CONTROLS: dict[str, pgm.LevenbergMarquardt | float] = {
 TITLES = {"plain": "plain", "damped": "damped by a half", "lm": "Levenberg–Marquardt"}
 # Standard deviations by which no mean moves any more.
 TOLERANCE = 1e-6
+# Standard deviations by which no mean of a run at rest moved at the last linearisation.
+AT_REST = 0.01
 # The share of runs, those with the largest errors, that a trimmed RMSE leaves out.
 WORST = 0.05
 
@@ -41,6 +43,8 @@ class Score:
         The median over runs of the RMSE of a run.
     trimmed : float
         The RMSE without the worst `WORST` of runs.
+    tail, nees_tail : float
+        What the worst `WORST` of runs make of the sum of squared errors, and of NEES.
     lost : float
         The share of runs whose RMSE is above a bound.
     nees, nees_se, nees_median : float
@@ -48,6 +52,9 @@ class Score:
         components has a mean of n.
     converged : float
         The share of runs that converged.
+    settled : float or None
+        The share of runs at rest, the last linearisation having moved no mean by more than
+        `AT_REST` deviations; None after a single one.
     seconds : float
     """
 
@@ -55,11 +62,14 @@ class Score:
     rmse_se: float
     median: float
     trimmed: float
+    tail: float
     lost: float
     nees: float
     nees_se: float
     nees_median: float
+    nees_tail: float
     converged: float
+    settled: float | None
     seconds: float
 
 
@@ -119,38 +129,54 @@ def solve(
     belief = posterior[case.variable]
     wrong = error(belief, case.truth)[:, case.first :]
     squares = (wrong[..., : case.components] ** 2).sum(axis=-1)
+    residuals = posterior.status.residuals
     return Outcome(
         belief,
         squares,
-        posterior.status.residuals,
+        residuals,
         score(
             squares,
             normalised(wrong, belief.cov[:, case.first :]),
             case.lost,
             float(posterior.status.converged.mean()),
+            float(np.mean(residuals[-1] <= AT_REST)) if len(residuals) else None,
             seconds,
         ),
     )
 
 
-def score(squares: Array, nees: Array, lost: float, converged: float, seconds: float) -> Score:
+def score(
+    squares: Array,
+    nees: Array,
+    lost: float,
+    converged: float,
+    settled: float | None,
+    seconds: float,
+) -> Score:
     """Summarise squared errors and NEES, (runs, steps)."""
     by_run = squares.mean(axis=1)
     runs = len(by_run)
     rmse = float(np.sqrt(by_run.mean()))
-    kept = np.sort(by_run)[: max(1, round((1.0 - WORST) * runs))]
     return Score(
         rmse=rmse,
         rmse_se=float(by_run.std() / (2.0 * rmse * np.sqrt(runs))),
         median=float(np.median(np.sqrt(by_run))),
-        trimmed=float(np.sqrt(kept.mean())),
+        trimmed=float(np.sqrt(_best(by_run).mean())),
+        tail=float(1.0 - _best(by_run).sum() / by_run.sum()),
         lost=float(np.mean(np.sqrt(by_run) > lost)),
         nees=float(nees.mean()),
         nees_se=float(nees.mean(axis=1).std() / np.sqrt(runs)),
         nees_median=float(np.median(nees)),
+        nees_tail=float(1.0 - _best(nees.mean(axis=1)).sum() / nees.mean(axis=1).sum()),
         converged=converged,
+        settled=settled,
         seconds=seconds,
     )
+
+
+def _best(by_run: Array) -> Array:
+    """All but the largest `WORST`."""
+    return np.sort(by_run)[: max(1, round((1.0 - WORST) * len(by_run)))]
 
 
 def normalised(wrong: Array, cov: Array) -> Array:

@@ -6,8 +6,9 @@ import pytest
 
 import pgm
 from experiments import iterated
-from experiments.iterated import chain, growth, methods, published
-from experiments.iterated.changes import Change
+from experiments.iterated import agreement, chain, growth, methods, pages, published
+from experiments.iterated.changes import Change, verdicts
+from experiments.record import Record
 from models.sensors import range_bearing
 from pgm import consistency
 
@@ -118,15 +119,18 @@ def test_z_counts_the_published_error_as_one_seed():
 
 def test_scores_of_errors_known_by_hand():
     squares = np.array([[1.0, 3.0], [4.0, 4.0], [0.0, 0.0], [9.0, 7.0]])
-    score = methods.score(squares, np.full((4, 2), 2.0), 1.9, 0.5, 0.0)
+    score = methods.score(squares, np.full((4, 2), 2.0), 1.9, 0.5, None, 0.0)
     assert score.rmse == pytest.approx(np.sqrt(3.5))
     assert score.median == pytest.approx((np.sqrt(2.0) + 2.0) / 2.0)
     assert score.lost == 0.5
     spread = np.std([2.0, 4.0, 0.0, 8.0])
     assert score.rmse_se == pytest.approx(spread / (2.0 * np.sqrt(3.5) * 2.0))
-    assert methods.score(np.arange(20.0)[:, None], squares, 9.0, 0.0, 0.0).trimmed == (
-        pytest.approx(np.sqrt(np.arange(19.0).mean()))
-    )
+    nees = np.ones((20, 1))
+    nees[3] = 21.0
+    tailed = methods.score(np.arange(20.0)[:, None], nees, 9.0, 0.0, None, 0.0)
+    assert tailed.trimmed == pytest.approx(np.sqrt(np.arange(19.0).mean()))
+    assert tailed.tail == pytest.approx(19.0 / 190.0)
+    assert tailed.nees_tail == pytest.approx(21.0 / 40.0)
 
 
 def test_normalised_errors_are_the_nees_where_that_exists():
@@ -162,7 +166,8 @@ def test_the_growing_smoother_ends_at_the_whole_one():
     errors = chain.growing(case, rule, 3)
     whole = pgm.smooth(case.model, case.evidence, lineariser=rule, iterations=3, tolerance=1e-3)
     last = whole[case.variable].mean[:, -1, :2] - case.truth[:, -1, :2]
-    assert errors.shape == (3, chain.STEPS)
+    assert errors.shape == (3, len(chain.ENDS))
+    assert chain.ENDS[-1] == chain.STEPS
     assert errors[:, -1] == pytest.approx(np.linalg.norm(last, axis=-1))
 
 
@@ -200,10 +205,47 @@ def test_on_chains_the_smoother_gains_and_the_filter_loses(drives):
 
 def test_a_change_is_judged_run_by_run(drives):
     once = methods.solve(drives, chain.LINEARISERS["Taylor"], "filter", "plain", 1)
-    assert Change(once, once).verdict == "does not clearly change"
+    assert Change(once, once).verdict == "no clear change"
     worse = replace(once, squares=once.squares + 0.01 * np.arange(1, 201.0)[:, None])
-    assert Change(once, worse).verdict == "raises"
-    assert Change(worse, once).verdict == "lowers"
+    assert Change(once, worse).verdict == "higher"
+    assert Change(worse, once).verdict == "lower"
+
+
+def outcome(squares):
+    score = methods.score(squares, squares, 1.0, 0.0, None, 0.0)
+    return methods.Outcome(None, squares, np.empty((0, len(squares))), score)
+
+
+def by_hand(**changes):
+    """Controls whose runs all change their squared error by about so much, by linearisations."""
+    once = 1.0 + np.linspace(0.0, 1.0, 40)[:, None]
+    unequal = np.linspace(0.9, 1.1, 40)[:, None]
+    return {
+        control: {1: outcome(once)} | {k: outcome(once + by * unequal) for k, by in each.items()}
+        for control, each in changes.items()
+    }
+
+
+def test_the_answer_says_which_control_wins_and_when():
+    filters = by_hand(plain={2: 0.0, 10: 0.3}, damped={2: -0.3, 10: -0.1}, lm={2: 0.2, 10: 0.1})
+    smoothers = by_hand(
+        plain={2: -0.3, 10: -0.4}, damped={2: -0.2, 10: -0.4}, lm={2: -0.3, 10: -0.4}
+    )
+    said = pages.answer({"Taylor": {"filter": filters, "smoother": smoothers}})
+    assert said.startswith("Does step control make iterating win on chains? ")
+    assert said.endswith(
+        " Taylor filter: after 2 no clear change with plain, lower with damped by a half, higher "
+        "with Levenberg–Marquardt; after 10 higher with plain and Levenberg–Marquardt, lower with "
+        "damped by a half. Taylor smoother: after 2, 10 lower with each."
+    )
+
+
+def test_a_control_without_so_many_linearisations_has_no_verdict():
+    controls = by_hand(plain={2: 0.3, 31: 0.3}, damped={2: -0.3, 31: 0.3}, lm={2: 0.3})
+    assert verdicts({"Taylor": {"filter": controls}}) == (
+        "Taylor filter: after 2 higher with plain and Levenberg–Marquardt, lower with damped by a "
+        "half; after 31 higher with each."
+    )
 
 
 def test_the_summary_holds_every_method(done):
@@ -218,7 +260,9 @@ def test_the_summary_holds_every_method(done):
                 assert set(controls) == {"plain", "damped", "lm"}
                 assert all(set(each) == {"1", str(most)} for each in controls.values())
                 assert controls["plain"]["1"] == controls["lm"]["1"]
+                assert controls["plain"]["1"]["settled"] is None
                 assert controls["plain"]["2"]["rmse"] > 0.0
+                assert 0.0 <= controls["plain"]["2"]["settled"] <= 1.0
     assert set(summary["chains"]) == set(chain.LINEARISERS)
     controlled = {name for name, kinds in summary["chains"].items() if "lm" in kinds["filter"]}
     assert controlled == {"Taylor", "Cubature"} == set(summary["chain_last"])
@@ -245,15 +289,34 @@ def test_the_summary_compares_with_what_was_published(done):
     assert {one["quantity"] for one in found["square"]["Unscented"]} == {"rmse", "nees"}
 
 
-def test_figures_and_notes_are_on_the_page(done):
+def test_readings_of_the_case_that_agree_are_named(tmp_path):
+    number = published.Number(("smoother", 1), 1.0)
+    near, far = (published.Comparison(number, (v,), 0.1, (1.0,)) for v in (1.2, 1.9))
+    record = Record("iterated", tmp_path)
+    once = outcome(np.ones((20, 1))).score
+    found = {"cubic": {"Unscented": [near]}}
+    agreement.published_page(record, found, {"alike": [near], "unlike": [far]}, once)
+    page = json.loads(record.summary().read_text())["page"]
+    notes = [entry["note"] for entry in page if "note" in entry]
+    assert notes[0].startswith("1 of 1 published numbers")
+    assert notes[1].endswith(f"at most 3: {growth.MAIN.title}; alike.")
+
+
+def test_the_answer_comes_first_and_figures_are_on_the_page(done):
     out, summary = done
-    figures = [entry for entry in summary["page"] if "figure" in entry]
+    page = summary["page"]
+    assert page[0]["note"].startswith("Does step control make iterating win")
+    figures = [entry for entry in page if "figure" in entry]
     assert [entry["figure"] for entry in figures] == [
-        f"{name}.png"
-        for name in ("linearisations", "residuals", "over_time", "distributions", "failure")
+        f"{name}.png" for name in ("over_time", "failure", "linearisations", "residuals")
     ]
     for entry in figures:
         assert entry["caption"]
         assert (out / entry["figure"]).read_bytes().startswith(b"\x89PNG")
-    notes = [entry["note"] for entry in summary["page"] if "note" in entry]
-    assert any(note.startswith("Does step control make iterating win") for note in notes)
+    # Where nothing is done again, nothing is at rest.
+    (rest,) = (entry for entry in page if entry.get("table", "").startswith("Runs at rest"))
+    assert {row[1] for row in rest["rows"]} == {str(iterated.QUICK["most"])}
+    (caption,) = (e["caption"] for e in figures if e["figure"] == "linearisations.png")
+    one = summary["published"]["square"]["Unscented"][1]
+    assert f"published {one['published']:g}" in caption
+    assert f"there {one['mean']:.2f}" in caption
