@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -64,21 +65,23 @@ def robot(seed: int, steps: int) -> tuple[Case, dict[pgm.Variable, Any]]:
     return Case.of(network, evidence, **graphs), truth
 
 
-def discrete_sweep() -> dict[str, dict[str, list[Numbers]]]:
+def discrete_sweep(couplings: Sequence[float] = SPINS) -> dict[str, dict[str, list[Numbers]]]:
     """Spins in a ring, and the same with diagonals."""
     schedules = _damped(LIMITS["discrete"])
     return {
-        "ring": sweep(discrete_ring, SPINS, schedules),
-        "with diagonals": sweep(partial(discrete_ring, diagonals=True), SPINS, schedules),
+        "ring": sweep(discrete_ring, couplings, schedules),
+        "with diagonals": sweep(partial(discrete_ring, diagonals=True), couplings, schedules),
     }
 
 
-def gaussian_sweep() -> dict[str, dict[str, list[Numbers]]]:
+def gaussian_sweep(
+    precisions: Sequence[float] = PRECISIONS,
+) -> dict[str, dict[str, list[Numbers]]]:
     """Places in a ring, of which each reading adds up two or three."""
     schedules = _damped(LIMITS["gaussian"])
     return {
-        "sums of two": sweep(gaussian_ring, PRECISIONS, schedules),
-        "sums of three": sweep(partial(gaussian_ring, span=3), PRECISIONS, schedules),
+        "sums of two": sweep(gaussian_ring, precisions, schedules),
+        "sums of three": sweep(partial(gaussian_ring, span=3), precisions, schedules),
     }
 
 

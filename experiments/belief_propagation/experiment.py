@@ -22,7 +22,7 @@ summary.json:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -37,17 +37,40 @@ By = dict[str, dict[str, pgm.Posterior]]  # graph and schedule
 
 # Precision of sums of three, of which undamped messages diverge.
 _DIVERGING = 2.0
-QUICK: dict[str, Any] = {}
+# On either side of the strength from which messages do not converge; of spins 0 and the greatest.
+QUICK: dict[str, Any] = {
+    "steps": 3,
+    "spins": [-0.75, -0.5, 0.0, 1.5],
+    "precisions": [0.5, 1.0],
+}
 
 
 def run(
     out: Out = None,
     seed: Seed = 0,
     coupling: Annotated[float, typer.Option(min=0.01, help="Strength of the four-cycle.")] = 1.0,
-    steps: Annotated[int, typer.Option(min=4, help="Steps of the robot.")] = 5,
+    steps: Annotated[int, typer.Option(min=3, help="Steps of the robot.")] = 5,
+    spins: Annotated[
+        list[float] | None,
+        typer.Option("--spin", help="A coupling of spins to try; 13 from -1.5 to 1.5 without."),
+    ] = None,
+    precisions: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--precision",
+            min=0.01,
+            help="A precision of readings of places to try; 6 from 1/8 to 4 without.",
+        ),
+    ] = None,
 ) -> None:
     """Exact against loopy: marginals, means, deviations, and where messages converge."""
-    record = Record("belief_propagation", out, seed=seed, coupling=coupling, steps=steps)
+    at = {
+        "discrete": sorted(spins or cases.SPINS),
+        "gaussian": sorted(precisions or cases.PRECISIONS),
+    }
+    record = Record(
+        "belief_propagation", out, seed=seed, coupling=coupling, steps=steps, strengths=at
+    )
     robot, truth = cases.robot(seed, steps)
     compared = {
         "sprinkler": cases.wet_grass(),
@@ -65,17 +88,32 @@ def run(
     found = {name: summarise(case, posteriors[name]) for name, case in compared.items()}
     for name, title in titles.items():
         _table(record, title, found[name])
-    swept = {"discrete": cases.discrete_sweep(), "gaussian": cases.gaussian_sweep()}
-    at = {"discrete": cases.SPINS, "gaussian": cases.PRECISIONS}
+    swept = {
+        "discrete": cases.discrete_sweep(at["discrete"]),
+        "gaussian": cases.gaussian_sweep(at["gaussian"]),
+    }
     for kind, networks in swept.items():
         _note_convergence(record, kind, networks, at[kind])
     drawn = {"sprinkler": "sprinkler", "four_cycle": "places", "localisation": "localisation"}
     for name, case in drawn.items():
-        record.figure(figures.graphs(compared[case]), f"{name}_graphs")
-    record.figure(figures.coupling(swept, at), "coupling")
-    record.figure(figures.convergence(_records(compared, posteriors)), "convergence")
+        caption = f"{titles[case]}: the graphs on which messages go round."
+        record.figure(figures.graphs(compared[case]), f"{name}_graphs", caption)
+    record.figure(
+        figures.coupling(swept, at),
+        "coupling",
+        "Errors of loopy beliefs against the strength of the coupling.",
+    )
+    record.figure(
+        figures.convergence(_records(compared, posteriors)),
+        "convergence",
+        "How much messages still change, iteration by iteration.",
+    )
     beliefs = {"exact": robot.exact, "Bethe": posteriors["localisation"]["bethe"]["sequential"]}
-    record.figure(figures.scene(robot, truth, beliefs), "localisation")
+    record.figure(
+        figures.scene(robot, truth, beliefs),
+        "localisation",
+        "Poses and unknown landmarks with 95 % ellipses, exact and on the Bethe graph.",
+    )
     record.summary(
         sprinkler=found["sprinkler"],
         four_cycle={"discrete": found["spins"], "gaussian": found["places"]},
@@ -116,8 +154,9 @@ def _table(record: Record, title: str, found: Mapping[str, Any]) -> None:
             for graph, schedule, numbers in rows
         ],
     )
+    others = sorted({numbers["log_evidence_kind"] for _, _, numbers in rows[1:]})
     record.note(
-        f"ln p(e) of the tree is {tree['log_evidence_kind']}, of the others bethe; "
+        f"ln p(e) of the tree is {tree['log_evidence_kind']}, of the others {' or '.join(others)}; "
         f"the tree differs from an independent answer by {tree['check']:.1g}"
     )
 
@@ -134,7 +173,7 @@ def _note_convergence(
     record: Record,
     kind: str,
     networks: Mapping[str, Mapping[str, list[Numbers]]],
-    at: tuple[float, ...],
+    at: Sequence[float],
 ) -> None:
     """Say where messages did not converge."""
     limit = cases.LIMITS[kind]

@@ -40,7 +40,7 @@ def graphs(case: Case) -> Figure:
 def convergence(records: Mapping[str, Mapping[str, pgm.Status]]) -> Figure:
     """The residuals of some schedules, one panel a network."""
     figure, axes = plt.subplots(
-        1, len(records), figsize=(4.4 * len(records), 4.0), layout="constrained"
+        1, len(records), sharey=True, figsize=(4.4 * len(records), 4.0), layout="constrained"
     )
     for ax, (title, statuses) in zip(axes, records.items(), strict=True):
         for name, status in statuses.items():
@@ -70,6 +70,7 @@ def coupling(swept: Mapping[str, Sweep], at: Mapping[str, Sequence[float]]) -> F
     right.set_ylim(1e-17, 10.0 * _FAR)
     for ax in (middle, right):
         ax.set_xscale("log", base=2)
+        ax.xaxis.set_major_formatter("{x:g}")
         ax.set_xlabel("precision of a reading")
     left.legend(fontsize="small", loc="upper right")
     right.legend(fontsize="small", loc="center left")

@@ -17,20 +17,26 @@ from experiments.differential_drive.problems import DT, LANDMARK, MOTIONS
 from experiments.differential_drive.results import Drive
 from pgm.plot.colours import INK, MUTED
 
-EVERY = MOTIONS // 2  # two pictures a second of the drive: between readings, and after each
+# Motions from a picture to the next. Odd numbers of half seconds: pictures are by turns of a motion
+# halfway between readings and of a reading. The longest drive skips more, for the size of its file.
+EVERY = {"1": 5 * (MOTIONS // 2), "2a": MOTIONS // 2, "2b": MOTIONS // 2}
 _RATE = 10  # pictures a second
-_NEAR = 2.0  # m, how far the picture that follows the robot reaches
+_NEAR = 2.0  # m, how far the picture that follows the robot reaches, at most
 
 
 def animate(drive: Drive, path: Path) -> int:
     """Write a GIF, the whole map beside what is near the robot; returns how many pictures."""
-    steps = range(0, drive.problem.steps + 1, EVERY)
+    steps = range(0, drive.problem.steps + 1, EVERY[drive.problem.name])
     figure, axes = plt.subplots(1, 2, figsize=(7.2, 3.9), layout="constrained")
     writer = PillowWriter(fps=_RATE)
     with writer.saving(figure, str(path), dpi=75):
         for step in steps:
             _draw(drive, step, axes)
             if step == 0:
+                handles, labels = axes[0].get_legend_handles_labels()
+                figure.legend(
+                    handles, labels, loc="outside lower center", ncols=2, fontsize="small"
+                )
                 figure.canvas.draw()  # a layout that is kept: nothing shakes
                 figure.set_layout_engine("none")
             writer.grab_frame()
@@ -63,8 +69,7 @@ def _draw(drive: Drive, step: int, axes: Iterable[Axes]) -> None:
         ax.set(xlabel="east [m]", ylabel="north [m]", aspect="equal")
     centre, half = _bounds(drive)
     _limit(whole, centre, half)
-    _limit(near, here, _NEAR)
-    whole.legend(loc="lower right", fontsize="small")
+    _limit(near, here, min(_NEAR, 0.4 * half))
     kind = "the start" if step == 0 else "after a reading" if measured else "after a motion"
     near.set_title(kind, fontsize="small")
     whole.set_title(f"problem {drive.problem.name}, {step * DT:.1f} s", fontsize="small")

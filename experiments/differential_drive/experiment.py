@@ -32,9 +32,9 @@ def run(
     out: Out = None,
     seed: Seed = 0,
     runs: Annotated[int, typer.Option(min=2, help="Drives of each problem.")] = 500,
-    seconds: Annotated[int, typer.Option(min=2, help="Seconds of a drive, at most.")] = 100,
+    seconds: Annotated[int, typer.Option(min=3, help="Seconds of a drive, at most.")] = 100,
     noise: Annotated[
-        Meaning, typer.Option(help="What N(0, 0.1) tells in the figures and animations.")
+        Meaning, typer.Option(help="As what the figures and animations read N(0, ·).")
     ] = "deviation",
 ) -> None:
     """A robot on two driven wheels: filters, smoothers, and particles that are not better."""

@@ -140,7 +140,7 @@ def nees_figure(nees: Mapping[str, Mapping[str, Curves]], runs: int) -> Figure:
                     lw=1.1,
                     label=f"{lineariser}, {kind}",
                 )
-            ax.set_title(f"problem {name}, N(0, ·) tells {noise}s")
+            ax.set_title(f"problem {name}, N(0, ·) read as {noise}s")
             ax.set_ylim(0.0, max(2.0 * dimension, 1.05 * ax.get_ylim()[1]))
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")

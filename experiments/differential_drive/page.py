@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.differential_drive.animation import animate
+from experiments.differential_drive.animation import EVERY, animate
 from experiments.differential_drive.figures import drive_figure, nees_figure
-from experiments.differential_drive.problems import NOISE
+from experiments.differential_drive.problems import DT, NOISE
 from experiments.differential_drive.results import Solved
 from experiments.record import Record
 from pgm import consistency
@@ -28,7 +28,7 @@ def note_readings(record: Record, drawn: str) -> None:
         "Problem 1: wheel speeds are taken in rad/s, 0.1 each, so that 1 m takes 100 s (read as "
         "0.1 m/s at the rim they would be 1 rad/s and take 10 s); both axes get the speed of both "
         "wheels, so that the robot drives a diagonal. The noise of 100 s is as large as the drive, "
-        "or larger. Problem 2 does not tell start and speed: here the robot starts at the origin "
+        "or larger. Problem 2 gives neither start nor speed: here the robot starts at the origin "
         "and goes round the landmark at 2 m/s. Every drive starts from an exactly known state."
     )
 
@@ -38,7 +38,7 @@ def tabulate(record: Record, found: By, runs: int) -> None:
     bands = [consistency.mean_band(dimension, runs) for dimension in (2, 3)]
     for meaning, problems in found.items():
         record.table(
-            f"RMSE and mean NEES over {runs} drives, where N(0, ·) tells {meaning}s; NEES of all "
+            f"RMSE and mean NEES over {runs} drives, N(0, ·) read as {meaning}s; NEES of all "
             "steps, of the last, and how many steps have theirs in its band",
             ("", "lineariser", "belief", "xy [m]", "θ [rad]", "NEES", "last", "in band"),
             [
@@ -87,10 +87,23 @@ def tabulate_particles(record: Record, found: dict[str, Any]) -> None:
     )
     record.note(
         "The reference finds its particle filter of 100 much more accurate than the Kalman filter. "
-        "On a linear Gaussian model no estimator has a smaller mean square error than the Kalman "
-        "filter; a particle filter reaches it as its particles grow in number, from above. Excess "
-        "is its mean square error less the Kalman filter's, over the same drives."
+        "On a linear Gaussian model no estimator has a smaller expected square error than the "
+        "Kalman filter, which a particle filter tends to as its particles grow in number. Excess "
+        "is its mean square error less the Kalman filter's, over the same drives, with its "
+        f"standard error; {_excesses(found['particles'])}."
     )
+
+
+def _excesses(found: dict[str, Any]) -> str:
+    """With how many particles the excess is told from 0, and to which side."""
+    above = [n for n, each in found.items() if each["excess"] > 2.0 * each["excess_se"]]
+    below = [n for n, each in found.items() if each["excess"] < -2.0 * each["excess_se"]]
+    says = [
+        f"{side} 0 by more than two of them with {', '.join(counts)} particles"
+        for side, counts in (("above", above), ("below", below))
+        if counts
+    ]
+    return f"here it is {', '.join(says) or 'within two of them of 0'}"
 
 
 def note_findings(
@@ -101,8 +114,8 @@ def note_findings(
     taylor, unscented = (found["variance"]["2b"][rule] for rule in ("Taylor", "Unscented"))
     record.note(
         f"Told w T in place of w √T, the Kalman filter of problem 1 has a NEES of "
-        f"{held['nees']:.1f} where {exact['nees']:.2f} is right (2 is due), and its RMSE grows "
-        f"from {exact['rmse']:.3f} m to {held['rmse']:.3f} m."
+        f"{held['nees']:.1f} where {exact['nees']:.2f} is right (2 is due), and an RMSE "
+        f"of {held['rmse']:.3f} m in place of {exact['rmse']:.3f} m."
     )
     ends = "; ".join(
         f"{each['tangential'][-1]:.2f} m along the circle and {each['radial'][-1]:.2f} m towards "
@@ -143,13 +156,15 @@ def show(record: Record, solved: dict[str, dict[str, Solved]], drawn: str) -> di
         "lineariser. Where a curve is not seen it lies below another.",
     )
     counts = {}
-    for name in ("2a", "2b"):
-        drive = solved[drawn][name].drive()
+    for name, each in solved[drawn].items():
+        drive = each.drive()
         file = f"problem_{name}.gif"
-        counts[file] = animate(drive, record.folder / file)
+        counts[file], every = animate(drive, record.folder / file), EVERY[name]
         record.picture(
             file,
-            f"{drive.problem.title}: truth, the filter's estimate, and its ellipse (95 %), blue "
-            "after a motion and orange after a reading, two pictures a second of the drive.",
+            f"{drive.problem.title}: truth, the filter's estimate, and its ellipse (95 %), by "
+            f"turns blue after a motion halfway between readings and orange after a reading. A "
+            f"picture every {every} motions ({every * DT:g} s), which skips the {every - 1} "
+            "between and what was read after them; the figure above has an ellipse at each.",
         )
     return counts

@@ -40,7 +40,7 @@ NOISE = {
 # Problem 1 turns both wheels at 0.1 rad/s: v = r (ω + ω) / 2 = 0.01 m/s on each axis, 1 m in 100 s.
 SLOW = (0.1, 0.1)
 SECONDS = {"1": 100, "2a": 48, "2b": 48}
-# Problem 2 tells neither start nor speeds. Here the robot starts at the origin, as in problem 1,
+# Problem 2 gives neither start nor speeds. Here the robot starts at the origin, as in problem 1,
 # heads along the circle about the landmark, and goes round it in 44 s, at 2 m/s.
 START = (0.0, 0.0, -np.pi / 4)
 SPEED = 2.0  # m/s

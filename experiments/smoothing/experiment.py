@@ -144,8 +144,9 @@ def run(
     record.figure(
         figures.innovations(plain, times),
         "innovations",
-        "Above, NIS of the filter for each degree of freedom; below, the autocorrelation of its "
-        "whitened innovations, both with 95 % bands; p as in the notes.",
+        "Above, NIS of the filter for each degree of freedom, with gaps where no landmark is in "
+        "reach; below, the autocorrelation of its whitened innovations, both with 95 % bands; p as "
+        "in the notes.",
     )
     record.figure(
         figures.convergence(status, TOLERANCE),

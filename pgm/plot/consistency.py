@@ -15,9 +15,9 @@ from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations
 from pgm.plot.axes import given_or_new, name_axes, useful_legend
-from pgm.plot.colours import INK, MUTED, next_colour
+from pgm.plot.colours import INK, next_colour
 from pgm.plot.components import check_gaussian
-from pgm.plot.consistency_bands import along, band, line
+from pgm.plot.consistency_bands import along, line, right_band
 
 
 def nees(
@@ -34,8 +34,8 @@ def nees(
     """Draw the NEES over time, averaged over runs and divided by its degrees of freedom.
 
     A right belief has 1, within the χ² band. Above it claims too much, below too little. Call it
-    again with the same `ax` to compare beliefs: each takes the next colour, and the band is
-    drawn once.
+    again with the same `ax` to compare beliefs: each takes the next colour, and a band that
+    differs from the first is drawn in it.
 
     Parameters
     ----------
@@ -92,7 +92,8 @@ def nis(
     """Draw the NIS over time, averaged over runs and divided by its degrees of freedom.
 
     A right model has 1, within the χ² band, which is wider at steps where less was read. Steps
-    without readings are left out. Call it again with the same `ax` to compare.
+    without readings are left out, and nothing is drawn across a gap longer than is usual (the
+    median) between readings. Call it again with the same `ax` to compare.
 
     Parameters
     ----------
@@ -135,13 +136,17 @@ def _draw(
     colour: str | None,
     confidence: float,
 ) -> None:
-    there = average.count > 0
+    there = np.flatnonzero(average.count > 0)
+    spacing = np.diff(there)
+    usual = np.median(spacing) if spacing.size else 1
+    breaks = np.flatnonzero(spacing > usual) + 1
+    across = np.insert(across[there], breaks, across[there][breaks])
+    value, low, high = (
+        np.insert(each[there], breaks, np.nan)
+        for each in (average.value, average.low, average.high)
+    )
     tint = colour or next_colour(ax)
-    within = f"{100.0 * confidence:.4g} % band"
-    if within not in ax.get_legend_handles_labels()[1]:
-        low, high = average.low[there], average.high[there]
-        band(ax, across[there], low, high, MUTED, label=within)
+    if right_band(ax, across, low, high, tint, confidence=confidence, label=label):
         ax.axhline(1.0, color=INK, lw=0.8, zorder=1.5)
-    # Dots tell which steps a line over gaps joins.
-    gaps = bool((np.diff(np.flatnonzero(there)) > 1).any())
-    line(ax, across[there], average.value[there], tint, label, dots=gaps)
+    # Dots tell which steps a line over gaps joins, and show a step alone between two of them.
+    line(ax, across, value, tint, label, dots=bool((spacing > 1).any()))

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.collections import Collection, FillBetweenPolyCollection
 from matplotlib.colors import to_rgba
 
 from pgm.errors import ModelError
 from pgm.kernels.arrays import Array
+from pgm.plot.colours import MUTED
 
 
 def along(steps: npt.NDArray[np.int_], times: npt.ArrayLike | None) -> tuple[npt.NDArray[Any], str]:
@@ -25,9 +27,9 @@ def along(steps: npt.NDArray[np.int_], times: npt.ArrayLike | None) -> tuple[npt
 
 def band(
     ax: Axes, across: npt.NDArray[Any], low: Array, high: Array, tint: str, label: str | None = None
-) -> None:
+) -> FillBetweenPolyCollection:
     """Shade between two curves; an outline keeps a band of no width visible."""
-    ax.fill_between(
+    return ax.fill_between(
         across,
         low,
         high,
@@ -36,6 +38,59 @@ def band(
         lw=0.8,
         zorder=1.0,
         label=label,
+    )
+
+
+def right_band(
+    ax: Axes,
+    across: npt.NDArray[Any],
+    low: Array,
+    high: Array,
+    tint: str,
+    *,
+    confidence: float,
+    label: str,
+    tolerance: float = 1e-6,
+) -> bool:
+    """Shade the band of what is right, in grey; in the tint of a curve that has another one.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    across : ndarray
+        (k,), along the horizontal axis.
+    low, high : ndarray
+        (k,).
+    tint : str
+        The curve's.
+    confidence : float
+        Of the band.
+    label : str
+        The curve's, for the legend, if the band is its own.
+    tolerance : float
+        How far the ends of two bands may differ, as a part of them, to be drawn as one.
+
+    Returns
+    -------
+    bool
+        Whether it is the first one of the axes.
+    """
+    within = f"{100.0 * confidence:.4g} % band"
+    before = [drawn for drawn in ax.collections if str(drawn.get_label()).endswith(" % band")]
+    if not before:
+        band(ax, across, low, high, MUTED, label=within)
+        return True
+    own = band(ax, across, low, high, tint, label=f"{label}, {within}")
+    if any(_look_alike(own, other, tolerance) for other in before):
+        own.remove()
+    return False
+
+
+def _look_alike(a: Collection, b: Collection, tolerance: float) -> bool:
+    """Whether two bands have the same places along the axis and about the same ends."""
+    ends = [[np.asarray(path.vertices) for path in one.get_paths()] for one in (a, b)]
+    return [v.shape for v in ends[0]] == [v.shape for v in ends[1]] and all(
+        np.allclose(v, w, rtol=tolerance) for v, w in zip(*ends, strict=True)
     )
 
 

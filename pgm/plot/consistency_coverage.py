@@ -16,6 +16,7 @@ from pgm.plot.components import check_gaussian
 from pgm.plot.consistency_bands import band
 
 _LEVELS = np.concatenate([[0.01], np.linspace(0.05, 0.95, 19), [0.99]])
+_DIAGONAL = np.array([[0.0, 0.0], [1.0, 1.0]])
 
 
 def coverage(
@@ -66,8 +67,8 @@ def coverage(
     )
     ax = given_or_new(ax)
     tint = colour or next_colour(ax)
-    if not ax.lines:
-        ax.plot([0.0, 1.0], [0.0, 1.0], color=INK, lw=0.8, zorder=1.5)
+    if not any(np.array_equal(line.get_xydata(), _DIAGONAL) for line in ax.lines):
+        ax.plot(*_DIAGONAL.T, color=INK, lw=0.8, zorder=1.5)
     band(ax, found.nominal, found.low, found.high, tint)
     ax.plot(
         found.nominal,

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from matplotlib.axes import Axes
+from matplotlib.container import StemContainer
 from matplotlib.ticker import MaxNLocator
 
 from pgm import consistency
 from pgm.inference import Innovations
 from pgm.plot.axes import given_or_new, name_axes, useful_legend
-from pgm.plot.colours import INK, MUTED, next_colour
-from pgm.plot.consistency_bands import band
+from pgm.plot.colours import INK, next_colour
+from pgm.plot.consistency_bands import right_band
 
-# How far the stems of the next innovations stand to the right, in lags.
-_BESIDE = 0.22
+# How far to the right of its lag the stems of further innovations may stand, in lags.
+_WITHIN = 0.6
+# Bands that come of the readings themselves, as many of them, differ by chance.
+_ALIKE = 0.2
 
 
 def whiteness(
@@ -28,7 +31,9 @@ def whiteness(
 
     Of white innovations about so many lags are inside the band as its confidence says. The
     legend has the probability that white ones are farther out, taken over all lags. Call it
-    again with the same `ax` to compare: the stems stand beside the others.
+    again with the same `ax` to compare: the stems stand beside the others, and a band that is
+    another one is drawn in their colour. After iterating, the innovations are those of the last
+    linearisation: see `pgm.consistency.whiteness`.
 
     Parameters
     ----------
@@ -52,26 +57,46 @@ def whiteness(
     Raises
     ------
     ModelError
-        If there are no more steps with readings than lags.
+        If there are no more steps with readings than lags, or an argument is not what it should
+        be.
     """
     found = consistency.whiteness(innovations, lags, confidence=confidence)
     ax = given_or_new(ax)
     tint = colour or next_colour(ax)
-    if not ax.lines:
+    label = label or "innovations"
+    first = right_band(
+        ax,
+        found.lags,
+        -found.band,
+        found.band,
+        tint,
+        confidence=confidence,
+        label=label,
+        tolerance=_ALIKE,
+    )
+    if first:
         ax.axhline(0.0, color=INK, lw=0.8, zorder=1.5)
-        within = f"{100.0 * confidence:.4g} % band"
-        band(ax, found.lags, -found.band, found.band, MUTED, label=within)
-    beside = _BESIDE * len(ax.containers)
+    before = sum(isinstance(each, StemContainer) for each in ax.containers)
+    beside = _WITHIN * _between(before)
     ax.stem(
         found.lags + beside,
         found.autocorrelation,
         linefmt=tint,
         markerfmt=".",
         basefmt=" ",
-        label=f"{label or 'innovations'}, p = {found.probability:.2g}",
+        label=f"{label}, p = {found.probability:.2g}",
     )
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     name_axes(ax, "lag", "autocorrelation")
     # "best" does not see the stems.
     useful_legend(ax, above=True)
     return ax
+
+
+def _between(index: int) -> float:
+    """The sequence 0, ½, ¼, ¾, ⅛, … in [0, 1): however many there are, no two at one place."""
+    place, half = 0.0, 0.5
+    while index:
+        index, bit = divmod(index, 2)
+        place, half = place + bit * half, 0.5 * half
+    return place

@@ -10,12 +10,14 @@ from PIL import Image
 
 import pgm
 from experiments import differential_drive
+from experiments.differential_drive import page
 from experiments.differential_drive.animation import EVERY
 from experiments.differential_drive.errors import about_landmark
 from experiments.differential_drive.figures import drive_figure
 from experiments.differential_drive.particles import particle_means, resampled
 from experiments.differential_drive.problems import DT, NOISE, deviations, loop, problems
 from experiments.differential_drive.results import held_noise, solve, spread
+from experiments.record import Record
 from models.networks import pose, wheels
 from models.sensors import range_bearing
 from pgm import consistency
@@ -197,17 +199,34 @@ def test_an_ellipse_at_every_motion_and_at_every_reading(name):
     assert_allclose(problem.measured * DT, np.arange(1, 7))
 
 
-def test_animations_are_gifs_of_two_pictures_a_second(done):
+@pytest.mark.parametrize("name", ["1", "2a", "2b"])
+def test_pictures_are_by_turns_of_a_motion_and_of_a_reading(name):
+    problem = problems("deviation", 100)[name]
+    steps = np.arange(0, problem.steps + 1, EVERY[name])
+    assert steps[-1] == problem.steps
+    assert 40 < len(steps) < 100
+    assert list(np.isin(steps[1:], problem.measured)) == [False, True] * (len(steps) // 2)
+    assert set(steps[1::2] % 8) == {4}
+
+
+def test_every_problem_has_an_animation_that_says_what_it_skips(done):
     out, summary = done
-    assert list(summary["pictures"]) == ["problem_2a.gif", "problem_2b.gif"]
+    assert summary["pictures"] == {"problem_1.gif": 2, "problem_2a.gif": 9, "problem_2b.gif": 9}
+    captions = {part["figure"]: part["caption"] for part in summary["page"] if "figure" in part}
+    for name, skipped in (
+        ("1", "every 20 motions (2.5 s), which skips the 19"),
+        ("2a", "every 4 motions (0.5 s), which skips the 3"),
+    ):
+        assert skipped in captions[f"problem_{name}.gif"]
     for file, count in summary["pictures"].items():
         with Image.open(out / file) as picture:
             assert picture.format == "GIF"
-            assert picture.n_frames == count == 4 * 8 // EVERY + 1
+            assert picture.n_frames == count
             first = np.asarray(picture.convert("RGB"), dtype=int)
             picture.seek(count - 1)
             assert np.abs(np.asarray(picture.convert("RGB"), dtype=int) - first).max() > 100
-        assert (out / file).stat().st_size < 3_000_000
+        # At full length 41 to 97 pictures, and at most 1.5 MB.
+        assert (out / file).stat().st_size < 15_000 * count + 60_000
 
 
 def test_the_page_shows_everything(done):
@@ -218,6 +237,7 @@ def test_the_page_shows_everything(done):
         "problem_2a.png",
         "problem_2b.png",
         "nees.png",
+        "problem_1.gif",
         "problem_2a.gif",
         "problem_2b.gif",
     ]
@@ -225,4 +245,108 @@ def test_the_page_shows_everything(done):
     text = " ".join(part["note"] for part in summary["page"] if "note" in part)
     assert all(f"{name} {value:g}" in text for name, value in NOISE.items())
     assert "√T" in text
+    held, right = summary["held_noise"], summary["results"]["deviation"]["1"]["exact"]["filter"]
+    assert f"a NEES of {held['nees']:.1f} where {right['nees']:.2f} is right" in text
+    assert f"of {held['rmse']:.3f} m in place of {right['rmse']:.3f} m" in text
+    for n in ("2", "3"):
+        assert "{:.2f} to {:.2f} in problem".format(*summary["bands"][n]) in text
     assert summary["settings"]["table"] == NOISE
+
+
+def test_the_tables_have_the_numbers_of_the_summary(done):
+    summary = done[1]
+    tables = [part for part in summary["page"] if "table" in part]
+    for (meaning, problems_found), table in zip(
+        summary["results"].items(), tables[:2], strict=True
+    ):
+        assert f"read as {meaning}s" in table["table"]
+        rows = {tuple(row[:3]): row[3:] for row in table["rows"]}
+        assert len(rows) == len(table["rows"]) == 10
+        for (problem, rule, kind), cells in rows.items():
+            each = problems_found[problem][rule][kind]
+            assert cells == [
+                f"{each['rmse']:.3f}",
+                f"{each['rmse_heading']:.3f}" if problem != "1" else "",
+                f"{each['nees']:.2f}",
+                f"{each['nees_last']:.2f}",
+                f"{each['inside']:.0%}",
+            ]
+    particles = summary["particles"]
+    kalman, *others = tables[2]["rows"]
+    assert kalman == ["Kalman", f"{particles['kalman']:.4f}", "", "", ""]
+    assert [row[0] for row in others] == list(particles["particles"])
+    for count, *cells in others:
+        each = particles["particles"][count]
+        assert cells == [
+            f"{each['rmse']:.4f}",
+            f"{each['excess']:.2e}",
+            f"{each['excess_se']:.1e}",
+            f"{each['worse']:.0%}",
+        ]
+
+
+def notes(record):
+    found = json.loads(record.summary().read_text())["page"]
+    return " ".join(part["note"] for part in found if "note" in part)
+
+
+def test_findings_quote_the_right_numbers(tmp_path):
+    """Hand-made, all different: of variances and problem 2b, but for problem 1's as drawn."""
+    numbers = iter(range(10, 1000))
+    keys = ("rmse", "rmse_heading", "nees", "nees_last", "inside")
+    found = {
+        meaning: {
+            problem: {
+                rule: {
+                    kind: {key: float(next(numbers)) for key in keys}
+                    for kind in ("filter", "smoother")
+                }
+                for rule in (("exact",) if problem == "1" else ("Taylor", "Unscented"))
+            }
+            for problem in ("1", "2a", "2b")
+        }
+        for meaning in ("deviation", "variance")
+    }
+    around = {
+        "deviation": {"radial": [1.0, 2.0], "tangential": [3.0, 4.0]},
+        "variance": {"radial": [5.0, 6.0], "tangential": [7.0, 8.0]},
+    }
+    record = Record("findings", tmp_path, seed=0)
+    page.note_findings(record, found, "deviation", {"nees": 0.5, "rmse": 0.25}, around)
+    text = notes(record)
+    right = found["deviation"]["1"]["exact"]["filter"]
+    taylor, unscented = (found["variance"]["2b"][rule] for rule in ("Taylor", "Unscented"))
+    for quoted in (
+        f"a NEES of 0.5 where {right['nees']:.2f} is right",
+        f"of 0.250 m in place of {right['rmse']:.3f} m",
+        "4.00 m along the circle and 2.00 m towards the landmark, with deviations",
+        "8.00 m along the circle and 6.00 m towards the landmark, with variances",
+        f"{taylor['filter']['nees_last']:.1f} with Taylor",
+        f"{unscented['filter']['nees_last']:.1f} with the unscented rule",
+        f"{taylor['filter']['nees']:.1f} and {unscented['filter']['nees']:.1f} for filters",
+        f"{taylor['smoother']['nees']:.1f} and {unscented['smoother']['nees']:.1f} for smoothers",
+    ):
+        assert quoted in text
+
+
+@pytest.mark.parametrize(
+    ("excess", "says"),
+    [
+        ((0.3, 0.3), "above 0 by more than two of them with 30, 100 particles."),
+        ((0.3, 0.1), "above 0 by more than two of them with 30 particles."),
+        ((-0.1, 0.1), "within two of them of 0."),
+        (
+            (-0.3, 0.3),
+            "above 0 by more than two of them with 100 particles, "
+            "below 0 by more than two of them with 30 particles.",
+        ),
+    ],
+)
+def test_the_note_on_particles_says_what_was_found(excess, says, tmp_path):
+    found = {
+        count: {"rmse": 1.0, "excess": value, "excess_se": 0.1, "worse": 0.5}
+        for count, value in zip(("30", "100"), excess, strict=True)
+    }
+    record = Record("particles", tmp_path, seed=0)
+    page.tabulate_particles(record, {"kalman": 1.0, "particles": found})
+    assert notes(record).endswith(f"here it is {says}")

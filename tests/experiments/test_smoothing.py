@@ -6,13 +6,67 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+import pgm
 from experiments import smoothing
 from experiments.smoothing import experiment
-from experiments.smoothing.judging import gain, judge
-from models.networks import sighting
+from experiments.smoothing.judging import LOST, gain, judge
+from models.networks import pose, sighting
 
 LINEARISERS = {"Taylor", "Unscented", "Cubature"}
 KINDS = {"filter", "smoother", "iterated"}
+
+
+STD = np.array([0.5, 0.25, 0.1])
+
+
+def unit_belief(away):
+    """A belief at 0 with deviations `STD`, and a truth so many of them away on each axis."""
+    truth = np.asarray(away, dtype=float)[..., None] * STD
+    cov = np.broadcast_to(np.diag(STD**2), (*truth.shape, 3))
+    steps = np.arange(truth.shape[-2])
+    return pgm.Gaussian(pose, np.zeros_like(truth), cov, steps=steps), truth
+
+
+def judged(away):
+    belief, truth = unit_belief(away)
+    found = judge({"one": {"filter": belief}}, truth)
+    return {key: by["one"]["filter"] for key, by in found.items()}
+
+
+def test_errors_of_a_belief_made_by_hand():
+    """Four runs of two steps; a truth k deviations away on each axis has a NEES of 3 k²."""
+    found = judged([[1, 0], [1, 0], [1, 2], [1, 2]])
+    assert found["nees"] == pytest.approx(3 * (4 + 8) / 8)
+    assert found["rmse"] == pytest.approx(np.sqrt((0.5**2 + 0.25**2) * 1.5))
+    assert found["rmse_heading"] == pytest.approx(0.1 * np.sqrt(1.5))
+
+
+@pytest.mark.parametrize(
+    ("away", "share"),
+    [([1, 1, 1, 1], 1.0), ([1, 1, 1, 2], 0.75), ([1, 2, 2, 2], 0.25), ([0, 2, 2, 0.1], 0.0)],
+)
+def test_the_share_of_steps_whose_mean_nees_is_in_its_band(away, share):
+    """Ten runs alike: 3 k² at each step, in the band of χ² with 30 degrees if k = 1 alone."""
+    low, high = chi2(30).ppf([0.025, 0.975]) / 10
+    assert 3 * 0.1**2 < low < 3 < high < 3 * 2**2
+    assert judged(np.tile(away, (10, 1)))["steps_inside"] == share
+
+
+def test_a_run_is_lost_if_its_mean_nees_is_ten_times_what_is_due():
+    assert LOST == 10
+    just, past = np.sqrt(10 * 0.99), np.sqrt(10 * 1.01)
+    assert judged(np.full((1, 2), just))["lost"] == 0.0
+    assert judged([[just, just], [past, past], [0, 0], [past, past]])["lost"] == 0.5
+    # The mean over a run's steps decides, not its worst step: 3 (0 + 2 · 9.9) / 2.
+    assert judged([[0, np.sqrt(2) * just], [0, np.sqrt(2) * past]])["lost"] == 0.5
+
+
+def test_the_share_of_truths_inside_the_region():
+    """95 % of χ² with 3 degrees is 7.81: k = 1.61 is inside, 1.62 is not."""
+    found = judged([[1.61, 1.62], [0.0, 1.61], [1.62, 1.62]])
+    assert found["coverage"] == pytest.approx(0.5)
+    low, high = found["coverage_interval"]
+    assert 0.0 < low < 0.5 < high < 1.0
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +131,42 @@ def test_the_page_has_figures_tables_and_captions(quick):
     assert all(len(part["caption"]) > 40 for part in figures)
     for name in names:
         assert (out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
-    rows = next(part for part in summary["page"] if part.get("table") == "Consistency")["rows"]
-    assert len(rows) == 9
+
+
+def test_the_tables_have_the_numbers_of_the_summary(quick):
+    summary = quick[1]
+    errors, consistency, innovations = (
+        {tuple(row[:-k]): row[-k:] for row in part["rows"]}
+        for part, k in zip((p for p in summary["page"] if "table" in p), (3, 5, 2), strict=True)
+    )
+    assert (
+        set(errors) == set(consistency) == {(rule, kind) for rule in LINEARISERS for kind in KINDS}
+    )
+    for (rule, kind), cells in consistency.items():
+        value = {
+            key: summary[key][rule][kind] for key in ("nees", "steps_inside", "coverage", "lost")
+        }
+        assert cells == [
+            f"{value['nees']:.4g}",
+            f"{value['steps_inside']:.0%}",
+            f"{value['coverage']:.3f}",
+            f"{value['lost']:.1%}",
+            f"{summary['converged'][rule]:.0%}" if kind == "iterated" else "",
+        ]
+        change = summary["gain"][rule].get(kind)
+        assert errors[rule, kind] == [
+            f"{summary['rmse'][rule][kind]:.4g}",
+            f"{summary['rmse_heading'][rule][kind]:.4g}",
+            f"{change[0]:+.3f} ± {change[1]:.3f}" if change else "",
+        ]
+    for rule, found in summary["whiteness"].items():
+        assert innovations[rule,] == [f"{found['nis']:.4g}", f"{found['probability']:.4g}"]
+
+
+def test_the_notes_quote_the_band_and_what_a_lost_run_is(quick):
+    text = " ".join(part["note"] for part in quick[1]["page"] if "note" in part)
+    assert "{:.3f} to {:.3f}; about 95 %".format(*quick[1]["nees_band"]) in text
+    assert "mean NEES is more than 30, which" in text
 
 
 def test_readings_are_those_within_reach_of_the_commanded_path():
