@@ -15,10 +15,10 @@ report: $(VENV)/.demo
 	$(PY) -m experiments report
 
 test: $(VENV)/.test
-	$(PY) -m pytest
+	$(PY) -m pytest -n auto --dist loadfile
 
 test-slow: $(VENV)/.test
-	$(PY) -m pytest -m slow
+	$(PY) -m pytest -n auto --dist load -m slow
 
 lint: $(VENV)/.test
 	$(PY) -m ruff check .
