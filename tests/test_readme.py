@@ -34,6 +34,22 @@ def test_programs_run_as_written(tmp_path, monkeypatch, capsys):
     np.testing.assert_allclose(last, np.fromstring(pose.strip("[]"), sep=" "), atol=1e-5)
 
 
+def test_the_guides_program_runs_too(tmp_path, monkeypatch):
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    monkeypatch.chdir(tmp_path)
+    guide = (ROOT / "docs" / "which_lineariser.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```", guide, flags=re.MULTILINE | re.DOTALL)
+    namespace: dict = {}
+    exec(compile(blocks("python")[0], "README.md", "exec"), namespace)
+    namespace["evidence"] = namespace["drawn"].evidence
+    exec(compile(block, "which_lineariser.md", "exec"), namespace)
+    matplotlib.pyplot.close("all")
+    assert namespace["smoothed"].status.iterations > 1
+    for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", guide):
+        assert (ROOT / "docs" / picture).is_file(), picture
+
+
 def test_pictures_exist():
     for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", README):
         assert (ROOT / path).is_file(), path
