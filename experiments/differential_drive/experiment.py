@@ -1,4 +1,4 @@
-"""Problems 1, 2a and 2b of an assignment, reference 002, and what it says of particle filters.
+"""Problems 1, 2a and 2b of an assignment in state estimation, and what it says of particle filters.
 
 summary.json has ``results.<deviation|variance>.<1|2a|2b>.<lineariser>.<filter|smoother>``: RMSE of
 position and heading, NEES (mean, at the last step, and the fraction of steps inside the band);

@@ -92,8 +92,9 @@ def _zoom(drive: Drive, whole: Axes, part: Axes, window: slice) -> None:
 
 def _handles(drive: Drive) -> list[Line2D]:
     def ring(colour: str, label: str) -> Line2D:
-        style = {"marker": "o", "markersize": 9, "markerfacecolor": "none", "ls": "none"}
-        return Line2D([], [], color=colour, label=label, **style)  # type: ignore[arg-type]
+        empty = Line2D([], [], color=colour, label=label, marker="o", ls="none")
+        empty.set(markersize=9, markerfacecolor="none")
+        return empty
 
     handles = [
         Line2D([], [], color=INK, lw=1.0, label="truth"),

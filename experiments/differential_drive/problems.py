@@ -1,6 +1,6 @@
 """The three problems: a linear robot, a turning one, and one that sees a landmark.
 
-They are those of reference 002 (an assignment of ME8135, 2023), whose numbers are `NOISE` and the
+They are those of an assignment (ME8135, 2023), whose numbers are `NOISE` and the
 constants below; what it leaves open is said beside each.
 """
 

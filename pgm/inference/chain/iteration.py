@@ -199,7 +199,8 @@ class _Control:
     def __init__(self, problem: Problem[S], damping: float | LevenbergMarquardt, runs: int) -> None:
         self.problem = problem
         self.damping = damping
-        self.weight = np.full(runs, getattr(damping, "start", 0.0))
+        first = damping.start if isinstance(damping, LevenbergMarquardt) else 0.0
+        self.weight = np.full(runs, first)
 
     def step(self, point: Point, found: Point, active: Mask) -> Point:
         """The point after this one, from which its linearisation has led to what was found."""
