@@ -13,7 +13,7 @@ from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, names, pos
 from pgm.immutable import Immutable
 from pgm.kernels import moments, roots
 from pgm.kernels.angles import difference, wrap
-from pgm.kernels.arrays import Array, Integers, apply, block, frozen
+from pgm.kernels.arrays import Array, Integers, apply, block, deviation, frozen
 from pgm.kernels.checks import covariance_fault
 from pgm.variables import Variable
 
@@ -130,7 +130,7 @@ class Gaussian(Immutable):
     @property
     def std(self) -> Array:
         """Standard deviations, (..., n)."""
-        return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=-2, axis2=-1), 0.0))
+        return deviation(self.cov)
 
     @property
     def angles(self) -> npt.NDArray[np.bool_]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +15,15 @@ from pgm.errors import LinearisationError, ModelError, PgmError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.scope import Scope, dimension, names
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Integers, Mask, apply
-from pgm.linearisers import BoundFunction, FunctionTemplate, Lineariser, Taylor
+from pgm.kernels.arrays import Array, Integers, Mask, apply, stacked
+from pgm.linearisers import (
+    Affine,
+    ArrayLineariser,
+    BoundFunction,
+    FunctionTemplate,
+    Lineariser,
+    Taylor,
+)
 from pgm.variables import Variable
 
 Rows = int | slice
@@ -85,8 +93,8 @@ class Family:
         elif isinstance(cpd, NonlinearGaussianCPD):
             template = cpd._template(hidden)
             lineariser = cpd.lineariser or lineariser
-            matrix = np.empty((rows, runs, height, width))
-            offset = np.empty((rows, runs, height))
+            matrix = stacked((rows, runs), (height, width))
+            offset = stacked((rows, runs), (height,))
         else:
             raise ModelError(f"{cpd!r} is of no kind that inference knows", cpd=cpd)
         noise = np.broadcast_to(own_noise, (rows, runs, height, height))
@@ -115,16 +123,22 @@ class Family:
             self.store(rows, affine.F, affine.b, affine.cov, active)
 
     def store(
-        self, rows: Rows | Integers, matrix: Array, offset: Array, error: Array, active: Mask | None
+        self,
+        rows: Rows | Integers,
+        matrix: Array,
+        offset: Array,
+        error: Array | None,
+        active: Mask | None,
     ) -> None:
         """Keep what a lineariser made of some rows, for the runs that are active."""
-        if error.any() and not self.approximate:
+        if error is not None and not self.approximate and error.any():
             self.noise, self.approximate = np.array(self.noise), True
         self._put(self.matrix, rows, matrix, active)
         self._put(self.offset, rows, offset, active)
         if self.approximate:
             own = self.own_noise
-            total = error + (own[rows] if own.shape[0] > 1 else own[0])
+            own = own[rows] if own.shape[0] > 1 else own[0]
+            total = own if error is None else error + own
             self._put(self.noise, rows, total, active)
 
     @staticmethod
@@ -168,24 +182,34 @@ class Family:
 
     def call(
         self, function: BoundFunction, mean: Array, cov: Array, *, finite: bool = True
-    ) -> AffineGaussian:
+    ) -> Affine:
         """What the lineariser makes of the function at a belief, checked."""
+        affine: Any
         try:
             with np.errstate(
                 invalid="ignore", over="ignore", divide="ignore"
             ):  # non-finite values: see below
-                if self.hidden:
-                    affine = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
-                else:
+                if not self.hidden:
                     value = function(mean)
-                    none, zero = np.empty((*value.shape, 0)), np.zeros((value.shape[-1],) * 2)
-                    affine = AffineGaussian(none, value, zero)
+                    affine = Affine(np.empty((*value.shape, 0)), value, None)
+                elif isinstance(self.lineariser, ArrayLineariser):
+                    affine = self.lineariser.affine(function, mean, cov)
+                else:
+                    affine = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
         except PgmError as error:
             error.cpd = error.cpd or self.cpd
             error.variable = error.variable or self.cpd.child
             if self.timed and error.step is None and isinstance(function.step, int):
                 error.step = function.step
             raise
+        if not isinstance(affine, Affine):
+            affine = self._arrays(affine, function, mean)
+        if finite and not np.isfinite(_total(affine)):
+            self._refuse_non_finite(function, mean, affine)
+        return affine
+
+    def _arrays(self, affine: Any, function: BoundFunction, mean: Array) -> Affine:
+        """What a lineariser that works on Gaussians has returned, its shapes checked."""
         if not isinstance(affine, AffineGaussian):
             raise LinearisationError(
                 f"the lineariser {self.lineariser!r} returned {type(affine).__name__} for "
@@ -209,17 +233,14 @@ class Family:
                 variable=self.cpd.child,
                 cpd=self.cpd,
             )
-        if finite and not np.isfinite(affine.F.sum() + affine.b.sum() + affine.cov.sum()):
-            self._refuse_non_finite(function, mean, affine)
-        return affine
+        return Affine(affine.F, affine.b, affine.cov)
 
-    def _refuse_non_finite(
-        self, function: BoundFunction, mean: Array, affine: AffineGaussian
-    ) -> None:
+    def _refuse_non_finite(self, function: BoundFunction, mean: Array, affine: Affine) -> None:
         shape = mean.shape[:-1]
         bad = np.broadcast_to(~np.isfinite(affine.b).all(axis=-1), shape)
         bad = bad | ~np.isfinite(affine.F).all(axis=(-2, -1))
-        bad = bad | ~np.isfinite(affine.cov).all(axis=(-2, -1))
+        if affine.cov is not None:
+            bad = bad | ~np.isfinite(affine.cov).all(axis=(-2, -1))
         where = tuple(int(axis[0]) for axis in np.nonzero(bad))
         step = None
         if self.timed and function.step is not None:
@@ -263,6 +284,12 @@ class Family:
                     variable=self.cpd.child,
                     cpd=self.cpd,
                 ) from error
+
+
+def _total(affine: Affine) -> float:
+    """The sum of all entries, which is finite only if each of them is."""
+    total = affine.F.sum() + affine.b.sum()
+    return float(total if affine.cov is None else total + affine.cov.sum())
 
 
 def _own_noise(

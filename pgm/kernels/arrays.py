@@ -12,6 +12,19 @@ Integers = npt.NDArray[np.intp]
 Index = slice | Integers
 
 LOG_2PI = float(np.log(2.0 * np.pi))
+# From this many matrices on, going along rows of runs beats one product a matrix.
+_MANY = 32
+
+
+def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
+    """Zeros (*lead, *shape) in memory with the last leading axis, of runs, fastest.
+
+    Kernels then go along contiguous rows of runs, one component at a time; results of element-wise
+    operations and of `multiply` keep that layout.
+    """
+    *before, runs = lead
+    memory = np.zeros((*before, *shape, runs))
+    return np.moveaxis(memory, -1, len(before))
 
 
 def transpose(matrix: Array) -> Array:
@@ -19,9 +32,25 @@ def transpose(matrix: Array) -> Array:
     return matrix.swapaxes(-1, -2)
 
 
+def multiply(a: Array, b: Array) -> Array:
+    """A B, stacked; along rows of runs where those are contiguous in memory."""
+    if _by_runs(a) or _by_runs(b):
+        product: Array = np.einsum("...ij,...jk->...ik", a, b)
+        return product
+    return a @ b
+
+
 def times_transposed(a: Array, b: Array) -> Array:
     """A Bᵀ; stacks of small matrices multiply faster where both are contiguous."""
+    if _by_runs(a) or _by_runs(b):
+        product: Array = np.einsum("...ij,...kj->...ik", a, b)
+        return product
     return a @ np.ascontiguousarray(transpose(b))
+
+
+def _by_runs(matrix: Array) -> bool:
+    """Whether the last leading axis is contiguous in memory, as in `stacked`, and long."""
+    return matrix.ndim > 2 and matrix.shape[-3] >= _MANY and matrix.strides[-3] == matrix.itemsize
 
 
 def apply(matrix: Array, vector: Array) -> Array:
@@ -38,6 +67,11 @@ def inner(a: Array, b: Array) -> Array:
     return product
 
 
+def deviation(cov: Array) -> Array:
+    """Standard deviations, (..., n); zero where rounding has left a variance below zero."""
+    return np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
+
+
 def symmetric(matrix: Array) -> Array:
     """The symmetric part, which removes what rounding made of a symmetric product."""
     return 0.5 * (matrix + transpose(matrix))
@@ -45,7 +79,7 @@ def symmetric(matrix: Array) -> Array:
 
 def sandwich(factor: Array, matrix: Array) -> Array:
     """F P Fᵀ."""
-    return times_transposed(factor @ matrix, factor)
+    return times_transposed(multiply(factor, matrix), factor)
 
 
 def as_index(positions: npt.ArrayLike) -> Index:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -26,6 +27,36 @@ class Lineariser(Protocol):
     def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
         """The affine Gaussian; its covariance is the approximation error alone."""
         ...
+
+
+class Affine(NamedTuple):
+    """What a lineariser makes of a function, as arrays: y = F x + b + n, n ~ N(0, cov).
+
+    Attributes
+    ----------
+    F, b : ndarray
+        (..., d, n) and (..., d).
+    cov : ndarray or None
+        (..., d, d): the approximation error; None where there is none.
+    """
+
+    F: Array
+    b: Array
+    cov: Array | None
+
+
+class ArrayLineariser(ABC):
+    """A lineariser that works on arrays, so that engines need make no objects to call it."""
+
+    @abstractmethod
+    def affine(self, function: BoundFunction, mean: Array, cov: Array) -> Affine:
+        """Linearise a function at beliefs (..., n) and (..., n, n)."""
+
+    def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
+        """Linearise a function at a belief."""
+        matrix, offset, cov = self.affine(function, at.mean, at.cov)
+        size = offset.shape[-1]
+        return AffineGaussian(matrix, offset, np.zeros((size, size)) if cov is None else cov)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from pgm.errors import NumericalError
-from pgm.factors import AffineGaussian, Gaussian
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers, apply, transpose
+from pgm.kernels.arrays import Array, Integers, apply, deviation, transpose
 from pgm.kernels.regression import range_inverse, regress
-from pgm.linearisers.function import BoundFunction
+from pgm.linearisers.function import Affine, ArrayLineariser, BoundFunction
 
 
 class Points(NamedTuple):
@@ -36,7 +35,7 @@ class Points(NamedTuple):
 
 
 @dataclass(frozen=True)
-class StatisticalRegression(ABC):
+class StatisticalRegression(ArrayLineariser):
     """Linear regression of a function on sigma points: a rule is only points and weights.
 
     With points X = μ + L s for a root P = L Lᵀ, values Y, and weights: the mean of y is
@@ -77,9 +76,9 @@ class StatisticalRegression(ABC):
         """Whether the mean and covariance of x are the belief's, rather than the points' own."""
         return False
 
-    def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
-        """Linearise a function at a belief."""
-        lower = roots.root(at.cov)
+    def affine(self, function: BoundFunction, mean: Array, cov: Array) -> Affine:
+        """Linearise a function at beliefs (..., n) and (..., n, n)."""
+        lower = roots.root(cov)
         if not roots.is_proper(lower):
             when = f" at step {function.step}" if isinstance(function.step, int) else ""
             raise NumericalError(
@@ -88,21 +87,20 @@ class StatisticalRegression(ABC):
             )
         step = function.step
         if self.fresh_per_run:
-            step = np.broadcast_to(0 if step is None else step, at.mean.shape[:-1])
-        s, mean_weights, cov_weights, centred = self.points(at.mean.shape[-1], function.name, step)
-        offset, value = self._values(function, at, s @ transpose(lower), centred)
+            step = np.broadcast_to(0 if step is None else step, mean.shape[:-1])
+        s, mean_weights, cov_weights, centred = self.points(mean.shape[-1], function.name, step)
+        offset, value = self._values(function, mean, cov, s @ transpose(lower), centred)
         slope, centre, noise = regress(
             s, offset, mean_weights, cov_weights, lower, known=self.prior_moments
         )
-        matrix = _divide(slope, lower, function, at)
-        return AffineGaussian(matrix, value + centre - apply(matrix, at.mean), noise)
+        matrix = _divide(slope, lower, function, mean, cov)
+        return Affine(matrix, value + centre - apply(matrix, mean), noise)
 
     @staticmethod
     def _values(
-        function: BoundFunction, at: Gaussian, offsets: Array, centred: bool
+        function: BoundFunction, mean: Array, cov: Array, offsets: Array, centred: bool
     ) -> tuple[Array, Array]:
         """Offsets of the values from a reference, (..., N, d), angles wrapped; the reference."""
-        mean = at.mean
         points = mean[..., None, :] + offsets
         angles = function.angles
         extra = angles.any() and not centred
@@ -116,17 +114,17 @@ class StatisticalRegression(ABC):
         wide = np.asarray((np.abs(raw[..., angles]) > np.pi).any(axis=(-2, -1)))
         if wide.any():
             # An angle that turns far with the state, as a heading does, is wrapped about its line.
-            line = offsets @ transpose(function.jacobian(mean, at.std))
+            line = offsets @ transpose(function.jacobian(mean, deviation(cov)))
             line = np.where(wide[..., None, None], line, 0.0)
             raw = function.residual(raw, line) + line
         return raw, reference[..., 0, :]
 
 
-def _divide(slope: Array, lower: Array, function: BoundFunction, at: Gaussian) -> Array:
+def _divide(slope: Array, lower: Array, function: BoundFunction, mean: Array, cov: Array) -> Array:
     """F with F L = J; in the null directions of L, measured in its own units, the Jacobian."""
     fixed = roots.determined(lower).any(axis=-1)
     if not fixed.any():
         return transpose(roots.solve_upper(lower, transpose(slope)))
-    std = at.std
+    std = deviation(cov)
     inverse, null = range_inverse(lower, std)
-    return slope @ inverse + function.jacobian(at.mean, std) @ null
+    return slope @ inverse + function.jacobian(mean, std) @ null

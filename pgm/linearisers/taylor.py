@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from pgm.factors import AffineGaussian, Gaussian
-from pgm.kernels.arrays import apply
-from pgm.linearisers.function import BoundFunction
+from pgm.kernels.arrays import Array, apply, deviation
+from pgm.linearisers.function import Affine, ArrayLineariser, BoundFunction
 
 
 @dataclass(frozen=True)
-class Taylor:
+class Taylor(ArrayLineariser):
     """First-order Taylor expansion at the mean: F = f'(μ), b = f(μ) − F μ.
 
     Uses the Jacobians given with the CPD, fourth-order central differences for the others. With
@@ -20,12 +17,11 @@ class Taylor:
     iterated smoothing is Gauss–Newton on the posterior.
     """
 
-    def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
-        """Linearise a function at a belief."""
-        value = function(at.mean)
-        slope = function.jacobian(at.mean, None if function.analytic else at.std)
-        size = value.shape[-1]
-        return AffineGaussian(slope, value - apply(slope, at.mean), np.zeros((size, size)))
+    def affine(self, function: BoundFunction, mean: Array, cov: Array) -> Affine:
+        """Linearise a function at beliefs (..., n) and (..., n, n)."""
+        value = function(mean)
+        slope = function.jacobian(mean, None if function.analytic else deviation(cov))
+        return Affine(slope, value - apply(slope, mean), None)
 
 
 # The default of everything that takes a lineariser.

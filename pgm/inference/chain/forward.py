@@ -17,7 +17,7 @@ from pgm.inference.schedule import Filtering
 from pgm.inference.status import Status
 from pgm.kernels import moments, roots
 from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import Array, Index, block
+from pgm.kernels.arrays import Array, Index, block, stacked
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +44,11 @@ class Forward:
     def empty(cls, plan: ChainPlan) -> Forward:
         """Room for a sweep."""
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
-        means, covs = (*shape, size), (*shape, size, size)
-        return cls(
-            np.zeros(means), np.zeros(covs), np.zeros(means), np.zeros(covs), np.zeros(shape)
-        )
+
+        def moments() -> tuple[Array, Array]:
+            return stacked(shape, (size,)), stacked(shape, (size, size))
+
+        return cls(*moments(), *moments(), np.zeros(shape))
 
 
 def sweep(plan: ChainPlan, anchor: Anchor | None = None) -> Forward:

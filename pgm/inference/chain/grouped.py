@@ -48,17 +48,18 @@ def linearise(
 
     matrix = np.broadcast_to(affine.F, (groups, runs, count * height, at.shape[-1]))
     offset = np.broadcast_to(affine.b, (groups, runs, count * height))
-    error = np.broadcast_to(affine.cov, (groups, runs, count * height, count * height))
-    blocks = error.reshape(*full, count, height)
-    own = np.einsum("grkikj->grkij", blocks)
+    own = None
+    if affine.cov is not None:
+        error = np.broadcast_to(affine.cov, (groups, runs, count * height, count * height))
+        own = each(np.einsum("grkikj->grkij", error.reshape(*full, count, height)))
     family.store(
         rows.reshape(-1),
         each(matrix.reshape(*full, at.shape[-1])),
         each(offset.reshape(full)),
-        each(own),
+        own,
         active,
     )
-    if not error.any():
+    if affine.cov is None or not error.any():
         return
     between = np.kron(1.0 - np.eye(count), np.ones((height, height)))
     for index, number in enumerate(steps.tolist()):
