@@ -184,26 +184,25 @@ class Family:
         self, function: BoundFunction, mean: Array, cov: Array, *, finite: bool = True
     ) -> Affine:
         """What the lineariser makes of the function at a belief, checked."""
-        affine: Any
+        found: Any
         try:
             with np.errstate(
                 invalid="ignore", over="ignore", divide="ignore"
             ):  # non-finite values: see below
                 if not self.hidden:
                     value = function(mean)
-                    affine = Affine(np.empty((*value.shape, 0)), value, None)
+                    found = Affine(np.empty((*value.shape, 0)), value, None)
                 elif isinstance(self.lineariser, ArrayLineariser):
-                    affine = self.lineariser.affine(function, mean, cov)
+                    found = self.lineariser.affine(function, mean, cov)
                 else:
-                    affine = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
+                    found = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
         except PgmError as error:
             error.cpd = error.cpd or self.cpd
             error.variable = error.variable or self.cpd.child
             if self.timed and error.step is None and isinstance(function.step, int):
                 error.step = function.step
             raise
-        if not isinstance(affine, Affine):
-            affine = self._arrays(affine, function, mean)
+        affine = found if isinstance(found, Affine) else self._arrays(found, function, mean)
         if finite and not np.isfinite(_total(affine)):
             self._refuse_non_finite(function, mean, affine)
         return affine
