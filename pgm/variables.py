@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -124,7 +124,17 @@ class Variable:
         return self._moved(int(step) - self.lag, 0)
 
     def _moved(self, step: int | None, lag: int) -> Variable:
-        return replace(self, step=step, lag=lag)
+        """The copy elsewhere; only its place has to be checked."""
+        if step is not None and step < 0:
+            raise ModelError(
+                f"variable {self.name}: step {step} is before the first, 0", variable=self
+            )
+        copy = object.__new__(type(self))
+        for field in self.__dataclass_fields__:
+            object.__setattr__(copy, field, getattr(self, field))
+        object.__setattr__(copy, "step", step)
+        object.__setattr__(copy, "lag", lag)
+        return copy
 
     def __repr__(self) -> str:
         if self.step is not None:
@@ -209,9 +219,6 @@ class Discrete(Variable):
         raise ModelError(
             f"{self!r} has no state {state!r}; its states are {self.states}", variable=self
         )
-
-    def _moved(self, step: int | None, lag: int) -> Discrete:
-        return Discrete(self.name, self.states, step=step, lag=lag)
 
 
 def variables(names: str | Iterable[str]) -> tuple[Variable, ...]:
