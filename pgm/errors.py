@@ -40,6 +40,23 @@ class GraphError(PgmError, ValueError):
     """A cluster graph that is not valid, or one asked for something it does not have."""
 
 
+class FileError(PgmError, ValueError):
+    """A file that cannot be read as what it should be.
+
+    Parameters
+    ----------
+    message : str
+        What was found and what to do about it.
+    path, line : optional
+        The file, where it has a name, and the line of it, from 1.
+    """
+
+    def __init__(self, message: str, *, path: str | None = None, line: int | None = None) -> None:
+        super().__init__(message)
+        self.path = path
+        self.line = line
+
+
 class EvidenceError(PgmError, ValueError):
     """Evidence that does not fit the model."""
 

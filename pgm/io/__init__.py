@@ -1,4 +1,4 @@
-"""In and out: a user's own log becomes evidence."""
+"""In and out: a user's own log becomes evidence; `pgm.io.networks` has files of networks."""
 
 from pgm.io.controls import ControlReport
 from pgm.io.readings import ReadingReport

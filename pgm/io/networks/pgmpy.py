@@ -1,0 +1,104 @@
+"""Networks from and to those of pgmpy."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from pgm.cpds import TableCPD
+from pgm.errors import ModelError
+from pgm.io.networks.written import tables
+from pgm.networks import BayesianNetwork
+from pgm.variables import Discrete
+
+
+def from_pgmpy(network: Any) -> BayesianNetwork:
+    """The network that a pgmpy network declares.
+
+    Parameters
+    ----------
+    network : pgmpy.models.DiscreteBayesianNetwork
+        With a TabularCPD for each variable. Names of variables and of states that are not text
+        become text, by `str`.
+
+    Returns
+    -------
+    BayesianNetwork
+        Its tables hold the same doubles, the child's axis last.
+
+    Raises
+    ------
+    ModelError
+        If it is no such network, a variable has no CPD, or names are equal once they are text.
+    """
+    cpds: list[Any] = getattr(network, "get_cpds", list)()
+    if not cpds or not all(hasattr(cpd, "state_names") for cpd in cpds):
+        raise ModelError(
+            f"a DiscreteBayesianNetwork of pgmpy with TabularCPDs is due, not {network!r}"
+        )
+    variables = {
+        cpd.variable: Discrete(str(cpd.variable), map(str, cpd.state_names[cpd.variable]))
+        for cpd in cpds
+    }
+    for node in network.nodes:
+        if node not in variables:
+            raise ModelError(f"the pgmpy network has no CPD of {node!r}; add it with add_cpds")
+    return BayesianNetwork(_converted(cpd, variables) for cpd in cpds)
+
+
+def _converted(cpd: Any, variables: dict[Any, Discrete]) -> TableCPD:
+    child, *given = (variables[name] for name in cpd.variables)
+    for variable, name in zip((child, *given), cpd.variables, strict=True):
+        if tuple(map(str, cpd.state_names[name])) != variable.states:
+            raise ModelError(
+                f"the CPD of {child!r} names the states of {variable!r} in another order than the "
+                "CPD of that variable; name them in one order",
+                variable=variable,
+            )
+    return TableCPD(child, given, table=np.moveaxis(np.asarray(cpd.values), 0, -1))
+
+
+def to_pgmpy(network: BayesianNetwork) -> Any:
+    """A network as pgmpy's own class, with its names, states and doubles.
+
+    Parameters
+    ----------
+    network : BayesianNetwork
+        Of discrete variables without steps.
+
+    Returns
+    -------
+    pgmpy.models.DiscreteBayesianNetwork
+
+    Raises
+    ------
+    ModelError
+        If the network is not of tables, or a variable is of a step.
+    ImportError
+        If pgmpy is not installed.
+    """
+    cpds = tables(network)
+    try:
+        factors = import_module("pgmpy.factors.discrete")
+        models = import_module("pgmpy.models")
+    except ImportError:
+        raise ImportError(
+            "to_pgmpy needs pgmpy, version 1 or newer: pip install 'pgmpy>=1.0'"
+        ) from None
+    found = models.DiscreteBayesianNetwork()
+    found.add_nodes_from(cpd.child.name for cpd in cpds)
+    found.add_edges_from((v.name, cpd.child.name) for cpd in cpds for v in cpd.given)
+    for cpd in cpds:
+        found.add_cpds(
+            factors.TabularCPD(
+                cpd.child.name,
+                cpd.child.size,
+                cpd.table.reshape(-1, cpd.child.size).T,
+                evidence=[v.name for v in cpd.given] or None,
+                evidence_card=[v.size for v in cpd.given] or None,
+                state_names={v.name: list(v.states) for v in cpd.scope if isinstance(v, Discrete)},
+            )
+        )
+    return found

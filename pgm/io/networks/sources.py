@@ -1,0 +1,114 @@
+"""Bytes and text in and out: paths and open files, plain or gzipped, up to a limit."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, TypeAlias
+
+from pgm.errors import FileError
+
+Source: TypeAlias = str | Path | IO[Any]
+
+# Some ten times the largest network of the public repositories, in bytes.
+LIMIT = 64 * 2**20
+GZIP = b"\x1f\x8b"
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """What a file is called, and the errors that name it and a line."""
+
+    name: str
+    path: str | None
+
+    def fault(self, message: str, line: int | None = None) -> FileError:
+        """The error of a line, or of the whole file."""
+        where = self.name if line is None else f"{self.name}, line {line}"
+        return FileError(f"{where}: {message}", path=self.path, line=line)
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """What was read from a source: text, where the source was opened as text, else bytes."""
+
+    data: str | bytes = field(repr=False)
+    origin: Origin
+
+    def text(self) -> str:
+        """The content as text; bytes are UTF-8."""
+        if isinstance(self.data, str):
+            return self.data.removeprefix("\ufeff")
+        try:
+            return self.data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise self.origin.fault(
+                f"the byte 0x{self.data[error.start]:02x} is no UTF-8; where the file has another "
+                "encoding, give it opened: open(path, encoding='latin-1')",
+                self.data.count(b"\n", 0, error.start) + 1,
+            ) from None
+
+
+def read(source: Source, limit: int) -> Content:
+    """All of a source; refuses one that holds more than `limit` bytes, once unpacked."""
+    if isinstance(source, str | Path):
+        with open(source, "rb") as file:
+            return _unpacked(file, Origin(str(source), str(source)), limit)
+    named = getattr(source, "name", None)
+    path = str(named) if isinstance(named, str | Path) else None
+    origin = Origin(path or "the file", path)
+    if not callable(getattr(source, "read", None)):
+        raise origin.fault(f"a source is a path or an open file, not {type(source).__name__}")
+    return _unpacked(source, origin, limit)
+
+
+def _unpacked(file: IO[Any], origin: Origin, limit: int) -> Content:
+    try:
+        data = _all(file, limit)
+    except UnicodeDecodeError as error:
+        raise origin.fault(
+            f"it was opened as {error.encoding}, which it is not ({error.reason}); open it with "
+            "its own encoding, or as bytes ('rb')"
+        ) from None
+    if isinstance(data, bytes) and data.startswith(GZIP) and len(data) <= limit:
+        try:
+            data = _all(gzip.GzipFile(fileobj=io.BytesIO(data)), limit)
+        except (OSError, EOFError, zlib.error) as error:
+            raise origin.fault(
+                f"it is gzipped, and damaged ({error}); fetch or write it again"
+            ) from None
+    if len(data) > limit:
+        raise origin.fault(
+            f"it holds more than {limit} bytes; where it is meant to, raise the limit (limit=)"
+        )
+    return Content(data, origin)
+
+
+def _all(file: Any, limit: int) -> str | bytes:
+    """What a file holds, or somewhat more than `limit` of it."""
+    pieces, held = [], 0
+    while held <= limit and (piece := file.read(limit + 1 - held)):  # may be less than asked for
+        pieces.append(piece)
+        held += len(piece)
+    return (b"" if not pieces or isinstance(pieces[0], bytes) else "").join(pieces)
+
+
+def write(target: Source, text: str) -> None:
+    """Write text, as UTF-8 where the target takes bytes; gzipped to a path that ends in .gz."""
+    if isinstance(target, str | Path):
+        data = text.encode()
+        if str(target).endswith(".gz"):
+            data = gzip.compress(data, mtime=0)  # no time: equal networks make equal files
+        Path(target).write_bytes(data)
+        return
+    if not callable(getattr(target, "write", None)):
+        raise FileError(f"a target is a path or an open file, not {type(target).__name__}")
+    try:
+        target.write("")
+    except TypeError:
+        target.write(text.encode())
+    else:
+        target.write(text)
