@@ -86,11 +86,3 @@ def gaussian_ring(
         )
         evidence[reading] = value
     return pgm.BayesianNetwork(cpds), evidence
-
-
-def ring_clusters(network: pgm.BayesianNetwork) -> pgm.ClusterGraph:
-    """The four-cycle as a cluster graph: a cluster for each reading of two, joined in a ring."""
-    unknown = network.variables[:SIZE]
-    readings = [cpd.scope for cpd in network.cpds if len(cpd.parents) == 2][:SIZE]
-    sepsets = {(k, (k + 1) % SIZE): {unknown[(k + 1) % SIZE]} for k in range(SIZE)}
-    return pgm.ClusterGraph(network, readings, sepsets)

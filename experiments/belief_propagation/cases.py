@@ -10,9 +10,9 @@ import numpy as np
 
 import pgm
 from experiments.belief_propagation.loops import Case, Numbers, sweep
-from models.discrete import cloudy, rain, sprinkler, sprinkling, wet
+from models.discrete import sprinkler, wet
 from models.networks import velocity
-from models.rings import discrete_ring, gaussian_ring, ring_clusters
+from models.rings import discrete_ring, gaussian_ring
 from models.unknown_landmarks import landmark_clusters, reading, unknown_landmarks
 
 GUESSES = ((2.5, -1.5), (4.0, 2.5), (0.0, 2.0))  # prior means of the landmarks [m]
@@ -26,26 +26,18 @@ LIMITS = {"discrete": 1000, "gaussian": 300}  # iterations
 
 
 def wet_grass() -> Case:
-    """Sprinkler, the grass being wet; by hand, its three larger families in a ring."""
-    network = sprinkler()
-    by_hand = pgm.ClusterGraph(
-        network,
-        [{cloudy, sprinkling}, {cloudy, rain}, {sprinkling, rain, wet}],
-        sepsets={(0, 1): {cloudy}, (0, 2): {sprinkling}, (1, 2): {rain}},
-    )
-    return Case.of(network, {wet: "yes"}, by_hand=by_hand)
+    """Sprinkler, the grass being wet."""
+    return Case.of(sprinkler(), {wet: "yes"})
 
 
 def spins(coupling: float) -> Case:
-    """Four spins in a ring; by hand, a cluster for each of its edges."""
-    network, evidence = discrete_ring(coupling)
-    return Case.of(network, evidence, by_hand=ring_clusters(network))
+    """Four spins in a ring."""
+    return Case.of(*discrete_ring(coupling))
 
 
 def places(precision: float) -> Case:
-    """Four places in a ring; by hand, a cluster for each of its edges."""
-    network, evidence = gaussian_ring(precision)
-    return Case.of(network, evidence, by_hand=ring_clusters(network))
+    """Four places in a ring."""
+    return Case.of(*gaussian_ring(precision))
 
 
 def sums_of_three(precision: float) -> Case:

@@ -2,13 +2,13 @@
 
 Where messages converge, Gaussian means are exact and deviations are not, too small or too large;
 marginals of discrete variables are approximate. Where coupling is strong they need not converge;
-damping helps, up to a point.
+damping helps, up to a point. Join graphs go from loopy to exact as their clusters may grow.
 
 summary.json:
 
 - ``sprinkler``, ``four_cycle.discrete``, ``four_cycle.gaussian``, ``localisation``: each has
-  ``junction_tree`` and, by graph and schedule, ``<graph>.<schedule>``. Graphs are ``bethe`` and, by
-  hand, ``by_hand`` or ``carrying_1`` and ``carrying_2``, after the number of landmarks that the
+  ``junction_tree`` and, by graph and schedule, ``<graph>.<schedule>``. Graphs are ``bethe``,
+  ``ltrip`` and, by hand, ``carrying_1`` and ``carrying_2``, after the number of landmarks that the
   chain of poses carries along. Schedules are ``flooding``, ``sequential`` and ``residual``.
 - Each entry has ``log_evidence``, ``log_evidence_kind``, ``iterations`` and ``converged``; of a
   discrete network ``error``, the largest of a probability, and ``marginals``; of a Gaussian one
@@ -18,6 +18,11 @@ summary.json:
   or (of means, in deviations) SciPy's least squares.
 - ``coupling``: ``discrete`` and ``gaussian`` have ``at``, the strengths, and by network and
   schedule a list of entries, one a strength.
+- ``methods``: ``discrete`` and ``gaussian``, networks drawn at random, and ``repository``, known
+  ones, have by network and method of compiling: ``clusters``, ``sepsets``, ``largest`` (entries or
+  components), ``log_evidence_error``, ``iterations``, ``converged``, ``seconds``, and
+  ``error_mean`` and ``error_max`` of marginals, or ``mean_error_max`` (in deviations),
+  ``variance_error_mean`` and ``variance_error_max`` (relative); all but maxima are means.
 """
 
 from __future__ import annotations
@@ -30,7 +35,9 @@ import typer
 import pgm
 from experiments.belief_propagation import cases, figures
 from experiments.belief_propagation.checks import difference
-from experiments.belief_propagation.loops import Case, Numbers
+from experiments.belief_propagation.comparison import compare_methods
+from experiments.belief_propagation.loops import Case, Numbers, titled
+from experiments.belief_propagation.repository import NAMES
 from experiments.record import Out, Record, Seed
 
 By = dict[str, dict[str, pgm.Posterior]]  # graph and schedule
@@ -42,6 +49,10 @@ QUICK: dict[str, Any] = {
     "steps": 3,
     "spins": [-0.75, -0.5, 0.0, 1.5],
     "precisions": [0.5, 1.0],
+    "side": 4,
+    "count": 20,
+    "draws": 1,
+    "known": ["asia"],
 }
 
 
@@ -62,14 +73,29 @@ def run(
             help="A precision of readings of places to try; 6 from 1/8 to 4 without.",
         ),
     ] = None,
+    side: Annotated[int, typer.Option(min=3, help="Rows and columns of grids.")] = 8,
+    count: Annotated[int, typer.Option(min=6, help="Variables of random networks.")] = 40,
+    draws: Annotated[int, typer.Option(min=1, help="Grids and random networks of a kind.")] = 3,
+    known: Annotated[
+        list[str] | None,
+        typer.Option(help="A known network, of pgmpy's files; seven small ones without."),
+    ] = None,
 ) -> None:
     """Exact against loopy: marginals, means, deviations, and where messages converge."""
     at = {
         "discrete": sorted(spins or cases.SPINS),
         "gaussian": sorted(precisions or cases.PRECISIONS),
     }
+    drawn = {"seed": seed, "side": side, "count": count, "draws": draws}
+    names = known or NAMES
     record = Record(
-        "belief_propagation", out, seed=seed, coupling=coupling, steps=steps, strengths=at
+        "belief_propagation",
+        out,
+        coupling=coupling,
+        steps=steps,
+        strengths=at,
+        known=names,
+        **drawn,
     )
     robot, truth = cases.robot(seed, steps)
     compared = {
@@ -94,8 +120,8 @@ def run(
     }
     for kind, networks in swept.items():
         _note_convergence(record, kind, networks, at[kind])
-    drawn = {"sprinkler": "sprinkler", "four_cycle": "places", "localisation": "localisation"}
-    for name, case in drawn.items():
+    shown = {"sprinkler": "sprinkler", "four_cycle": "places", "localisation": "localisation"}
+    for name, case in shown.items():
         caption = f"{titles[case]}: the graphs on which messages go round."
         record.figure(figures.graphs(compared[case]), f"{name}_graphs", caption)
     record.figure(
@@ -114,11 +140,13 @@ def run(
         "localisation",
         "Poses and unknown landmarks with 95 % ellipses, exact and on the Bethe graph.",
     )
+    methods = compare_methods(record, names, **drawn)
     record.summary(
         sprinkler=found["sprinkler"],
         four_cycle={"discrete": found["spins"], "gaussian": found["places"]},
         localisation=found["localisation"],
         coupling={kind: {"at": at[kind], **swept[kind]} for kind in swept},
+        methods=methods,
     )
 
 
@@ -137,7 +165,7 @@ def _table(record: Record, title: str, found: Mapping[str, Any]) -> None:
     rows: list[tuple[str, str, Numbers]] = [("junction tree", "–", tree)]
     for graph, schedules in found.items():
         if schedules is not tree:
-            rows += [(graph.replace("_", " "), name, each) for name, each in schedules.items()]
+            rows += [(titled(graph), name, each) for name, each in schedules.items()]
     columns = ("error",) if "error" in tree else ("means", "std ratio")
     record.table(
         title,

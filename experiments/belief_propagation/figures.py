@@ -12,26 +12,28 @@ from matplotlib.figure import Figure
 
 import pgm
 import pgm.plot
-from experiments.belief_propagation.loops import Case, Numbers
+from experiments.belief_propagation.loops import Case, Numbers, titled
 from experiments.kinds import as_gaussian
 from models.networks import landmark, pose
 from pgm.plot.colours import PALETTE
 
 Sweep = Mapping[str, Mapping[str, Sequence[Numbers]]]  # by network and schedule
+Methods = Mapping[str, Mapping[str, Numbers]]  # by network and method
 
 # Where a mean of a run that diverged is drawn, in deviations.
 _FAR = 1e3
 
 
 def graphs(case: Case) -> Figure:
-    """The graphs of a case, side by side."""
+    """The graphs of a case, two in a row."""
+    rows = (len(case.graphs) + 1) // 2
     figure, axes = plt.subplots(
-        1, len(case.graphs), figsize=(5.0 * len(case.graphs), 4.0), layout="constrained"
+        rows, 2, figsize=(10.0, 4.0 * rows), layout="constrained", squeeze=False
     )
-    for ax, name in zip(axes, case.graphs, strict=True):
-        ax.set_title(name.replace("_", " "))
+    for ax, name in zip(axes.flat, case.graphs, strict=True):
+        ax.set_title(titled(name))
     figure.canvas.draw()  # so that titles have their room before graphs are fitted to theirs
-    for ax, graph in zip(axes, case.graphs.values(), strict=True):
+    for ax, graph in zip(axes.flat, case.graphs.values(), strict=True):
         pgm.plot.cluster_graph(graph, evidence=case.evidence, ax=ax)
     plt.close(figure)
     return figure
@@ -96,6 +98,33 @@ def _lines(ax: Axes, sweep: Sweep, at: Sequence[float], keys: Sequence[str]) -> 
                     label = label and f"{label}: not converged"
                     bad = np.where(good, np.nan, y)
                     ax.plot(at, bad, lost, color=colour, markersize=7.0, label=label)
+
+
+def methods(discrete: Methods, gaussian: Methods) -> Figure:
+    """Errors against the largest cluster: a colour for each kind of network."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained")
+    panels = (
+        (left, discrete, "error_mean", "error of a marginal", "table entries"),
+        (right, gaussian, "variance_error_mean", "relative error of a variance", "components"),
+    )
+    markers = {"Bethe": "s", "LTRIP": "^", "junction tree": "*"}
+    style: dict[str, Any] = {"linestyle": "", "markersize": 9.0, "fillstyle": "none"}
+    for ax, found, key, what, unit in panels:
+        for colour, (network, by) in zip(PALETTE, found.items(), strict=False):
+            joined = [numbers for name, numbers in by.items() if name.startswith("join graph")]
+            x, y = ([numbers[k] for numbers in joined] for k in ("largest", key))
+            ax.plot(x, y, "o-", color=colour, markersize=4.0, label=f"{network}, join graphs")
+            for name, marker in markers.items():
+                ax.plot(by[name]["largest"], by[name][key], marker, color=colour, **style)
+        for name, marker in markers.items():
+            ax.plot([], [], marker, color="black", label=name, **style)
+        ax.set(xlabel=f"largest cluster [{unit}]", ylabel=f"mean {what}")
+        ax.legend(fontsize="small")
+    left.set_xscale("log", base=2)
+    left.xaxis.set_major_formatter("{x:g}")
+    right.xaxis.get_major_locator().set_params(integer=True)
+    plt.close(figure)
+    return figure
 
 
 def scene(case: Case, truth: Mapping[pgm.Variable, Any], beliefs: Mapping[str, Any]) -> Figure:

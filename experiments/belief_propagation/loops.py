@@ -10,6 +10,7 @@ import numpy as np
 
 import pgm
 from experiments.kinds import as_gaussian, as_table
+from pgm.compile import Method
 
 Numbers = dict[str, Any]
 
@@ -18,7 +19,13 @@ SCHEDULES: dict[str, pgm.Flooding | pgm.Sequential | pgm.Residual] = {
     "sequential": pgm.Sequential(),
     "residual": pgm.Residual(),
 }
+METHODS: dict[str, Method] = {"bethe": pgm.Bethe(), "ltrip": pgm.LTRIP()}
 RELINEARISED = pgm.Calibration(iterations=100, tolerance=1e-10)
+
+
+def titled(graph: str) -> str:
+    """The name of a graph for tables and figures."""
+    return type(METHODS[graph]).__name__ if graph in METHODS else graph.replace("_", " ")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +51,10 @@ class Case:
         evidence: Mapping[pgm.Variable, Any],
         **graphs: pgm.ClusterGraph,
     ) -> Case:
-        """Infer exactly; the Bethe graph is one of the graphs."""
+        """Infer exactly; the graphs that methods make are the first of the graphs."""
         exact = pgm.infer(pgm.compile(network), evidence, schedule=RELINEARISED)
-        bethe = pgm.compile(network, method=pgm.Bethe())
-        return cls(evidence, exact, {"bethe": bethe, **graphs})
+        compiled = {name: pgm.compile(network, method=method) for name, method in METHODS.items()}
+        return cls(evidence, exact, {**compiled, **graphs})
 
     @property
     def network(self) -> pgm.BayesianNetwork:

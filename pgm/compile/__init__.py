@@ -1,14 +1,23 @@
 """Compiling networks to cluster graphs."""
 
+from pgm.compile.balanced import Balanced, BalancedGraph
 from pgm.compile.bethe import Bethe
 from pgm.compile.compiling import Method, compile
+from pgm.compile.dynamic import DynamicGraph
+from pgm.compile.joingraph import JoinGraph
 from pgm.compile.junction import JunctionTree
 from pgm.compile.layout import SliceLayout
+from pgm.compile.ltrip import LTRIP
 from pgm.compile.orders import MinFill, NestedDissection, Order, WeightedMinFill
 from pgm.compile.slices import SliceGraph
 
 __all__ = [
+    "LTRIP",
+    "Balanced",
+    "BalancedGraph",
     "Bethe",
+    "DynamicGraph",
+    "JoinGraph",
     "JunctionTree",
     "Method",
     "MinFill",

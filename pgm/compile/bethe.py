@@ -31,7 +31,7 @@ class Bethe:
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
         """Compile a network."""
-        families = _maximal([cpd.scope for cpd in network.cpds])
+        families = maximal([cpd.scope for cpd in network.cpds])
         holders: dict[Variable, list[int]] = {variable: [] for variable in network.variables}
         for k, family in enumerate(families):
             for variable in family:
@@ -43,7 +43,7 @@ class Bethe:
         return ClusterGraph(network, [*families, *((variable,) for variable in shared)], sepsets)
 
 
-def _maximal(families: list[Scope]) -> list[Scope]:
+def maximal(families: list[Scope]) -> list[Scope]:
     """The families that lie in no other, the first of equals."""
     members = [frozenset(family) for family in families]
     holders: dict[Variable, list[int]] = {}

@@ -7,6 +7,8 @@ from typing import Any, Protocol, overload
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
+from pgm.compile.balanced import Balanced, BalancedGraph
+from pgm.compile.dynamic import DynamicGraph
 from pgm.compile.junction import JunctionTree
 from pgm.compile.slices import SliceGraph
 from pgm.errors import GraphError, ModelError
@@ -29,6 +31,12 @@ def compile(
 
 @overload
 def compile(
+    model: DynamicBayesianNetwork, steps: int | None = None, *, method: Balanced
+) -> BalancedGraph: ...
+
+
+@overload
+def compile(
     model: BayesianNetwork, steps: None = None, method: Method | None = None
 ) -> ClusterGraph: ...
 
@@ -36,7 +44,7 @@ def compile(
 def compile(
     model: DynamicBayesianNetwork | BayesianNetwork,
     steps: int | None = None,
-    method: Method | None = None,
+    method: Method | Balanced | None = None,
 ) -> ClusterGraph:
     """Compile a network into a cluster graph.
 
@@ -44,41 +52,48 @@ def compile(
     ----------
     model : DynamicBayesianNetwork or BayesianNetwork
     steps : int
-        T, of a dynamic network: the graph has the clusters 0..T.
-    method : Method, optional
-        Of a network without time: `JunctionTree()`, if not given, `Bethe()`, or a function from
-        networks to cluster graphs. A graph made by hand is a `ClusterGraph(network, clusters)`.
-        Methods and elimination orders differ much in what their graphs cost: compare `graph.cost`.
+        T, of a dynamic network: its states are at the steps 0..T.
+    method : Method or Balanced, optional
+        Of a dynamic network: `Balanced()` makes a balanced tree; without, it is a chain of slices.
+        Of a network without time: `JunctionTree()`, if not given, `Bethe()`, `LTRIP()`,
+        `JoinGraph(max_size)`, or a function from networks to cluster graphs. A graph made by hand
+        is a `ClusterGraph(network, clusters)`. Methods and elimination orders differ much in what
+        their graphs cost: compare `graph.cost`.
 
     Returns
     -------
-    SliceGraph or ClusterGraph
-        Of a dynamic network a chain of slices.
+    SliceGraph, BalancedGraph or ClusterGraph
 
     Raises
     ------
     ModelError
         If the model is no network.
     GraphError
-        If the number of steps of a dynamic network is missing or negative, a method is given for
-        one or steps for a network without time, the method is none, or its graph is of another
-        network.
+        If the number of steps of a dynamic network is missing or negative, steps are given for a
+        network without time, the method is none or not for this kind of network, or its graph is
+        of another network.
 
     Examples
     --------
     >>> graph = compile(model, steps=100)  # doctest: +SKIP
+    >>> tree = compile(model, steps=100, method=Balanced())  # doctest: +SKIP
     >>> graph = compile(network, method=JunctionTree(order=WeightedMinFill()))  # doctest: +SKIP
     >>> graph.check()  # doctest: +SKIP
     >>> graph.cost  # doctest: +SKIP
     """
     if isinstance(model, DynamicBayesianNetwork):
-        return _slices(model, steps, method)
+        return _dynamic(model, steps, method)
     if not isinstance(model, BayesianNetwork):
         raise ModelError(f"compile takes a network, not {model!r}")
     if steps is not None:
         raise GraphError(f"{model!r} has no time, so it is not compiled for steps; leave out steps")
     if method is None:
         method = JunctionTree()
+    if isinstance(method, Balanced):
+        raise GraphError(
+            f"{method!r} dissects the chain of a dynamic network, and {model!r} has no time; give "
+            "method=pgm.JunctionTree(order=pgm.NestedDissection())"
+        )
     if not callable(method) or isinstance(method, type):
         raise GraphError(
             f"{method!r} is no method; give one like pgm.JunctionTree() or pgm.Bethe()"
@@ -94,15 +109,15 @@ def compile(
     return graph
 
 
-def _slices(model: DynamicBayesianNetwork, steps: Any, method: Any) -> SliceGraph:
-    if method is not None:
+def _dynamic(model: DynamicBayesianNetwork, steps: Any, method: Any) -> DynamicGraph:
+    if method is not None and not isinstance(method, Balanced):
         raise GraphError(
-            f"a dynamic network is compiled to a chain of slices, not by {method!r}; leave out the "
-            "method, or compile model.unroll(steps)"
+            f"a dynamic network is compiled to a chain of slices, or by pgm.Balanced() to a tree, "
+            f"not by {method!r}; leave out the method, or compile model.unroll(steps)"
         )
     whole = isinstance(steps, int | np.integer) and not isinstance(steps, bool)
     if not whole or steps < 0:
         raise GraphError(
             f"a dynamic network is compiled for steps 0..T; give steps=T, 0 or more, not {steps!r}"
         )
-    return SliceGraph(model, int(steps))
+    return (SliceGraph if method is None else BalancedGraph)(model, int(steps))

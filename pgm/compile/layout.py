@@ -4,13 +4,41 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from pgm.cpds import CPD
+from pgm.cpds import CPD, NonlinearGaussianCPD
 from pgm.factors.scope import Scope, dimension, positions
 from pgm.kernels.arrays import Index, Integers
+from pgm.linearisers import FunctionTemplate
 from pgm.networks import DynamicBayesianNetwork
+
+
+class Place(NamedTuple):
+    """Where a CPD stands in the vector of a scope.
+
+    Attributes
+    ----------
+    hidden : tuple of Variable
+        The parents of its mean that no evidence gives.
+    parents : Index
+        Where these stand.
+    child : slice
+        Where its child stands; nowhere, if it is a reading.
+    angles, before : ndarray of int
+        The child's components that are angles, and where those of the step before stand; empty
+        where the child does not depend on itself.
+    template : FunctionTemplate or None
+        Of a nonlinear CPD.
+    """
+
+    hidden: Scope
+    parents: Index
+    child: slice
+    angles: Integers
+    before: Integers
+    template: FunctionTemplate | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +92,41 @@ class SliceLayout:
     def single(self) -> bool:
         """Whether one CPD makes the whole slice of the whole slice before."""
         return len(self.slice) == 1 and self.hidden(self.model.transition[0]) == self.pair[:1]
+
+    @cached_property
+    def probed(self) -> set[CPD]:
+        """The CPDs whose functions have been called on trial."""
+        return set()
+
+    @cached_property
+    def _places(self) -> dict[CPD, Place]:
+        return {}
+
+    def place(self, cpd: CPD, scope: Scope) -> Place:
+        """Where a CPD stands in the vector of the scope that it belongs to, found once."""
+        found = self._places.get(cpd)
+        if found is None:
+            found = self._places[cpd] = self._find(cpd, scope)
+        return found
+
+    def _find(self, cpd: CPD, scope: Scope) -> Place:
+        hidden = self.hidden(cpd)
+        child, angles = slice(0, 0), np.flatnonzero(cpd.child.angle_mask)
+        if cpd.child in scope:
+            place = positions(scope, [cpd.child])
+            assert isinstance(place, slice)
+            child = place
+        before = angles[:0]
+        if cpd.child.previous in hidden:
+            before = np.arange(dimension(scope))[positions(scope, [cpd.child.previous])][angles]
+        return Place(
+            hidden,
+            positions(scope, hidden),
+            child,
+            angles[: before.size],
+            before,
+            cpd._template(hidden) if isinstance(cpd, NonlinearGaussianCPD) else None,
+        )
 
     def hidden(self, cpd: CPD) -> Scope:
         """The parents of a CPD's mean that no evidence gives, in the order of its function."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pgm
-from models.rings import discrete_ring, gaussian_ring, places, ring_clusters, spins
+from models.rings import discrete_ring, gaussian_ring, places, spins
 
 
 @pytest.mark.parametrize("diagonals", [False, True])
@@ -35,12 +35,3 @@ def test_readings_add_places_up(span):
     cov = np.linalg.inv(information)
     assert posterior.joint(*places).mean == pytest.approx(cov @ vector)
     assert posterior.joint(*places).cov == pytest.approx(cov)
-
-
-@pytest.mark.parametrize("network", [discrete_ring(1.0)[0], gaussian_ring(1.0)[0]])
-def test_the_clusters_are_a_ring(network):
-    graph = ring_clusters(network)
-    graph.check()
-    assert not graph.is_tree
-    assert [graph.neighbours(k) for k in range(4)] == [(1, 3), (0, 2), (1, 3), (0, 2)]
-    assert all(len(sepset) == 1 for sepset in graph.sepsets.values())
