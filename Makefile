@@ -5,7 +5,7 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check
 export MPLBACKEND := Agg
 
-.PHONY: demo report test test-slow lint bench clean
+.PHONY: demo report test test-slow lint bench bench-quick clean
 
 demo: $(VENV)/.demo
 	$(PY) -m experiments localisation
@@ -26,7 +26,10 @@ lint: $(VENV)/.test
 	$(PY) -m mypy
 
 bench: $(VENV)/.bench
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PY) -m benchmarks
+	$(PY) -m benchmarks
+
+bench-quick: $(VENV)/.bench
+	$(PY) -m benchmarks --quick
 
 clean:
 	rm -rf $(VENV) results build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
@@ -36,9 +39,10 @@ $(PY):
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pgm needs Python 3.11 or newer; name one: make PYTHON=python3.12 $(MAKECMDGOALS)")'
 	$(PYTHON) -m venv $(VENV)
 
-# gtsam only brings recordings; where it has no wheel everything else still works.
+# gtsam brings recordings and a library to be measured against; where it has no wheel everything else
+# still works.
 define install
-	@$(PIP) --editable '.[$(1),data]' || { echo "gtsam has no wheel for this Python: installing without the recordings it carries"; $(PIP) --editable '.[$(1)]'; }
+	@$(PIP) --editable '.[$(1),data]' || { echo "gtsam has no wheel for this Python: installing without it"; $(PIP) --editable '.[$(1)]'; }
 	@touch $@
 endef
 

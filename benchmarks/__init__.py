@@ -1,1 +1,1 @@
-"""Speed against other libraries, on the same work, as ratios measured in one run."""
+"""Speed against other libraries: the same work, in one run, on one thread of one core."""

@@ -1,0 +1,63 @@
+"""Libraries must agree before their times mean anything."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+# In standard deviations of our beliefs. dynamax adds 1e-9 to what it solves with; Stone Soup's mean
+# of bearings is that of their unit vectors; gtsam's filter has another sensor.
+TOLERANCES = {"dynamax": 1e-3, "dynamax_sequential": 1e-3, "stonesoup": 1e-4, "gtsam": 1.0}
+TOLERANCE = 1e-6
+
+
+def beliefs(library: str, ours: tuple[Array, Array], theirs: tuple[Array, Array | None]) -> None:
+    """Means and covariances, where there are any, in units of our standard deviations.
+
+    Raises
+    ------
+    AssertionError
+        Where they differ.
+    """
+    within = TOLERANCES.get(library, TOLERANCE)
+    mean, cov = ours
+    std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
+    _require(library, "means", (theirs[0] - mean) / std, within)
+    if theirs[1] is not None:
+        scale = std[..., :, None] * std[..., None, :]
+        _require(library, "covariances", (theirs[1] - cov) / scale, within)
+
+
+def optima(library: str, ours: tuple[Array, Array], theirs: tuple[Array, Array]) -> None:
+    """Means to 1e-5 [m, rad], the covariance of each pose to 1e-4 of its size.
+
+    Raises
+    ------
+    AssertionError
+        Where they differ.
+    """
+    _require(library, "means", theirs[0] - ours[0], 1e-5)
+    change, size = (np.linalg.norm(each, axis=(-2, -1)) for each in (theirs[1] - ours[1], ours[1]))
+    _require(library, "covariances", change / size, 1e-4)
+
+
+def marginals(library: str, ours: list[Array], theirs: list[Array]) -> None:
+    """Probabilities.
+
+    Raises
+    ------
+    AssertionError
+        Where they differ.
+    """
+    for mine, other in zip(ours, theirs, strict=True):
+        _require(library, "probabilities", other - mine, 1e-12)
+
+
+def _require(library: str, what: str, difference: Array, within: float) -> None:
+    worst = float(np.abs(difference).max())
+    if not worst <= within:
+        raise AssertionError(
+            f"{what} of {library} differ from pgm's by up to {worst:.3g}, more than {within:g}"
+        )

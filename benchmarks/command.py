@@ -1,0 +1,118 @@
+"""The command: rows are checked, timed and told."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from benchmarks import figure
+from benchmarks.curves import CURVES
+from benchmarks.row import Row
+from benchmarks.rows import ROWS
+from benchmarks.timing import medians
+from benchmarks.verdicts import verdicts
+from experiments.record import folder, note, table, versions
+
+OUT = Path("results") / "bench"
+PEERS = ("filterpy", "stonesoup", "dynamax", "jax", "cuthbert", "gtsam", "pyagrum")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run rows and curves, print tables, write summary.json and the figure."""
+    names = [row.name for row in ROWS] + [curve.name for curve in CURVES]
+    parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="smaller work, fewer repeats")
+    parser.add_argument("--only", help=f"some, with commas between them: {', '.join(names)}")
+    parser.add_argument("--repeats", type=int, help="timed calls of each library")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for results")
+    options = parser.parse_args(arguments)
+    chosen = options.only.split(",") if options.only else names
+    unknown = sorted(set(chosen) - set(names))
+    if unknown:
+        parser.error(f"there is no {', '.join(unknown)}, but {', '.join(names)}")
+    out, quick = folder(options.out), options.quick
+    repeats = options.repeats or (3 if quick else 7)
+    summary: dict[str, Any] = {"versions": known(), "quick": quick, "compile": {}, "curves": {}}
+    note(f"versions: {summary['versions']}")
+    for row in ROWS:
+        if row.name in chosen:
+            summary[row.name], summary["compile"][row.name] = run(row, quick, repeats)
+    for curve in CURVES:
+        if curve.name in chosen:
+            summary["curves"][curve.name] = curve.measure(quick, min(repeats, 2 if quick else 5))
+    if summary["curves"]:
+        figure.draw(summary["curves"], out / "cost_against_size.png")
+    tell(summary)
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+
+
+def run(row: Row, quick: bool, repeats: int) -> tuple[dict[str, float], dict[str, float]]:
+    """Seconds a unit, and seconds of compiling, by library; prints them."""
+    size = row.quick if quick else row.size
+    ready, missing = row.prepared(size)
+    row.agree(ready, size)
+    times = medians(ready, repeats)
+    compiling = {k: each.compiling for k, each in ready.items() if each.compiling is not None}
+    table(
+        f"{row.name}: microseconds a {row.unit}",
+        ("library", "µs", "/ pgm", "compiling [s]"),
+        [
+            (library, 1e6 * value, value / times["pgm"], compiling.get(library, ""))
+            for library, value in times.items()
+        ],
+    )
+    for library, why in missing.items():
+        note(f"{row.name}: {library} is left out, {why}")
+    return times, compiling
+
+
+def tell(summary: dict[str, Any]) -> None:
+    """Print the curves, and what must hold."""
+    for name, libraries in summary["curves"].items():
+        sizes = list(libraries["pgm"])
+        table(
+            f"{name}: microseconds a step, or simulation, by size",
+            ("library", *(f"{size:,}" for size in sizes)),
+            [
+                (library, *(1e6 * costs[size] for size in sizes))
+                for library, costs in libraries.items()
+            ],
+        )
+    found = list(verdicts(summary))
+    if found:
+        table(
+            "what must hold",
+            ("ratio", "measured", "asked", "holds"),
+            [
+                (
+                    each.what,
+                    each.measured,
+                    f"{'at least' if each.least else 'at most'} {each.asked:g}",
+                    "yes" if each.holds else "NO",
+                )
+                for each in found
+            ],
+        )
+
+
+def known() -> dict[str, str]:
+    """Versions of what is compared, and on what machine."""
+    here = versions() | {"processor": _processor()}
+    for peer in PEERS:
+        try:
+            here[peer] = metadata.version(peer)
+        except metadata.PackageNotFoundError:
+            here[peer] = "not installed"
+    return here
+
+
+def _processor() -> str:
+    """Its name, where the system tells it."""
+    described = Path("/proc/cpuinfo")
+    lines = described.read_text(encoding="utf-8").splitlines() if described.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()

@@ -1,0 +1,21 @@
+"""pgm on linear networks: a balanced cluster tree, or the chain of slices."""
+
+from __future__ import annotations
+
+import pgm
+from benchmarks.timing import Contender
+from benchmarks.work.targets import Array, Tracking
+from models.networks import target
+
+METHODS = {"balanced": pgm.Balanced(), "sequential": None}
+
+
+def smoothing(method: str, work: Tracking) -> Contender:
+    """Means (T, 4) and covariances."""
+    graph = pgm.compile(work.network, work.steps, method=METHODS[method])
+
+    def call() -> tuple[Array, Array]:
+        belief = pgm.infer(graph, work.evidence, schedule=pgm.Smoothing())[target]
+        return belief.mean[1:], belief.cov[1:]
+
+    return Contender(call, work.steps)

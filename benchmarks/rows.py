@@ -1,0 +1,157 @@
+"""Every row, in the order in which they run."""
+
+from __future__ import annotations
+
+from benchmarks import agreement
+from benchmarks.row import Prepare, Row, part
+from benchmarks.work import robots, tables, targets
+
+SHORT = {"taylor": "ekf", "unscented": "ukf"}
+
+
+def one_step(rule: str) -> Row:
+    """One prediction and one update, for many simulations that were driven differently."""
+    return Row(
+        name=f"{SHORT[rule]}_one_step",
+        unit="simulation",
+        work=lambda size: robots.draw(size, 1, own_controls=True),
+        contenders={
+            "pgm": part("pgm_robots", "filtering", rule),
+            "filterpy": part(f"filterpy_{rule}", "filtering"),
+            "stonesoup": part("stonesoup_robots", "filtering", rule),
+            "dynamax": part("dynamax_robots", "one_step", rule),
+        },
+        check=agreement.beliefs,
+        size=10_000,
+        quick=10_000,
+        most={"filterpy": 500, "stonesoup": 100},
+    )
+
+
+def many_robots(rule: str) -> Row:
+    """The filter of many robots, 200 steps each."""
+    return Row(
+        name=f"{SHORT[rule]}_robots",
+        unit="robot and step",
+        work=lambda size: robots.draw(size, 200),
+        contenders={
+            "pgm": part("pgm_robots", "filtering", rule),
+            "filterpy": part(f"filterpy_{rule}", "filtering"),
+            "stonesoup": part("stonesoup_robots", "filtering", rule),
+            "dynamax": part("dynamax_robots", "filtering", rule),
+        },
+        check=agreement.beliefs,
+        size=1_000,
+        quick=1_000,
+        most={"filterpy": 5, "stonesoup": 2},
+    )
+
+
+def smoother(rule: str) -> Row:
+    """One robot, forward and back."""
+    return Row(
+        name=f"rts_{rule}",
+        unit="step",
+        work=lambda size: robots.draw(1, size),
+        contenders={
+            "pgm": part("pgm_robots", "smoothing", rule),
+            "filterpy": part(f"filterpy_{rule}", "smoothing"),
+            **_taylor_only(rule, filterpy_scalar=part("filterpy_scalar", "smoothing")),
+            "stonesoup": part("stonesoup_robots", "smoothing", rule),
+            "dynamax": part("dynamax_robots", "smoothing", rule),
+            **_taylor_only(rule, cuthbert=part("cuthbert_robots", "smoothing")),
+        },
+        check=agreement.beliefs,
+        size=10_000,
+        quick=2_000,
+        most={"stonesoup": 500},
+    )
+
+
+def online(rule: str) -> Row:
+    """One robot in its loop."""
+    return Row(
+        name=f"online_{rule}",
+        unit="step",
+        work=lambda size: robots.draw(1, size),
+        contenders={
+            "pgm": part("pgm_robots", "online", rule),
+            "filterpy": part(f"filterpy_{rule}", "online"),
+            **_taylor_only(rule, filterpy_scalar=part("filterpy_scalar", "online")),
+            "stonesoup": part("stonesoup_robots", "online", rule),
+            "dynamax": part("dynamax_robots", "online", rule),
+            **_taylor_only(rule, gtsam=part("gtsam_online", "online")),
+        },
+        check=agreement.beliefs,
+        size=1_000,
+        quick=300,
+        most={"stonesoup": 200},
+    )
+
+
+def most_probable() -> Row:
+    """The most probable poses of a whole drive from dead reckoning, and all their marginals."""
+    return Row(
+        name="map",
+        unit="pose",
+        work=lambda size: robots.precise(size),
+        contenders={
+            "pgm": part("pgm_robots", "iterated"),
+            "gtsam": part("gtsam_robots", "smoothing", "gauss_newton"),
+            "gtsam_levenberg_marquardt": part("gtsam_robots", "smoothing", "levenberg_marquardt"),
+            "gtsam_optimum_alone": part("gtsam_robots", "optimising", "gauss_newton"),
+            "gtsam_building": part("gtsam_robots", "building"),
+        },
+        check=agreement.optima,
+        size=10_000,
+        quick=2_000,
+        unchecked=frozenset({"gtsam_optimum_alone", "gtsam_building"}),
+    )
+
+
+def linear() -> Row:
+    """Smoothing a linear network: parallel in time, or not."""
+    return Row(
+        name="linear",
+        unit="step",
+        work=targets.draw,
+        contenders={
+            "pgm": part("pgm_targets", "smoothing", "balanced"),
+            "pgm_sequential": part("pgm_targets", "smoothing", "sequential"),
+            "dynamax": part("dynamax_targets", "smoothing", "parallel"),
+            "dynamax_sequential": part("dynamax_targets", "smoothing", "sequential"),
+            "cuthbert": part("cuthbert_targets", "smoothing"),
+        },
+        check=agreement.beliefs,
+        size=10_000,
+        quick=100,  # XLA compiles parallel scans for half a minute, by length
+    )
+
+
+def discrete(name: str, task: tables.Task) -> Row:
+    """New evidence on a compiled discrete network, then all marginals."""
+    return Row(
+        name=f"discrete_{name}",
+        unit="set of evidence",
+        work=lambda size: task,
+        contenders={
+            "pgm": part("pgm_tables", "marginals"),
+            "pyagrum": part("pyagrum_tables", "marginals"),
+        },
+        check=agreement.marginals,
+        size=1,
+        quick=1,
+    )
+
+
+def _taylor_only(rule: str, **contenders: Prepare) -> dict[str, Prepare]:
+    return contenders if rule == "taylor" else {}
+
+
+ROWS = [
+    *(make(rule) for make in (one_step, many_robots, smoother, online) for rule in SHORT),
+    most_probable(),
+    linear(),
+    discrete("asia", tables.medical()),
+    discrete("random_200", tables.random()),
+]

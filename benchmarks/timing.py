@@ -1,0 +1,69 @@
+"""Timing: libraries take turns, so that whatever else the machine does hits all of them alike."""
+
+from __future__ import annotations
+
+import gc
+import math
+import statistics
+import time
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+SHORTEST = 0.02  # seconds; what takes less is called several times over
+
+Key = TypeVar("Key", bound=Hashable)
+
+
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A library with its work prepared: compiled, and waiting for evidence.
+
+    Attributes
+    ----------
+    call : callable
+        The work, evidence in and results out.
+    units : int
+        How many units of work a call does.
+    compiling : float
+        Seconds that the first call took longer than the next, where something is compiled.
+    """
+
+    call: Callable[[], Any]
+    units: int
+    compiling: float | None = None
+
+
+def compiled(call: Callable[[], Any], units: int) -> Contender:
+    """A contender whose first call compiles."""
+    first, later = seconds(call), seconds(call)
+    return Contender(call, units, first - later)
+
+
+def seconds(call: Callable[[], object], times: int = 1) -> float:
+    """Time of a call, the mean of several.
+
+    It is that of the processor, of all threads of this process: with one thread on an idle machine
+    it is the time on the wall, and on a busy one it leaves out what other processes take.
+    """
+    begin = time.process_time()
+    for _ in range(times):
+        call()
+    return (time.process_time() - begin) / times
+
+
+def medians(contenders: Mapping[Key, Contender], repeats: int) -> dict[Key, float]:
+    """Median seconds a unit of contenders that take turns, each called before."""
+    calls = {key: _calls(each) for key, each in contenders.items()}
+    times: dict[Key, list[float]] = {key: [] for key in contenders}
+    gc.collect()
+    gc.freeze()  # what one library leaves about is not searched on another's account
+    for _ in range(repeats):
+        for key, contender in contenders.items():
+            times[key].append(seconds(contender.call, calls[key]) / contender.units)
+    gc.unfreeze()
+    return {key: statistics.median(each) for key, each in times.items()}
+
+
+def _calls(contender: Contender) -> int:
+    return max(1, math.ceil(SHORTEST / max(seconds(contender.call), 1e-6)))

@@ -1,0 +1,73 @@
+"""What must hold, as ratios of one run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+FASTER = (  # row, peer, how many times the peer's cost must be ours
+    ("ekf_one_step", "dynamax", 1.3),
+    ("ukf_one_step", "dynamax", 1.0),
+    ("ekf_robots", "dynamax", 1.5),
+    ("ukf_robots", "dynamax", 1.2),
+)
+CHEAPER = (  # row, peer, how many times our cost may be the peer's
+    ("rts_taylor", "filterpy", 1.2),
+    ("rts_unscented", "filterpy", 0.5),
+    ("online_taylor", "filterpy", 1.3),
+    ("online_unscented", "filterpy", 0.6),
+)
+LEVEL = (  # curve, from which length on, how many times its highest cost a step may be its lowest
+    ("filter", 1_000, 1.2),
+    ("smoother", 1_000, 1.2),
+    ("balanced", 10_000, 1.5),
+    ("iterated", 10_000, 1.5),
+)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One requirement and what was measured.
+
+    Attributes
+    ----------
+    what : str
+    measured, asked : float
+        Ratios.
+    least : bool
+        Whether the ratio asked is the least; else it is the most.
+    """
+
+    what: str
+    measured: float
+    asked: float
+    least: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether the requirement is met."""
+        return self.measured >= self.asked if self.least else self.measured <= self.asked
+
+
+def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
+    """One for each requirement whose rows were run with the peers they need."""
+    drive = summary.get("map", {})
+    optimisers = [drive[key] for key in ("gtsam", "gtsam_levenberg_marquardt") if key in drive]
+    if optimisers:
+        yield Verdict("map: gtsam / pgm", min(optimisers) / drive["pgm"], 8.0, True)
+    for row, peer, asked in FASTER:
+        times = summary.get(row, {})
+        if peer in times:
+            yield Verdict(f"{row}: {peer} / pgm", times[peer] / times["pgm"], asked, True)
+    for row, peer, asked in CHEAPER:
+        times = summary.get(row, {})
+        if peer in times:
+            yield Verdict(f"{row}: pgm / {peer}", times["pgm"] / times[peer], asked, False)
+    for curve, least, asked in LEVEL:
+        costs = summary.get("curves", {}).get(curve, {}).get("pgm", {})
+        chosen = {int(size): cost for size, cost in costs.items() if int(size) >= least}
+        if len(chosen) > 1:
+            between = f"{min(chosen):,} to {max(chosen):,} steps"
+            ratio = max(chosen.values()) / min(chosen.values())
+            yield Verdict(f"{curve}, {between}: dearest / cheapest step", ratio, asked, False)

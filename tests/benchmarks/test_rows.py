@@ -1,0 +1,97 @@
+"""What is compared must be the same work."""
+
+import numpy as np
+import pytest
+
+from benchmarks import agreement
+from benchmarks.libraries import pgm_robots
+from benchmarks.row import Row, part
+from benchmarks.rows import ROWS
+from benchmarks.timing import Contender
+from benchmarks.work import robots
+
+TINY = {"linear": 4, "map": 100, "online_taylor": 100}
+COMPILED = ("dynamax", "dynamax_sequential", "cuthbert")  # for seconds each
+PAIRS = [
+    pytest.param(row, library, marks=[pytest.mark.slow] if library in COMPILED else [])
+    for row in ROWS
+    for library in row.contenders
+    if library != "pgm" and library not in row.unchecked
+]
+
+
+@pytest.mark.parametrize(("row", "library"), PAIRS, ids=lambda each: getattr(each, "name", each))
+@pytest.mark.filterwarnings("ignore:::(jax|tensorflow_probability|stonesoup|fastprogress)")
+def test_libraries_agree(row, library):
+    if library != "pgm_sequential":
+        package = library.split("_")[0]
+        pytest.importorskip(package, reason=f"{package} comes with the extra bench")
+    size = row.size_for(library, min(TINY.get(row.name, 4), row.quick))
+    try:
+        contender = row.contenders[library](row.work(size))
+    except ImportError as error:
+        pytest.skip(str(error))
+    row.agree({library: contender}, size)
+    assert contender.units == row.contenders["pgm"](row.work(size)).units
+
+
+def test_agreement_is_asked_of_every_library():
+    row = ROWS[0]
+
+    def wrong(work):
+        right = row.contenders["pgm"](work)
+
+        def call():
+            means, covs = right.call()
+            return means, 1.01 * covs
+
+        return Contender(call, right.units)
+
+    with pytest.raises(AssertionError, match="covariances of wrong differ from pgm's by up"):
+        row.agree({"wrong": wrong(row.work(3))}, 3)
+
+
+def test_optima_are_held_to_metres_and_to_each_poses_own_size():
+    covs = np.stack([np.eye(3), 1e-4 * np.eye(3)])
+    ours = np.zeros((2, 3)), covs
+    agreement.optima("close", ours, (ours[0] + 9e-6, covs * (1 + 9e-5)))
+    with pytest.raises(AssertionError, match="means of off"):
+        agreement.optima("off", ours, (ours[0] + 1.1e-5, covs))
+    with pytest.raises(AssertionError, match="covariances of off"):
+        agreement.optima("off", ours, (ours[0], covs * np.array([1.0, 1.0002])[:, None, None]))
+
+
+def test_probabilities_must_agree_too():
+    with pytest.raises(AssertionError, match="probabilities of off"):
+        agreement.marginals("off", [np.array([0.5, 0.5])], [np.array([0.5, 0.5 + 1e-9])])
+
+
+def test_a_missing_library_is_left_out_and_named():
+    row = Row(
+        "name",
+        "unit",
+        lambda size: size,
+        {"pgm": lambda work: Contender(lambda: work, work), "other": part("other", "filtering")},
+        lambda *found: None,
+        size=3,
+        quick=2,
+    )
+    here, missing = row.prepared(3)
+    assert here["pgm"].call() == 3
+    assert "benchmarks.libraries.other" in missing["other"]
+
+
+def test_a_slow_library_is_given_less():
+    row = ROWS[0]
+    assert row.size_for("pgm", row.size) == row.size
+    assert row.size_for("stonesoup", row.size) == row.most["stonesoup"]
+    assert row.size_for("stonesoup", 3) == 3
+
+
+@pytest.mark.parametrize("rule", ["taylor", "unscented"])
+def test_online_ends_where_the_filter_does(rule):
+    work = robots.draw(1, 20)
+    online = pgm_robots.online(rule, work).call()
+    whole = pgm_robots.filtering(rule, work).call()
+    for one, other in zip(online, whole, strict=True):
+        np.testing.assert_allclose(one, other[0], rtol=0, atol=1e-12)

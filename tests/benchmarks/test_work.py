@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+
+from benchmarks.work import robots, tables, targets
+from models import sensors
+
+
+@pytest.mark.parametrize("own_controls", [False, True])
+def test_drives_are_the_motion_models_steps(own_controls):
+    work = robots.draw(3, 30, own_controls=own_controls)
+    noise = np.random.default_rng(1).normal(size=(3, 30, 3))
+    x = np.array([[1.0, 2.0, 0.5]] * 3)
+    poses = [x]
+    for k in range(30):
+        x = robots.DRIVE(x, work.controls[..., k, :] * np.ones((3, 1))) + noise[:, k]
+        poses.append(x)
+    found = robots.drive(work.controls, noise, poses[0])
+    np.testing.assert_allclose(found, np.stack(poses, axis=1), rtol=0, atol=1e-12)
+
+
+def test_dead_reckoning_has_the_motions_drift_only():
+    work = robots.draw(1, 500, motion_std=(0.0, 0.0, 0.0), start_std=(0.0, 0.0, 0.0))
+    np.testing.assert_allclose(work.dead_reckoning(0), work.truth[0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("runs", "steps"), [(1_000, 200), (10_000, 1), (1, 10_000)])
+def test_no_bearing_comes_near_a_half_turn(runs, steps):
+    """Libraries that do not wrap angles then need not."""
+    readings = robots.draw(runs, steps).readings
+    assert np.abs(readings[..., 1]).max() < 2.8
+    assert readings[..., 0].min() > 2.0
+
+
+def test_readings_have_the_sensors_noise():
+    work = robots.precise(5_000)
+    exact = sensors.range_bearing(
+        np.broadcast_to(work.truth[:, 1:, None], (1, 5_000, 4, 3)), work.landmarks
+    )
+    noise = (work.readings - exact).reshape(-1, 2)
+    np.testing.assert_allclose(noise.std(axis=0), np.sqrt(np.diag(work.sensor_cov)), rtol=0.03)
+    assert len(np.unique(work.landmarks.reshape(-1, 2), axis=0)) == 5_000 / 50 * 4
+
+
+def test_targets_move_as_their_network_says():
+    work = targets.draw(2_000)
+    p = work.parameters
+    assert p.F.shape == (4, 4)
+    # What is left of the readings after two differences is noise of the motion and of the sensor.
+    second = np.diff(work.readings, 2, axis=0)
+    motion = p.motion_cov[0, 0] + p.motion_cov[0, 0]  # of neighbours in time
+    motion += 2 * targets.DT * p.motion_cov[0, 2] * -1 + targets.DT**2 * p.motion_cov[2, 2]
+    expected = motion + 6.0 * p.sensor_cov[0, 0]
+    np.testing.assert_allclose(second.var(axis=0), expected, rtol=0.15)
+
+
+def test_the_random_network_is_as_wide_as_was_meant():
+    task = tables.random()
+    assert len(task.evidence) == tables.OBSERVED
+    assert len(task.hidden) == tables.NODES - tables.OBSERVED
