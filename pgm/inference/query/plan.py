@@ -1,0 +1,191 @@
+"""In which order a query's variables are summed out, and what that costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from pgm.compile.elimination import Adjacency, min_fill
+from pgm.errors import GraphError
+from pgm.factors.axes import States
+from pgm.factors.scope import listed
+from pgm.inference import limits
+from pgm.inference.query.requisite import Requisite
+
+# Orders are compared where tables are as large as this: finding one more takes less time then.
+LARGE = 2**16
+
+
+@dataclass(frozen=True)
+class Step:
+    """One product of tables, and the sum over its first axes.
+
+    Attributes
+    ----------
+    factors : tuple of int
+        What is multiplied, the smallest first.
+    scope : tuple of int
+        The variables of the product, by place in the order.
+    summed : int
+        How many of them, from the first, are summed out.
+    """
+
+    factors: tuple[int, ...]
+    scope: tuple[int, ...]
+    summed: int
+
+
+@dataclass(frozen=True, eq=False)
+class EliminationPlan:
+    """Products and sums of tables, one after the other.
+
+    The axes of all tables are in the order in which the variables are summed out, those that are
+    asked for last, so that no table is ever transposed, and sums are over the first axes.
+
+    Attributes
+    ----------
+    requisite : Requisite
+    order : tuple of Discrete
+        The hidden variables.
+    scopes : tuple of (tuple of int)
+        Of the tables at the start: those of the CPDs, then those of weights, by place in the order.
+    weighted : tuple of Discrete
+        The variables of the weights.
+    steps : sequence of Step
+        Each makes one table more. The last one sums nothing out.
+    """
+
+    requisite: Requisite
+    order: States
+    scopes: tuple[tuple[int, ...], ...]
+    weighted: States
+    steps: Sequence[Step]
+
+    @classmethod
+    def of(cls, requisite: Requisite, wanted: States) -> EliminationPlan:
+        """By the smaller weighted fill next, or the smaller fill where that is cheaper."""
+        hidden = requisite.hidden
+        place = {v: k for k, v in enumerate(hidden)}
+        families = [tuple(place[v] for v in scope) for scope in requisite.open]
+        adjacent: list[set[int]] = [set() for _ in hidden]
+        for family in families:
+            for vertex in family:
+                adjacent[vertex].update(family)
+        for vertex, near in enumerate(adjacent):
+            near.discard(vertex)
+        stages = [0] * len(hidden)
+        for variable in wanted:
+            if variable in place:  # one of a single state is not
+                stages[place[variable]] = 1
+        sizes = [v.size for v in hidden]
+        best = cls._ordered(requisite, families, adjacent, sizes, stages)
+        if best.cost > LARGE:
+            other = cls._ordered(requisite, families, adjacent, [1] * len(hidden), stages)
+            best = min(best, other, key=lambda plan: plan.cost)
+        return best
+
+    @classmethod
+    def _ordered(
+        cls,
+        requisite: Requisite,
+        families: Sequence[tuple[int, ...]],
+        adjacent: Adjacency,
+        weights: Sequence[int],
+        stages: Sequence[int],
+    ) -> EliminationPlan:
+        found = min_fill(adjacent, weights, stages)
+        position = [0] * len(found)
+        for k, vertex in enumerate(found):
+            position[vertex] = k
+        order = tuple(requisite.hidden[k] for k in found)
+        scopes = [tuple(sorted(map(position.__getitem__, family))) for family in families]
+        evidence = requisite.evidence
+        soft = {v: None for v, s in evidence.states.items() if not isinstance(s, int)}
+        places = {v: k for k, v in enumerate(order)}
+        weighted = tuple(v for v in (soft | dict.fromkeys(evidence.weights)) if v in places)
+        scopes += [(places[v],) for v in weighted]
+        steps = _steps(scopes, [v.size for v in order], len(order) - sum(stages))
+        return cls(requisite, order, tuple(scopes), weighted, steps)
+
+    @cached_property
+    def sizes(self) -> list[int]:
+        """The entries of the table of each step, before its sum."""
+        states = [v.size for v in self.order]
+        return [math.prod([states[k] for k in step.scope]) for step in self.steps]
+
+    @cached_property
+    def cost(self) -> int:
+        """Entries of the tables of all steps, for one run."""
+        return sum(self.sizes)
+
+    @cached_property
+    def peak(self) -> int:
+        """Entries that are held at a time, for one run: messages that wait, and one table."""
+        first = len(self.scopes)
+        states = [v.size for v in self.order]
+        waiting: dict[int, int] = {}
+        held = peak = 0
+        for k, (step, entries) in enumerate(zip(self.steps, self.sizes, strict=True), first):
+            peak = max(peak, held + entries)
+            held -= sum(waiting.pop(factor, 0) for factor in step.factors)
+            waiting[k] = math.prod([states[place] for place in step.scope[step.summed :]])
+            held += waiting[k]
+        return peak
+
+    def require_size(self) -> None:
+        """Refuse a plan whose tables would not fit, before any is made.
+
+        Raises
+        ------
+        GraphError
+            Naming the largest table and its size.
+        """
+        if self.peak <= limits.LIMIT:
+            return
+        sizes = self.sizes
+        largest = max(range(len(sizes)), key=sizes.__getitem__)
+        scope = [self.order[k] for k in self.steps[largest].scope]
+        raise GraphError(
+            f"the query needs tables that are too large: {limits.gibibytes(self.peak)} at a time, "
+            f"where {limits.gibibytes(limits.LIMIT)} is the limit, the largest over "
+            f"({listed(scope)}), {limits.gibibytes(sizes[largest])}. Ask for fewer variables at "
+            "once, or give evidence that parts the network; a loopy graph has small tables, "
+            "pgm.infer(pgm.compile(network, method=pgm.Bethe()), evidence, "
+            "schedule=pgm.Flooding()), but its beliefs are approximate",
+            variable=scope[0],
+        )
+
+
+def _steps(scopes: Sequence[tuple[int, ...]], sizes: Sequence[int], hidden: int) -> list[Step]:
+    """Bucket elimination: a table waits in the bucket of the first of its variables.
+
+    A bucket that holds nothing but one step's result is a further sum of that step.
+    """
+    buckets: list[list[int]] = [[] for _ in range(hidden + 1)]
+    held = list(scopes)
+    for factor, scope in enumerate(held):
+        buckets[min(scope[0], hidden)].append(factor)
+    first = len(held)
+    made: list[Step] = []
+
+    def entries(factor: int) -> int:
+        return math.prod([sizes[k] for k in held[factor]])
+
+    for place in range(hidden):
+        found = buckets[place]
+        if len(found) == 1 and found[0] >= first:
+            factor = found[0]
+            old = made[factor - first]
+            made[factor - first] = Step(old.factors, old.scope, old.summed + 1)
+            held[factor] = held[factor][1:]
+        else:
+            scope = tuple(sorted({k for factor in found for k in held[factor]}))
+            factor = len(held)
+            made.append(Step(tuple(sorted(found, key=entries)), scope, 1))
+            held.append(scope[1:])
+        buckets[min(held[factor][0], hidden)].append(factor)
+    rest = tuple(sorted(buckets[hidden], key=entries))
+    made.append(Step(rest, tuple(range(hidden, len(sizes))), 0))
+    return made
