@@ -1,11 +1,14 @@
 """pgm: cluster-graph inference for (dynamic) Bayesian networks."""
 
 from importlib import import_module
-from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.compile import (
+    LTRIP,
+    Balanced,
     Bethe,
+    JoinGraph,
     JunctionTree,
     MinFill,
     NestedDissection,
@@ -15,13 +18,14 @@ from pgm.compile import (
 from pgm.cpds import GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD, TableCPD, noise
 from pgm.errors import (
     EvidenceError,
+    FileError,
     GraphError,
     LinearisationError,
     ModelError,
     NumericalError,
     PgmError,
 )
-from pgm.evidence import constant, sightings, soft
+from pgm.evidence import constant, records, sightings, soft
 from pgm.factors import AffineGaussian, CanonicalForm, Gaussian, Table
 from pgm.inference import (
     Audit,
@@ -29,6 +33,7 @@ from pgm.inference import (
     ChainPosterior,
     Filtering,
     Flooding,
+    KeptPosterior,
     LevenbergMarquardt,
     MostProbable,
     OnlineBelief,
@@ -42,6 +47,7 @@ from pgm.inference import (
     filter,
     infer,
     most_probable,
+    query,
     smooth,
 )
 from pgm.io import Stamped, Timeline, stamped, timeline
@@ -58,19 +64,35 @@ from pgm.linearisers import (
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Discrete, Variable, variables
 
+if TYPE_CHECKING:
+    from pgm.io.networks import (
+        from_pgmpy,
+        read_bif,
+        read_uai,
+        read_uai_evidence,
+        read_xmlbif,
+        to_pgmpy,
+        write_bif,
+        write_xmlbif,
+    )
+
 __version__ = "0.1.0"
 
 
-def __getattr__(name: str) -> ModuleType:
-    """Load what is slow to import (matplotlib, scipy.special) when it is first asked for."""
+def __getattr__(name: str) -> Any:
+    """Load what is slow to import, or seldom wanted, when it is first asked for."""
     if name in ("consistency", "plot"):
         return import_module(f"pgm.{name}")
+    if name in __all__:
+        return getattr(import_module("pgm.io.networks"), name)
     raise AttributeError(f"module 'pgm' has no attribute {name!r}")
 
 
 __all__ = [
+    "LTRIP",
     "AffineGaussian",
     "Audit",
+    "Balanced",
     "BayesianNetwork",
     "Bethe",
     "Calibration",
@@ -82,13 +104,16 @@ __all__ = [
     "Discrete",
     "DynamicBayesianNetwork",
     "EvidenceError",
+    "FileError",
     "Filtering",
     "Flooding",
     "GaussHermite",
     "Gaussian",
     "GaussianCPD",
     "GraphError",
+    "JoinGraph",
     "JunctionTree",
+    "KeptPosterior",
     "LevenbergMarquardt",
     "LinearGaussianCPD",
     "LinearisationError",
@@ -122,13 +147,23 @@ __all__ = [
     "compile",
     "constant",
     "filter",
+    "from_pgmpy",
     "infer",
     "most_probable",
     "noise",
+    "query",
+    "read_bif",
+    "read_uai",
+    "read_uai_evidence",
+    "read_xmlbif",
+    "records",
     "sightings",
     "smooth",
     "soft",
     "stamped",
     "timeline",
+    "to_pgmpy",
     "variables",
+    "write_bif",
+    "write_xmlbif",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from time import perf_counter
 from typing import Any
@@ -115,7 +115,11 @@ def solve(
     iterations: int,
 ) -> Outcome:
     """Filter or smooth all runs, and judge the belief."""
-    infer = {"filter": pgm.filter, "smoother": pgm.smooth}[kind]
+    kinds: dict[str, Callable[..., pgm.ChainPosterior]] = {
+        "filter": pgm.filter,
+        "smoother": pgm.smooth,
+    }
+    infer = kinds[kind]
     start = perf_counter()
     posterior = infer(
         case.model,

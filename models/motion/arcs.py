@@ -45,11 +45,13 @@ def velocity(x: Array, u: Array) -> Array:
     >>> velocity(np.array([0.0, 0.0, 0.0]), np.array([2.0, 0.0, 1.5])).tolist()
     [3.0, 0.0, 0.0]
     """
+    u = planar.shared(u)
     return planar.move(x, *_arc(x, u[..., 0], u[..., 1], u[..., 2]))
 
 
 def velocity_by_state(x: Array, u: Array) -> Array:
     """Differentiate `velocity` by (east, north, heading); returns ``(..., 3, 3)``."""
+    u = planar.shared(u)
     length, course, _ = _arc(x, u[..., 0], u[..., 1], u[..., 2])
     return planar.by_state(x, length * np.cos(course), length * np.sin(course))
 
@@ -92,10 +94,12 @@ class Velocity:
 
     def __call__(self, x: Array, u: Array) -> Array:
         """Return the state ``(..., 3)`` after a step from x ``(..., 3)`` under u ``(..., 2)``."""
+        u = planar.shared(u)
         return planar.move(x, *_arc(x, u[..., 0], u[..., 1], self.dt))
 
     def by_state(self, x: Array, u: Array) -> Array:
         """Differentiate by (east, north, heading); returns ``(..., 3, 3)``."""
+        u = planar.shared(u)
         length, course, _ = _arc(x, u[..., 0], u[..., 1], self.dt)
         return planar.by_state(x, length * np.cos(course), length * np.sin(course))
 

@@ -32,11 +32,7 @@ def increment(x: Array, u: Array) -> Array:
     Compounding of Smith, Self and Cheeseman (1990), section 3.2.
     """
     east, north = _body_step(x, u)
-    out = np.empty(x.shape)
-    out[..., 0] = x[..., 0] + east
-    out[..., 1] = x[..., 1] + north
-    out[..., 2] = x[..., 2] + u[..., 2]
-    return out
+    return planar.state(x, x[..., 0] + east, x[..., 1] + north, x[..., 2] + u[..., 2])
 
 
 def increment_by_state(x: Array, u: Array) -> Array:
@@ -48,7 +44,7 @@ def increment_by_control(x: Array, u: Array) -> Array:
     """Differentiate `increment` by (forward, left, turn): R(θ) and 1; returns ``(..., 3, 3)``."""
     heading = x[..., 2]
     cos, sin = np.cos(heading), np.sin(heading)
-    out = np.zeros((*heading.shape, 3, 3))
+    out = planar.matrices(x, 3)
     out[..., 0, 0] = cos
     out[..., 0, 1] = -sin
     out[..., 1, 0] = sin

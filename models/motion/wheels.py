@@ -65,7 +65,7 @@ class DifferentialDrive:
     def velocity(self, u: Array) -> Array:
         """Return the speed [m/s] and turn rate [rad/s] of wheel speeds, ``(..., 2)``."""
         left, right = u[..., 0], u[..., 1]
-        out = np.empty(u.shape)
+        out = np.empty_like(u, dtype=float)
         out[..., 0] = 0.5 * self.radius * (right + left)
         out[..., 1] = self.radius / self.wheelbase * (right - left)
         return out
@@ -78,5 +78,7 @@ class DifferentialDrive:
         """Differentiate by (ω_L, ω_R); returns ``(..., 3, 2)``."""
         ahead, bend = 0.5 * self.radius, self.radius / self.wheelbase
         by_velocity = Velocity(self.dt).by_control(x, self.velocity(u))
-        out: Array = by_velocity @ np.array([[ahead, ahead], [-bend, bend]])
+        straight, bent = ahead * by_velocity[..., 0], bend * by_velocity[..., 1]
+        out = np.empty_like(by_velocity)
+        out[..., 0], out[..., 1] = straight - bent, straight + bent
         return out

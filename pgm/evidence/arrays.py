@@ -53,9 +53,12 @@ def require_finite(
     advice: str = "finite numbers were due",
 ) -> Array:
     """Refuse NaN and infinity in evidence that must be complete, (..., rows, d)."""
+    finite = np.isfinite(array)
+    if finite.all():
+        return array
     _refuse(
         variable,
-        ~np.isfinite(array).all(axis=-1),
+        ~finite.all(axis=-1),
         step,
         "entries that are NaN or infinite",
         advice,
@@ -65,6 +68,17 @@ def require_finite(
 
 def require_readings(variable: Variable, array: Array, step: Integers | None = None) -> Array:
     """Refuse infinity, and rows that are only partly NaN, in a sensor's readings."""
+    taken_readings(variable, array, step)
+    return array
+
+
+def taken_readings(variable: Variable, array: Array, step: Integers | None = None) -> Mask | None:
+    """Which of a sensor's readings, (..., rows, d), were taken, (..., rows); None for all.
+
+    Refuses what `require_readings` does.
+    """
+    if np.isfinite(array).all():
+        return None
     missing = np.isnan(array)
     _refuse(
         variable,
@@ -73,14 +87,15 @@ def require_readings(variable: Variable, array: Array, step: Integers | None = N
         "infinite entries",
         "a reading not taken is a row of NaN",
     )
+    taken: Mask = np.asarray(~missing.any(axis=-1))
     _refuse(
         variable,
-        missing.any(axis=-1) != missing.all(axis=-1),
+        taken == missing.all(axis=-1),
         step,
         "a row that is partly NaN",
         "a reading not taken is a whole row of NaN, and a part of one needs a sensor of its own",
     )
-    return array
+    return taken
 
 
 def _refuse(

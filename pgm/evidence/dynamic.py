@@ -9,7 +9,7 @@ import numpy as np
 
 from pgm.cpds import ConditionalGaussian
 from pgm.errors import EvidenceError
-from pgm.evidence.arrays import as_rows, as_steps, require_finite, require_readings
+from pgm.evidence.arrays import as_rows, as_steps, require_finite, taken_readings
 from pgm.evidence.dynamic_layout import BoundEvidence, Inputs, Reading, by_row, reading_by_row
 from pgm.evidence.keys import unknown
 from pgm.evidence.runs import common_runs
@@ -81,12 +81,12 @@ class _Binder:
             if isinstance(value, Constant):
                 _constant_row(variable, value)
         self.steps = self._length(steps)
+        self.span = np.arange(1, self.steps + 1)
         self.shapes: list[tuple[str, tuple[int, ...]]] = [("the model's priors", lead)]
 
     def bind(self, transition: Sequence[ConditionalGaussian]) -> BoundEvidence:
-        span = np.arange(1, self.steps + 1)
         self._check_inputs()
-        inputs = [self._inputs(cpd, {}, span) for cpd in transition]
+        inputs = [self._inputs(cpd, {}, self.span) for cpd in transition]
         readings = [self._reading(z) for z in self.sensors if z in self.evidence or self._drawn(z)]
         lead = common_runs(self.shapes)
         return BoundEvidence(
@@ -174,7 +174,7 @@ class _Binder:
             step = as_steps(sensor, value.step, count, self.steps)
         else:
             given = {}
-            step = np.arange(1, self.steps + 1)
+            step = self.span
             rows = self.arrays.get(sensor)
         if self.drawing:
             rows = np.full((step.size, sensor.dimension), np.nan)
@@ -183,11 +183,14 @@ class _Binder:
                 f"sightings of {sensor!r} have no values; only sample() draws them", variable=sensor
             )
         self.shapes.append((repr(sensor), rows.shape[:-2]))
-        order = np.argsort(step, kind="stable")
-        step = step[order]
-        inputs = self._inputs(cpd, given, step, order)
-        rows = require_readings(sensor, rows[..., order, :], step)
-        taken = ~np.isnan(rows[..., 0])
+        order, sorted_already = np.arange(step.size), bool((step[1:] >= step[:-1]).all())
+        if not sorted_already:
+            order = np.argsort(step, kind="stable")
+            step, rows = step[order], rows[..., order, :]
+        inputs = self._inputs(cpd, given, step, None if sorted_already else order)
+        taken = taken_readings(sensor, rows, step)
+        if taken is None:
+            return Reading(cpd, step, order, rows, np.ones(step.size, dtype=bool), inputs)
         return Reading(cpd, step, order, np.where(taken[..., None], rows, 0.0), taken, inputs)
 
     def _inputs(
@@ -227,16 +230,18 @@ class _Binder:
             if isinstance(value, Constant):
                 row = _constant_row(variable, value)[..., None, :]
                 rows = np.broadcast_to(row, (*row.shape[:-2], step.size, row.shape[-1]))
-            elif variable in given and order is not None:
+            elif variable in given:
                 rows = as_rows(variable, value, "M")
-                if rows.shape[-2] != order.size:
+                if rows.shape[-2] != step.size:
                     raise EvidenceError(
-                        f"sightings of {cpd.child!r}: {order.size} readings with "
+                        f"sightings of {cpd.child!r}: {step.size} readings with "
                         f"{rows.shape[-2]} rows of {variable!r}; one for each was due",
                         variable=variable,
                         cpd=cpd,
                     )
-                rows = require_finite(variable, rows[..., order, :], step, WHOLE)
+                if order is not None:
+                    rows = rows[..., order, :]
+                rows = require_finite(variable, rows, step, WHOLE)
             else:
                 if step.size and step[0] == 0:
                     raise EvidenceError(
@@ -246,9 +251,9 @@ class _Binder:
                         cpd=cpd,
                         step=0,
                     )
-                every = np.arange(1, self.steps + 1)
-                rows = require_finite(variable, self.arrays[variable], every, WHOLE)
-                rows = rows[..., step - 1, :]
+                rows = require_finite(variable, self.arrays[variable], self.span, WHOLE)
+                if step is not self.span:
+                    rows = rows[..., step - 1, :]
             self.shapes.append((repr(variable), rows.shape[:-2]))
             inputs[variable] = rows
         return inputs

@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.cpds import ConditionalGaussian
 from pgm.evidence.runs import flat
-from pgm.kernels.arrays import Array, Integers, Mask, frozen
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 # Values of parents with evidence, (rows, runs or 1, d): a row is a step or a sighting.
 Inputs = Mapping[Variable, Array]
+Kind = TypeVar("Kind", np.float64, np.bool_)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +63,15 @@ class BoundEvidence:
         that of step k + 1.
     readings : tuple of Reading
         Of the sensors that have evidence.
+    first_run : int
+        What the first run is called in messages: where these runs are a part of more, its place.
     """
 
     steps: int
     lead: tuple[int, ...]
     transition: tuple[Inputs, ...]
     readings: tuple[Reading, ...]
+    first_run: int = 0
 
     @property
     def runs(self) -> int:
@@ -73,9 +79,15 @@ class BoundEvidence:
         return math.prod(self.lead)
 
 
-def by_row(array: Array, lead: tuple[int, ...]) -> Array:
-    """(..., rows, d) as (rows, runs or 1, d); read-only, since functions of users see it."""
-    return frozen(np.ascontiguousarray(flat(array, lead, 2).swapaxes(0, 1)))
+def by_row(array: npt.NDArray[Kind], lead: tuple[int, ...]) -> npt.NDArray[Kind]:
+    """A copy of an array (..., rows, d) as (rows, runs or 1, d), as `stacked`: runs fastest.
+
+    Read-only, since functions of users see it.
+    """
+    memory = np.array(flat(array, lead, 2).transpose(1, 2, 0), order="C")
+    rows = memory.transpose(0, 2, 1)
+    rows.flags.writeable = False
+    return rows
 
 
 def reading_by_row(reading: Reading, lead: tuple[int, ...]) -> Reading:
@@ -85,6 +97,6 @@ def reading_by_row(reading: Reading, lead: tuple[int, ...]) -> Reading:
         reading.step,
         reading.order,
         by_row(reading.values, lead),
-        by_row(reading.taken[..., None].astype(float), lead)[..., 0].astype(bool),
+        by_row(reading.taken[..., None], lead)[..., 0],
         {v: by_row(a, lead) for v, a in reading.inputs.items()},
     )

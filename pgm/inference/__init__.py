@@ -2,13 +2,16 @@
 
 from pgm.inference.audit import Audit, audit
 from pgm.inference.chain.innovations import Innovations
+from pgm.inference.chain.kept import KeptPosterior
 from pgm.inference.chain.marginals import Marginals
 from pgm.inference.chain.online import OnlineBelief, OnlineFilter
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable
-from pgm.inference.engine import filter, infer, smooth
+from pgm.inference.dynamic import filter, smooth
+from pgm.inference.engine import infer
 from pgm.inference.posterior import Posterior
+from pgm.inference.query import query
 from pgm.inference.schedule import (
     Calibration,
     Filtering,
@@ -27,6 +30,7 @@ __all__ = [
     "Filtering",
     "Flooding",
     "Innovations",
+    "KeptPosterior",
     "LevenbergMarquardt",
     "Marginals",
     "MostProbable",
@@ -42,5 +46,6 @@ __all__ = [
     "filter",
     "infer",
     "most_probable",
+    "query",
     "smooth",
 ]

@@ -1,9 +1,9 @@
-"""Checks of the numbers that schedules take."""
+"""Checks of the numbers that schedules take, and of linearisers."""
 
 from __future__ import annotations
 
 from numbers import Real
-from typing import TypeGuard
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -26,3 +26,9 @@ def require_tolerance(owner: object, tolerance: object) -> None:
 def is_number(value: object) -> TypeGuard[float]:
     """Whether a value is a real number, and no bool."""
     return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def require_lineariser(lineariser: Any) -> None:
+    """Refuse what cannot be called, and a rule that was not made."""
+    if not callable(lineariser) or isinstance(lineariser, type):
+        raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")

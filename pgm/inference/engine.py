@@ -2,34 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, overload
+from collections.abc import Iterable, Mapping
+from typing import overload
 
 from pgm.clustergraph import ClusterGraph
-from pgm.compile import SliceGraph, compile
+from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.inference import discrete, gaussian
+from pgm.inference.chain.keeping import run as run_chain
+from pgm.inference.chain.kept import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
-from pgm.inference.chain.run import run as run_chain
-from pgm.inference.damping import Damping
+from pgm.inference.checks import require_lineariser
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
 from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
-from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
 
 
 @overload
 def infer(
-    graph: SliceGraph,
+    graph: DynamicGraph,
     evidence: Evidence,
     *,
     schedule: Schedule | None = None,
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
+    keep: None = None,
+    threads: int = 1,
 ) -> ChainPosterior: ...
+
+
+@overload
+def infer(
+    graph: DynamicGraph,
+    evidence: Evidence,
+    *,
+    schedule: Schedule | None = None,
+    lineariser: Lineariser = TAYLOR,
+    start: Start | None = None,
+    keep: Variable | Iterable[Variable],
+    threads: int = 1,
+) -> KeptPosterior: ...
 
 
 @overload
@@ -40,6 +56,8 @@ def infer(
     schedule: Schedule | None = None,
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
+    keep: Variable | Iterable[Variable] | None = None,
+    threads: int = 1,
 ) -> Posterior: ...
 
 
@@ -50,6 +68,8 @@ def infer(
     schedule: Schedule | None = None,
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
+    keep: Variable | Iterable[Variable] | None = None,
+    threads: int = 1,
 ) -> Posterior:
     """Send the messages of a schedule on a cluster graph.
 
@@ -71,10 +91,23 @@ def infer(
         Means at which everything is linearised first, in place of the beliefs at hand: (..., d)
         of the variables without evidence; of a dynamic network (..., T+1, d) of the states,
         (..., T, d) of hidden controls.
+    keep : collection of Variable, optional
+        Of a dynamic network, the hidden variables of whose results the marginals at all steps are
+        kept, ``keep=[x]``, with log-evidence and status; without, everything is. The runs are then
+        worked through in parts of some hundreds or thousands, of which no more is held at a time
+        than threads are at work, so that a study of 100,000 simulations fits. A rule that draws
+        points afresh for each run takes all runs as one part.
+    threads : int
+        Of a dynamic network, how many threads share the parts. NumPy lets them work at the same
+        time, so that with many runs, and cores at leisure, it is faster; the results are the same.
+        The functions of the CPDs must bear to be called by several threads. The threads of
+        NumPy's linear algebra are other ones: with small states they only get in the way
+        (OMP_NUM_THREADS=1).
 
     Returns
     -------
     Posterior
+        A `ChainPosterior` of a dynamic network; a `KeptPosterior` with ``keep``.
 
     Raises
     ------
@@ -90,15 +123,23 @@ def infer(
     if not isinstance(graph, ClusterGraph):
         raise GraphError(f"infer takes a cluster graph (pgm.compile(network, ...)), not {graph!r}")
     if not isinstance(evidence, Mapping):
-        raise EvidenceError(f"evidence maps variables to values; found {type(evidence).__name__}")
-    _require_lineariser(lineariser)
+        raise EvidenceError(
+            f"evidence maps variables to values; found {type(evidence).__name__}; of a table of "
+            "records pgm.records(table, network) makes it"
+        )
+    require_lineariser(lineariser)
     if schedule is not None and not isinstance(schedule, Schedule):
         raise ModelError(
             f"{schedule!r} is no schedule; give one like pgm.Smoothing() or pgm.Flooding()"
         )
-    if isinstance(graph, SliceGraph):
+    if isinstance(graph, DynamicGraph):
         bound = bind_chain(graph.model, evidence, graph.steps)
-        return run_chain(graph, bound, schedule, lineariser, start)
+        return run_chain(graph, bound, schedule, lineariser, start, keep, threads)
+    if keep is not None or threads != 1:
+        raise GraphError(
+            f"keep= and threads= are for the runs of dynamic networks, not for {graph!r}; to hold "
+            "less at a time, give fewer runs to a call"
+        )
     if isinstance(schedule, Filtering):
         raise GraphError("only a dynamic network is filtered; leave the schedule out for a tree")
     if isinstance(schedule, Smoothing) and schedule.damping:
@@ -121,71 +162,3 @@ def infer(
             raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
         return discrete.run(graph, evidence, schedule)
     return gaussian.run(graph, evidence, schedule, lineariser, start)
-
-
-def _require_lineariser(lineariser: Any) -> None:
-    if not callable(lineariser) or isinstance(lineariser, type):
-        raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
-
-
-def filter(
-    model: DynamicBayesianNetwork,
-    evidence: Evidence,
-    *,
-    lineariser: Lineariser = TAYLOR,
-    steps: int | None = None,
-    iterations: int = 1,
-    tolerance: float = 1e-9,
-    damping: Damping = 0.0,
-) -> ChainPosterior:
-    """Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
-
-    Parameters
-    ----------
-    model : DynamicBayesianNetwork
-    evidence : mapping of Variable
-        As for `infer`.
-    lineariser : Lineariser, optional
-        `Taylor()` if not given.
-    steps : int, optional
-        T, where no plain array of the evidence tells.
-    iterations, tolerance, damping
-        Of `Filtering`.
-    """
-    schedule = Filtering(iterations, tolerance, damping)
-    _require_lineariser(lineariser)
-    bound = bind_chain(model, evidence, steps)
-    return run_chain(compile(model, bound.steps), bound, schedule, lineariser, None)
-
-
-def smooth(
-    model: DynamicBayesianNetwork,
-    evidence: Evidence,
-    *,
-    lineariser: Lineariser = TAYLOR,
-    steps: int | None = None,
-    start: Start | None = None,
-    iterations: int = 1,
-    tolerance: float = 1e-9,
-    damping: Damping = 0.0,
-) -> ChainPosterior:
-    """Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
-
-    Parameters
-    ----------
-    model : DynamicBayesianNetwork
-    evidence : mapping of Variable
-        As for `infer`.
-    lineariser : Lineariser, optional
-        `Taylor()` if not given.
-    steps : int, optional
-        T, where no plain array of the evidence tells.
-    start : mapping of Variable to array_like, optional
-        As for `infer`.
-    iterations, tolerance, damping
-        Of `Smoothing`.
-    """
-    schedule = Smoothing(iterations, tolerance, damping)
-    _require_lineariser(lineariser)
-    bound = bind_chain(model, evidence, steps)
-    return run_chain(compile(model, bound.steps), bound, schedule, lineariser, start)

@@ -16,6 +16,7 @@ from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.scope import Scope, dimension, names
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Integers, Mask, apply, stacked
+from pgm.kernels.scan import by_rows
 from pgm.linearisers import (
     Affine,
     ArrayLineariser,
@@ -52,6 +53,8 @@ class Family:
         F (rows, runs, d, n) and b (rows, runs, d).
     noise : ndarray
         (rows, runs, d, d): the CPD's own and the lineariser's error.
+    first_run : int
+        What the first run is called in messages.
     """
 
     cpd: ConditionalGaussian
@@ -66,6 +69,7 @@ class Family:
     own_noise: Array
     timed: bool = True
     approximate: bool = False
+    first_run: int = 0
 
     @classmethod
     def make(
@@ -78,12 +82,12 @@ class Family:
         lead: tuple[int, ...],
         *,
         timed: bool = True,
+        template: FunctionTemplate | None = None,
     ) -> Family:
-        """Lay out a CPD; an affine one is ready for use."""
+        """Lay out a CPD; an affine one is ready for use. A template at hand need not be made."""
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
         own_noise = _own_noise(cpd, step if timed else None, rows, inputs, lead)
-        template = None
         if isinstance(cpd, AffineCPD):
             constant, shift = cpd._affine(hidden, inputs)
             if not cpd.given and shift.ndim > 1:
@@ -91,7 +95,7 @@ class Family:
             matrix = np.broadcast_to(constant, (rows, runs, height, width))
             offset = np.broadcast_to(shift, (rows, runs, height))
         elif isinstance(cpd, NonlinearGaussianCPD):
-            template = cpd._template(hidden)
+            template = template or cpd._template(hidden)
             lineariser = cpd.lineariser or lineariser
             matrix = stacked((rows, runs), (height, width))
             offset = stacked((rows, runs), (height,))
@@ -101,6 +105,17 @@ class Family:
         return cls(
             cpd, hidden, step, inputs, lineariser, template, matrix, offset, noise, own_noise, timed
         )
+
+    def renew(self, step: int, inputs: Mapping[Variable, Array]) -> None:
+        """Take other values of the parents with evidence, of a single run, all rows at one step."""
+        self.step.fill(step)
+        self.inputs = inputs
+        if inputs and isinstance(self.cpd, AffineCPD):
+            self.offset = self.cpd._affine(self.hidden, inputs)[1]
+        if isinstance(self.cpd.cov, Noise):
+            self.own_noise = _own_noise(self.cpd, self.step, self.step.size, inputs, (1,))
+            wide = np.broadcast_to(self.own_noise, self.noise.shape)
+            self.noise = np.array(wide) if self.approximate else wide
 
     @property
     def exact(self) -> bool:
@@ -132,14 +147,37 @@ class Family:
     ) -> None:
         """Keep what a lineariser made of some rows, for the runs that are active."""
         if error is not None and not self.approximate and error.any():
-            self.noise, self.approximate = np.array(self.noise), True
-        self._put(self.matrix, rows, matrix, active)
-        self._put(self.offset, rows, offset, active)
+            self.keep_errors()
+        if active is None and isinstance(rows, slice) and rows == slice(None):
+            # What is linearised at all rows at once is used along rows of steps.
+            self.matrix = by_rows(np.broadcast_to(matrix, self.matrix.shape), copy=True)
+            self.offset = by_rows(np.broadcast_to(offset, self.offset.shape), copy=True)
+        else:
+            self._put(self.matrix, rows, matrix, active)
+            self._put(self.offset, rows, offset, active)
         if self.approximate:
             own = self.own_noise
             own = own[rows] if own.shape[0] > 1 else own[0]
             total = own if error is None else error + own
             self._put(self.noise, rows, total, active)
+
+    def keep_errors(self) -> None:
+        """Make room for approximation errors, before any is known."""
+        if not self.approximate:
+            room = stacked(self.noise.shape[:2], self.noise.shape[2:])
+            room[...] = self.noise
+            self.noise, self.approximate = room, True
+
+    def forget_errors(self) -> None:
+        """Have no room for approximation errors any more."""
+        if self.approximate:
+            self.noise = np.broadcast_to(self.own_noise, self.noise.shape)
+            self.approximate = False
+
+    @property
+    def erroneous(self) -> bool:
+        """Whether there is any approximation error."""
+        return self.approximate and bool((self.noise != self.own_noise).any())
 
     @staticmethod
     def _put(kept: Array, rows: Rows | Integers, new: Array, active: Mask | None) -> None:
@@ -245,8 +283,9 @@ class Family:
         if self.timed and function.step is not None:
             step = int(np.broadcast_to(function.step, shape)[where])
         at = "" if step is None else f" at step {step}"
+        run = self.first_run + where[-1]
         raise LinearisationError(
-            f"{self.cpd!r}: its linearisation{at}, run {where[-1]}, has values that are NaN or "
+            f"{self.cpd!r}: its linearisation{at}, run {run}, has values that are NaN or "
             f"infinite, at {names(self.hidden)} = {mean[where]}; is the function defined there, "
             "and its Jacobian?",
             variable=self.cpd.child,

@@ -68,8 +68,9 @@ def _advice(graph: ClusterGraph) -> str:
     return (
         "Another elimination order may make smaller ones, pgm.compile(network, "
         "method=pgm.JunctionTree(pgm.WeightedMinFill())); a loopy graph has small ones, "
-        "pgm.infer(pgm.compile(network, method=pgm.Bethe()), evidence, schedule=pgm.Flooding()), "
-        "but its beliefs are approximate"
+        "pgm.infer(pgm.compile(network, method=pgm.LTRIP()), evidence, schedule=pgm.Flooding()), "
+        "but its beliefs are approximate; pgm.query(network, variables, evidence) takes no more of "
+        "the network than a single answer needs"
     )
 
 

@@ -14,6 +14,7 @@ Index = slice | Integers
 LOG_2PI = float(np.log(2.0 * np.pi))
 # From this many matrices on, going along rows of runs beats one product a matrix.
 _MANY = 32
+_FAR = _MANY * np.dtype(np.float64).itemsize
 
 
 def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
@@ -32,25 +33,92 @@ def transpose(matrix: Array) -> Array:
     return matrix.swapaxes(-1, -2)
 
 
+def by_runs(matrix: Array) -> bool:
+    """Whether the entries of stacked matrices stand far apart in memory, as in `stacked`.
+
+    `matrix[..., i, j]` is then a row of many runs, or of steps and runs.
+    """
+    if matrix.size < _MANY:
+        return False
+    (height, width), (down, across) = matrix.shape[-2:], matrix.strides[-2:]
+    return (width == 1 or across >= _FAR) and (height == 1 or down >= _FAR)
+
+
+def room(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
+    """Uninitialised (*lead, *shape) in memory with all leading axes fastest."""
+    own = len(shape)
+    memory = np.empty((*shape, *lead))
+    return memory.transpose(*range(own, memory.ndim), *range(own))
+
+
+def laid_out_as(x: Array, array: Array, own: int) -> Array:
+    """An array (..., own axes), laid out by runs where vectors x (..., n) are.
+
+    Functions that stack their results along the last axis return them interleaved.
+    """
+    if x.size < _MANY or x.strides[-1] < _FAR or min(array.strides[-own:]) >= _FAR:
+        return array
+    shape = array.shape
+    copy = np.empty_like(x, shape=shape) if own == 1 else room(shape[:-own], shape[-own:])
+    copy[...] = array
+    return copy
+
+
+def contiguous(matrix: Array) -> Array:
+    """The matrices with their columns fastest in memory, or next to the rows of runs."""
+    if not by_runs(matrix):
+        return np.ascontiguousarray(matrix)
+    copy = room(matrix.shape[:-2], matrix.shape[-2:])
+    copy[...] = matrix
+    return copy
+
+
 def multiply(a: Array, b: Array) -> Array:
     """A B, stacked; along rows of runs where those are contiguous in memory."""
-    if _by_runs(a) or _by_runs(b):
-        product: Array = np.einsum("...ij,...jk->...ik", a, b)
-        return product
-    return a @ b
+    many_a, many_b = by_runs(a), by_runs(b)
+    if not (many_a or many_b):
+        return a @ b
+    if many_b and b.ndim == 3 and (one := distinct(a)).ndim == 2:
+        return transpose(_times_one(transpose(b), one))
+    if many_a and a.ndim == 3 and (one := distinct(b)).ndim == 2:
+        return _times_one(a, transpose(one))
+    return _along_runs("...ij,...jk->...ik", a, b, b.shape[-1])
 
 
 def times_transposed(a: Array, b: Array) -> Array:
-    """A Bᵀ; stacks of small matrices multiply faster where both are contiguous."""
-    if _by_runs(a) or _by_runs(b):
-        product: Array = np.einsum("...ij,...kj->...ik", a, b)
-        return product
+    """A Bᵀ; the fastest product where both are `contiguous`."""
+    many_a, many_b = by_runs(a), by_runs(b)
+    if many_a and many_b:
+        return _along_runs("...ij,...kj->...ik", a, b, b.shape[-2])
+    if many_a or many_b:
+        return multiply(a, transpose(b))
     return a @ np.ascontiguousarray(transpose(b))
 
 
-def _by_runs(matrix: Array) -> bool:
-    """Whether the last leading axis is contiguous in memory, as in `stacked`, and long."""
-    return matrix.ndim > 2 and matrix.shape[-3] >= _MANY and matrix.strides[-3] == matrix.itemsize
+def times_symmetric(a: Array, b: Array) -> Array:
+    """A B for a symmetric B."""
+    return times_transposed(a, b) if by_runs(a) and by_runs(b) else multiply(a, b)
+
+
+def _along_runs(product: str, a: Array, b: Array, width: int) -> Array:
+    lead, other = a.shape[:-2], b.shape[:-2]
+    if lead != other:
+        lead = np.broadcast_shapes(lead, other)
+    # Left to itself, einsum lays out the product of a constant and of many as the constant is.
+    out = room(lead, (a.shape[-2], width))
+    result: Array = np.einsum(product, a, b, out=out)
+    return result
+
+
+def distinct(matrix: Array) -> Array:
+    """One matrix where broadcasting has made it stand for all runs."""
+    return matrix[0] if matrix.ndim == 3 and matrix.strides[0] == 0 else matrix
+
+
+def _times_one(many: Array, one: Array) -> Array:
+    """A Bᵀ for one B of all runs: a few products of large matrices."""
+    product: Array = one @ many.transpose(1, 2, 0)
+    return product.transpose(2, 0, 1)
 
 
 def apply(matrix: Array, vector: Array) -> Array:
@@ -77,9 +145,28 @@ def symmetric(matrix: Array) -> Array:
     return 0.5 * (matrix + transpose(matrix))
 
 
+def make_symmetric(matrix: Array) -> Array:
+    """`symmetric`, or, along rows of runs, the upper triangle copied onto the lower, in place."""
+    if not by_runs(matrix):
+        return symmetric(matrix)
+    for j in range(1, matrix.shape[-1]):
+        matrix[..., j, :j] = matrix[..., :j, j]
+    return matrix
+
+
 def sandwich(factor: Array, matrix: Array) -> Array:
-    """F P Fᵀ."""
-    return times_transposed(multiply(factor, matrix), factor)
+    """F P Fᵀ for a symmetric P."""
+    return times_transposed(times_symmetric(factor, matrix), factor)
+
+
+def one_minus(matrix: Array) -> Array:
+    """1 − A, in the place of A where there are many."""
+    if not by_runs(matrix):
+        return np.eye(matrix.shape[-1]) - matrix
+    np.negative(matrix, out=matrix)
+    diagonal = np.einsum("...ii->...i", matrix)
+    diagonal += 1.0
+    return matrix
 
 
 def as_index(positions: npt.ArrayLike) -> Index:

@@ -6,16 +6,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels import pseudoinverse, roots
+from pgm.kernels import along_runs, pseudoinverse, roots
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
     Index,
     apply,
     block,
+    by_runs,
+    contiguous,
+    distinct,
     inner,
+    make_symmetric,
+    multiply,
+    one_minus,
     sandwich,
-    symmetric,
+    times_symmetric,
     times_transposed,
     transpose,
 )
@@ -56,13 +62,24 @@ def update(
     gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise. `exact` says whether the noise is singular, so that
     zeros have to be told from their rounding.
     """
+    if not exact and _many(mean, cov, matrix, residual, noise):
+        found = along_runs.update(
+            _by_component(mean),
+            _by_component(cov),
+            _by_component(matrix),
+            _by_component(residual),
+            _by_component(noise),
+        )
+        if found is not None:
+            new_mean, new_cov, log_density, lower = (_by_run(each) for each in found)
+            return Update(new_mean, new_cov, log_density, lower, None)
     size = residual.shape[-1]
-    cross = matrix @ cov
+    cross = times_symmetric(matrix, cov)
     predictive = times_transposed(cross, matrix) + noise
     lower = roots.root(predictive, spread(matrix, cov, noise) if exact else None)
     fixed = roots.determined(lower)
     white = roots.solve_lower(lower, np.concatenate([residual[..., None], cross], axis=-1))
-    gain = np.ascontiguousarray(transpose(roots.solve_upper(lower, white[..., 1:])))
+    gain = contiguous(transpose(roots.solve_upper(lower, white[..., 1:])))
     white_residual = white[..., 0]
     left = None
     dimension: int | Array = size
@@ -73,8 +90,8 @@ def update(
     log_density = -0.5 * (
         inner(white_residual, white_residual) + roots.log_determinant(lower) + dimension * LOG_2PI
     )
-    keep = np.eye(mean.shape[-1]) - gain @ matrix
-    posterior = symmetric(sandwich(keep, cov) + sandwich(gain, noise))
+    keep = one_minus(multiply(gain, matrix))
+    posterior = make_symmetric(sandwich(keep, cov) + sandwich(gain, noise))
     if exact:
         # 1 − GH is rounded itself, which leaves about 1e-32 of what is certain now.
         left_over = ROUNDING * spread(keep, cov, np.zeros_like(cov))
@@ -86,7 +103,7 @@ def update(
 def spread(matrix: Array, cov: Array, noise: Array) -> Array:
     """The size of the numbers that are added up to the variances of F P Fᵀ + noise, (..., d)."""
     size = np.abs(matrix)
-    summed: Array = ((size @ np.abs(cov)) * size).sum(axis=-1)
+    summed: Array = (multiply(size, np.abs(cov)) * size).sum(axis=-1)
     return summed + np.diagonal(noise, axis1=-2, axis2=-1)
 
 
@@ -96,6 +113,28 @@ def certain(cov: Array, rounding: Array) -> Array:
     if open_.all():
         return cov
     return np.where(open_[..., None] & open_[..., None, :], cov, 0.0)
+
+
+def _many(mean: Array, cov: Array, matrix: Array, vector: Array, noise: Array) -> bool:
+    """Whether these are of many runs, the only leading axis, in the layout that goes along them."""
+    parts = mean, cov, matrix, vector, noise
+    return (
+        by_runs(cov)
+        and [part.ndim for part in parts] == [2, 3, 3, 2, 3]
+        and all(len(part) == len(cov) for part in parts)
+    )
+
+
+def _by_component(array: Array) -> Array:
+    """Runs last; one run where broadcasting has made it stand for all."""
+    if array.strides[0] == 0:
+        array = array[:1]
+    return array.transpose(*range(1, array.ndim), 0)
+
+
+def _by_run(array: Array) -> Array:
+    """Runs first."""
+    return array.transpose(-1, *range(array.ndim - 1))
 
 
 class Conditional(NamedTuple):
@@ -113,26 +152,36 @@ def reverse(
 
     Gain G = P Aᵀ (P_y)⁺; the rest is (I − GA) P (I − GA)ᵀ + G noise Gᵀ, which does not subtract.
     """
-    cross = transpose(matrix @ cov)
+    cross = transpose(times_symmetric(matrix, cov))
     # The rest is right for any gain: only what is no more than rounding has to go.
     lower = roots.root(forward_cov, spread(matrix, cov, noise), negligible=0.1 * ROUNDING)
     gain = pseudoinverse.gain(cross, forward_cov, lower)
-    keep = np.eye(mean.shape[-1]) - gain @ matrix
-    rest = symmetric(sandwich(keep, cov) + sandwich(gain, noise))
+    keep = one_minus(multiply(gain, matrix))
+    rest = make_symmetric(sandwich(keep, cov) + sandwich(gain, noise))
     return Conditional(gain, mean - apply(gain, forward_mean), rest)
 
 
 def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
     """Moments of F x + b + n for x ~ N(mean, cov)."""
     matrix, offset, noise = conditional
-    return apply(matrix, mean) + offset, symmetric(sandwich(matrix, cov) + noise)
+    return apply(matrix, mean) + offset, make_symmetric(sandwich(matrix, cov) + noise)
 
 
 def predict(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
     """`push`, with zeros told from their rounding where the noise leaves components out."""
+    matrix, offset, noise = conditional
+    full = (np.diagonal(distinct(noise), axis1=-2, axis2=-1) != 0.0).all()
+    if full and distinct(matrix).ndim == 3 and _many(mean, cov, matrix, offset, noise):
+        found = along_runs.predict(
+            _by_component(mean),
+            _by_component(cov),
+            _by_component(matrix),
+            _by_component(offset),
+            _by_component(noise),
+        )
+        return _by_run(found[0]), _by_run(found[1])
     result, result_cov = push(mean, cov, conditional)
-    matrix, _, noise = conditional
-    if (np.diagonal(noise, axis1=-2, axis2=-1) == 0.0).any():
+    if not full:
         result_cov = certain(result_cov, ROUNDING * spread(matrix, cov, noise))
     return result, result_cov
 
@@ -186,7 +235,7 @@ def extend(
     inside = block(cov, parents, parents)
     part = Conditional(matrix, offset, noise)
     mean[..., child], own = predict(mean[..., parents], inside, part)
-    cross = matrix @ cov[..., parents, :]
+    cross = multiply(matrix, cov[..., parents, :])
     variances = np.diagonal(own, axis1=-2, axis2=-1)
     cross = np.where(variances[..., None] > 0.0, cross, 0.0)
     cov[..., child, :] = cross

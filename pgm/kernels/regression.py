@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pgm.kernels import roots
@@ -41,6 +43,48 @@ def regress(
     left = deviation - ds @ transpose(slope)
     noise = transpose(cov_weights[:, None] * left) @ left
     return slope, value_mean - apply(slope, s_mean), noise
+
+
+class Line(NamedTuple):
+    """The regression on points that do not change: linear in the values, but for a square.
+
+    Attributes
+    ----------
+    moments : ndarray
+        (1 + n, N): what makes the line's value at s = 0 and its slope of N values.
+    left, signed : ndarray
+        (N − n − 1, N): the covariance of what the line leaves is (signed Y)ᵀ (left Y).
+    """
+
+    moments: Array
+    left: Array
+    signed: Array
+
+
+def line(s: Array, mean_weights: Array, cov_weights: Array) -> Line:
+    """The `regress` of points s (N, n) of which every component is used."""
+    count, size = s.shape
+    s_mean = mean_weights @ s
+    ds = s - s_mean
+    weighted = transpose(cov_weights[:, None] * ds)
+    deviation = np.eye(count) - mean_weights
+    slope = np.asarray(np.linalg.solve(weighted @ ds, weighted @ deviation), dtype=np.float64)
+    left = deviation - ds @ slope
+    # As many squares as there are points more than a line passes through.
+    values, vectors = np.linalg.eigh(transpose(left) @ (cov_weights[:, None] * left))
+    largest = np.argsort(np.abs(values))[size + 1 :]
+    root = (np.sqrt(np.abs(values)) * vectors)[:, largest].T
+    moments = np.vstack([mean_weights - s_mean @ slope, slope])
+    return Line(moments, root, np.sign(values[largest])[:, None] * root)
+
+
+def regress_along_runs(fit: Line, values: Array) -> tuple[Array, Array, Array]:
+    """What `regress` returns, of values (runs, N, d) that are laid out by runs."""
+    along = values.transpose(2, 1, 0)
+    moments = fit.moments @ along
+    left, signed = fit.left @ along, fit.signed @ along
+    noise = np.einsum("ikr,jkr->rij", signed, left)
+    return moments[:, 1:].transpose(2, 0, 1), transpose(moments[:, 0]), noise
 
 
 def range_inverse(lower: Array, std: Array) -> tuple[Array, Array]:

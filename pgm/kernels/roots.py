@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.kernels.arrays import Array, Mask, transpose
+from pgm.kernels.arrays import Array, Mask, apply, by_runs, transpose
 
 # A pivot below this part of its diagonal entry is rounding: the component is determined.
 NEGLIGIBLE = 1e-13
@@ -32,6 +32,9 @@ def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIB
         The part of the scale below which a pivot is rounding.
     """
     diagonal = np.diagonal(matrix, axis1=-2, axis2=-1) if scale is None else scale
+    if by_runs(matrix):
+        along = _root_along_runs(matrix, diagonal, negligible)
+        return _semidefinite_root(matrix, diagonal, negligible) if along is None else along
     try:
         lower = np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -42,15 +45,27 @@ def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIB
     return _semidefinite_root(matrix, diagonal, negligible)
 
 
+def _root_along_runs(matrix: Array, diagonal: Array, negligible: float) -> Array | None:
+    """The roots column by column; None where one has no proper pivot."""
+    lower = np.zeros_like(matrix)
+    with np.errstate(invalid="ignore", divide="ignore"):  # such pivots are not proper: see below
+        for j in range(matrix.shape[-1]):
+            column = matrix[..., j:, j]
+            if j:
+                column = column - apply(lower[..., j:, :j], lower[..., j, :j])
+            pivot = np.sqrt(column[..., 0], out=lower[..., j, j])
+            np.divide(column[..., 1:], pivot[..., None], out=lower[..., j + 1 :, j])
+    pivots = np.diagonal(lower, axis1=-2, axis2=-1)
+    return lower if (pivots * pivots > negligible * diagonal).all() else None
+
+
 def _semidefinite_root(matrix: Array, diagonal: Array, negligible: float) -> Array:
     size = matrix.shape[-1]
     lower = np.zeros_like(matrix)
     indefinite = ~np.isfinite(matrix).all(axis=(-2, -1)) | (diagonal < 0.0).any(axis=-1)
     scale = np.sqrt(np.maximum(diagonal, 0.0))
     for j in range(size):
-        column = matrix[..., j:, j] - np.einsum(
-            "...ik,...k->...i", lower[..., j:, :j], lower[..., j, :j]
-        )
+        column = matrix[..., j:, j] - apply(lower[..., j:, :j], lower[..., j, :j])
         pivot = column[..., 0]
         proper = pivot > negligible * diagonal[..., j]
         allowed = scale[..., j:] * scale[..., j, None]
@@ -81,35 +96,31 @@ def solve_lower(lower: Array, right: Array) -> Array:
 
     For a B in the range of L Lᵀ what is left is zero up to rounding.
     """
-    regular = _regular(lower, determined(lower))
-    if lower.size < _MANY * lower.shape[-1] ** 2:
-        return np.asarray(np.linalg.solve(regular, right), dtype=np.float64)
-    batch = np.broadcast_shapes(lower.shape[:-2], right.shape[:-2])
-    solution = np.empty((*batch, *right.shape[-2:]))
-    for j in range(lower.shape[-1]):
-        row = np.array(np.broadcast_to(right[..., j, :], (*batch, right.shape[-1])))
-        for k in range(j):
-            row -= regular[..., j, k, None] * solution[..., k, :]
-        solution[..., j, :] = row / regular[..., j, j, None]
-    return solution
+    return _solve(_regular(lower, determined(lower)), right, range(lower.shape[-1]))
 
 
 def solve_upper(lower: Array, right: Array) -> Array:
     """The X with Lᵀ X = B, (..., n, m), zero in rows of determined components."""
     fixed = determined(lower)
-    regular = _regular(lower, fixed)
     if fixed.any():
         right = np.where(fixed[..., None], 0.0, right)
-    if lower.size < _MANY * lower.shape[-1] ** 2:
-        return np.asarray(np.linalg.solve(transpose(regular), right), dtype=np.float64)
-    size = lower.shape[-1]
-    batch = np.broadcast_shapes(lower.shape[:-2], right.shape[:-2])
-    solution = np.empty((*batch, *right.shape[-2:]))
-    for j in reversed(range(size)):
-        row = np.array(np.broadcast_to(right[..., j, :], (*batch, right.shape[-1])))
-        for k in range(j + 1, size):
-            row -= regular[..., k, j, None] * solution[..., k, :]
-        solution[..., j, :] = row / regular[..., j, j, None]
+    return _solve(transpose(_regular(lower, fixed)), right, range(lower.shape[-1])[::-1])
+
+
+def _solve(triangle: Array, right: Array, order: range) -> Array:
+    """Solve with regular triangular matrices; row by row, in this order, where they are many."""
+    if triangle.size < _MANY * len(order) ** 2:
+        return np.asarray(np.linalg.solve(triangle, right), dtype=np.float64)
+    batch = triangle.shape[:-2]
+    if right.shape[:-2] != batch:
+        batch = np.broadcast_shapes(batch, right.shape[:-2])
+        right = np.broadcast_to(right, (*batch, *right.shape[-2:]))
+    solution = right.copy(order="K")  # in memory as the right side is
+    for done, j in enumerate(order):
+        row = solution[..., j, :]
+        for k in order[:done]:
+            row -= triangle[..., j, k, None] * solution[..., k, :]
+        row /= triangle[..., j, j, None]
     return solution
 
 
@@ -132,7 +143,10 @@ def whiten(lower: Array, residual: Array) -> Array:
 def log_determinant(lower: Array) -> Array:
     """The value ln |L Lᵀ| over the components that are not determined, (...)."""
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)
-    total: Array = np.log(np.where(pivots == 0.0, 1.0, pivots)).sum(axis=-1)
+    fixed = pivots == 0.0
+    if fixed.any():
+        pivots = np.where(fixed, 1.0, pivots)
+    total: Array = np.log(pivots).sum(axis=-1)
     return 2.0 * total
 
 

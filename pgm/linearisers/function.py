@@ -15,7 +15,7 @@ from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
 from pgm.kernels import differences
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Index, Integers, Mask
+from pgm.kernels.arrays import Array, Index, Integers, Mask, laid_out_as
 from pgm.variables import Variable
 
 Function = Callable[..., Any]
@@ -51,6 +51,10 @@ class ArrayLineariser(ABC):
     @abstractmethod
     def affine(self, function: BoundFunction, mean: Array, cov: Array) -> Affine:
         """Linearise a function at beliefs (..., n) and (..., n, n)."""
+
+    def is_semidefinite(self, dimension: int) -> bool:
+        """Whether the error's covariance cannot be indefinite, at beliefs of so many components."""
+        return False
 
     def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
         """Linearise a function at a belief."""
@@ -174,7 +178,9 @@ class BoundFunction:
         value = self._checked(
             self.template.function(*arguments), (*shape, self.template.child.dimension), "function"
         )
-        return value if self.group is None else value.reshape(*x.shape[:-1], -1)
+        if self.group is not None:
+            return value.reshape(*x.shape[:-1], -1)
+        return laid_out_as(x, value, 1)
 
     def jacobian(self, x: Array, std: Array | None = None) -> Array:
         """The derivative, (..., d, n), as the user gave it, else by central differences.
@@ -211,7 +217,8 @@ class BoundFunction:
             if self.group is not None:
                 part = part.reshape(*x.shape[:-1], -1, parent.dimension)
             parts.append(part)
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+        whole = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+        return laid_out_as(x, whole, 2)
 
     def _arguments(self, x: Array) -> tuple[list[Array], tuple[int, ...]]:
         extra = (1,) * (x.ndim - 1 - self.lead)

@@ -4,18 +4,37 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers, apply, deviation, transpose
-from pgm.kernels.regression import range_inverse, regress
+from pgm.kernels.arrays import (
+    Array,
+    Integers,
+    apply,
+    by_runs,
+    deviation,
+    times_transposed,
+    transpose,
+)
+from pgm.kernels.regression import Line, line, range_inverse, regress, regress_along_runs
 from pgm.linearisers.function import Affine, ArrayLineariser, BoundFunction
 
+# The regression on more points than this takes longer to prepare than it saves.
+FEW = 64
 
-class Points(NamedTuple):
+
+class _Points(NamedTuple):
+    points: Array
+    mean_weights: Array
+    cov_weights: Array
+    centred: bool
+
+
+class Points(_Points):
     """A rule's points for N(0, I), with weights.
 
     Attributes
@@ -28,10 +47,10 @@ class Points(NamedTuple):
         Whether the first point is the origin.
     """
 
-    points: Array
-    mean_weights: Array
-    cov_weights: Array
-    centred: bool
+    @cached_property
+    def line(self) -> Line:
+        """The regression on the points, where all beliefs share them."""
+        return line(self.points, self.mean_weights, self.cov_weights)
 
 
 @dataclass(frozen=True)
@@ -88,13 +107,33 @@ class StatisticalRegression(ArrayLineariser):
         step = function.step
         if self.fresh_per_run:
             step = np.broadcast_to(0 if step is None else step, mean.shape[:-1])
-        s, mean_weights, cov_weights, centred = self.points(mean.shape[-1], function.name, step)
-        offset, value = self._values(function, mean, cov, s @ transpose(lower), centred)
-        slope, centre, noise = regress(
-            s, offset, mean_weights, cov_weights, lower, known=self.prior_moments
-        )
+        points = self.points(mean.shape[-1], function.name, step)
+        s, mean_weights, cov_weights, centred = points
+        offset, value = self._values(function, mean, cov, times_transposed(s, lower), centred)
+        if self._along_runs(s, offset, lower):
+            slope, centre, noise = regress_along_runs(points.line, offset)
+        else:
+            slope, centre, noise = regress(
+                s, offset, mean_weights, cov_weights, lower, known=self.prior_moments
+            )
         matrix = _divide(slope, lower, function, mean, cov)
         return Affine(matrix, value + centre - apply(matrix, mean), noise)
+
+    def is_semidefinite(self, dimension: int) -> bool:
+        """Whether what a line leaves is weighted by no negative number."""
+        weights = self.points(dimension, "", 0).cov_weights
+        return not self.prior_moments and bool((weights >= 0.0).all())
+
+    def _along_runs(self, s: Array, values: Array, lower: Array) -> bool:
+        """Whether few points, shared by many runs, are used in every component."""
+        return (
+            s.ndim == 2
+            and len(s) <= FEW
+            and values.ndim == 3
+            and by_runs(values)
+            and not self.prior_moments
+            and not roots.determined(lower).any()
+        )
 
     @staticmethod
     def _values(
@@ -111,8 +150,9 @@ class StatisticalRegression(ArrayLineariser):
         if extra:
             values = values[..., 1:, :]
         raw = values - reference
-        wide = np.asarray((np.abs(raw[..., angles]) > np.pi).any(axis=(-2, -1)))
-        if wide.any():
+        turning = np.flatnonzero(angles)
+        if any(np.abs(raw[..., k]).max() > np.pi for k in turning):
+            wide = np.asarray((np.abs(raw[..., turning]) > np.pi).any(axis=(-2, -1)))
             # An angle that turns far with the state, as a heading does, is wrapped about its line.
             line = offsets @ transpose(function.jacobian(mean, deviation(cov)))
             line = np.where(wide[..., None, None], line, 0.0)
@@ -122,7 +162,7 @@ class StatisticalRegression(ArrayLineariser):
 
 def _divide(slope: Array, lower: Array, function: BoundFunction, mean: Array, cov: Array) -> Array:
     """F with F L = J; in the null directions of L, measured in its own units, the Jacobian."""
-    fixed = roots.determined(lower).any(axis=-1)
+    fixed = roots.determined(lower)
     if not fixed.any():
         return transpose(roots.solve_upper(lower, transpose(slope)))
     std = deviation(cov)

@@ -51,6 +51,10 @@ class SampledRule(StatisticalRegression):
                     f"{type(self).__name__}({name}={value!r}): {name} is True or False"
                 )
 
+    def is_semidefinite(self, dimension: int) -> bool:
+        """Whether the moments are the sample's own: its weights are positive."""
+        return not self.prior_moments
+
     @abstractmethod
     def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
         """The points, (*axes of step, N, n)."""

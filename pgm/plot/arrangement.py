@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from typing import cast
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from pgm.clustergraph.checks import Edge
 from pgm.plot.canvas import Size
-from pgm.plot.layered import layered
+from pgm.plot.layered import layered, rooted
 from pgm.plot.layout import GAP, PAGE, Layout, Node, packed
 
 # Another way to draw a graph must be better by this factor to be taken.
@@ -24,17 +24,22 @@ def arrange(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> L
     Parameters
     ----------
     graph : networkx.Graph
-        Nodes are indices of clusters.
+        Nodes are indices of clusters. If it is directed, from clusters to their children.
     sizes : mapping to Size
         Of the clusters, by index, and of the sepsets, by edge.
     room : Size or None
         Of the axes, which is made good use of. None for a page.
     """
     parts = []
-    for nodes in nx.connected_components(graph):
-        piece = graph.subgraph(sorted(nodes))
+    plain = graph.to_undirected(as_view=True)
+    for nodes in nx.connected_components(plain):
+        piece = plain.subgraph(sorted(nodes))
         if nx.is_tree(piece) and max(degree for _, degree in piece.degree) <= 2:
             parts.append(_chain(_path(piece), sizes, room))
+        elif graph.is_directed():
+            root = next(node for node in nodes if not graph.in_degree(node))
+            halves = _halves(nx.dfs_edges(graph, root))
+            parts.append(_along(piece, rooted(halves, sizes, room, gap=1.2 * GAP)))
         else:
             parts.append(_layers(piece, sizes, room))
     return packed(parts, sizes, room)
@@ -92,14 +97,24 @@ def _layers(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> L
     """The best of several choices of which cluster stands before which."""
     best: Layout | None = None
     for directed in _directions(graph):
-        halves = nx.DiGraph()
-        for i, j in directed.edges:
-            halves.add_edge(i, key(i, j))
-            halves.add_edge(key(i, j), j)
-        found = layered(halves, sizes, room, gap=1.2 * GAP)
+        found = layered(_halves(directed.edges), sizes, room, gap=1.2 * GAP)
         if best is None or found.worth(sizes, room) > _BETTER * best.worth(sizes, room):
             best = found
     assert best is not None
+    return _along(graph, best)
+
+
+def _halves(arrows: Iterable[Edge]) -> nx.DiGraph:
+    """Each arrow from one cluster to another as two, to their sepset and on."""
+    halves = nx.DiGraph()
+    for i, j in arrows:
+        halves.add_edge(i, key(i, j))
+        halves.add_edge(key(i, j), j)
+    return halves
+
+
+def _along(graph: nx.Graph, best: Layout) -> Layout:
+    """A layout of clusters and sepsets, with one line for the two halves of each edge."""
     lines: dict[Node, np.ndarray] = {}
     for i, j in (key(*edge) for edge in graph.edges):
         pieces = [best.points[i]]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import networkx as nx
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Rectangle
@@ -19,7 +18,7 @@ from pgm.plot.arrangement import arrange
 from pgm.plot.axes import check_axes
 from pgm.plot.canvas import Canvas, Size, open_canvas, room, slack, text_size
 from pgm.plot.colours import CLUSTER, INK, SEPSET, readable_on
-from pgm.plot.contents import contents, joined, shown
+from pgm.plot.contents import contents, joined, links, shown
 from pgm.plot.layout import Node
 from pgm.plot.messages import cluster_name, draw_messages, with_messages
 from pgm.plot.shading import Shading, by_residual, by_size
@@ -41,15 +40,17 @@ def cluster_graph(
 ) -> Axes:
     """Draw clusters as ellipses and, on the edges between them, sepsets as rectangles.
 
-    A chain runs left to right, in rows where it is long; a tree stands in layers from its centre,
-    other graphs in layers from one of their clusters. A cluster lists its hidden variables, then
+    A chain runs left to right, in rows where it is long; a balanced tree stands in levels below its
+    root, another tree in layers from its centre, other graphs in layers from one of their clusters.
+    A cluster lists its hidden variables, then
     those that are observed; in large graphs it names the first and counts the others, as ``+5``.
 
     Parameters
     ----------
     graph : ClusterGraph
     steps : int, optional
-        Only clusters 0..steps are drawn; dashed stubs lead to the others.
+        Only clusters 0..steps are drawn, of a balanced tree those of the steps 0..steps; dashed
+        stubs lead to the others.
     evidence : mapping of Variable, optional
         That given to `pgm.infer`. Several readings of a sensor at a step are then shown as
         ``z[3] ×4``, and sensors without a reading left out.
@@ -90,11 +91,9 @@ def cluster_graph(
     shapes: dict[Node, Size] = {
         node: _plate(size) if node in sepsets else _oval(size) for node, size in room_of.items()
     }
-    links = nx.Graph()
-    links.add_nodes_from(ovals)
-    links.add_edges_from(sepsets)
-    rooms = with_messages(shapes, sepsets, links) if messages else shapes
-    layout = arrange(links, rooms, None if ax is None else room(ax))
+    joins = links(graph, clusters, sepsets)
+    rooms = with_messages(shapes, sepsets, joins) if messages else shapes
+    layout = arrange(joins, rooms, None if ax is None else room(ax))
 
     stubs = [stub(layout, rooms, k) for k in dict.fromkeys(cut)]
     box = around(layout.box(rooms), stubs)

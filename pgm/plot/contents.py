@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
+import networkx as nx
 import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.checks import Edge
 from pgm.clustergraph.size import amount, is_discrete, size
-from pgm.compile import SliceGraph
+from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
@@ -26,18 +27,21 @@ def shown(graph: ClusterGraph, steps: int | None, most: int | None = None) -> li
     """The clusters 0..steps, or all; an error where they are more than can be read."""
     if not isinstance(graph, ClusterGraph):
         raise GraphError(f"cluster_graph draws a compiled graph, not {type(graph).__name__}")
-    count = len(graph.clusters)
-    if not count:
+    found: Sequence[int] = range(len(graph.clusters))
+    if not found:
         raise GraphError("the graph has no clusters to draw")
     if steps is not None:
         if not isinstance(steps, (int, np.integer)) or isinstance(steps, bool) or steps < 0:
             raise GraphError(f"steps must be the last cluster to draw, 0 or more, not {steps!r}")
-        count = min(count, int(steps) + 1)
-    if most is not None and count > most:
+        if isinstance(graph, DynamicGraph):
+            found = graph.within(int(steps))
+        else:
+            found = found[: int(steps) + 1]
+    if most is not None and len(found) > most:
         raise GraphError(
-            f"{count} clusters are too many to read; draw {most} at most, as with steps=4"
+            f"{len(found)} clusters are too many to read; draw {most} at most, as with steps=4"
         )
-    return list(graph.clusters[:count])
+    return [graph.clusters[index] for index in found]
 
 
 def joined(graph: ClusterGraph, clusters: Sequence[Cluster]) -> tuple[dict[Edge, Scope], list[int]]:
@@ -45,12 +49,26 @@ def joined(graph: ClusterGraph, clusters: Sequence[Cluster]) -> tuple[dict[Edge,
     drawn = {cluster.index for cluster in clusters}
     sepsets: dict[Edge, Scope] = {}
     cut: list[int] = []
-    for i, j in graph.sepsets:
-        if i in drawn and j in drawn:
-            sepsets[i, j] = graph.sepsets[i, j]
-        elif i in drawn or j in drawn:
-            cut.append(i if i in drawn else j)
+    for i in sorted(drawn):
+        for j in graph.neighbours(i):
+            if j not in drawn:
+                cut.append(i)
+            elif i < j:
+                sepsets[i, j] = graph.sepsets[i, j]
     return sepsets, cut
+
+
+def links(graph: ClusterGraph, clusters: Sequence[Cluster], edges: Iterable[Edge]) -> nx.Graph:
+    """What is joined; in a balanced tree from each cluster to its children, in their order."""
+    drawn = [cluster.index for cluster in clusters]
+    found = nx.Graph()
+    if isinstance(graph, BalancedGraph):
+        found = nx.DiGraph()
+        below = [(i, j) for i in drawn for j in graph.children(i)]
+        edges = [(i, j) for i, j in below if j in drawn]
+    found.add_nodes_from(drawn)
+    found.add_edges_from(edges)
+    return found
 
 
 def contents(
@@ -63,7 +81,7 @@ def contents(
     """The texts of clusters, by index, and of sepsets, by edge; with their sizes if asked for."""
     observed: frozenset[Variable] = frozenset(evidence or ())
     most: int | None = next(named for up_to, named in _NAMED if len(clusters) <= up_to)
-    if isinstance(graph, SliceGraph):
+    if isinstance(graph, DynamicGraph):
         observed |= {*graph.model.sensors, *graph.model.inputs}
         most = None
     counts = {} if evidence is None else reading_counts(graph, evidence)

@@ -40,7 +40,7 @@ def _filled(words: Iterable[str], width: float) -> list[str]:
 
 def scope_label(scope: Iterable[Variable], most: int | None = None) -> str:
     """Variables, on as many lines as a narrow shape needs; those beyond `most` are counted."""
-    return _text([[_short(repr(v)) for v in scope]], most)
+    return _text([[_short(repr(v)) for v in group] for group in _by_step(scope)], most)
 
 
 def cluster_label(
@@ -64,10 +64,7 @@ def cluster_label(
     """
     known = {v for v in cluster.scope if v in observed or v.template in observed}
     hidden = [v for v in cluster.scope if v not in known]
-    groups = [hidden]
-    if len(_lines(map(repr, hidden))) > 1:
-        steps = sorted({v.step for v in hidden if v.step is not None})
-        groups = [[v for v in hidden if v.step == step] for step in [None, *steps]]
+    groups = _by_step(hidden)
     left = {v: None for v in cluster.scope if v in known}  # a dict keeps the order
     for family in cluster.families:
         group = [v for v in family if v in left]
@@ -78,6 +75,15 @@ def cluster_label(
     mentioned = {v for family in cluster.families for v in family}
     groups.append([v for v in left if v not in mentioned])
     return _text([[_counted(v, counts.get(v, 1)) for v in group] for group in groups], most)
+
+
+def _by_step(scope: Iterable[Variable]) -> list[list[Variable]]:
+    """Variables of different steps apart, where they do not fit on a line."""
+    found = list(scope)
+    if len(_lines(map(repr, found))) <= 1:
+        return [found]
+    steps = sorted({v.step for v in found if v.step is not None})
+    return [[v for v in found if v.step == step] for step in [None, *steps]]
 
 
 def _text(groups: list[list[str]], most: int | None) -> str:

@@ -63,6 +63,26 @@ def layered(
     return best
 
 
+def rooted(
+    graph: nx.DiGraph, sizes: Mapping[Node, Size], room: Size | None, *, gap: float = 24.0
+) -> Layout:
+    """A tree in levels below its root, or to the right of it, children in the order given.
+
+    Parameters
+    ----------
+    graph : networkx.DiGraph
+        A tree from parents to children, its nodes in depth-first order.
+    sizes, room, gap
+        As of `layered`.
+    """
+    depth: dict[Node, int] = {}
+    for node in graph:
+        depth[node] = max((depth[parent] + 1 for parent in graph.predecessors(node)), default=0)
+    parts = layers(graph, depth)
+    down, across = (_place(parts, 0, sizes, gap, across) for across in (False, True))
+    return across if across.worth(sizes, room) > _BETTER * down.worth(sizes, room) else down
+
+
 def _order(graph: nx.DiGraph, rank: Mapping[Node, int]) -> tuple[Layers, int]:
     """Its layers in the order that makes few arrows cross, and how many do."""
     parts = layers(graph, rank)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.compile import SliceGraph
+from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError
 from pgm.evidence import Evidence, bind
 from pgm.variables import Variable
@@ -28,7 +28,7 @@ def reading_counts(graph: ClusterGraph, evidence: Evidence) -> dict[Variable, in
     EvidenceError
         As by `pgm.infer`.
     """
-    if not isinstance(graph, SliceGraph):
+    if not isinstance(graph, DynamicGraph):
         return {}
     if not hasattr(evidence, "items"):
         raise EvidenceError(f"evidence maps variables to values; found {type(evidence).__name__}")

@@ -24,6 +24,11 @@ def test_wrapping_gives_the_equal_angle_from_minus_pi_to_below_pi(angle):
     assert_allclose(np.exp(1j * wrapped), np.exp(1j * angle), atol=1e-12)
 
 
+def test_what_is_no_number_stays_none():
+    with np.errstate(invalid="ignore"):
+        assert np.isnan(angles.wrap(np.array([np.nan, np.inf]))).all()
+
+
 @algebra
 @given(radians, radians)
 def test_only_angles_are_wrapped(a, b):

@@ -89,6 +89,26 @@ def test_arguments_are_left_alone(name):
 
 
 @every_model
+def test_controls_that_all_runs_share_are_broadcast(name):
+    x, u = arguments(name)
+    shared = np.broadcast_to(u[:, :1], u.shape)
+    for function in MODELS[name]:
+        assert_array_equal(function(x, shared), function(x, shared.copy()))
+        once = np.broadcast_to(u[0, 0], u.shape)
+        assert_array_equal(function(x, once), function(x, once.copy()))
+
+
+@every_model
+def test_results_are_in_memory_as_states_are(name):
+    """States whose runs are contiguous give results whose runs are."""
+    x, u = arguments(name, runs=(40,))
+    apart = x.copy(order="F")
+    for function in MODELS[name]:
+        assert function(apart, u).strides[0] == 8
+        assert_array_equal(function(apart, u), function(x, u))
+
+
+@every_model
 def test_no_runs_give_no_states(name):
     x, u = arguments(name, runs=(0,))
     assert [f(x, u).shape for f in MODELS[name]] == [(0, 3), (0, 3, 3), (0, 3, u.shape[-1])]

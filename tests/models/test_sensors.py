@@ -90,6 +90,16 @@ def test_a_batch_is_its_single_runs(name):
 
 
 @pytest.mark.parametrize("name", OF_LANDMARK)
+def test_results_are_in_memory_as_states_are(name):
+    """States whose runs are contiguous give readings and Jacobians whose runs are."""
+    x, m = arguments(runs=(40,))
+    apart = x.copy(order="F")
+    for function in OF_LANDMARK[name]:
+        assert function(apart, m).strides[0] == 8
+        assert_array_equal(function(apart, m), function(x, m))
+
+
+@pytest.mark.parametrize("name", OF_LANDMARK)
 def test_no_sightings_give_no_readings(name):
     x, m = arguments(runs=(0,))
     rows = 2 if name == "range_bearing" else 1

@@ -366,7 +366,7 @@ def test_larger_clusters_are_darker_and_a_bar_says_what_is_what(any_graph):
 def test_larger_residuals_are_darker_and_zero_is_the_lightest(any_graph):
     residuals = {(0, 1): 0.0, (2, 1): [1e-9, 1e-6], (1, 2): 1e-8, (2, 3): 1e-3, (0, 3): 1e-9}
     ax = pgm.plot.cluster_graph(discrete_loop(any_graph), residuals=residuals)
-    drawn = dict(zip(["01", "12", "23", "03"], shades(ax, Rectangle), strict=True))
+    drawn = dict(zip(["01", "03", "12", "23"], shades(ax, Rectangle), strict=True))
     assert drawn["01"] == drawn["03"] > drawn["12"] > drawn["23"]
     (bar,) = ax.child_axes
     assert bar.get_xlabel() == "residual"

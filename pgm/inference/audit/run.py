@@ -10,6 +10,7 @@ from pgm.errors import ModelError
 from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.result import Audit
 from pgm.inference.audit.tree import TreeDraws
+from pgm.inference.chain.kept import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs
@@ -101,6 +102,8 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
 
 
 def _advice(posterior: Any) -> str:
+    if isinstance(posterior, KeptPosterior):
+        return f"{posterior!r} has kept marginals alone; leave keep= out to have what is audited"
     if isinstance(posterior, Posterior):
         return f"{posterior!r} is of a discrete network; of a tree its log-evidence is exact"
     return (

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
-from pgm.kernels import moments, pseudoinverse, roots
-from pgm.kernels.arrays import Array, Index, apply, block, sandwich, symmetric, transpose
+from pgm.kernels import conditionals, moments, pseudoinverse, roots
+from pgm.kernels.arrays import Array, Index, apply, block, room, sandwich, symmetric, transpose
+from pgm.kernels.conditionals import Moments
 from pgm.kernels.moments import Conditional
+from pgm.kernels.scan import in_chunks, levels, prefixes
+
+# From this many runs on, a sweep along rows of runs beats a scan along rows of steps, which does
+# twice the work; and so it does with few steps, where a scan has nearly as many rounds.
+_MANY_RUNS = 32
+_FEW_STEPS = 64
 
 
 def transition(plan: ChainPlan) -> Conditional:
@@ -39,6 +46,30 @@ def transition(plan: ChainPlan) -> Conditional:
     return Conditional(matrix[..., front:, :], offset[..., front:], total)
 
 
+class Ahead(Protocol):
+    """What is needed of a forward pass: see `Forward`."""
+
+    @property
+    def predicted_mean(self) -> Array:
+        """(T+1, runs, n): before each step's readings."""
+        ...
+
+    @property
+    def predicted_cov(self) -> Array:
+        """(T+1, runs, n, n)."""
+        ...
+
+    @property
+    def mean(self) -> Array:
+        """(T+1, runs, n): after them."""
+        ...
+
+    @property
+    def cov(self) -> Array:
+        """(T+1, runs, n, n)."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Reverse:
     """The chain from its end: the model of the past given the future, for the same evidence.
@@ -55,11 +86,11 @@ class Reverse:
     slices: Conditional | None
 
     @classmethod
-    def make(cls, plan: ChainPlan, forward: Forward) -> Reverse:
-        """Reverse every step at once: one batched call."""
+    def make(cls, plan: ChainPlan, forward: Ahead) -> Reverse:
+        """Reverse every step, many at once."""
         places = plan.layout.state_places
         matrix, _, noise = transition(plan)
-        states = moments.reverse(
+        parts = _Step(
             forward.mean[:-1][..., places],
             block(forward.cov[:-1], places, places),
             matrix,
@@ -67,9 +98,17 @@ class Reverse:
             forward.predicted_mean[1:],
             forward.predicted_cov[1:],
         )
+        states = in_chunks(_reverse, parts)
         return cls(
             states, _given_states(plan, forward) if plan.layout.control_places.size else None
         )
+
+    @property
+    def whole(self) -> Conditional:
+        """The slice of step t given that of step t + 1, at row t."""
+        if self.slices is None:
+            return self.states
+        return conditionals.compose(self.states, Conditional(*(part[:-1] for part in self.slices)))
 
     def moved(self, mean: Array, states: Index) -> Reverse:
         """The same covariances with other smoothed means of the slices, (T+1, runs, n)."""
@@ -89,7 +128,22 @@ class Reverse:
         return mean, cov
 
 
-def _given_states(plan: ChainPlan, forward: Forward) -> Conditional:
+class _Step(NamedTuple):
+    """What `moments.reverse` takes, of many steps."""
+
+    mean: Array
+    cov: Array
+    matrix: Array
+    noise: Array
+    forward_mean: Array
+    forward_cov: Array
+
+
+def _reverse(step: _Step) -> Conditional:
+    return moments.reverse(*step)
+
+
+def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
     """The slice given its states and the readings up to it; the states are given exactly."""
     layout = plan.layout
     states, controls = layout.state_places, layout.control_places
@@ -112,8 +166,27 @@ class Beliefs:
     cov: Array
 
 
-def sweep(forward: Forward, reverse: Reverse) -> Beliefs:
-    """Smoothed moments of every slice."""
+def smoothed(forward: Ahead, reverse: Reverse) -> Beliefs:
+    """Smoothed moments of every slice: by a scan, or step by step where that is faster."""
+    steps, runs = forward.mean.shape[:2]
+    stepwise = runs >= _MANY_RUNS or steps < _FEW_STEPS
+    return sweep(forward, reverse) if stepwise else scan(forward, reverse)
+
+
+def scan(forward: Ahead, reverse: Reverse) -> Beliefs:
+    """Smoothed moments of every slice, in 2 log₂ T rounds."""
+    start = Moments(forward.mean[-1:], forward.cov[-1:])
+    back = Conditional(*(part[::-1] for part in reverse.whole))
+    found = prefixes(start, levels(back, conditionals.compose), conditionals.push)
+    mean = room(forward.mean.shape[:2], forward.mean.shape[2:])
+    cov = room(forward.cov.shape[:2], forward.cov.shape[2:])
+    mean[:-1], mean[-1:] = found.mean[::-1], start.mean
+    cov[:-1], cov[-1:] = found.cov[::-1], start.cov
+    return Beliefs(mean, cov)
+
+
+def sweep(forward: Ahead, reverse: Reverse) -> Beliefs:
+    """Smoothed moments of every slice, one step after another."""
     mean, cov = np.empty_like(forward.mean), np.empty_like(forward.cov)
     last = mean.shape[0] - 1
     mean[last], cov[last] = forward.mean[last], forward.cov[last]

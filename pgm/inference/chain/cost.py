@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from pgm.errors import ModelError, NumericalError
 from pgm.inference.chain.iteration import Point
-from pgm.inference.chain.plan import ChainPlan, Sensor
+from pgm.inference.chain.plan import ChainPlan, Link, Sensor
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.family import Family
 from pgm.inference.schedule import Filtering, Smoothing
@@ -19,20 +19,28 @@ from pgm.kernels.arrays import Array, apply, block, inner
 
 def trajectory(plan: ChainPlan, at: Point) -> Array:
     """The cost of the means of all slices, (runs,)."""
-    states = plan.layout.state_places
     total = np.zeros(plan.runs)
-    for links, (mean, cov) in ((plan.prior, at.start(states)), (plan.transition, at.pairs(states))):
-        for link in links:
-            if not link.family.step.size:
-                continue
-            parents = mean[..., link.parents]
-            spread = block(cov, link.parents, link.parents)
-            expected = _expected(link.family, slice(None), parents, spread)
-            total += _square(link.family, mean[..., link.child], expected)
+    for link, parents, spread, child in linked(plan, at):
+        expected = _expected(link.family, slice(None), parents, spread)
+        total += _square(link.family, child, expected)
     for sensor in plan.sensors:
         steps = sensor.family.step
         total += readings(sensor, slice(None), at.mean[steps], at.cov[steps])
     return total
+
+
+def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Array]]:
+    """Each family of prior and transition at all its steps: its parents' moments, its own mean."""
+    states = plan.layout.state_places
+    mean, cov = at.start(states)
+    for link in plan.prior:
+        places = link.parents
+        yield link, mean[..., places], block(cov, places, places), mean[..., link.child]
+    front = plan.layout.state_size
+    if plan.steps:
+        for link in plan.transition:
+            child = slice(link.child.start - front, link.child.stop - front)
+            yield link, *at.pairs(states, link.parents), at.mean[1:][..., child]
 
 
 def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:

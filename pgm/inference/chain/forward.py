@@ -13,11 +13,13 @@ from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.reading import take
 from pgm.inference.chain.update import sensors_due, update
+from pgm.inference.family import Family
 from pgm.inference.schedule import Filtering
 from pgm.inference.status import Status
 from pgm.kernels import moments, roots
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Index, block, stacked
+from pgm.linearisers import ArrayLineariser
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,19 @@ def sweep(plan: ChainPlan, anchor: Anchor | None = None) -> Forward:
 def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     """Run the forward sweep, linearising each CPD at its incoming belief."""
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
+    once = schedule.iterations == 1 or all(sensor.family.exact for sensor in plan.sensors)
+    from pgm.inference.chain import many
+
+    if plan.lean and once:
+        from pgm.inference.chain import single  # here, since LAPACK is slow to import
+
+        done = single.run(plan)
+        if done is not None:
+            return done[0], Status.of([], done[1], plan.lead)
+    if once and many.suits(plan):
+        done = many.run(plan)
+        if done is not None:
+            return done[0], Status.of([], done[1], plan.lead)
     out = Forward.empty(plan)
     record: list[Array] = []
     converged = np.ones(plan.runs, dtype=bool)
@@ -117,12 +132,19 @@ def put(cov: Array, places: Index, value: Array) -> None:
 
 
 def start(plan: ChainPlan, *, linearise: bool) -> tuple[Array, Array]:
-    """Moments of the states at step 0."""
-    size = plan.layout.state_size
-    mean, cov = np.zeros((plan.runs, size)), np.zeros((plan.runs, size, size))
+    """Moments of the states at step 0; read-only where they are one for all runs."""
+    size, runs = plan.layout.state_size, plan.runs
+    once = 1 if all(_shared(link.family) for link in plan.prior) else runs
+    mean, cov = stacked((once,), (size,)), stacked((once,), (size, size))
     for link in plan.prior:
         _extend(link, 0, 0, mean, cov, linearise)
-    return mean, cov
+    return np.broadcast_to(mean, (runs, size)), np.broadcast_to(cov, (runs, size, size))
+
+
+def _shared(family: Family) -> bool:
+    """Whether an affine CPD is the same for all runs."""
+    parts = family.matrix, family.offset, family.noise
+    return family.exact and all(part.strides[1] == 0 or part.size == 0 for part in parts)
 
 
 def predict(
@@ -136,12 +158,12 @@ def predict(
             family.linearise(row, mean, cov)
         conditional = moments.Conditional(family.matrix[row], family.offset[row], family.noise[row])
         slice_mean, slice_cov = moments.predict(mean, cov, conditional)
-        _keep_chart(link, row, mean, slice_mean)
+        keep_chart(link, row, mean, slice_mean)
         _check_predicted(link, row, slice_cov)
         return slice_mean, slice_cov
     front = plan.layout.state_size
     size = front + plan.layout.slice_size
-    pair_mean, pair_cov = np.zeros((plan.runs, size)), np.zeros((plan.runs, size, size))
+    pair_mean, pair_cov = stacked((plan.runs,), (size,)), stacked((plan.runs,), (size, size))
     pair_mean[:, :front] = mean
     pair_cov[:, :front, :front] = cov
     for link in plan.transition:
@@ -158,23 +180,24 @@ def _extend(link: Link, row: int, step: int, mean: Array, cov: Array, linearise:
         cov,
         link.child,
         parents,
-        family.matrix[row],
-        family.offset[row],
-        family.noise[row],
+        family.matrix[row][: len(mean)],
+        family.offset[row][: len(mean)],
+        family.noise[row][: len(mean)],
     )
-    _keep_chart(link, row, mean, mean[:, link.child])
+    keep_chart(link, row, mean, mean[:, link.child])
     _check_predicted(link, row, block(cov, link.child, link.child))
 
 
-def _keep_chart(link: Link, row: int, before: Array, child: Array) -> None:
+def keep_chart(link: Link, row: int, before: Array, child: Array) -> None:
     """Undo, in place, whole turns that a function which wraps its angles has made in a step.
 
     Beliefs live on one unwrapped chart.
     """
     if not link.before.size:
         return
-    turned = child[:, link.angles] - before[:, link.before]
-    if np.abs(turned).max() > np.pi:
+    places = zip(link.angles, link.before, strict=True)
+    if any(np.abs(child[:, new] - before[:, old]).max() > np.pi for new, old in places):
+        turned = child[:, link.angles] - before[:, link.before]
         # A function that wraps gives the same for an angle a whole turn on; another turns too.
         further = before.copy()
         further[:, link.before] += TURN
@@ -186,10 +209,18 @@ def _keep_chart(link: Link, row: int, before: Array, child: Array) -> None:
         link.family.offset[row][:, link.angles] -= turns
 
 
+def is_semidefinite(family: Family) -> bool:
+    """Whether the lineariser's error is never indefinite."""
+    lineariser, width = family.lineariser, family.matrix.shape[-1]
+    return isinstance(lineariser, ArrayLineariser) and lineariser.is_semidefinite(width)
+
+
 def _check_predicted(link: Link, row: int, cov: Array) -> None:
     """Only a lineariser's error can make a prediction indefinite."""
     family = link.family
-    if family.approximate and not roots.is_proper(roots.root(cov)):
+    if not family.approximate or is_semidefinite(family):
+        return
+    if not roots.is_proper(roots.root(cov)):
         step = int(family.step[row])
         raise NumericalError(
             f"{family.cpd!r}: the predicted covariance at step {step} is indefinite with "

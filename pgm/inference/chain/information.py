@@ -15,6 +15,7 @@ from pgm.inference.chain.update import sensors_due, stack
 from pgm.kernels import canonical, roots
 from pgm.kernels.arrays import LOG_2PI, Array, apply, inner, sandwich, transpose
 from pgm.kernels.canonical import Canonical
+from pgm.kernels.moments import Conditional
 
 
 def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
@@ -23,31 +24,17 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
     Messages are carried about the filtered mean, so that large coordinates cost no digits, and
     moved to the origin at the end. NaN in runs where the message does not exist.
     """
-    layout = plan.layout
-    states, size = layout.state_places, layout.state_size
-    select = np.eye(layout.slice_size)[states]
-    matrices, _, noises = transition(plan)
+    states, size = plan.layout.state_places, plan.layout.state_size
     message: Canonical = (
         np.zeros((plan.runs, size, size)),
         np.zeros((plan.runs, size)),
         np.zeros(plan.runs),
     )
     messages = [message]
+    conditionals = transition(plan)
     for later in range(plan.steps, 0, -1):
-        predicted, filtered = forward.predicted_mean[later], forward.mean[later]
-        matrix, noise = matrices[later - 1], noises[later - 1]
-        offset = np.zeros_like(predicted)
-        likelihood: Canonical | None = None
-        due = sensors_due(plan.sensors, later)
-        if due:
-            h_matrix, residual, reading_noise, missing = stack(due, later, predicted)
-            matrix, offset, noise, likelihood = _into_transition(
-                matrix, noise, h_matrix, residual, reading_noise, missing
-            )
-        shift = offset + predicted - filtered
-        message = canonical.backward(
-            select @ matrix, apply(select, shift), sandwich(select, noise), *message
-        )
+        conditional, likelihood = absorbed(plan, forward, conditionals, later)
+        message = canonical.backward(*conditional, *message)
         if likelihood is not None:
             message = canonical.product(message, likelihood)
         messages.append(message)
@@ -57,7 +44,31 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
     ]
 
 
-def _into_transition(
+def absorbed(
+    plan: ChainPlan, forward: Forward, conditionals: Conditional, later: int
+) -> tuple[Conditional, Canonical | None]:
+    """The states at a step given those before it and the step's readings, and what these say.
+
+    Both about the filtered means: of the states at the step, and of those before it, of which the
+    readings' likelihood is a function.
+    """
+    layout = plan.layout
+    select = np.eye(layout.slice_size)[layout.state_places]
+    matrix, noise = conditionals.matrix[later - 1], conditionals.cov[later - 1]
+    predicted = forward.predicted_mean[later]
+    offset = np.zeros_like(predicted)
+    likelihood: Canonical | None = None
+    due = sensors_due(plan.sensors, later)
+    if due:
+        h_matrix, residual, reading_noise, missing = stack(due, later, predicted)
+        matrix, offset, noise, likelihood = absorb_readings(
+            matrix, noise, h_matrix, residual, reading_noise, missing
+        )
+    shift = offset + predicted - forward.mean[later]
+    return Conditional(select @ matrix, apply(select, shift), sandwich(select, noise)), likelihood
+
+
+def absorb_readings(
     matrix: Array,
     noise: Array,
     h_matrix: Array,

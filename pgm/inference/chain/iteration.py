@@ -28,7 +28,8 @@ class Point(NamedTuple):
     cov : ndarray
         (steps, runs, n, n).
     joint : ndarray or None
-        (steps − 1, runs, m, m): the covariances of neighbouring steps, where they are needed.
+        (steps − 1, runs, m, m): the covariances of pairs, where a CPD needs more than those of the
+        states before.
     """
 
     mean: Array
@@ -44,11 +45,15 @@ class Point(NamedTuple):
         """Moments of the states at step 0, (1, runs, ...)."""
         return self.mean[:1][..., states], block(self.cov[:1], states, states)
 
-    def pairs(self, states: Index) -> tuple[Array, Array]:
-        """Moments of the states before each later step together with its slice."""
+    def pairs(self, states: Index, places: Index) -> tuple[Array, Array]:
+        """Moments of some components of the pairs: the states before each step, and its slice."""
+        before, cov = self.mean[:-1][..., states], self.cov[:-1]
+        front = before.shape[-1]
+        if (places.stop if isinstance(places, slice) else places.max(initial=-1) + 1) <= front:
+            return before[..., places], block(block(cov, states, states), places, places)
         assert self.joint is not None
-        before, after = self.mean[:-1][..., states], self.mean[1:]
-        return np.concatenate([before, after], axis=-1), self.joint
+        pair = np.concatenate([before, self.mean[1:]], axis=-1)
+        return pair[..., places], block(self.joint, places, places)
 
     def mixed(self, other: Point, share: float | Mask) -> Point:
         """A share of this point, one for all runs or (runs,), and the rest of another."""

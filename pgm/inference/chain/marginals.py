@@ -26,28 +26,10 @@ class Marginals:
 
     def __getitem__(self, variable: Variable) -> Gaussian:
         """Of ``x`` at all its steps, stacked; of ``x.at(3)`` at one."""
-        layout = self.layout
-        template = require_variable(variable).template
-        if template in layout.model.sensors:
-            raise EvidenceError(
-                f"{variable!r} is observed; see posterior.innovations[{variable.name}]",
-                variable=variable,
-            )
-        if variable.lag or template not in layout.slice:
-            raise EvidenceError(
-                f"{variable!r} is not among the hidden variables, {list(layout.slice)}",
-                variable=variable,
-            )
+        layout, last = self.layout, self.beliefs.mean.shape[0] - 1
+        template, first = located(layout, variable, last)
         places = positions(layout.slice, [template])
-        first = 0 if template in layout.states else 1
-        last = self.beliefs.mean.shape[0] - 1
         if variable.step is not None:
-            if not first <= variable.step <= last:
-                raise EvidenceError(
-                    f"{template!r} has steps {first}..{last}; there is no {variable!r}",
-                    variable=variable,
-                    step=variable.step,
-                )
             mean = self.beliefs.mean[variable.step][:, places]
             cov = block(self.beliefs.cov[variable.step], places, places)
             shape = self.lead
@@ -64,3 +46,30 @@ class Marginals:
             cov.reshape(*self.lead, *cov.shape[1:]),
             np.arange(first, last + 1),
         )
+
+
+def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variable, int]:
+    """The template of a hidden variable, and its first step; refuses what has no marginal."""
+    template = require_variable(variable).template
+    if template in layout.model.inputs:
+        raise EvidenceError(
+            f"{variable!r} is observed: its value is its evidence", variable=variable
+        )
+    if template in layout.model.sensors:
+        raise EvidenceError(
+            f"{variable!r} is observed; see posterior.innovations[{variable.name}]",
+            variable=variable,
+        )
+    if variable.lag or template not in layout.slice:
+        raise EvidenceError(
+            f"{variable!r} is not among the hidden variables, {list(layout.slice)}",
+            variable=variable,
+        )
+    first = 0 if template in layout.states else 1
+    if variable.step is not None and not first <= variable.step <= last:
+        raise EvidenceError(
+            f"{template!r} has steps {first}..{last}; there is no {variable!r}",
+            variable=variable,
+            step=variable.step,
+        )
+    return template, first

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,14 +21,16 @@ from pgm.inference.chain.reading import take
 from pgm.inference.posterior import require_variable
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
-from pgm.kernels.arrays import Array, block, frozen
+from pgm.kernels.arrays import Array, block, symmetric
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
+if TYPE_CHECKING:
+    from pgm.inference.chain.online_single import Single
 
-@dataclass(frozen=True, eq=False)
-class OnlineBelief:
+
+class OnlineBelief(Immutable):
     """The belief of an online filter at one step.
 
     Attributes
@@ -41,6 +42,8 @@ class OnlineBelief:
         How the linearisations of the last update went.
     """
 
+    __slots__ = ("cov", "layout", "lead", "log_density", "mean", "status", "step")
+
     step: int
     layout: SliceLayout
     lead: tuple[int, ...]
@@ -49,9 +52,34 @@ class OnlineBelief:
     log_density: Array
     status: Status
 
-    def __post_init__(self) -> None:
-        for name in ("mean", "cov", "log_density"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+    def __init__(
+        self,
+        step: int,
+        layout: SliceLayout,
+        lead: tuple[int, ...],
+        mean: Array,
+        cov: Array,
+        log_density: Array,
+        status: Status,
+    ) -> None:
+        for array in (mean, cov, log_density):
+            array.setflags(write=False)
+        put = object.__setattr__
+        put(self, "step", step)
+        put(self, "layout", layout)
+        put(self, "lead", lead)
+        put(self, "mean", mean)
+        put(self, "cov", cov)
+        put(self, "log_density", log_density)
+        put(self, "status", status)
+
+    def after(
+        self, step: int, mean: Array, cov: Array, log_density: Array, status: Status
+    ) -> OnlineBelief:
+        """The belief of a single run that follows this one, from moments (n,) and (n, n)."""
+        return OnlineBelief(
+            step, self.layout, self.lead, mean[None], cov[None], log_density, status
+        )
 
     @property
     def log_evidence(self) -> Array:
@@ -70,7 +98,7 @@ class OnlineBelief:
                 step=self.step,
             )
         places = positions(slice_, [variable.template])
-        mean, cov = self.mean[:, places], block(self.cov, places, places)
+        mean, cov = self.mean[:, places], symmetric(block(self.cov, places, places))
         return Gaussian._make(
             (variable,),
             mean.reshape(*self.lead, -1),
@@ -122,6 +150,19 @@ class OnlineFilter(Immutable):
     def _graph(self) -> Any:
         return compile(self.model, 1)
 
+    @cached_property
+    def _single(self) -> Single | None:
+        """The lean steps of a single robot; None where readings are linearised several times."""
+        if self.schedule.iterations > 1:
+            return None
+        from pgm.inference.chain.online_single import Single  # here, since LAPACK is slow to import
+
+        return Single()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What was prepared is not part of the value.
+        return {name: getattr(self, name) for name in ("model", "lineariser", "schedule")}
+
     def initial(self) -> OnlineBelief:
         """The prior, at step 0."""
         layout, lead = self._graph.layout, self.model.lead
@@ -153,8 +194,24 @@ class OnlineFilter(Immutable):
             If an input is missing or of a wrong shape, or something is no input.
         """
         self._check(belief)
+        inputs = {} if inputs is None else inputs
+        if self._single is not None and belief.lead == ():
+            after = self._single.predict(belief, inputs, self._ahead)
+            if after is not None:
+                return after
+        plan = self._ahead(belief, inputs)
+        mean, cov, log_density = _wide(belief, plan)
+        states = plan.layout.state_places
+        mean, cov = forward.predict(
+            plan, 0, mean[:, states], block(cov, states, states), linearise=True
+        )
+        status = _nothing_to_iterate(plan.lead)
+        return OnlineBelief(belief.step + 1, plan.layout, plan.lead, mean, cov, log_density, status)
+
+    def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
+        """The plan of a prediction, its inputs checked."""
         needed = {v for cpd in self.model.transition for v in cpd.parents}
-        for variable in inputs or {}:
+        for variable in inputs:
             if variable not in needed or variable not in self.model.inputs:
                 raise EvidenceError(
                     f"predict takes inputs of the transition, not {variable!r}; "
@@ -162,18 +219,9 @@ class OnlineFilter(Immutable):
                     variable=variable,
                     step=belief.step + 1,
                 )
-        evidence = {v: _constant(value) for v, value in (inputs or {}).items()}
+        evidence = {v: _constant(value) for v, value in inputs.items()}
         bound = bind(self.model.transition, (), evidence, 1, belief.lead)
-        plan = self._plan(bound, belief.step + 1)
-        mean, cov, log_density = _wide(belief, bound)
-        states = plan.layout.state_places
-        mean, cov = forward.predict(
-            plan, 0, mean[:, states], block(cov, states, states), linearise=True
-        )
-        status = _nothing_to_iterate(bound.lead)
-        return OnlineBelief(
-            belief.step + 1, plan.layout, bound.lead, mean, cov, log_density, status
-        )
+        return self._plan(bound, belief.step + 1)
 
     def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
         """The belief given readings of its step; a further update goes on from the first.
@@ -193,6 +241,21 @@ class OnlineFilter(Immutable):
             If a reading contradicts an exact model.
         """
         self._check(belief)
+        if self._single is not None and belief.lead == () and isinstance(readings, Mapping):
+            after = self._single.update(belief, readings, self._seen)
+            if after is not None:
+                return after
+        plan = self._seen(belief, readings)
+        mean, cov, log_density = _wide(belief, plan)
+        taken = take(plan.sensors, 0, mean, cov, self.schedule)
+        total = log_density + taken.log_density
+        status = Status.of(taken.residuals, taken.converged, plan.lead)
+        return OnlineBelief(
+            belief.step, plan.layout, plan.lead, taken.mean, taken.cov, total, status
+        )
+
+    def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
+        """The plan of an update, its readings checked."""
         if not isinstance(readings, Mapping):
             raise EvidenceError(
                 f"update takes a mapping of sensors to readings, not {type(readings).__name__}"
@@ -207,14 +270,8 @@ class OnlineFilter(Immutable):
             transition_inputs=False,
         )
         plan = self._plan(bound, belief.step)
-        mean, cov, log_density = _wide(belief, bound)
         require_cost(self.schedule, (sensor.family for sensor in plan.sensors))
-        taken = take(plan.sensors, 0, mean, cov, self.schedule)
-        total = log_density + taken.log_density
-        status = Status.of(taken.residuals, taken.converged, bound.lead)
-        return OnlineBelief(
-            belief.step, plan.layout, bound.lead, taken.mean, taken.cov, total, status
-        )
+        return plan
 
     def _check(self, belief: OnlineBelief) -> None:
         if not isinstance(belief, OnlineBelief) or belief.layout.model is not self.model:
@@ -249,14 +306,14 @@ def _constant(value: Any) -> Constant:
     return value if isinstance(value, Constant) else constant(value)
 
 
-def _wide(belief: OnlineBelief, bound: BoundEvidence) -> tuple[Array, Array, Array]:
-    """The belief's arrays for the runs of the evidence."""
-    if belief.lead == bound.lead:
+def _wide(belief: OnlineBelief, plan: ChainPlan) -> tuple[Array, Array, Array]:
+    """The belief's arrays for the runs of a plan."""
+    if belief.lead == plan.lead:
         return belief.mean, belief.cov, belief.log_density
 
     def wide(array: Array) -> Array:
         rest = array.shape[1:]
-        full = np.broadcast_to(array.reshape((*belief.lead, *rest)), (*bound.lead, *rest))
-        return full.reshape((bound.runs, *rest))
+        full = np.broadcast_to(array.reshape((*belief.lead, *rest)), (*plan.lead, *rest))
+        return full.reshape((plan.runs, *rest))
 
     return wide(belief.mean), wide(belief.cov), wide(belief.log_density)

@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from pgm.compile import SliceGraph, SliceLayout
+from pgm.compile import DynamicGraph, SliceLayout
+from pgm.compile.layout import Place
 from pgm.cpds import AffineCPD, NonlinearGaussianCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
-from pgm.factors.scope import Scope, dimension, positions
+from pgm.evidence.dynamic_layout import Inputs
+from pgm.factors.scope import Scope
 from pgm.inference.family import Family
 from pgm.kernels import roots
 from pgm.kernels.angles import nearest_branch
@@ -102,6 +104,8 @@ class Sensor:
 
     def move(self, rows: slice, predicted: Array, active: Mask | None = None) -> None:
         """Move angles to the branch nearest the CPD's values at the point of linearisation."""
+        if not self.variable.angles:
+            return
         moved = nearest_branch(self.values[rows], predicted, self.variable.angle_mask)
         if active is not None:
             moved = np.where(active[:, None], moved, self.moved[rows])
@@ -142,6 +146,11 @@ class ChainPlan:
         return math.prod(self.lead)
 
     @property
+    def lean(self) -> bool:
+        """Whether there is a single run, which is swept without an axis of runs."""
+        return self.runs == 1
+
+    @property
     def families(self) -> list[Family]:
         """All families."""
         links = [link.family for link in (*self.prior, *self.transition)]
@@ -155,7 +164,7 @@ class ChainPlan:
     @classmethod
     def make(
         cls,
-        graph: SliceGraph,
+        graph: DynamicGraph,
         bound: BoundEvidence,
         lineariser: Lineariser,
         *,
@@ -169,35 +178,37 @@ class ChainPlan:
         """
         layout, lead = graph.layout, bound.lead
 
-        def family(cpd: Any, step: Integers, inputs: Any) -> Family:
-            return Family.make(cpd, layout.hidden(cpd), step, inputs, lineariser, lead)
+        def family(cpd: Any, place: Place, step: Integers, inputs: Inputs) -> Family:
+            made = Family.make(
+                cpd, place.hidden, step, inputs, lineariser, lead, template=place.template
+            )
+            made.first_run = bound.first_run
+            return made
 
-        def link(made: Family, scope: Scope) -> Link:
-            child = positions(scope, [made.cpd.child])
-            assert isinstance(child, slice)
-            angles = np.flatnonzero(made.cpd.child.angle_mask)
-            before = angles[:0]
-            if not made.exact and made.cpd.child.previous in made.hidden:
-                first_place = positions(scope, [made.cpd.child.previous])
-                before = np.arange(dimension(scope))[first_place][angles]
-            return Link(made, positions(scope, made.hidden), child, angles[: before.size], before)
+        def link(cpd: Any, scope: Scope, step: Integers, inputs: Inputs) -> Link:
+            place = layout.place(cpd, scope)
+            turning = slice(0 if isinstance(cpd, AffineCPD) else None)
+            return Link(
+                family(cpd, place, step, inputs),
+                place.parents,
+                place.child,
+                place.angles[turning],
+                place.before[turning],
+            )
+
+        def sensor(reading: Reading) -> Sensor:
+            place = layout.place(reading.cpd, layout.slice)
+            made = family(reading.cpd, place, reading.step + first, reading.inputs)
+            return _sensor(made, place, reading, layout, bound.steps)
 
         start, later = np.zeros(1, dtype=np.intp), np.arange(bound.steps) + max(first, 1)
         priors = layout.model.prior if prior else ()
-        links = [link(family(cpd, start, {}), layout.states) for cpd in priors]
+        links = [link(cpd, layout.states, start, {}) for cpd in priors]
         transition = [
-            link(family(cpd, later, inputs), layout.pair)
+            link(cpd, layout.pair, later, inputs)
             for cpd, inputs in zip(layout.model.transition, bound.transition, strict=False)
         ]
-        sensors = [
-            _sensor(
-                family(reading.cpd, reading.step + first, reading.inputs),
-                reading,
-                layout,
-                bound.steps,
-            )
-            for reading in bound.readings
-        ]
+        sensors = [sensor(reading) for reading in bound.readings]
         plan = cls(layout, bound.steps, lead, links, transition, sensors)
         if not probe:
             return plan
@@ -207,11 +218,16 @@ class ChainPlan:
             if isinstance(cpd, AffineCPD)
         }
         for made in plan.families:
-            made.probe(means)
+            # A graph is probed once; what comes back is checked in every call.
+            if made.cpd not in layout.probed:
+                made.probe(means)
+                layout.probed.update([made.cpd] * bool(made.step.size))
         return plan
 
 
-def _sensor(family: Family, reading: Reading, layout: SliceLayout, steps: int) -> Sensor:
+def _sensor(
+    family: Family, place: Place, reading: Reading, layout: SliceLayout, steps: int
+) -> Sensor:
     number = int(family.step[0]) if family.step.size else 1
     for parent in family.hidden:
         if number == 0 and parent not in layout.states:
@@ -224,13 +240,14 @@ def _sensor(family: Family, reading: Reading, layout: SliceLayout, steps: int) -
             )
     bounds = np.searchsorted(reading.step, np.arange(steps + 2)).tolist()
     shape = (reading.step.size, family.matrix.shape[1], family.matrix.shape[2])
+    moved = np.broadcast_to(reading.values, shape)
     return Sensor(
         family,
-        positions(layout.slice, family.hidden),
+        place.parents,
         reading.order,
         None if reading.taken.all() else reading.taken,
         reading.values,
-        np.array(np.broadcast_to(reading.values, shape)),
+        moved.copy("K") if family.cpd.child.angles else moved,
         bounds,
         {},
     )

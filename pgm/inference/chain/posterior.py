@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from pgm.clustergraph import Cluster
-from pgm.compile import SliceGraph
+from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names, positions
@@ -21,7 +21,7 @@ from pgm.inference.chain.information import backward_messages
 from pgm.inference.chain.innovations import BySensor, Innovations, innovations
 from pgm.inference.chain.marginals import Marginals
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.posterior import Posterior, require_variable
+from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
 from pgm.kernels import canonical
 from pgm.kernels.arrays import Array, block
@@ -37,7 +37,7 @@ class ChainPosterior(Posterior):
 
     Attributes
     ----------
-    graph : SliceGraph
+    graph : DynamicGraph
     status : Status
         Linearisations, residuals, and whether they converged.
     log_evidence_kind : str
@@ -45,7 +45,7 @@ class ChainPosterior(Posterior):
         Taylor relinearisation.
     """
 
-    graph: SliceGraph
+    graph: DynamicGraph
     status: Status
     _plan: ChainPlan
     _forward: Forward
@@ -54,10 +54,6 @@ class ChainPosterior(Posterior):
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a hidden variable, at all its steps or at one."""
-        if require_variable(variable).template in self.graph.model.inputs:
-            raise EvidenceError(
-                f"{variable!r} is observed: its value is its evidence", variable=variable
-            )
         return self._marginals(self._beliefs)[variable]
 
     def _marginals(self, beliefs: Beliefs) -> Marginals:
@@ -178,11 +174,7 @@ class ChainPosterior(Posterior):
         source, target = self.graph.index(source), self.graph.index(target)
         scope = self.graph.sepsets[source, target]
         if source < target:
-            places = self.graph.layout.state_places
-            weight = self._forward.log_density[: source + 1].sum(axis=0)
-            mean = self._forward.mean[source][:, places]
-            cov = block(self._forward.cov[source], places, places)
-            parts = canonical.from_moments(mean, cov, weight)
+            parts = self._past(source)
         elif self._smoothed is None:
             raise GraphError(
                 f"the message from cluster {source} to {target} was not sent: filtering sends "
@@ -193,6 +185,14 @@ class ChainPosterior(Posterior):
             parts = self._backward_messages[target]
         what = f"the message from cluster {source} to {target}"
         return self._form(scope, parts, what, source)
+
+    def _past(self, step: int) -> canonical.Canonical:
+        """The states at a step given the readings up to it, times the evidence of these."""
+        places = self.graph.layout.state_places
+        weight = self._forward.log_density[: step + 1].sum(axis=0)
+        mean = self._forward.mean[step][:, places]
+        cov = block(self._forward.cov[step], places, places)
+        return canonical.from_moments(mean, cov, weight)
 
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its hidden variables, unnormalised.
@@ -228,7 +228,7 @@ class ChainPosterior(Posterior):
                 f"{what}, over {names(scope)}, has no canonical form: its covariance, or that of "
                 "what it is made of, is singular; posterior[...] and joint(...) have its moments",
                 cluster=cluster,
-                step=cluster,
+                step=cluster if cluster <= self.graph.steps else None,
             )
         lead = self._plan.lead
         return CanonicalForm._make(

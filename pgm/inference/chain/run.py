@@ -7,18 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from pgm.compile import SliceGraph, SliceLayout
-from pgm.errors import EvidenceError, ModelError
+from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
+from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.factors.scope import positions
-from pgm.inference.chain import forward
-from pgm.inference.chain.backward import Beliefs
+from pgm.inference.chain import forward, parallel, smoother
+from pgm.inference.chain.balanced import BalancedPosterior
+from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
-from pgm.inference.chain.smoother import smooth as run_smoothing
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
+from pgm.inference.status import Status
+from pgm.kernels.arrays import Array
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
 
@@ -33,7 +35,7 @@ def bind_chain(model: Any, evidence: Evidence, steps: int | None) -> BoundEviden
 
 
 def run(
-    graph: SliceGraph,
+    graph: DynamicGraph,
     bound: BoundEvidence,
     schedule: Schedule | None,
     lineariser: Lineariser,
@@ -49,16 +51,33 @@ def run(
         raise EvidenceError("a start is for smoothing; a filter linearises at its own beliefs")
     given = None if start is None else _start(graph.layout, bound, start)
     plan = ChainPlan.make(graph, bound, lineariser)
+    balanced = isinstance(graph, BalancedGraph)
+    kind: type[ChainPosterior] = BalancedPosterior if balanced else ChainPosterior
     if isinstance(schedule, Filtering):
-        ahead, status = forward.run(plan, schedule)
-        return ChainPosterior(graph, status, plan, ahead, None, None)
+        ahead, status = _scan(graph, plan) if balanced else forward.run(plan, schedule)
+        return kind(graph, status, plan, ahead, None, None)
     if not isinstance(schedule, Smoothing):
         schedule = Smoothing(schedule.iterations, schedule.tolerance)
+    run_smoothing = smoother.scan if balanced else smoother.smooth
     result, status = run_smoothing(plan, schedule, given)
-    return ChainPosterior(graph, status, plan, result.forward, result.beliefs, result.reverse)
+    ahead = parallel.whole(result.forward)
+    return kind(graph, status, plan, ahead, result.beliefs, result.reverse)
 
 
-def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Beliefs:
+def _scan(graph: DynamicGraph, plan: ChainPlan) -> tuple[Forward, Status]:
+    """Filter on a balanced tree."""
+    for family in plan.families:
+        if not family.exact:
+            raise GraphError(
+                f"{family.cpd!r} is nonlinear, and {graph!r} solves for all steps at once, where a "
+                "filter linearises at the belief before: compile without pgm.Balanced(), or smooth"
+            )
+    return parallel.whole(parallel.run(plan)), Status.of(
+        [], np.ones(plan.runs, dtype=bool), plan.lead
+    )
+
+
+def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Array:
     require_hidden(start, layout.slice)
     mean = np.zeros((bound.steps + 1, bound.runs, layout.slice_size))
     for variable in layout.slice:
@@ -77,4 +96,4 @@ def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Beliefs:
             )
         wide = over_runs(variable, rows, bound.lead, 2).swapaxes(0, 1)
         mean[first:][..., positions(layout.slice, [variable])] = wide
-    return Beliefs(mean, np.zeros((*mean.shape, mean.shape[-1])))
+    return mean

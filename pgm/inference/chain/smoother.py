@@ -2,37 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from pgm.factors.scope import angle_mask
-from pgm.inference.chain import backward, cost, forward, grouped
-from pgm.inference.chain.backward import Beliefs, Reverse
+from pgm.inference.chain import backward, cost, forward, grouped, newton, parallel, reckoning
+from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Point, iterate
+from pgm.inference.chain.likelihoods import Readings
+from pgm.inference.chain.newton import Means
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.damping import LevenbergMarquardt
+from pgm.inference.family import Family
 from pgm.inference.schedule import ONCE, Smoothing
 from pgm.inference.status import Status
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, block
+from pgm.kernels.scan import gather
+from pgm.linearisers import Taylor
 
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A forward sweep, what reverses it, and the smoothed beliefs."""
+    """A forward sweep, what reverses it, and the smoothed beliefs.
 
-    forward: Forward
+    `paired` says whether neighbours' covariances are wanted where everything is relinearised.
+    """
+
+    forward: Ahead
     reverse: Reverse
     beliefs: Beliefs
+    paired: bool
 
     @classmethod
-    def of(cls, plan: ChainPlan, ahead: Forward) -> Smoothed:
-        """Sweep back."""
+    def of(cls, plan: ChainPlan, ahead: Ahead) -> Smoothed:
+        """Go back."""
         reverse = Reverse.make(plan, ahead)
-        return cls(ahead, reverse, backward.sweep(ahead, reverse))
+        paired = not plan.layout.single
+        return cls(ahead, reverse, backward.smoothed(ahead, reverse), paired)
 
     @property
     def means(self) -> Array:
@@ -41,28 +52,69 @@ class Smoothed:
 
     @cached_property
     def point(self) -> Point:
-        """Moments of slices and of pairs."""
-        pairs = backward.pairs(self.beliefs, self.reverse, slice(None))
-        return Point(self.beliefs.mean, self.beliefs.cov, pairs.cov)
+        """Moments of slices, and of pairs."""
+        joint = None
+        if self.paired:
+            joint = backward.pairs(self.beliefs, self.reverse, slice(None)).cov
+        return Point(self.beliefs.mean, self.beliefs.cov, joint)
 
     def at(self, plan: ChainPlan, mean: Array) -> Smoothed:
         """The same with other means."""
         reverse = self.reverse.moved(mean, plan.layout.state_places)
-        return Smoothed(self.forward, reverse, Beliefs(mean, self.beliefs.cov))
+        return Smoothed(self.forward, reverse, Beliefs(mean, self.beliefs.cov), self.paired)
 
 
-def smooth(plan: ChainPlan, schedule: Smoothing, start: Beliefs | None) -> tuple[Smoothed, Status]:
-    """Run a smoothing schedule; `start` are means of the slices for the first linearisation."""
+# The forward pass of a plan, given the means at which it was linearised, and an anchor.
+Pass = Callable[[ChainPlan, Array, Anchor | None], Ahead]
+
+
+def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
+    """Run a smoothing schedule, going forward step by step.
+
+    Parameters
+    ----------
+    plan : ChainPlan
+    schedule : Smoothing
+    start : ndarray or None
+        (T+1, runs, n): means of the slices for the first linearisation; without, it is that of the
+        filter.
+    """
     cost.require_cost(schedule, plan.families)
-    chain, first = _Chain(plan), None
+    chain = _Chain(plan, _swept)
     if start is None:
-        solution = Smoothed.of(plan, forward.run(plan, ONCE)[0])
-    else:
-        at = _start(plan, start)
-        chain.linearise(at, None)
-        solution = chain.solve()
-        # A start need not obey exact CPDs, as what is solved for does: it has no cost.
-        first = None if isinstance(schedule.damping, LevenbergMarquardt) else at
+        return _iterated(chain, schedule, Smoothed.of(plan, forward.run(plan, ONCE)[0]), None)
+    at = _start(plan, start)
+    chain.linearise(at, None)
+    return _from(chain, schedule, at)
+
+
+def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
+    """Run a smoothing schedule in rounds that are logarithmic in the number of steps.
+
+    Without a start, everything is linearised first along a dead-reckoned trajectory, since beliefs
+    are not to be waited for.
+    """
+    cost.require_cost(schedule, plan.families)
+    chain = _Chain(plan, parallel.filtered)
+    if plan.exact:
+        return _iterated(chain, schedule, Smoothed.of(plan, parallel.run(plan)), None)
+    at = reckoning.dead(plan) if start is None else _start(plan, start)
+    chain.linearise(at, None)
+    means = newton.step(plan, at.mean) if _is_newton(plan, schedule) else None
+    return _from(chain, schedule, at) if means is None else _newton(chain, means, schedule, at)
+
+
+def _from(chain: _Chain, schedule: Smoothing, at: Point) -> tuple[Smoothed, Status]:
+    """Solve what was linearised at a point, and iterate."""
+    # A start need not obey exact CPDs, as what is solved for does: it has no cost.
+    controlled = isinstance(schedule.damping, LevenbergMarquardt)
+    return _iterated(chain, schedule, chain.solve(), None if controlled else at)
+
+
+def _iterated(
+    chain: _Chain, schedule: Smoothing, solution: Smoothed, first: Point | None
+) -> tuple[Smoothed, Status]:
+    plan = chain.plan
     if schedule.iterations == 1 or plan.exact:
         return solution, Status.of([], np.full(plan.runs, plan.exact), plan.lead)
     result = iterate(chain, solution, schedule, np.zeros(plan.runs, dtype=bool), first)
@@ -72,62 +124,112 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Beliefs | None) -> tuple
     return smoothed, Status.of(result.residuals, result.converged, plan.lead)
 
 
-@dataclass(frozen=True, eq=False)
+def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
+    """Whether iterations need no covariances."""
+    several = schedule.iterations > 1 and not isinstance(schedule.damping, LevenbergMarquardt)
+    return several and all(map(_pointwise, plan.families))
+
+
+def _newton(chain: _Chain, means: Means, schedule: Smoothing, at: Point) -> tuple[Smoothed, Status]:
+    """Iterate on means alone, and solve for everything as it was linearised last."""
+    unsettled = np.zeros(chain.plan.runs, dtype=bool)
+    result = iterate(_Means(chain), means, schedule, unsettled, at)
+    readings = result.solution.readings
+    ahead = parallel.filtered(chain.plan, readings.reference, readings=readings)
+    status = Status.of(result.residuals, result.converged, chain.plan.lead)
+    return Smoothed.of(chain.plan, ahead), status
+
+
+def _swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Forward:
+    return forward.sweep(plan, anchor)
+
+
+@dataclass(eq=False)
 class _Chain:
     """All CPDs of a chain, to be linearised anywhere and solved."""
 
     plan: ChainPlan
+    forward: Pass
+    at: Array | None = None
 
     def linearise(self, at: Point, active: Mask | None) -> None:
-        relinearise(self.plan, at, active)
+        relinearise(self.plan, at, None if active is None or active.all() else active)
+        self.at = at.mean
 
     def solve(self, anchor: Anchor | None = None) -> Smoothed:
-        return Smoothed.of(self.plan, forward.sweep(self.plan, anchor))
+        assert self.at is not None
+        return Smoothed.of(self.plan, self.forward(self.plan, self.at, anchor))
 
     def cost(self, at: Point) -> Array:
         return cost.trajectory(self.plan, at)
 
 
+@dataclass(frozen=True, eq=False)
+class _Means:
+    """The same, to be solved for its means alone."""
+
+    chain: _Chain
+
+    def linearise(self, at: Point, active: Mask | None) -> None:
+        self.chain.linearise(at, active)
+
+    def solve(self, anchor: Anchor | None = None) -> Means:
+        assert self.chain.at is not None
+        plan, at = self.chain.plan, self.chain.at
+        found = newton.step(plan, at)
+        if found is not None:
+            return found
+        # Rounding has left the normal equations without a solution.
+        solution = self.chain.solve()
+        pair = plan.layout.state_size + plan.layout.slice_size
+        return Means(solution.means, solution.point.std**2, Readings.of(plan, at), pair)
+
+    def cost(self, at: Point) -> Array:
+        return self.chain.cost(at)
+
+
 def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
     """Linearise every CPD at given beliefs over its hidden parents, all steps in one call each."""
-    states = plan.layout.state_places
     everything = slice(None)
-    for links, (mean, cov) in ((plan.prior, at.start(states)), (plan.transition, at.pairs(states))):
-        for link in links:
-            family, parents = link.family, link.parents
-            if family.exact or not family.step.size:
-                continue
-            family.linearise(everything, mean[..., parents], block(cov, parents, parents), active)
-            family.to_chart(mean[..., parents], mean[..., link.child])
+    for link, mean, cov, child in cost.linked(plan, at):
+        family = link.family
+        if not family.exact:
+            family.linearise(everything, mean, cov, active)
+            family.to_chart(mean, child)
     for sensor in plan.sensors:
         family, parents = sensor.family, sensor.parents
         if not family.step.size:
             continue
-        mean = at.mean[family.step][..., parents]
+        mean = gather(at.mean, family.step)[..., parents]
         if sensor.grouped:
             counts = np.diff(sensor.bounds)
             for count in np.unique(counts[counts > 0]):
                 steps = np.flatnonzero(counts == count)
                 grouped.linearise(sensor, steps, at.mean[steps], at.cov[steps], active)
         elif not family.exact:
-            cov = block(at.cov[family.step], parents, parents)
-            family.linearise(everything, mean, cov, active)
+            cov = at.cov[:1] if _pointwise(family) else gather(at.cov, family.step)
+            cov = np.broadcast_to(cov, (family.step.size, *cov.shape[1:]))
+            family.linearise(everything, mean, block(cov, parents, parents), active)
         sensor.move(everything, family.value(everything, mean), active)
 
 
-def _start(plan: ChainPlan, start: Beliefs) -> Point:
+def _pointwise(family: Family) -> bool:
+    """Whether a linearisation does not depend on the covariance."""
+    template = family.template
+    return template is None or (isinstance(family.lineariser, Taylor) and not template.numerical)
+
+
+def _start(plan: ChainPlan, start: Array) -> Point:
     """A start as a point without spread, its angles without whole turns, from the prior's on."""
     layout = plan.layout
-    size = layout.state_size + layout.slice_size
-    joint = np.zeros((plan.steps, plan.runs, size, size))
     angles = angle_mask(layout.slice)
     angles[layout.control_places] = False
     if not angles.any():
-        return Point(start.mean, start.cov, joint)
-    mean = start.mean.copy()
+        return reckoning.without_spread(plan, start)
+    mean = start.copy()
     first, _ = forward.start(plan, linearise=True)
     prior = mean[0].copy()
     prior[:, layout.state_places] = first
     mean[0] = nearest_branch(mean[0], prior, angles)
     mean[..., angles] = np.unwrap(mean[..., angles], axis=0)
-    return Point(mean, start.cov, joint)
+    return reckoning.without_spread(plan, mean)

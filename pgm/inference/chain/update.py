@@ -90,13 +90,15 @@ def linearise_sensor(
     """Linearise each sighting of a step by itself, or all as one where they are grouped."""
     family, parents, rows = sensor.family, sensor.parents, sensor.rows(step)
     count = rows.stop - rows.start
-    at = np.broadcast_to(mean[:, parents], (count, *mean[:, parents].shape))
+    at, spread = mean[:, parents], block(cov, parents, parents)
     if sensor.grouped:
         grouped.linearise(sensor, np.array([step]), mean[None], cov[None], active)
+    elif not family.exact and count == 1:
+        family.linearise(rows.start, at, spread, active)
     elif not family.exact:
-        spread = block(cov, parents, parents)
-        family.linearise(rows, at, np.broadcast_to(spread, (count, *spread.shape)), active)
-    sensor.move(rows, family.value(rows, at), active)
+        every = np.broadcast_to(spread, (count, *spread.shape))
+        family.linearise(rows, np.broadcast_to(at, (count, *at.shape)), every, active)
+    sensor.move(rows, family.value(rows, at[None]), active)
 
 
 def stack(due: Due, step: int, mean: Array) -> tuple[Array, Array, Array, Array | None]:
@@ -141,7 +143,8 @@ def stack(due: Due, step: int, mean: Array) -> tuple[Array, Array, Array, Array 
 def _residual(sensor: Sensor, rows: slice, mean: Array) -> tuple[Array, Array, Array, Mask | None]:
     matrix, value, noise, taken = sensor.reading(rows)
     predicted = apply(matrix, mean[:, sensor.parents]) + sensor.family.offset[rows]
-    return matrix, value - predicted, noise, taken
+    residual = np.subtract(value, predicted, out=predicted)  # in memory as beliefs are
+    return matrix, residual, noise, taken
 
 
 def _refuse_indefinite(due: Due, step: int) -> None:
@@ -176,10 +179,11 @@ def _refuse_contradiction(due: Due, step: int, mean: Array, left: Array) -> None
     run, place = (int(axis[0]) for axis in np.nonzero(far))
     heights = [(rows.stop - rows.start) * sensor.moved.shape[2] for sensor, rows in due]
     sensor, rows = due[int(np.searchsorted(np.cumsum(heights), place, side="right"))]
+    which = sensor.family.first_run + run
     raise NumericalError(
-        f"a reading of {sensor.variable!r} at step {step}, run {run}, contradicts an exact model: "
-        f"it is {left[run, place]:.3g} from a value that is certain; give the sensor, the motion "
-        "or the prior some noise",
+        f"a reading of {sensor.variable!r} at step {step}, run {which}, contradicts an exact "
+        f"model: it is {left[run, place]:.3g} from a value that is certain; give the sensor, the "
+        "motion or the prior some noise",
         variable=sensor.variable,
         cpd=sensor.family.cpd,
         step=step,

@@ -1,0 +1,151 @@
+"""Messages and cluster beliefs of a balanced tree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.clustergraph import Cluster
+from pgm.compile import BalancedGraph
+from pgm.errors import GraphError
+from pgm.factors import CanonicalForm
+from pgm.inference.chain.backward import transition
+from pgm.inference.chain.information import absorbed
+from pgm.inference.chain.posterior import ChainPosterior
+from pgm.kernels import canonical
+from pgm.kernels.arrays import block
+from pgm.kernels.canonical import Canonical
+from pgm.kernels.elements import Element, compose
+from pgm.kernels.scan import take
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BalancedPosterior(ChainPosterior):
+    """The beliefs of a balanced cluster tree after a schedule of messages.
+
+    All is as on a chain of slices but the messages and the beliefs of clusters. After smoothing
+    they are those of calibration. After filtering the messages down are those of a prefix scan:
+    they know the readings up to a segment alone, and nothing is sent back to cluster 0.
+
+    Attributes
+    ----------
+    graph : BalancedGraph
+    """
+
+    graph: BalancedGraph
+
+    def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
+        """The message from one cluster to a neighbour, over their sepset, unnormalised.
+
+        Of a segment from a to b, x its states at a and y those at b:
+
+            up     p(y, readings after a up to b | x),
+            down   p(x, readings up to a) p(readings after b | y),
+
+        the latter without its second factor after filtering. Cluster 0 sends up p(x[0], readings
+        at 0) and is sent down p(readings after 0 | x[0]).
+
+        Raises
+        ------
+        GraphError
+            If the clusters are not joined, or the message was not sent.
+        NumericalError
+            If the message has no canonical form.
+        """
+        graph = self.graph
+        source, target = graph.index(source), graph.index(target)
+        scope = graph.sepsets[source, target]
+        up = graph.parent(source) == target
+        first, last = graph.segment(source if up else target)
+        if up:
+            parts = self._segment(first, last) if last else self._past(0)
+        elif last:
+            parts = _side_by_side(self._past(first), self._future(last))
+        elif self._smoothed is not None:
+            parts = self._future(0)
+        else:
+            raise GraphError(
+                f"the message from cluster {source} to {target} was not sent: filtering sends "
+                "nothing back to the start; use schedule=pgm.Smoothing()",
+                cluster=source,
+            )
+        return self._form(scope, parts, f"the message from cluster {source} to {target}", source)
+
+    def belief(self, cluster: int | Cluster) -> CanonicalForm:
+        """The belief of a cluster over its hidden variables, unnormalised.
+
+        Its integral is the evidence that its messages know: all of it after smoothing, that up to
+        the end of its segment after filtering.
+
+        Raises
+        ------
+        NumericalError
+            If the belief has no canonical form, since its covariance is singular.
+        """
+        index = self.graph.index(cluster)
+        if index <= self.graph.steps:
+            return super().belief(index)
+        scope = self.graph.cluster(index).scope
+        _, last = self.graph.segment(index)
+        known = self._forward.log_density
+        weight = (known if self._smoothed is not None else known[: last + 1]).sum(axis=0)
+        joint = self.joint(*scope)
+        runs, size = self._plan.runs, joint.mean.shape[-1]
+        parts = canonical.from_moments(
+            joint.mean.reshape(runs, size), joint.cov.reshape(runs, size, size), weight
+        )
+        return self._form(scope, parts, f"the belief of cluster {index}", index)
+
+    def _future(self, step: int) -> Canonical:
+        """The likelihood of the readings after a step, those that were heard of."""
+        if self._smoothed is not None:
+            return self._backward_messages[step]
+        size = self.graph.layout.state_size
+        runs = self._plan.runs
+        return np.zeros((runs, size, size)), np.zeros((runs, size)), np.zeros(runs)
+
+    def _segment(self, first: int, last: int) -> Canonical:
+        """The element of a segment, about the filtered means at its ends, moved to the origin."""
+        whole = _composed(self._leaves(first, last))
+        precision, h, g = (part[0] for part in canonical.from_affine(*whole[:3]))
+        # The right end comes first in the form of a conditional.
+        size = self.graph.layout.state_size
+        order = np.roll(np.arange(2 * size), size)
+        precision, h = block(precision, order, order), h[..., order]
+        precision[..., :size, :size] += whole.K[0]
+        h[..., :size] += whole.h[0]
+        assert whole.g is not None
+        places = self.graph.layout.state_places
+        ends = [self._forward.mean[step][..., places] for step in (first, last)]
+        return canonical.shift(precision, h, g + whole.g[0], np.concatenate(ends, axis=-1))
+
+    def _leaves(self, first: int, last: int) -> Element:
+        """The elements of the steps after the first up to the last, steps first."""
+        conditionals = transition(self._plan)
+        size, runs = self.graph.layout.state_size, self._plan.runs
+        nothing = np.zeros((runs, size, size)), np.zeros((runs, size)), np.zeros(runs)
+        rows = []
+        for later in range(first + 1, last + 1):
+            conditional, likelihood = absorbed(self._plan, self._forward, conditionals, later)
+            rows.append((*conditional, *(likelihood or nothing)))
+        return Element(*(np.stack(parts) for parts in zip(*rows, strict=True)))
+
+
+def _composed(segments: Element) -> Element:
+    """All segments, (S, ...), as one: in as many rounds as the tree has levels."""
+    while (count := segments.F.shape[0]) > 1:
+        even = count - count % 2
+        pairs = compose(take(segments, slice(0, even, 2)), take(segments, slice(1, even, 2)))
+        rest = take(segments, slice(even, None))
+        both = zip(pairs, rest, strict=True)
+        segments = Element(*(np.concatenate([a, b]) for a, b in both if a is not None))
+    return segments
+
+
+def _side_by_side(left: Canonical, right: Canonical) -> Canonical:
+    """The product of two forms over different variables."""
+    size = left[1].shape[-1]
+    precision = np.zeros((*left[1].shape[:-1], 2 * size, 2 * size))
+    precision[..., :size, :size], precision[..., size:, size:] = left[0], right[0]
+    return precision, np.concatenate([left[1], right[1]], axis=-1), left[2] + right[2]

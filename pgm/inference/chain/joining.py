@@ -1,0 +1,90 @@
+"""Posteriors of parts of the runs as one posterior of them all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from pgm.compile import DynamicGraph
+from pgm.evidence import BoundEvidence
+from pgm.inference.chain.backward import Beliefs, Reverse
+from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.plan import ChainPlan, Sensor
+from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.family import Family
+from pgm.inference.status import Status
+from pgm.kernels.arrays import Array
+from pgm.linearisers import Lineariser
+
+
+def joined(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    found: Sequence[ChainPosterior],
+) -> ChainPosterior:
+    """What one run of everything would have left."""
+    plan = ChainPlan.make(graph, bound, lineariser, probe=False)
+    plans = [each._plan for each in found]
+    for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
+        _family(family, families)
+    for sensor, *sensors in zip(plan.sensors, *(p.sensors for p in plans), strict=True):
+        _sensor(sensor, sensors)
+    return type(found[0])(
+        graph,
+        one_status((each.status for each in found), bound.lead),
+        plan,
+        _along_runs(Forward, [each._forward for each in found]),
+        _along_runs(Beliefs, [each._smoothed for each in found]),
+        _along_runs(Reverse, [each._reverse_given for each in found]),
+    )
+
+
+def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
+    """One status of all runs; a part that was done earlier keeps its last residuals."""
+    every = tuple(statuses)
+    longest = max(len(status.residuals) for status in every)
+    records = []
+    for status in every:
+        record = status.residuals.reshape(len(status.residuals), status.converged.size)
+        last = record[-1:].repeat(longest - len(record), axis=0)
+        records.append(np.concatenate([record, last]))
+    converged = np.concatenate([status.converged.reshape(-1) for status in every])
+    return Status.of(list(np.concatenate(records, axis=1)), converged, lead)
+
+
+def _family(whole: Family, parts: list[Family]) -> None:
+    if whole.exact:
+        return
+    whole.matrix = np.concatenate([part.matrix for part in parts], axis=1)
+    whole.offset = np.concatenate([part.offset for part in parts], axis=1)
+    whole.approximate = any(part.approximate for part in parts)
+    if whole.approximate:
+        whole.noise = np.concatenate([part.noise for part in parts], axis=1)
+
+
+def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
+    whole.moved = np.concatenate([part.moved for part in parts], axis=1)
+    for step in {step for part in parts for step in part.cross}:
+        some = next(part.cross[step] for part in parts if step in part.cross)
+
+        def cross(part: Sensor, step: int = step, some: Array = some) -> Array:
+            return part.cross.get(step, np.zeros((part.moved.shape[1], *some.shape[1:])))
+
+        whole.cross[step] = np.concatenate([cross(part) for part in parts])
+
+
+def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
+    """An array with the runs as second axis, or a value made of such, from those of its parts."""
+    if parts[0] is None:
+        return None
+    if issubclass(kind, np.ndarray):
+        return np.concatenate(parts, axis=1)
+    found = {}
+    for name in getattr(kind, "_fields", None) or [field.name for field in fields(kind)]:
+        values = [getattr(part, name) for part in parts]
+        found[name] = _along_runs(type(values[0]), values)
+    return kind(**found)

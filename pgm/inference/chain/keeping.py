@@ -1,0 +1,113 @@
+"""Running a schedule on a chain: all runs at once, or in parts, of which little may be kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from pgm.compile import DynamicGraph, SliceLayout
+from pgm.errors import EvidenceError, ModelError
+from pgm.evidence import BoundEvidence
+from pgm.factors import Gaussian
+from pgm.factors.scope import Scope, as_scope, listed
+from pgm.inference.chain.joining import joined, one_status
+from pgm.inference.chain.kept import KeptPosterior
+from pgm.inference.chain.parts import Part, each, split
+from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.run import run as run_chain
+from pgm.inference.schedule import Schedule
+from pgm.inference.start import Start
+from pgm.inference.status import Status
+from pgm.kernels.arrays import Array, frozen
+from pgm.linearisers import Lineariser
+from pgm.variables import Variable
+
+Keep = Variable | Iterable[Variable]
+
+
+def run(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    schedule: Schedule | None,
+    lineariser: Lineariser,
+    start: Start | None,
+    keep: Keep | None,
+    threads: int,
+) -> ChainPosterior | KeptPosterior:
+    """Send the messages of a schedule.
+
+    Parameters
+    ----------
+    graph, bound, schedule, lineariser, start
+        As `run` of a chain takes them.
+    keep : Variable or iterable of Variable, or None
+        Whose marginals alone are kept, which bounds what is held at a time; None for everything.
+    threads : int
+        How many threads share the parts.
+    """
+    if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or threads < 1:
+        raise ModelError(f"threads must be a whole number, 1 or more, not {threads!r}")
+    kept = None if keep is None else _hidden(graph.layout, keep)
+    if kept is None and threads == 1:
+        return run_chain(graph, bound, schedule, lineariser, start)
+
+    def solve(part: Part) -> ChainPosterior:
+        return run_chain(part.graph, part.bound, schedule, lineariser, part.start)
+
+    parts = split(graph, bound, lineariser, start, threads)
+    if kept is None:
+        found = list(each(solve, parts, threads))
+        return found[0] if len(found) == 1 else joined(graph, bound, lineariser, found)
+    room = {variable: _room(graph.layout, bound, variable) for variable in kept}
+    log_evidence = np.empty(bound.runs)
+
+    def reduce(part: Part) -> tuple[Status, str]:
+        found = solve(part)
+        for variable, (mean, cov) in room.items():
+            belief = found[variable]
+            mean[part.runs] = belief.mean.reshape(mean[part.runs].shape)
+            cov[part.runs] = belief.cov.reshape(cov[part.runs].shape)
+        log_evidence[part.runs] = found.log_evidence.reshape(-1)
+        return found.status, found.log_evidence_kind
+
+    statuses, kinds = zip(*each(reduce, parts, threads), strict=True)
+    return KeptPosterior(
+        graph,
+        one_status(statuses, bound.lead),
+        _gaussians(room, bound),
+        frozen(log_evidence.reshape(bound.lead)),
+        kinds[0] if len(set(kinds)) == 1 else "linearised",  # a fixed point is one of all runs
+    )
+
+
+def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
+    kept = as_scope(keep, "keep")
+    for variable in kept:
+        if variable not in layout.slice:
+            raise EvidenceError(
+                f"keep has {variable!r}, which is not hidden; it takes {listed(layout.slice)}",
+                variable=variable,
+            )
+    return kept
+
+
+def _room(layout: SliceLayout, bound: BoundEvidence, variable: Variable) -> tuple[Array, Array]:
+    """Room for means (runs, steps, d) and covariances (runs, steps, d, d)."""
+    steps = bound.steps + (variable in layout.states)
+    shape = (bound.runs, steps, variable.dimension)
+    return np.empty(shape), np.empty((*shape, variable.dimension))
+
+
+def _gaussians(
+    room: Mapping[Variable, tuple[Array, Array]], bound: BoundEvidence
+) -> dict[Variable, Gaussian]:
+    return {
+        variable: Gaussian._make(
+            (variable,),
+            mean.reshape(*bound.lead, *mean.shape[1:]),
+            cov.reshape(*bound.lead, *cov.shape[1:]),
+            np.arange(bound.steps + 1 - mean.shape[1], bound.steps + 1),
+        )
+        for variable, (mean, cov) in room.items()
+    }

@@ -1,0 +1,137 @@
+"""The CPDs of many runs, prepared for one step after another; arrays have the runs last."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.inference.chain.forward import is_semidefinite, keep_chart
+from pgm.inference.chain.plan import Link, Sensor
+from pgm.inference.family import Family
+from pgm.kernels import along_runs
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array
+from pgm.linearisers.many import Line, prepare
+
+
+def runs_last(array: Array) -> Array:
+    """Rows of runs, (rows, runs, ...), with the runs last; one run where it stands for all."""
+    if array.strides[1] == 0:
+        array = array[:, :1]
+    return np.moveaxis(array, 1, -1)
+
+
+class Prepared:
+    """A family with its arrays, and the lean form of its lineariser."""
+
+    @staticmethod
+    def ordinary(family: Family) -> bool:
+        """Whether the noise leaves no component out, and any function has hidden parents."""
+        variances = np.diagonal(family.own_noise, axis1=-2, axis2=-1)
+        return bool((variances > 0.0).all()) and bool(family.exact or family.hidden)
+
+    def __init__(self, family: Family) -> None:
+        self.family, template = family, family.template
+        if not family.taylor:
+            family.keep_errors()
+        self.matrix, self.offset = runs_last(family.matrix), runs_last(family.offset)
+        self.noise, self.own = runs_last(family.noise), runs_last(family.own_noise)
+        self.steps = family.step.tolist()
+        self.lineariser = None if template is None else prepare(template, family.lineariser)
+        self.known = [
+            _readable(family.inputs[parent]) if parent in family.inputs else None
+            for parent in (() if template is None else template.given)
+        ]
+
+    def value(self, row: int, mean: Array, cov: Array) -> Array:
+        """Linearise a row at beliefs (n, runs): F μ + b, (d, runs)."""
+        line = self._line(row, mean, cov)
+        if line is None:
+            if not self.family.exact:
+                self.family.linearise(row, mean.T, np.moveaxis(cov, -1, 0))
+            value: Array = np.einsum("ijr,jr->ir", self.matrix[row], mean)
+            value += self.offset[row]
+            return value
+        matrix, value, error = line
+        kept, offset = self.matrix[row], self.offset[row]
+        kept[...] = matrix
+        np.einsum("ijr,jr->ir", kept, mean, out=offset)
+        np.subtract(value, offset, out=offset)
+        if error is not None:
+            np.add(error, self.own[row if len(self.own) > 1 else 0], out=self.noise[row])
+        return value
+
+    def _line(self, row: int, mean: Array, cov: Array) -> Line | None:
+        if self.lineariser is None:
+            return None
+        known = [None if values is None else values[row] for values in self.known]
+        return self.lineariser(known, self.steps[row], mean, cov)
+
+    def settle(self, *, lost: bool) -> None:
+        """Have no room for errors that there are not."""
+        if not self.family.taylor and (lost or not self.family.erroneous):
+            self.family.forget_errors()
+
+
+class Move(Prepared):
+    """The transition."""
+
+    @staticmethod
+    def suits(link: Link) -> bool:
+        """Whether it can be prepared: its errors make no prediction indefinite."""
+        family = link.family
+        return Prepared.ordinary(family) and (family.taylor or is_semidefinite(family))
+
+    def __init__(self, link: Link) -> None:
+        super().__init__(link.family)
+        self.link = link
+        self.turning = list(zip(link.angles.tolist(), link.before.tolist(), strict=True))
+
+    def predict(self, row: int, mean: Array, cov: Array, out: tuple[Array, Array]) -> None:
+        """Put the moments of the step after into `out`."""
+        new_mean, new_cov = out
+        new_mean[...] = self.value(row, mean, cov)
+        along_runs.push(cov, self.matrix[row], self.noise[row], new_cov)
+        if any(np.abs(new_mean[new] - mean[old]).max() > np.pi for new, old in self.turning):
+            keep_chart(self.link, row, mean.T, new_mean.T)
+
+
+class Read(Prepared):
+    """A sensor."""
+
+    @staticmethod
+    def suits(sensor: Sensor, width: int) -> bool:
+        """Whether it can be prepared: all is read, with some noise, of the whole state."""
+        return (
+            Prepared.ordinary(sensor.family)
+            and sensor.taken is None
+            and not sensor.grouped
+            and not sensor.exact
+            and isinstance(sensor.parents, slice)
+            and sensor.parents == slice(0, width)
+        )
+
+    def __init__(self, sensor: Sensor) -> None:
+        super().__init__(sensor.family)
+        self.bounds = sensor.bounds
+        self.values, self.moved = runs_last(sensor.values), runs_last(sensor.moved)
+        self.angles = np.flatnonzero(sensor.variable.angle_mask).tolist()
+
+    def read(self, row: int, mean: Array, cov: Array) -> tuple[Array, Array, Array]:
+        """A reading linearised at a belief: H, residual, noise."""
+        value = self.value(row, mean, cov)
+        residual: Array = self.values[row] - value
+        for k in self.angles:
+            if np.abs(residual[k]).max() > np.pi:
+                turns = TURN * np.round(residual[k] / TURN)
+                residual[k] -= turns
+                np.subtract(self.values[row, k], turns, out=self.moved[row, k])
+        return self.matrix[row], residual, self.noise[row]
+
+
+def _readable(values: Array) -> Array:
+    """Contiguous and read-only, since functions of users see them."""
+    rows = np.ascontiguousarray(values)
+    if rows is values:
+        rows = rows.view()
+    rows.flags.writeable = False
+    return rows

@@ -1,0 +1,213 @@
+"""Both passes over a chain as scans: 2 log₂ T rounds each, every round one batched call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.errors import NumericalError
+from pgm.inference.chain import forward, newton, segments
+from pgm.inference.chain.backward import Ahead
+from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.iteration import Anchor
+from pgm.inference.chain.likelihoods import Readings, know
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.update import sensors_due, update
+from pgm.inference.schedule import ONCE
+from pgm.kernels import conditionals, elements
+from pgm.kernels.arrays import Array, deviation, room
+from pgm.kernels.conditionals import Map, Moments, Value
+from pgm.kernels.elements import Belief
+from pgm.kernels.moments import Conditional
+from pgm.kernels.scan import gather, in_chunks, levels, prefixes, take
+
+# Beliefs this many deviations from the reference leave too few digits: they are solved for again.
+_FAR = 1e4
+_TRIES = 5
+# Predictions as large as this are of no use.
+_BEYOND = 1e30
+
+
+@dataclass(frozen=True, eq=False)
+class Scanned:
+    """What a forward scan leaves: `Forward`, whose log-densities are computed when asked for.
+
+    They take the plan as it is linearised, so that they are to be asked for before it is again.
+    """
+
+    predicted_mean: Array
+    predicted_cov: Array
+    mean: Array
+    cov: Array
+    log_density: Callable[[], Array]
+
+
+def whole(ahead: Ahead) -> Forward:
+    """All of a forward pass."""
+    if isinstance(ahead, Scanned):
+        predicted = ahead.predicted_mean, ahead.predicted_cov
+        return Forward(*predicted, ahead.mean, ahead.cov, ahead.log_density())
+    assert isinstance(ahead, Forward)
+    return ahead
+
+
+def filtered(
+    plan: ChainPlan,
+    reference: Array,
+    anchor: Anchor | None = None,
+    readings: Readings | None = None,
+) -> Scanned:
+    """The forward pass with every CPD as it is laid out, as `forward.sweep` gives it.
+
+    Parameters
+    ----------
+    plan : ChainPlan
+    reference : ndarray
+        (T+1, runs, n): a trajectory near the beliefs, such as that at which the plan was
+        linearised. Elements are about it, so that large coordinates cost no digits.
+    anchor : Anchor, optional
+    readings : Readings, optional
+        Those of the plan about the reference, where they are known.
+    """
+    readings = Readings.of(plan, reference) if readings is None else readings
+    return _solve(plan, segments.steps(plan), _first(plan, anchor), readings, anchor)
+
+
+def run(plan: ChainPlan) -> Ahead:
+    """The forward pass of an affine model, as `forward.run` gives it.
+
+    It is about a guess of the means. Where that is far from the beliefs, or has led an angle's
+    reading to another branch than the prediction does, it is repeated about what was found; and
+    where that does not end soon, the pass goes step by step.
+    """
+    moves = segments.steps(plan)
+    reference = _guess(plan, moves)
+    first = _first(plan, None)
+    for _ in range(_TRIES):
+        found = _solve(plan, moves, first, Readings.of(plan, reference), None)
+        std = deviation(found.cov)
+        far = (np.abs(found.mean - reference) > _FAR * std) & (std > 0.0)
+        if not _move(plan, found.predicted_mean) and not far.any():
+            return found
+        reference = found.mean
+    return forward.run(plan, ONCE)[0]
+
+
+def _guess(plan: ChainPlan, moves: Conditional) -> Array:
+    """Means near the beliefs: the solution for means alone, or what the prior's means lead to."""
+    start = _start(plan).mean
+    if not any(sensor.variable.angle_mask.any() for sensor in plan.sensors):
+        found = newton.step(plan, np.broadcast_to(start, (plan.steps + 1, *start.shape)))
+        if found is not None:
+            return found.means
+    reference = _predicted(moves, start)
+    _move(plan, reference)
+    return reference
+
+
+def _move(plan: ChainPlan, mean: Array) -> bool:
+    """Move readings of angles to the branch nearest to means; whether one has changed."""
+    changed = False
+    for sensor in plan.sensors:
+        if sensor.variable.angle_mask.any() and sensor.family.step.size:
+            before = sensor.moved.copy()
+            at = gather(mean, sensor.family.step)[..., sensor.parents]
+            sensor.move(slice(None), sensor.family.value(slice(None), at))
+            changed |= not np.array_equal(before, sensor.moved, equal_nan=True)
+    return changed
+
+
+class _First(NamedTuple):
+    """The slice at step 0 before and after its readings, and their log-density, (runs,)."""
+
+    predicted: Belief
+    known: Belief
+    log_density: Array
+
+
+def _first(plan: ChainPlan, anchor: Anchor | None) -> _First:
+    predicted = _start(plan)
+    mean, cov, log_density = update(sensors_due(plan.sensors, 0), 0, predicted.mean, predicted.cov)
+    if anchor is not None:
+        mean, cov = anchor.hold(0, mean, cov)
+    return _First(predicted, Belief(mean, cov), log_density)
+
+
+def _start(plan: ChainPlan) -> Belief:
+    """The slice at step 0 before its readings."""
+    size, states = plan.layout.slice_size, plan.layout.state_places
+    mean, cov = np.zeros((plan.runs, size)), np.zeros((plan.runs, size, size))
+    mean[:, states], known = forward.start(plan, linearise=False)
+    forward.put(cov, states, known)
+    return Belief(mean, cov)
+
+
+def _solve(
+    plan: ChainPlan, moves: Conditional, first: _First, readings: Readings, anchor: Anchor | None
+) -> Scanned:
+    reference = readings.reference
+    near = segments.about(moves, reference)
+    known = _from(first.known, reference[0], plan.steps)
+    predicted = _from(first.predicted, reference[0], plan.steps)
+    evidence = np.zeros((plan.steps + 1, plan.runs))
+    if plan.steps:
+        likelihood = readings.held(anchor)
+        leaves = segments.leaves(near, likelihood, readings.stacks)
+        start = Belief(known.mean[:1], known.cov[:1])
+        before = prefixes(start, levels(leaves, elements.compose), elements.push)
+        known.mean[1:], known.cov[1:], evidence[1:] = in_chunks(
+            know, before, take(likelihood, slice(1, None))
+        )
+        if not np.isfinite(known.mean.sum() + known.cov.sum()):
+            _refuse(known)
+        if readings.stacks:
+            # They are in the beliefs already.
+            before = in_chunks(conditionals.push, take(known, slice(None, -1)), near)
+        predicted.mean[1:], predicted.cov[1:] = before[:2]
+
+    def log_density() -> Array:
+        total = evidence + readings.log_density(known.mean, predicted)
+        total[0] = first.log_density
+        return total
+
+    return Scanned(
+        predicted.mean + reference,
+        predicted.cov,
+        known.mean + reference,
+        known.cov,
+        log_density,
+    )
+
+
+def _from(belief: Belief, reference: Array, steps: int) -> Moments:
+    """Room for the moments at all steps, with those of the first as deviations."""
+    runs, size = belief.mean.shape
+    out = Moments(room((steps + 1, runs), (size,)), room((steps + 1, runs), (size, size)))
+    out.mean[0], out.cov[0] = belief.mean - reference, belief.cov
+    return out
+
+
+def _predicted(moves: Conditional, start: Array) -> Array:
+    """What the transition makes of the prior's means, without any reading, (T+1, runs, n)."""
+    out = room((moves.offset.shape[0] + 1, start.shape[0]), start.shape[1:])
+    out[0] = start
+    if len(out) > 1:
+        # An unstable transition leads beyond all numbers where readings hold the beliefs.
+        with np.errstate(over="ignore", invalid="ignore"):
+            tree = levels(Map(moves.matrix, moves.offset), conditionals.after)
+            out[1:] = prefixes(Value(start[None]), tree, conditionals.send).value
+    return np.where(np.abs(out) < _BEYOND, out, start)
+
+
+def _refuse(known: Moments) -> None:
+    bad = ~np.isfinite(known.cov).all(axis=(1, 2, 3)) | ~np.isfinite(known.mean).all(axis=(1, 2))
+    step = int(np.flatnonzero(bad)[0])
+    raise NumericalError(
+        f"the covariance of a transition or belief about step {step} is indefinite or not finite, "
+        "so that the steps up to it have no element; use a rule with positive weights or more "
+        "samples, or compile without pgm.Balanced(), for a chain of slices",
+        step=step,
+    )

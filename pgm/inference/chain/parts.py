@@ -1,0 +1,151 @@
+"""Many runs worked through in parts: each is planned, run, reduced to what is kept, and freed."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.compile.dynamic import DynamicGraph
+from pgm.cpds import ConditionalGaussian, NonlinearGaussianCPD
+from pgm.evidence import BoundEvidence
+from pgm.evidence.arrays import as_rows
+from pgm.evidence.runs import flat
+from pgm.inference.start import Start, over_runs, require_hidden
+from pgm.kernels.arrays import Array
+from pgm.linearisers import Lineariser
+
+# What the working arrays of all parts at work may take, in bytes.
+ROOM = 512 * 2**20
+# Runs to a part at the most: with more, the numbers of a step leave the processor's cache.
+MOST = 4096
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some of the runs, with their own share of everything that differs between runs.
+
+    Attributes
+    ----------
+    runs : slice
+        Which of all runs, their axes as one.
+    graph, bound, start
+        As they would be if there were no other runs.
+    """
+
+    runs: slice
+    graph: DynamicGraph
+    bound: BoundEvidence
+    start: Start | None
+
+
+def split(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    start: Start | None,
+    threads: int,
+) -> Iterator[Part]:
+    """The parts in turn, none larger than the room for it, and as many as threads can share."""
+    size = _size(graph, bound, lineariser, threads)
+    if size >= bound.runs:
+        yield Part(slice(0, bound.runs), graph, bound, start)
+        return
+    if start is not None:
+        require_hidden(start, graph.layout.slice)
+        start = {v: over_runs(v, as_rows(v, a, "T+1"), bound.lead, 2) for v, a in start.items()}
+    edges = [*range(0, bound.runs, size), bound.runs]
+    for runs in (slice(first, last) for first, last in pairwise(edges)):
+        own = None if start is None else {v: np.asarray(a)[runs] for v, a in start.items()}
+        yield Part(runs, _graph(graph, bound.lead, runs), _evidence(bound, runs), own)
+
+
+def each(work: Callable[[Part], T], parts: Iterable[Part], threads: int) -> Iterator[T]:
+    """What the work makes of each part, in their order, done by so many threads."""
+    if threads == 1:
+        yield from map(work, parts)
+        return
+    from concurrent.futures import ThreadPoolExecutor  # here, since few need it
+
+    with ThreadPoolExecutor(threads) as pool:
+        yield from pool.map(work, parts)
+
+
+def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, threads: int) -> int:
+    """Runs to a part."""
+    model = graph.model
+    rules = [lineariser]
+    for cpd in (*model.prior, *model.transition, *model.observation):
+        if isinstance(cpd, NonlinearGaussianCPD) and cpd.lineariser is not None:
+            rules.append(cpd.lineariser)
+    if any(getattr(rule, "fresh_per_run", False) for rule in rules):
+        return bound.runs  # what a run draws depends on how many come before it
+    # About ten matrices and vectors of the slice for each step, five of each reading.
+    width = graph.layout.slice_size + graph.layout.state_size
+    numbers = (bound.steps + 1) * 5 * width * (graph.layout.slice_size + 1)
+    for reading in bound.readings:
+        height = reading.cpd.child.dimension
+        numbers += reading.step.size * 5 * height * (height + 1)
+    fitting = max(ROOM // (8 * numbers * threads), 1)
+    return min(fitting, MOST, math.ceil(bound.runs / threads))
+
+
+def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGraph:
+    """The graph of a model whose densities with a mean for each run have those of some runs."""
+    model = graph.model
+    changed = {
+        name: tuple(_cpd(cpd, lead, runs) for cpd in getattr(model, name))
+        for name in ("prior", "transition")
+    }
+    if all(new == getattr(model, name) for name, new in changed.items()):
+        return graph
+    own = copy.copy(model)
+    own._set(**changed)
+    return type(graph)(own, graph.steps)
+
+
+def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> ConditionalGaussian:
+    changed: dict[str, Any] = {}
+    for name, own in (("offset", 1), ("cov", 2)):
+        value = getattr(cpd, name, None)
+        if isinstance(value, np.ndarray) and value.ndim > own:
+            changed[name] = _cut(flat(value, lead, own), runs)
+    if not changed:
+        return cpd
+    part = copy.copy(cpd)
+    part._set(**changed, _origin=cpd.origin)
+    return part
+
+
+def _evidence(bound: BoundEvidence, runs: slice) -> BoundEvidence:
+    def inputs(values: Mapping[Any, Array]) -> dict[Any, Array]:
+        return {variable: _cut(array, runs, 1) for variable, array in values.items()}
+
+    return replace(
+        bound,
+        lead=(runs.stop - runs.start,),
+        first_run=runs.start,
+        transition=tuple(map(inputs, bound.transition)),
+        readings=tuple(
+            replace(
+                reading,
+                values=_cut(reading.values, runs, 1),
+                taken=_cut(reading.taken, runs, 1),
+                inputs=inputs(reading.inputs),
+            )
+            for reading in bound.readings
+        ),
+    )
+
+
+def _cut(array: npt.NDArray[Any], runs: slice, axis: int = 0) -> npt.NDArray[Any]:
+    """Some runs of an array that has all of them, or one for all."""
+    return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]

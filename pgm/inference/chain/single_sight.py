@@ -1,0 +1,165 @@
+"""The sensors of a single run: their readings taken into one belief after another."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from pgm.inference.chain.plan import ChainPlan, Sensor
+from pgm.inference.chain.single_motion import Prepared
+from pgm.inference.chain.update import linearise_sensor, update
+from pgm.kernels import single
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, block
+from pgm.linearisers.single import Line
+
+_HALF_TURN = 0.5 * TURN
+# What is read of a step: H over the slice, residual, noise.
+Stacked = tuple[Array, Array, Array]
+
+
+class Read(Prepared):
+    """A sensor."""
+
+    def __init__(self, sensor: Sensor, width: int) -> None:
+        self.values, self.moved = sensor.values[:, 0], sensor.moved[:, 0]
+        super().__init__(sensor.family, joint=sensor.grouped)
+        self.sensor, self.variable, self.bounds = sensor, sensor.variable, sensor.bounds
+        whole = isinstance(sensor.parents, slice) and sensor.parents == slice(0, width)
+        self.parents = None if whole else sensor.parents
+        self.width = width
+        self.taken = None if sensor.taken is None else sensor.taken[:, 0]
+        self.angles = np.flatnonzero(sensor.variable.angle_mask).tolist()
+        self.height = sensor.variable.dimension
+
+    def renew_readings(self, step: int, values: Array, rows: list[Array]) -> None:
+        """Take other readings, (M, d)."""
+        self.renew(step, rows)
+        self.values, self.moved = values, values.copy()
+
+    def settle(self) -> None:
+        """Let the sensor know what has been renewed, too."""
+        super().settle()
+        self.sensor.values, self.sensor.moved = self.values[:, None], self.moved[:, None]
+
+    def read(self, step: int, first: int, last: int, mean: Array, cov: Array) -> Stacked | None:
+        """The readings of a step, linearised at a belief over the slice; None if none is taken."""
+        places = self.parents
+        at, spread = mean, cov
+        if places is not None:
+            at, spread = mean[places], block(cov, places, places)
+        line = self.line(first, last, at, spread)
+        if line is None:
+            if not self.exact:
+                self.settle()
+                linearise_sensor(self.sensor, step, mean[None], cov[None])
+                self._see()
+            matrix = self.matrix[first:last].reshape((last - first) * self.height, at.size)
+            predicted = matrix.dot(at) + self.offset[first:last].reshape(-1)
+        else:
+            matrix, offset, error, predicted = line
+            if last - first > 1:
+                self._store(step, first, last, line)
+            else:
+                self.matrix[first], self.offset[first] = matrix, offset
+                if error is not None:
+                    self.noise[first] = self.own[first] + error
+        if self.angles:
+            self._move(first, last, predicted)
+        if last - first > 1:
+            residual = self.moved[first:last].reshape(-1) - predicted
+            noise = self._noise(step, first, last)
+        else:
+            residual, noise = self.moved[first] - predicted, self.noise[first]
+        if places is not None:
+            narrow, matrix = matrix, np.zeros((residual.size, self.width))
+            matrix[:, places] = narrow
+        if self.taken is None or self.taken[first:last].all():
+            return matrix, residual, noise
+        seen = np.flatnonzero(np.repeat(self.taken[first:last], self.height))
+        return (matrix[seen], residual[seen], block(noise, seen, seen)) if seen.size else None
+
+    def _store(self, step: int, first: int, last: int, line: Line) -> None:
+        """Keep what several sightings were linearised to, one a row."""
+        count, rows = last - first, slice(first, last)
+        shape = (count, self.height)
+        matrix, offset, error, _ = line
+        self.matrix[rows] = matrix.reshape(*shape, -1)
+        self.offset[rows] = offset.reshape(shape)
+        if error is None:
+            return
+        blocks = error.reshape(*shape, *shape)
+        each = np.arange(count)
+        self.noise[rows] = self.own[rows] + blocks[each, :, each]
+        if self.sensor.grouped:
+            between = blocks.copy()
+            between[each, :, each] = 0.0
+            self.sensor.cross[step] = between.reshape(1, *error.shape)
+
+    def _noise(self, step: int, first: int, last: int) -> Array:
+        """The noise of several sightings as one."""
+        count, height = last - first, self.height
+        noise = np.zeros((count, height, count, height))
+        each = np.arange(count)
+        noise[each, :, each] = self.noise[first:last]
+        joint = noise.reshape(count * height, count * height)
+        cross = self.sensor.cross.get(step)
+        return joint if cross is None else joint + cross[0]
+
+    def _move(self, first: int, last: int, predicted: Array) -> None:
+        """Move angles to the branch nearest the value at the point of linearisation."""
+        for row in range(first, last):
+            for angle in self.angles:
+                value = self.values.item(row, angle)
+                expected = predicted.item((row - first) * self.height + angle)
+                if _HALF_TURN < abs(expected - value) < inf:
+                    self.moved[row, angle] = value + TURN * round((expected - value) / TURN)
+
+
+class Sight:
+    """The sensors of a plan of a single run."""
+
+    def __init__(self, plan: ChainPlan) -> None:
+        self.reads = [Read(sensor, plan.layout.slice_size) for sensor in plan.sensors]
+        # Whether no sensor that is read needs a linearisation.
+        self.linear = all(read.exact for read in self.reads if read.steps)
+        self.exact = any(sensor.exact for sensor in plan.sensors)
+
+    def update(self, step: int, mean: Array, cov: Array) -> tuple[Array, Array, float] | None:
+        """Take the readings of a step into a belief over the slice; None if it is not finite."""
+        found = []
+        for read in self.reads:
+            first, last = read.bounds[step], read.bounds[step + 1]
+            if first < last:
+                stacked = read.read(step, first, last, mean, cov)
+                if stacked is not None:
+                    found.append(stacked)
+        if not found:
+            return mean, cov, 0.0
+        if not self.exact:
+            result = single.update(mean, cov, *(found[0] if len(found) == 1 else _joined(found)))
+            if result is not None:
+                return result
+        if not all(np.isfinite(part).all() for parts in ((mean, cov), *found) for part in parts):
+            return None
+        for read in self.reads:
+            read.settle()
+        due = [
+            (read.sensor, read.sensor.rows(step))
+            for read in self.reads
+            if read.bounds[step] < read.bounds[step + 1]
+        ]
+        many_mean, many_cov, log_density = update(due, step, mean[None], cov[None])
+        return many_mean[0], many_cov[0], float(log_density[0])
+
+
+def _joined(parts: list[Stacked]) -> Stacked:
+    """Several sensors' readings as one."""
+    matrices, residuals, noises = zip(*parts, strict=True)
+    size = sum(residual.size for residual in residuals)
+    joint, top = np.zeros((size, size)), 0
+    for noise in noises:
+        rows = slice(top, top := top + len(noise))
+        joint[rows, rows] = noise
+    return np.concatenate(matrices), np.concatenate(residuals), joint

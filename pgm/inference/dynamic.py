@@ -1,0 +1,155 @@
+"""Filtering and smoothing a dynamic network: compiled, and a schedule run on its graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import overload
+
+from pgm.compile import compile
+from pgm.evidence import Evidence
+from pgm.inference.chain.keeping import run as run_chain
+from pgm.inference.chain.kept import KeptPosterior
+from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.run import bind_chain
+from pgm.inference.checks import require_lineariser
+from pgm.inference.damping import Damping
+from pgm.inference.schedule import Filtering, Smoothing
+from pgm.inference.start import Start
+from pgm.linearisers import TAYLOR, Lineariser
+from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
+
+
+@overload
+def filter(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence,
+    *,
+    lineariser: Lineariser = TAYLOR,
+    steps: int | None = None,
+    iterations: int = 1,
+    tolerance: float = 1e-9,
+    damping: Damping = 0.0,
+    keep: None = None,
+    threads: int = 1,
+) -> ChainPosterior: ...
+
+
+@overload
+def filter(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence,
+    *,
+    lineariser: Lineariser = TAYLOR,
+    steps: int | None = None,
+    iterations: int = 1,
+    tolerance: float = 1e-9,
+    damping: Damping = 0.0,
+    keep: Variable | Iterable[Variable],
+    threads: int = 1,
+) -> KeptPosterior: ...
+
+
+def filter(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence,
+    *,
+    lineariser: Lineariser = TAYLOR,
+    steps: int | None = None,
+    iterations: int = 1,
+    tolerance: float = 1e-9,
+    damping: Damping = 0.0,
+    keep: Variable | Iterable[Variable] | None = None,
+    threads: int = 1,
+) -> ChainPosterior | KeptPosterior:
+    """Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
+
+    Parameters
+    ----------
+    model : DynamicBayesianNetwork
+    evidence : mapping of Variable
+        As for `infer`.
+    lineariser : Lineariser, optional
+        `Taylor()` if not given.
+    steps : int, optional
+        T, where no plain array of the evidence tells.
+    iterations, tolerance, damping
+        Of `Filtering`.
+    keep, threads : optional
+        As for `infer`.
+    """
+    schedule = Filtering(iterations, tolerance, damping)
+    require_lineariser(lineariser)
+    bound = bind_chain(model, evidence, steps)
+    graph = compile(model, bound.steps)
+    return run_chain(graph, bound, schedule, lineariser, None, keep, threads)
+
+
+@overload
+def smooth(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence,
+    *,
+    lineariser: Lineariser = TAYLOR,
+    steps: int | None = None,
+    start: Start | None = None,
+    iterations: int = 1,
+    tolerance: float = 1e-9,
+    damping: Damping = 0.0,
+    keep: None = None,
+    threads: int = 1,
+) -> ChainPosterior: ...
+
+
+@overload
+def smooth(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence,
+    *,
+    lineariser: Lineariser = TAYLOR,
+    steps: int | None = None,
+    start: Start | None = None,
+    iterations: int = 1,
+    tolerance: float = 1e-9,
+    damping: Damping = 0.0,
+    keep: Variable | Iterable[Variable],
+    threads: int = 1,
+) -> KeptPosterior: ...
+
+
+def smooth(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence,
+    *,
+    lineariser: Lineariser = TAYLOR,
+    steps: int | None = None,
+    start: Start | None = None,
+    iterations: int = 1,
+    tolerance: float = 1e-9,
+    damping: Damping = 0.0,
+    keep: Variable | Iterable[Variable] | None = None,
+    threads: int = 1,
+) -> ChainPosterior | KeptPosterior:
+    """Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
+
+    Parameters
+    ----------
+    model : DynamicBayesianNetwork
+    evidence : mapping of Variable
+        As for `infer`.
+    lineariser : Lineariser, optional
+        `Taylor()` if not given.
+    steps : int, optional
+        T, where no plain array of the evidence tells.
+    start : mapping of Variable to array_like, optional
+        As for `infer`.
+    iterations, tolerance, damping
+        Of `Smoothing`.
+    keep, threads : optional
+        As for `infer`.
+    """
+    schedule = Smoothing(iterations, tolerance, damping)
+    require_lineariser(lineariser)
+    bound = bind_chain(model, evidence, steps)
+    graph = compile(model, bound.steps)
+    return run_chain(graph, bound, schedule, lineariser, start, keep, threads)

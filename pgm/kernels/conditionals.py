@@ -1,0 +1,55 @@
+"""Chains of affine Gaussian conditionals: they compose without any inverse."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pgm.kernels.arrays import Array, apply, multiply, sandwich, symmetric
+from pgm.kernels.moments import Conditional
+
+
+class Moments(NamedTuple):
+    """Mean (..., n) and covariance (..., n, n)."""
+
+    mean: Array
+    cov: Array
+
+
+def compose(first: Conditional, then: Conditional) -> Conditional:
+    """Of z given x, from y given x and z given y."""
+    return Conditional(
+        multiply(then.matrix, first.matrix),
+        apply(then.matrix, first.offset) + then.offset,
+        symmetric(sandwich(then.matrix, first.cov) + then.cov),
+    )
+
+
+def push(belief: Moments, conditional: Conditional) -> Moments:
+    """Moments of F x + b + n."""
+    matrix, offset, cov = conditional
+    return Moments(
+        apply(matrix, belief.mean) + offset, symmetric(sandwich(matrix, belief.cov) + cov)
+    )
+
+
+class Map(NamedTuple):
+    """The map F x + b."""
+
+    matrix: Array
+    offset: Array
+
+
+def after(first: Map, then: Map) -> Map:
+    """The second map of what the first makes."""
+    return Map(multiply(then.matrix, first.matrix), apply(then.matrix, first.offset) + then.offset)
+
+
+class Value(NamedTuple):
+    """A vector, (..., n)."""
+
+    value: Array
+
+
+def send(value: Value, through: Map) -> Value:
+    """The map of a vector."""
+    return Value(apply(through.matrix, value.value) + through.offset)

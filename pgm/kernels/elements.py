@@ -1,0 +1,162 @@
+"""Segments of a chain as elements, which compose: the parallel form of a Kalman smoother.
+
+A segment goes from the variables x at its left end to those y at its right end. Its element is
+
+    p(y | x, evidence) p(evidence | x) = N(y; F x + b, Σ) exp(−½ xᵀK x + hᵀx + g),
+
+so that a transition has K = 0, a likelihood of x has F = I and Σ = 0, and any Σ, singular or zero,
+will do: with a root Σ = L Lᵀ, (I + ΣK)⁻¹Σ = L (I + LᵀKL)⁻¹ Lᵀ, and no covariance is inverted.
+An indefinite Σ gives NaN; the callers, who know the names, raise.
+
+References
+----------
+Särkkä & García-Fernández, Temporal parallelization of Bayesian smoothers, 2021, section IV.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, apply, inner, multiply, symmetric, transpose
+
+
+class Element(NamedTuple):
+    """A segment: the conditional of its right end given its left, and what its evidence says.
+
+    Attributes
+    ----------
+    F, b, cov : ndarray
+        (..., n, n), (..., n), (..., n, n): the right end is F x + b + n, n ~ N(0, cov).
+    K, h : ndarray
+        (..., n, n), (..., n): the likelihood of the segment's evidence as a function of x.
+    g : ndarray or None
+        (...): its log-weight; None where nobody asks for it.
+    """
+
+    F: Array
+    b: Array
+    cov: Array
+    K: Array
+    h: Array
+    g: Array | None = None
+
+
+class Likelihood(NamedTuple):
+    """The function exp(−½ xᵀK x + hᵀx + g): K (..., n, n), h (..., n), g (...) or None."""
+
+    K: Array
+    h: Array
+    g: Array | None = None
+
+
+class Belief(NamedTuple):
+    """Moments (..., n) and (..., n, n), and the log-weight (...) of the evidence, or None."""
+
+    mean: Array
+    cov: Array
+    log_weight: Array | None = None
+
+
+def compose(first: Element, then: Element) -> Element:
+    """The element of two segments, the second beginning where the first ends.
+
+    With M = (I + Σ₁K₂)⁻¹: F = F₂MF₁, b = F₂M(b₁ + Σ₁h₂) + b₂, Σ = F₂MΣ₁F₂ᵀ + Σ₂,
+    K = F₁ᵀK₂MF₁ + K₁, h = F₁ᵀMᵀ(h₂ − K₂b₁) + h₁. Here MΣ₁ is XᵀX, M is I − XᵀXK₂, and K₂M is
+    MᵀK₂M + GᵀG with G = U⁻ᵀXK₂: sums of semidefinite terms, so that sharp evidence after a vague
+    noise costs no digits.
+
+    Parameters
+    ----------
+    first, then : Element
+    """
+    white, upper = _meet(first.cov, then.K)
+    reach = multiply(multiply(white, then.K), first.F)
+    kept = first.F - multiply(transpose(white), reach)
+    gained = roots.solve_upper(upper, reach)
+    rest = then.h - apply(then.K, first.b)
+    shift = apply(white, rest)
+    spread = multiply(white, transpose(then.F))
+    g = None
+    if first.g is not None and then.g is not None:
+        g = first.g + then.g + _log_weight(first.b, then.h, rest, shift, upper)
+    return Element(
+        multiply(then.F, kept),
+        apply(then.F, first.b + apply(transpose(white), shift)) + then.b,
+        _gram(spread) + then.cov,
+        symmetric(multiply(transpose(kept), multiply(then.K, kept))) + _gram(gained) + first.K,
+        apply(transpose(kept), rest) + first.h,
+        g,
+    )
+
+
+def _meet(cov: Array, precision: Array) -> tuple[Array, Array]:
+    """X = U⁻¹Lᵀ, and U, a root of I + LᵀKL, for a covariance L Lᵀ met by information K."""
+    lower = roots.root(cov)
+    back = transpose(lower)
+    upper = roots.root(multiply(multiply(back, precision), lower) + np.eye(cov.shape[-1]))
+    return roots.solve_lower(upper, back), upper
+
+
+def _gram(a: Array) -> Array:
+    """AᵀA."""
+    return multiply(transpose(a), a)
+
+
+def _log_weight(mean: Array, h: Array, rest: Array, white: Array, upper: Array) -> Array:
+    """The log-integral of N(x; m, L Lᵀ) exp(−½ xᵀK x + hᵀx), for rest h − K m, and white X rest."""
+    level = 0.5 * (inner(h + rest, mean) + inner(white, white))
+    return level - 0.5 * roots.log_determinant(upper)
+
+
+def push(belief: Belief, element: Element) -> Belief:
+    """The belief at a segment's right end, from that at its left end before its evidence."""
+    known = condition(belief, Likelihood(element.K, element.h, element.g))
+    spread = multiply(known.X, transpose(element.F))
+    return Belief(
+        apply(element.F, known.mean) + element.b, _gram(spread) + element.cov, known.log_weight
+    )
+
+
+class Known(NamedTuple):
+    """A belief N(m, P) after a likelihood.
+
+    Attributes
+    ----------
+    mean : ndarray
+        (..., n).
+    X : ndarray
+        (..., n, n): the covariance is XᵀX.
+    U : ndarray
+        (..., n, n): a root of I + LᵀKL, for P = L Lᵀ.
+    white : ndarray
+        (..., n): of squared length (h − K m)ᵀXᵀX(h − K m).
+    log_weight : ndarray or None
+        (...): the log-integral of the product; None where one of the factors has none.
+    """
+
+    mean: Array
+    X: Array
+    U: Array
+    white: Array
+    log_weight: Array | None
+
+    @property
+    def moved(self) -> Array:
+        """By how much the mean has moved, in units of P: of squared length dᵀP⁺d, (..., n)."""
+        return roots.solve_upper(self.U, self.white[..., None])[..., 0]
+
+
+def condition(belief: Belief, likelihood: Likelihood) -> Known:
+    """The belief times a likelihood: P⁺ = (I + PK)⁻¹P, m⁺ = m + P⁺(h − K m)."""
+    mean, cov, weight = belief
+    precision, h, g = likelihood
+    factor, upper = _meet(cov, precision)
+    rest = h - apply(precision, mean)
+    white = apply(factor, rest)
+    total = None
+    if weight is not None and g is not None:
+        total = weight + g + _log_weight(mean, h, rest, white, upper)
+    return Known(mean + apply(transpose(factor), white), factor, upper, white, total)

@@ -1,0 +1,131 @@
+"""The library's linearisers at the beliefs of many runs, on arrays whose last axis is the runs.
+
+A sweep of many runs spends much of its time on what surrounds the arithmetic, so everything that
+does not change from step to step is prepared once here. What is out of the ordinary is left to the
+general linearisers: the result is then None.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, TypeGuard
+
+import numpy as np
+
+from pgm.kernels import along_runs
+from pgm.kernels.arrays import Array
+from pgm.linearisers.function import FunctionTemplate, Lineariser
+from pgm.linearisers.regression import FEW, StatisticalRegression
+from pgm.linearisers.taylor import Taylor
+
+# Values of a step: (runs or 1, d) of the parents with evidence, None of hidden ones.
+Known = list[Array | None]
+# F (d, n, runs), the value F μ + b (d, runs), and the covariance (d, d, runs) of the error or None.
+Line = tuple[Array, Array, Array | None]
+_FLOAT = np.dtype(np.float64)
+
+
+def prepare(template: FunctionTemplate, lineariser: Lineariser) -> ManyLineariser | None:
+    """A lineariser for many runs; None where there is none but the general one."""
+    if type(lineariser) is Taylor and not template.numerical:
+        return _Tangent(template)
+    if (
+        isinstance(lineariser, StatisticalRegression)
+        and type(lineariser).affine is StatisticalRegression.affine
+        and not (lineariser.fresh_per_run or lineariser.prior_moments)
+    ):
+        return _Regression(template, lineariser)
+    return None
+
+
+class ManyLineariser(ABC):
+    """A function and how it is linearised, prepared for many runs at a time."""
+
+    def __init__(self, template: FunctionTemplate) -> None:
+        self.template, self.function = template, template.function
+        self.height, self.size = template.child.dimension, template.size
+
+    @abstractmethod
+    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Line | None:
+        """Linearise at beliefs (n, runs) and (n, n, runs)."""
+
+    def _arguments(self, x: Array, known: Known) -> list[Array]:
+        """What the function is called with at points (..., n): (..., d) each."""
+        arguments = []
+        for place, values in zip(self.template.places, known, strict=True):
+            if values is None:
+                arguments.append(x[..., place])
+                continue
+            shape = (*x.shape[:-1], values.shape[-1])
+            if len(values) == 1:
+                # As broadcast_to makes it, at a fraction of the cost, and as read-only.
+                strides = (0,) * (x.ndim - 1) + (values.itemsize,)
+                arguments.append(np.ndarray(shape, _FLOAT, values, 0, strides))
+            else:
+                between = (1,) * (x.ndim - 2)
+                wide = values.reshape(len(values), *between, -1)
+                arguments.append(np.broadcast_to(wide, shape))
+        return arguments
+
+
+class _Tangent(ManyLineariser):
+    """`Taylor` with the user's own derivatives."""
+
+    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Line | None:
+        arguments = self._arguments(mean.T, known)
+        value = self.function(*arguments)
+        runs = mean.shape[1]
+        if not _is(value, (runs, self.height)):
+            return None
+        parts = []
+        for place, derivative in zip(self.template.places, self.template.jacobians, strict=True):
+            if place is not None and derivative is not None:
+                part = derivative(*arguments)
+                if not isinstance(part, np.ndarray) or part.ndim != 3:
+                    return None
+                parts.append(part)
+        slope = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+        if not _is(slope, (runs, self.height, self.size)):
+            return None
+        return slope.transpose(1, 2, 0), value.T, None
+
+
+class _Regression(ManyLineariser):
+    """A sigma-point rule whose points all runs share."""
+
+    def __init__(self, template: FunctionTemplate, rule: StatisticalRegression) -> None:
+        super().__init__(template)
+        self.rule, self.name = rule, template.child.name
+        self.angles = np.flatnonzero(template.angles).tolist()
+
+    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Line | None:
+        points = self.rule.points(self.size, self.name, step)
+        s = points.points
+        if s.ndim != 2 or len(s) > FEW:
+            return None
+        lower = along_runs.root(cov)
+        if lower is None:
+            return None
+        # Values are compared with the one at the centre, which not every rule has.
+        first = int(bool(self.angles) and not points.centred)
+        called = np.concatenate([np.zeros((1, self.size)), s]) if first else s
+        x = np.matmul(called, lower)
+        x += mean[:, None]
+        value = self.function(*self._arguments(x.T, known))
+        if not _is(value, (x.shape[2], x.shape[1], self.height)):
+            return None
+        values = value.T
+        reference = values[:, 0]
+        raw = values[:, first:] - reference[:, None]
+        if any(np.abs(raw[k]).max() > np.pi for k in self.angles):
+            return None
+        fit = points.line
+        centre_and_slope = fit.moments @ raw
+        left, signed = fit.left @ raw, fit.signed @ raw
+        error: Array = np.einsum("ikr,jkr->ijr", signed, left)
+        slope = along_runs.divide(centre_and_slope[:, 1:], lower)
+        return slope, reference + centre_and_slope[:, 0], error
+
+
+def _is(value: Any, shape: tuple[int, ...]) -> TypeGuard[Array]:
+    return type(value) is np.ndarray and value.dtype is _FLOAT and value.shape == shape

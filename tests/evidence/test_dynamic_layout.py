@@ -1,0 +1,60 @@
+"""Evidence laid out by step: the rows of the user's arrays, in memory of its own."""
+
+import numpy as np
+import pytest
+
+import pgm
+from models import networks
+from models.networks import landmark, sighting, velocity
+from pgm.evidence import bind
+
+MODEL = networks.range_bearing(0.1)
+RNG = np.random.default_rng(0)
+LANDMARKS = RNG.normal(size=(4, 2))
+
+
+def bound(lead, step, missing=False):
+    values = RNG.normal(size=(*lead, 4, 2))
+    if missing:
+        values[..., 2, :] = np.nan
+    controls = RNG.normal(size=(*lead, 5, 2))
+    seen = pgm.sightings(values, step=step, given={landmark: LANDMARKS})
+    found = bind(MODEL.transition, MODEL.observation, {velocity: controls, sighting: seen}, None)
+    return values, controls, found
+
+
+@pytest.mark.parametrize("missing", [False, True])
+@pytest.mark.parametrize("step", [[0, 2, 2, 5], [3, 0, 5, 3]])
+@pytest.mark.parametrize("lead", [(), (1,), (7,), (2, 3)])
+def test_rows_are_steps_then_runs(lead, step, missing):
+    values, controls, found = bound(lead, step, missing)
+    runs = int(np.prod(lead))
+    (reading,) = found.readings
+    order = np.argsort(step, kind="stable")
+    assert reading.step.tolist() == sorted(step)
+    assert reading.order.tolist() == order.tolist()
+    wide = values.reshape(runs, 4, 2)[:, order].swapaxes(0, 1)
+    taken = np.broadcast_to(reading.taken, wide.shape[:2])
+    np.testing.assert_array_equal(taken, ~np.isnan(wide[..., 0]))
+    np.testing.assert_array_equal(reading.values, np.nan_to_num(wide, nan=0.0))
+    np.testing.assert_array_equal(reading.inputs[landmark][:, 0], LANDMARKS[order])
+    due = controls.reshape(runs, 5, 2).swapaxes(0, 1)
+    np.testing.assert_array_equal(found.transition[0][velocity], due)
+
+
+def test_components_are_rows_of_runs_in_memory():
+    _, _, found = bound((40,), [1, 2, 3, 4])
+    for rows in (found.readings[0].values, found.transition[0][velocity]):
+        assert rows.strides[1] == rows.itemsize
+
+
+@pytest.mark.parametrize("lead", [(), (3,)])
+def test_it_is_a_copy_that_functions_cannot_write_into(lead):
+    values, controls, found = bound(lead, [1, 2, 3, 4])
+    before = [rows.copy() for rows in (found.readings[0].values, found.transition[0][velocity])]
+    values[...], controls[...] = 7.0, 7.0
+    for rows, kept in zip(
+        (found.readings[0].values, found.transition[0][velocity]), before, strict=True
+    ):
+        np.testing.assert_array_equal(rows, kept)
+        assert not rows.flags.writeable

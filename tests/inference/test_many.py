@@ -1,0 +1,163 @@
+"""The sweep of many runs leaves what the general one leaves."""
+
+import numpy as np
+import pytest
+
+import pgm
+from models.networks import landmark, pose, range_bearing, sighting, velocity
+from pgm.inference.chain import many
+
+RULES = [pgm.Taylor(), pgm.Unscented(), pgm.Cubature(), pgm.GaussHermite(3), pgm.MonteCarlo(20)]
+RUNS, STEPS = 40, 6
+
+
+def drawn(sightings_a_step=1, network=None, runs=RUNS):
+    network = network or range_bearing(0.5)
+    rng = np.random.default_rng(3)
+    controls = np.stack([np.ones(STEPS), 0.4 * np.ones(STEPS)], axis=-1)
+    step = np.repeat(np.arange(1, STEPS + 1), sightings_a_step)
+    landmarks = rng.uniform(-6.0, 9.0, (step.size, 2))
+    at = pgm.sightings(step=step, given={landmark: landmarks})
+    sample = network.sample({velocity: controls, sighting: at}, runs=runs, rng=rng)
+    seen = pgm.sightings(sample[sighting], step, {landmark: landmarks})
+    return network, {velocity: controls, sighting: seen}
+
+
+@pytest.fixture
+def ways(monkeypatch):
+    """Filter both ways; whether the general sweep, too, was gone in the first."""
+
+    def both(network, evidence, **options):
+        swept = []
+        original = many.run
+
+        def seen(plan):
+            found = original(plan)
+            swept.append(found is not None)
+            return found
+
+        with monkeypatch.context() as patch:
+            patch.setattr(many, "run", seen)
+            fast = pgm.filter(network, evidence, **options)
+        with monkeypatch.context() as patch:
+            patch.setattr(many, "suits", lambda plan: False)
+            plain = pgm.filter(network, evidence, **options)
+        return fast, plain, swept == [True]
+
+    return both
+
+
+def assert_equal(fast, plain):
+    for ours, theirs in (
+        (fast[pose], plain[pose]),
+        (fast.predicted[pose], plain.predicted[pose]),
+    ):
+        np.testing.assert_allclose(ours.mean, theirs.mean, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(ours.cov, theirs.cov, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(fast.log_evidence, plain.log_evidence, rtol=1e-9)
+    ours, theirs = fast.innovations[sighting], plain.innovations[sighting]
+    np.testing.assert_allclose(ours.residual, theirs.residual, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(ours.cov, theirs.cov, rtol=1e-9, atol=1e-12)
+    assert (fast.status.converged == plain.status.converged).all()
+    assert fast.log_evidence_kind == plain.log_evidence_kind
+
+
+@pytest.mark.parametrize("rule", RULES, ids=repr)
+@pytest.mark.parametrize("each", [1, 3])
+def test_a_filter(ways, rule, each):
+    fast, plain, swept = ways(*drawn(each), lineariser=rule)
+    assert swept
+    assert_equal(fast, plain)
+
+
+@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()], ids=repr)
+def test_a_smoother_goes_on_from_it(ways, monkeypatch, rule):
+    network, evidence = drawn(2)
+    fast = pgm.smooth(network, evidence, lineariser=rule)
+    monkeypatch.setattr(many, "suits", lambda plan: False)
+    plain = pgm.smooth(network, evidence, lineariser=rule)
+    np.testing.assert_allclose(fast[pose].mean, plain[pose].mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(fast[pose].cov, plain[pose].cov, rtol=1e-8, atol=1e-12)
+
+
+def test_controls_and_landmarks_of_each_run(ways):
+    network, evidence = drawn()
+    own = (
+        np.repeat(evidence[velocity][None], RUNS, axis=0)
+        * np.linspace(0.5, 1.5, RUNS)[:, None, None]
+    )
+    fast, plain, swept = ways(network, evidence | {velocity: own})
+    assert swept
+    assert_equal(fast, plain)
+
+
+def test_headings_that_a_function_wraps_stay_on_their_chart(ways):
+    """Six half turns: a function that wraps its heading, and sights that wrap their bearings."""
+    x, u, z = (
+        pgm.Variable("x", ("a", "b"), angles=("b",)),
+        pgm.Variable("u"),
+        pgm.Variable("z", ("a", "b"), angles=("b",)),
+    )
+
+    def turn(x, u):
+        out = x + np.concatenate([u, np.ones_like(u)], axis=-1)
+        out[..., 1] = np.arctan2(np.sin(out[..., 1]), np.cos(out[..., 1]))
+        return out
+
+    def by_state(x, u):
+        return np.broadcast_to(np.eye(2), (*x.shape[:-1], 2, 2))
+
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, [0.0, 0.0], np.eye(2))],
+        transition=[
+            pgm.NonlinearGaussianCPD(
+                x, (x.previous, u), turn, cov=0.1 * np.eye(2), jacobian={x.previous: by_state}
+            )
+        ],
+        observation=[pgm.LinearGaussianCPD(z, {x: np.eye(2)}, cov=0.2 * np.eye(2))],
+    )
+    truth = np.stack([np.zeros(12), np.arange(1.0, 13.0)], axis=-1)
+    readings = truth + 0.1 * np.random.default_rng(0).normal(size=(RUNS, 12, 2))
+    evidence = {u: np.zeros((12, 1)), z: np.arctan2(np.sin(readings), np.cos(readings))}
+    fast, plain, swept = ways(model, evidence)
+    assert swept
+    np.testing.assert_allclose(fast[x].mean, plain[x].mean, rtol=0, atol=1e-10)
+    assert fast[x].mean[:, -1, 1].min() > 10.0
+
+
+def test_what_is_out_of_the_ordinary_goes_the_general_way():
+    network, evidence = drawn()
+    plan_runs = {}
+    original = many.suits
+
+    def seen(plan):
+        plan_runs[plan.runs] = original(plan)
+        return plan_runs[plan.runs]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(many, "suits", seen)
+        pgm.filter(network, evidence)
+        missing = evidence[sighting].values.copy()
+        missing[0, 0] = np.nan
+        gone = pgm.sightings(missing, evidence[sighting].step, evidence[sighting].given)
+        assert plan_runs.pop(RUNS)
+        pgm.filter(network, evidence | {sighting: gone})
+        assert not plan_runs.pop(RUNS)
+    assert many.suits is original
+
+
+def test_a_function_that_is_not_finite_is_refused_with_its_step_and_run():
+    network, evidence = drawn()
+    drive = network.transition[0]
+
+    def broken(x, u):
+        out = np.array(drive.function(x, u))
+        if x.ndim == 2 and x.shape[0] == RUNS and np.abs(x[..., 2]).max() > 0.7:
+            out[7] = np.nan
+        return out
+
+    moved = pgm.NonlinearGaussianCPD(
+        drive.child, drive.given, broken, cov=drive.cov, jacobian=drive.jacobian
+    )
+    with pytest.raises(pgm.LinearisationError, match="run 7"):
+        pgm.filter(network.replace(transition=[moved]), evidence)

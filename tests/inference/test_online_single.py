@@ -1,0 +1,272 @@
+"""One robot online, whose plan is made once: the general way's results, and all its refusals."""
+
+import copy
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from robots import DRIVE, LANDMARKS, SENSORS, drive_cpd, m, network, u, x
+from test_single import MODELS, RULES, assert_close, command, compass, fix, seen
+
+import pgm
+
+SIGHT = SENSORS["range_bearing"]
+T = 6
+
+
+def steps(model, seed=3):
+    """What a robot gives at each step: inputs, and several updates of all kinds."""
+    rng = np.random.default_rng(seed)
+    drive = command if command in model.inputs else u
+    state = np.zeros(3)
+    for step in range(T + 1):
+        inputs = np.array([rng.uniform(0.5, 1.5), rng.uniform(0.0, 0.35)])
+        if step:
+            state = DRIVE(state, inputs)
+        count = step % 4
+        landmarks = LANDMARKS[rng.integers(0, 2, count)]
+        values = SIGHT.draw(np.tile(state, (count, 1)), landmarks, rng)
+        if count == 3:
+            values[1] = np.nan
+        updates = [{SIGHT.z: pgm.sightings(values, given={m: landmarks})}]
+        if count:
+            updates.append({SIGHT.z: values[0], m: landmarks[0]})
+            # What holds for all sightings of a step may stand beside them.
+            updates.append({m: landmarks[0], SIGHT.z: pgm.sightings(values)})
+        if seen in model.sensors and step:
+            both = {seen: SIGHT.draw(state, LANDMARKS[2], rng), compass: [state[2] + 6.3]}
+            updates += [updates[0] | both, {fix: LANDMARKS[2]}, {}]
+        yield {drive: inputs}, updates
+
+
+def beliefs(model, rule, lean):
+    robot = pgm.OnlineFilter(model, rule)
+    if not lean:
+        object.__setattr__(robot, "_single", None)
+    found = []
+    belief = robot.initial()
+    for step, (inputs, updates) in enumerate(steps(model)):
+        if step:
+            belief = robot.predict(belief, inputs)
+            found.append(belief)
+        for readings in updates:
+            belief = robot.update(belief, readings)
+            found.append(belief)
+    return found
+
+
+# Sharp readings that contradict each other, as these do, magnify rounding.
+FAIR = sorted(set(MODELS) - {"an exact range", "sharp readings"})
+
+
+@pytest.mark.parametrize("rule", ["taylor", "unscented", "monte carlo", "fresh", "bare function"])
+@pytest.mark.parametrize("name", FAIR)
+def test_it_is_the_general_way(name, rule):
+    mine = beliefs(MODELS[name], RULES[rule], lean=True)
+    its = beliefs(MODELS[name], RULES[rule], lean=False)
+    for found, due in zip(mine, its, strict=True):
+        assert found.step == due.step
+        assert_close(found.mean, due.mean, "mean")
+        assert_close(found.cov, due.cov, "cov")
+        assert_close(found.log_evidence, due.log_evidence, "log-evidence")
+        assert found.log_evidence.shape == ()
+        assert found.status.converged == due.status.converged
+        assert found.status.iterations == 1
+        cov = found[x].cov
+        assert (cov == cov.T).all()
+
+
+def test_the_general_way_is_not_taken(monkeypatch):
+    """Otherwise the comparisons would compare it with itself."""
+
+    def refuse(*arguments, **options):
+        raise AssertionError("an ordinary step went the general way")
+
+    from pgm.inference.chain import forward, online
+
+    monkeypatch.setattr(forward, "predict", refuse)
+    monkeypatch.setattr(online, "take", refuse)
+    robot = pgm.OnlineFilter(MODELS["plain"])
+    belief = robot.initial()
+    for _ in range(3):
+        belief = robot.predict(belief, {u: [1.0, 0.1]})
+        belief = robot.update(belief, {SIGHT.z: pgm.sightings([[5, 1]], given={m: LANDMARKS[:1]})})
+        belief = robot.update(belief, {})
+
+
+def test_a_plan_is_made_once(monkeypatch):
+    from pgm.inference.chain.plan import ChainPlan
+
+    made, make = [], ChainPlan.make
+    monkeypatch.setattr(ChainPlan, "make", lambda *a, **k: made.append(1) or make(*a, **k))
+    robot = pgm.OnlineFilter(MODELS["plain"], pgm.Unscented())
+    belief = robot.initial()
+    for count in (1, 2, 1, 2, 1):
+        belief = robot.predict(belief, {u: [1.0, 0.1]})
+        readings = pgm.sightings(
+            np.tile([5.0, 1.0], (count, 1)), given={m: np.tile(LANDMARKS[0], (count, 1))}
+        )
+        belief = robot.update(belief, {SIGHT.z: readings})
+    assert len(made) == 4  # the prior, the motion, one sighting, two sightings
+
+
+@pytest.fixture
+def robot():
+    """A filter that has its plans."""
+    robot = pgm.OnlineFilter(network(SIGHT.cpd()))
+    belief = robot.predict(robot.initial(), {u: [1.0, 0.1]})
+    belief = robot.update(belief, {SIGHT.z: pgm.sightings([[5, 1]], given={m: LANDMARKS[:1]})})
+    return robot, belief
+
+
+SEEN = np.array([[5.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda r, b: r.predict(b, {u: [np.nan, 0.1]}), "NaN"),
+        (lambda r, b: r.predict(b, {u: [np.inf, 0.1]}), "infinite"),
+        (lambda r, b: r.predict(b, {u: [1.0, 0.1, 0.2]}), "u"),
+        (lambda r, b: r.predict(b, {u: "fast"}), "numbers"),
+        (lambda r, b: r.predict(b, {u: [1j, 0.0]}), "numbers"),
+        (lambda r, b: r.predict(b, {}), "u"),
+        (lambda r, b: r.predict(b, {u: [1.0, 0.1], SIGHT.z: [5.0, 1.0]}), "update"),
+        (
+            lambda r, b: r.update(b, {SIGHT.z: pgm.sightings(SEEN, [1], {m: LANDMARKS[:1]})}),
+            "step=",
+        ),
+        (
+            lambda r, b: r.update(b, {SIGHT.z: pgm.sightings(SEEN, given={m: LANDMARKS[:2]})}),
+            "2 rows",
+        ),
+        (
+            lambda r, b: r.update(b, {SIGHT.z: pgm.sightings(SEEN, given={m: [[np.nan, 0.0]]})}),
+            "NaN",
+        ),
+        (
+            lambda r, b: r.update(b, {SIGHT.z: pgm.sightings(SEEN[:, :1], given={m: LANDMARKS})}),
+            "shape",
+        ),
+        (
+            lambda r, b: r.update(
+                b, {SIGHT.z: pgm.sightings([[np.nan, 1.0]], given={m: LANDMARKS[:1]})}
+            ),
+            "partly NaN",
+        ),
+        (lambda r, b: r.update(b, {SIGHT.z: pgm.sightings(SEEN)}), "no evidence for m"),
+        (
+            lambda r, b: r.update(
+                b, {SIGHT.z: pgm.sightings(SEEN, given={m: LANDMARKS[:1]}), m: LANDMARKS[0]}
+            ),
+            "give it once",
+        ),
+        (lambda r, b: r.update(b, {x: [0.0, 0.0, 0.0]}), "hidden"),
+    ],
+)
+def test_what_was_refused_is_refused_with_plans_at_hand(robot, call, words):
+    filter_, belief = robot
+    with pytest.raises(pgm.EvidenceError, match=words):
+        call(filter_, belief)
+
+
+def test_equal_variables_need_not_be_the_same_object(robot):
+    filter_, belief = robot
+    twin = copy.deepcopy(u)
+    assert twin is not u
+    one, other = (filter_.predict(belief, {each: [1.0, 0.1]}) for each in (u, twin))
+    np.testing.assert_array_equal(one[x].mean, other[x].mean)
+
+
+@pytest.mark.parametrize(
+    "control",
+    [
+        [1, 0],
+        (1.0, 0.0),
+        np.array([1, 0]),
+        np.float32([1, 0]),
+        np.array([[1.0, 5.0], [0.0, 5.0]])[:, 0],
+        pgm.constant([1.0, 0.0]),
+    ],
+)
+def test_values_of_any_kind(robot, control):
+    filter_, belief = robot
+    due = filter_.predict(belief, {u: np.array([1.0, 0.0])})
+    found = filter_.predict(belief, {u: control})
+    assert_close(found[x].mean, due[x].mean, "mean")
+    assert_close(found[x].cov, due[x].cov, "cov")
+
+
+def test_what_the_user_gave_stays_his():
+    """Functions cannot write into it, the filter leaves it writable and keeps no hold of it."""
+    kept = []
+
+    def keeping(state, control):
+        kept.append(control)
+        return DRIVE(state, control)
+
+    robot = pgm.OnlineFilter(network(transition=drive_cpd(function=keeping)))
+    belief = robot.predict(robot.initial(), {u: [1.0, 0.1]})
+    control = np.array([1.0, 0.1])
+    after = robot.predict(belief, {u: control})
+    mean = after[x].mean.copy()
+    assert control.flags.writeable
+    assert not kept[-1].flags.writeable
+    control[:] = 9.0
+    np.testing.assert_array_equal(after[x].mean, mean)
+
+
+def test_a_function_that_reuses_its_result_does_not_change_beliefs():
+    room = np.zeros(3)
+
+    def drive(state, control):
+        if state.ndim > 1:
+            return DRIVE(state, control)
+        room[:] = DRIVE(state, control)
+        return room
+
+    robot = pgm.OnlineFilter(network(transition=drive_cpd(function=drive)))
+    belief = robot.predict(robot.initial(), {u: [1.0, 0.1]})
+    mean = belief[x].mean.copy()
+    robot.predict(belief, {u: [1.0, 0.1]})
+    np.testing.assert_array_equal(belief[x].mean, mean)
+
+
+def test_a_function_that_needs_an_axis_goes_the_general_way():
+    def drive(state, control):
+        moved = DRIVE(state, control)
+        moved[moved[..., 0] < -99.0] = 0.0
+        length = moved[..., 0]
+        length[length > 99.0] = 99.0  # a number without axes has no entries to set
+        return moved
+
+    robot = pgm.OnlineFilter(network(transition=drive_cpd(function=drive)))
+    plain = pgm.OnlineFilter(network())
+    found, due = (r.predict(r.initial(), {u: [1.0, 0.1]}) for r in (robot, plain))
+    assert_close(found[x].mean, due[x].mean, "mean")
+
+
+def test_threads_share_a_filter():
+    robot = pgm.OnlineFilter(MODELS["plain"], pgm.Unscented())
+
+    def drive(speed):
+        belief = robot.initial()
+        for _ in range(20):
+            belief = robot.predict(belief, {u: [speed, 0.1]})
+            readings = pgm.sightings([[5.0, speed]], given={m: LANDMARKS[:1]})
+            belief = robot.update(belief, {SIGHT.z: readings})
+        return belief[x].mean
+
+    speeds = np.linspace(0.5, 1.5, 12)
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(drive, speeds))
+    np.testing.assert_array_equal(together, [drive(speed) for speed in speeds])
+
+
+def test_a_filter_with_plans_is_pickled(robot):
+    filter_, belief = robot
+    twin, same = pickle.loads(pickle.dumps((filter_, belief)))
+    due = filter_.predict(belief, {u: [1.0, 0.1]})
+    found = twin.predict(same, {u: [1.0, 0.1]})
+    np.testing.assert_array_equal(found[x].mean, due[x].mean)
