@@ -115,7 +115,7 @@ class Variable:
     @property
     def template(self) -> Variable:
         """The variable without a step or lag, which stands for all its copies."""
-        return self._moved(None, 0)
+        return self if self.step is None and not self.lag else self._moved(None, 0)
 
     def at(self, step: int) -> Variable:
         """The copy at a step; for a template with a lag, that many steps before it."""

@@ -13,6 +13,7 @@ from pgm.factors.scope import Scope, dimension, positions
 from pgm.kernels.arrays import Index, Integers
 from pgm.linearisers import FunctionTemplate
 from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
 
 
 class Place(NamedTuple):
@@ -66,6 +67,11 @@ class SliceLayout:
     def pair(self) -> Scope:
         """The states of the step before, then the slice."""
         return (*(state.previous for state in self.states), *self.slice)
+
+    @cached_property
+    def places(self) -> dict[Variable, Index]:
+        """Where each hidden variable stands in the slice vector."""
+        return {variable: positions(self.slice, [variable]) for variable in self.slice}
 
     @cached_property
     def state_size(self) -> int:

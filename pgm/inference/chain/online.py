@@ -12,7 +12,6 @@ from pgm.compile import SliceLayout, compile
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
 from pgm.factors import Gaussian
-from pgm.factors.scope import positions
 from pgm.immutable import Immutable
 from pgm.inference.chain import forward
 from pgm.inference.chain.cost import require_cost
@@ -88,16 +87,15 @@ class OnlineBelief(Immutable):
 
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a hidden variable at the belief's step."""
-        slice_ = self.layout.slice
-        known = slice_ if self.step else self.layout.states
-        require_variable(variable)
-        if variable.template not in known or variable.step not in (None, self.step):
+        known = self.layout.slice if self.step else self.layout.states
+        template = require_variable(variable).template
+        if template not in known or variable.step not in (None, self.step):
             raise EvidenceError(
                 f"the belief at step {self.step} is over {list(known)}, not {variable!r}",
                 variable=variable,
                 step=self.step,
             )
-        places = positions(slice_, [variable.template])
+        places = self.layout.places[template]
         mean, cov = self.mean[:, places], symmetric(block(self.cov, places, places))
         return Gaussian._make(
             (variable,),
