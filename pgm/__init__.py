@@ -12,6 +12,7 @@ from pgm.compile import (
     JunctionTree,
     MinFill,
     NestedDissection,
+    StochasticMinFill,
     WeightedMinFill,
     compile,
 )
@@ -136,6 +137,7 @@ __all__ = [
     "Stamped",
     "StatisticalRegression",
     "Status",
+    "StochasticMinFill",
     "Table",
     "TableCPD",
     "Taylor",

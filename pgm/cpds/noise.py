@@ -30,7 +30,7 @@ def noise(function: Callable[..., Any], given: Variable | Iterable[Variable]) ->
     Parameters
     ----------
     function : callable
-        ``function(*given)``, from arrays (..., d) with equal leading axes to covariances
+        ``function(*given)``, from arrays (..., d), leading axes equal or none, to covariances
         (..., n, n).
     given : Variable or sequence of Variable
         The parents, which must have evidence, since a covariance cannot be linearised.

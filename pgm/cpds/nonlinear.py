@@ -26,7 +26,7 @@ class NonlinearGaussianCPD(ConditionalGaussian):
     given : Variable or sequence of Variable
         The parents, in the order of the function's arguments.
     function : callable
-        ``function(*given)``, from arrays (..., dimension) with equal leading axes to (..., d).
+        ``function(*given)``, from arrays (..., dimension), leading axes equal or none, to (..., d).
     cov : array_like or Noise
         (d, d), positive semidefinite, or ``pgm.noise(...)``.
     jacobian : mapping of Variable to callable, optional

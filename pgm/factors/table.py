@@ -27,6 +27,8 @@ from pgm.kernels import tables as kernel
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.variables import Discrete, Variable
 
+ZERO = frozen(np.zeros(()))
+
 
 class Table(Immutable):
     r"""A discrete factor: a non-negative table times the exponential of a log-scale.
@@ -116,6 +118,15 @@ class Table(Immutable):
         """A table of arrays that are known to be right; axes of length one are expanded."""
         table = object.__new__(cls)
         table._put(scope, values, np.asarray(log_scale, dtype=float))
+        return table
+
+    @classmethod
+    def _plain(cls, scope: States, values: Array) -> Table:
+        """A table of read-only numbers that has all its axes; its log-scale is zero."""
+        lead = values.shape[: values.ndim - len(scope)]
+        table = object.__new__(cls)
+        log_scale = np.broadcast_to(ZERO, lead) if lead else ZERO
+        table._set(scope=scope, values=values, log_scale=log_scale)
         return table
 
     @classmethod

@@ -81,7 +81,7 @@ def infer(
         For a dynamic network arrays (..., T, d), `constant` or `sightings`, by variable. For
         others values (..., d) of continuous variables; of discrete ones the name or index of a
         state, an array of indices with −1 for "not observed in this run", or `soft` weights.
-        Leading axes are runs.
+        Leading axes are runs. `records` makes such a mapping of a table, one run a record.
     schedule : Filtering, Calibration, Smoothing, Flooding, Sequential or Residual, optional
         Without, `Smoothing()` for a dynamic network and `Calibration()` for a tree; a graph with
         loops needs one of the last three.
@@ -90,7 +90,7 @@ def infer(
     start : mapping of Variable to array_like, optional
         Means at which everything is linearised first, in place of the beliefs at hand: (..., d)
         of the variables without evidence; of a dynamic network (..., T+1, d) of the states,
-        (..., T, d) of hidden controls.
+        (..., T, d) of hidden controls. On a `Balanced` tree without one, a dead-reckoned trajectory.
     keep : collection of Variable, optional
         Of a dynamic network, the hidden variables of whose results the marginals at all steps are
         kept, ``keep=[x]``, with log-evidence and status; without, everything is. The runs are then
@@ -98,11 +98,11 @@ def infer(
         than threads are at work, so that a study of 100,000 simulations fits. A rule that draws
         points afresh for each run takes all runs as one part.
     threads : int
-        Of a dynamic network, how many threads share the parts. NumPy lets them work at the same
-        time, so that with many runs, and cores at leisure, it is faster; the results are the same.
-        The functions of the CPDs must bear to be called by several threads. The threads of
-        NumPy's linear algebra are other ones: with small states they only get in the way
-        (OMP_NUM_THREADS=1).
+        Of a dynamic network, how many threads share the parts; the results are the same. NumPy
+        lets them work at the same time for a part of what they do: with many runs, and cores at
+        leisure, it may be faster, which only a measurement tells. The functions of the CPDs must
+        bear to be called by several threads. The threads of NumPy's linear algebra are other ones:
+        with small states they only get in the way (OMP_NUM_THREADS=1).
 
     Returns
     -------

@@ -15,7 +15,7 @@ from pgm.errors import LinearisationError, ModelError, PgmError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.scope import Scope, dimension, names
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Integers, Mask, apply, stacked
+from pgm.kernels.arrays import Array, Integers, Mask, apply, vacant
 from pgm.kernels.scan import by_rows
 from pgm.linearisers import (
     Affine,
@@ -97,8 +97,8 @@ class Family:
         elif isinstance(cpd, NonlinearGaussianCPD):
             template = template or cpd._template(hidden)
             lineariser = cpd.lineariser or lineariser
-            matrix = stacked((rows, runs), (height, width))
-            offset = stacked((rows, runs), (height,))
+            matrix = vacant((rows, runs), (height, width))
+            offset = vacant((rows, runs), (height,))
         else:
             raise ModelError(f"{cpd!r} is of no kind that inference knows", cpd=cpd)
         noise = np.broadcast_to(own_noise, (rows, runs, height, height))
@@ -164,7 +164,7 @@ class Family:
     def keep_errors(self) -> None:
         """Make room for approximation errors, before any is known."""
         if not self.approximate:
-            room = stacked(self.noise.shape[:2], self.noise.shape[2:])
+            room = vacant(self.noise.shape[:2], self.noise.shape[2:])
             room[...] = self.noise
             self.noise, self.approximate = room, True
 

@@ -21,7 +21,8 @@ class Status(Immutable):
         the maximum also where messages diverged, which `converged` tells (False).
     residuals : ndarray
         The convergence record. Of a tree, (iterations − 1, *runs): the largest move of a mean at
-        each relinearisation, in standard deviations. Of other graphs, (iterations, *runs): the
+        each relinearisation, in standard deviations (on a balanced tree, with `Taylor` and regular
+        noise, those of a component given all others). Of other graphs, (iterations, *runs): the
         largest change of a message in each iteration, or the largest move of a mean, if larger,
         where CPDs were linearised anew.
     converged : ndarray of bool

@@ -28,6 +28,13 @@ def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     return np.moveaxis(memory, -1, len(before))
 
 
+def vacant(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
+    """As `stacked`, not initialised."""
+    *before, runs = lead
+    memory = np.empty((*before, *shape, runs))
+    return np.moveaxis(memory, -1, len(before))
+
+
 def transpose(matrix: Array) -> Array:
     """Swap the last two axes."""
     return matrix.swapaxes(-1, -2)

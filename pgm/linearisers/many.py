@@ -21,14 +21,14 @@ from pgm.linearisers.taylor import Taylor
 # Values of a step: (runs or 1, d) of the parents with evidence, None of hidden ones.
 Known = list[Array | None]
 # F (d, n, runs), the value F μ + b (d, runs), and the covariance (d, d, runs) of the error or None.
-Line = tuple[Array, Array, Array | None]
+Linearised = tuple[Array, Array, Array | None]
 _FLOAT = np.dtype(np.float64)
 
 
 def prepare(template: FunctionTemplate, lineariser: Lineariser) -> ManyLineariser | None:
     """A lineariser for many runs; None where there is none but the general one."""
     if type(lineariser) is Taylor and not template.numerical:
-        return _Tangent(template)
+        return _Taylor(template)
     if (
         isinstance(lineariser, StatisticalRegression)
         and type(lineariser).affine is StatisticalRegression.affine
@@ -46,7 +46,7 @@ class ManyLineariser(ABC):
         self.height, self.size = template.child.dimension, template.size
 
     @abstractmethod
-    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Line | None:
+    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Linearised | None:
         """Linearise at beliefs (n, runs) and (n, n, runs)."""
 
     def _arguments(self, x: Array, known: Known) -> list[Array]:
@@ -68,10 +68,10 @@ class ManyLineariser(ABC):
         return arguments
 
 
-class _Tangent(ManyLineariser):
+class _Taylor(ManyLineariser):
     """`Taylor` with the user's own derivatives."""
 
-    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Line | None:
+    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Linearised | None:
         arguments = self._arguments(mean.T, known)
         value = self.function(*arguments)
         runs = mean.shape[1]
@@ -98,7 +98,7 @@ class _Regression(ManyLineariser):
         self.rule, self.name = rule, template.child.name
         self.angles = np.flatnonzero(template.angles).tolist()
 
-    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Line | None:
+    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Linearised | None:
         points = self.rule.points(self.size, self.name, step)
         s = points.points
         if s.ndim != 2 or len(s) > FEW:

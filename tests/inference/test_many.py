@@ -29,20 +29,19 @@ def ways(monkeypatch):
 
     def both(network, evidence, **options):
         swept = []
-        original = many.run
+        original = many._run
 
-        def seen(plan):
-            found = original(plan)
-            swept.append(found is not None)
-            return found
+        def seen(*arguments, **how):
+            swept.append(original(*arguments, **how))
+            return swept[-1]
 
         with monkeypatch.context() as patch:
-            patch.setattr(many, "run", seen)
+            patch.setattr(many, "_run", seen)
             fast = pgm.filter(network, evidence, **options)
         with monkeypatch.context() as patch:
             patch.setattr(many, "suits", lambda plan: False)
             plain = pgm.filter(network, evidence, **options)
-        return fast, plain, swept == [True]
+        return fast, plain, swept[-1:] == [True]
 
     return both
 
@@ -161,3 +160,31 @@ def test_a_function_that_is_not_finite_is_refused_with_its_step_and_run():
     )
     with pytest.raises(pgm.LinearisationError, match="run 7"):
         pgm.filter(network.replace(transition=[moved]), evidence)
+
+
+def test_what_else_there_is_is_found_when_it_is_asked_for(monkeypatch):
+    """A filter of many runs keeps beliefs alone at first: one sweep more gives all the rest."""
+    network, evidence = drawn(2)
+    stored = []
+    original = many._run
+
+    def seen(*arguments, store):
+        stored.append(store)
+        return original(*arguments, store=store)
+
+    monkeypatch.setattr(many, "_run", seen)
+    posterior = pgm.filter(network, evidence)
+    assert np.isfinite(posterior[pose].mean.sum() + posterior.log_evidence.sum())
+    assert stored == [False]
+    joint = posterior.joint(pose.at(2), pose.at(3))
+    monkeypatch.setattr(many, "suits", lambda plan: False)
+    plain = pgm.filter(network, evidence)
+    expected = plain.joint(pose.at(2), pose.at(3))
+    np.testing.assert_allclose(joint.cov, expected.cov, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        posterior.innovations[sighting].nis, plain.innovations[sighting].nis, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        posterior.predicted[pose].cov, plain.predicted[pose].cov, rtol=1e-9, atol=1e-12
+    )
+    assert stored == [False, True]

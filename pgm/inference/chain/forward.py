@@ -72,7 +72,7 @@ def sweep(plan: ChainPlan, anchor: Anchor | None = None) -> Forward:
 def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     """Run the forward sweep, linearising each CPD at its incoming belief."""
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
-    once = schedule.iterations == 1 or all(sensor.family.exact for sensor in plan.sensors)
+    once = is_single_pass(plan, schedule)
     from pgm.inference.chain import many
 
     if plan.lean and once:
@@ -82,9 +82,9 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
         if done is not None:
             return done[0], Status.of([], done[1], plan.lead)
     if once and many.suits(plan):
-        done = many.run(plan)
-        if done is not None:
-            return done[0], Status.of([], done[1], plan.lead)
+        found = many.run(plan)
+        if found is not None:
+            return found, once_status(plan)
     out = Forward.empty(plan)
     record: list[Array] = []
     converged = np.ones(plan.runs, dtype=bool)
@@ -96,6 +96,17 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
         record = _largest(record, taken.residuals)
         converged &= taken.converged
     return out, Status.of(record, converged, plan.lead)
+
+
+def is_single_pass(plan: ChainPlan, schedule: Filtering) -> bool:
+    """Whether each CPD is linearised once."""
+    return schedule.iterations == 1 or all(sensor.family.exact for sensor in plan.sensors)
+
+
+def once_status(plan: ChainPlan) -> Status:
+    """How it went with one linearisation of each CPD."""
+    linear = all(s.family.exact for s in plan.sensors if s.family.step.size)
+    return Status.of([], np.full(plan.runs, linear), plan.lead)
 
 
 def _predictions(plan: ChainPlan, out: Forward, *, linearise: bool) -> Iterator[int]:

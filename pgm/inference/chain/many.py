@@ -6,15 +6,20 @@ where a number is not finite, the whole sweep does, and refuses it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 
 from pgm.errors import PgmError
-from pgm.inference.chain.forward import Forward, put, start
-from pgm.inference.chain.many_parts import Move, Read, runs_last
+from pgm.inference.chain import forward
+from pgm.inference.chain.forward import Forward, start
+from pgm.inference.chain.many_parts import Move, Read, Unusual, runs_last
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.update import NEARLY_SINGULAR, sensors_due, update
+from pgm.inference.schedule import ONCE
 from pgm.kernels import along_runs, memory, roots
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, vacant
 
 Moments = tuple[Array, Array]
 # From this many runs on there is more arithmetic than calls.
@@ -31,43 +36,85 @@ def suits(plan: ChainPlan) -> bool:
     )
 
 
-def run(plan: ChainPlan) -> tuple[Forward, Mask] | None:
-    """Sweep forward, each CPD linearised once; whether a run has nothing to iterate, (runs,).
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """The beliefs of a filter, from which all else that a sweep leaves is found when asked for.
+
+    Attributes
+    ----------
+    mean, cov, log_density : ndarray
+        As of a `Forward`.
+    """
+
+    plan: ChainPlan
+    mean: Array
+    cov: Array
+    log_density: Array
+
+    @cached_property
+    def whole(self) -> Forward:
+        """What a sweep leaves; the plan holds its linearisations only then."""
+        return forward.run(self.plan, ONCE)[0]
+
+
+def run(plan: ChainPlan) -> Forward | None:
+    """Sweep forward, each CPD linearised once.
 
     None where the general sweep has to find out what is wrong.
     """
+    out = Forward.empty(plan)
+    predicted = runs_last(out.predicted_mean), runs_last(out.predicted_cov)
+    kept = runs_last(out.mean), runs_last(out.cov)
+    return out if _run(plan, predicted, kept, out.log_density, store=True) else None
+
+
+def filtered(plan: ChainPlan) -> Filtered | None:
+    """The same, but for the beliefs alone."""
+    size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
+    mean, cov = vacant(shape, (size,)), vacant(shape, (size, size))
+    log_density = np.empty(shape)
+    # One row serves all steps.
+    predicted = np.empty((1, size, plan.runs)), np.empty((1, size, size, plan.runs))
+    kept = runs_last(mean), runs_last(cov)
+    done = _run(plan, predicted, kept, log_density, store=False)
+    return Filtered(plan, mean, cov, log_density) if done else None
+
+
+def _run(
+    plan: ChainPlan, predicted: Moments, kept: Moments, log_density: Array, *, store: bool
+) -> bool:
     memory.retain()
-    move, reads = Move(plan.transition[0]), [Read(sensor) for sensor in plan.sensors]
+    move = Move(plan.transition[0], store=store)
+    reads = [Read(sensor, store=store) for sensor in plan.sensors]
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):  # see above
         try:
-            out = _sweep(plan, move, reads)
-        except PgmError:
-            out = None
+            _sweep(plan, move, reads, predicted, kept, log_density)
+            # What is not finite stays so from one step to the next.
+            total = kept[0][-1].sum() + kept[1][-1].sum() + log_density.sum()
+            done = bool(np.isfinite(total))
+        except (PgmError, Unusual):
+            done = False
     for prepared in (move, *reads):
-        prepared.settle(lost=out is None)
-    if out is None:
-        return None
-    linear = all(read.family.exact for read in reads if read.family.step.size)
-    return out, np.full(plan.runs, linear)
+        prepared.settle(lost=not done)
+    return done
 
 
-def _sweep(plan: ChainPlan, move: Move, reads: list[Read]) -> Forward | None:
-    out = Forward.empty(plan)
-    predicted_mean, predicted_cov, kept_mean, kept_cov = map(
-        runs_last, (out.predicted_mean, out.predicted_cov, out.mean, out.cov)
-    )
+def _sweep(
+    plan: ChainPlan,
+    move: Move,
+    reads: list[Read],
+    predicted: Moments,
+    kept: Moments,
+    log_density: Array,
+) -> None:
     first, spread = start(plan, linearise=True)
-    out.predicted_mean[0] = first
-    put(out.predicted_cov[0], slice(None), spread)
+    predicted[0][0], predicted[1][0] = np.moveaxis(first, 0, -1), np.moveaxis(spread, 0, -1)
     for step in range(plan.steps + 1):
-        mean, cov = predicted_mean[step], predicted_cov[step]
+        row = step if len(predicted[0]) > 1 else 0
+        belief = predicted[0][row], predicted[1][row]
         if step:
-            move.predict(step - 1, kept_mean[step - 1], kept_cov[step - 1], (mean, cov))
-        kept = kept_mean[step], kept_cov[step]
-        out.log_density[step] = _update(plan, reads, step, (mean, cov), kept)
-    # What is not finite stays so from one step to the next.
-    total = kept_mean[-1].sum() + kept_cov[-1].sum() + out.log_density.sum()
-    return out if np.isfinite(total) else None
+            move.predict(step - 1, kept[0][step - 1], kept[1][step - 1], belief)
+        log_density[step] = _update(plan, reads, step, belief, (kept[0][step], kept[1][step]))
 
 
 def _update(
@@ -90,6 +137,8 @@ def _update(
         )
         if not singular:
             return log_density
+    if not all(read.store for read in reads):
+        raise Unusual
     runs_first = np.moveaxis(mean, -1, 0), np.moveaxis(cov, -1, 0)
     new_mean, new_cov, log_density = update(sensors_due(plan.sensors, step), step, *runs_first)
     kept[0][...], kept[1][...] = np.moveaxis(new_mean, 0, -1), np.moveaxis(new_cov, 0, -1)

@@ -10,7 +10,9 @@ from pgm.inference.family import Family
 from pgm.kernels import along_runs
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array
-from pgm.linearisers.many import Line, prepare
+from pgm.linearisers.many import Linearised, prepare
+
+Line = tuple[Array, Array, Array]
 
 
 def runs_last(array: Array) -> Array:
@@ -20,8 +22,15 @@ def runs_last(array: Array) -> Array:
     return np.moveaxis(array, 1, -1)
 
 
+class Unusual(Exception):
+    """What cannot be done without all that a family keeps."""
+
+
 class Prepared:
-    """A family with its arrays, and the lean form of its lineariser."""
+    """A family with its arrays, and the lean form of its lineariser.
+
+    Where only beliefs are wanted, one row of room serves all steps and stays in the cache.
+    """
 
     @staticmethod
     def ordinary(family: Family) -> bool:
@@ -29,12 +38,16 @@ class Prepared:
         variances = np.diagonal(family.own_noise, axis1=-2, axis2=-1)
         return bool((variances > 0.0).all()) and bool(family.exact or family.hidden)
 
-    def __init__(self, family: Family) -> None:
-        self.family, template = family, family.template
-        if not family.taylor:
+    def __init__(self, family: Family, *, store: bool) -> None:
+        self.family, template, self.store = family, family.template, store
+        self.own = runs_last(family.own_noise)
+        if not family.taylor and store:
             family.keep_errors()
         self.matrix, self.offset = runs_last(family.matrix), runs_last(family.offset)
-        self.noise, self.own = runs_last(family.noise), runs_last(family.own_noise)
+        self.noise = runs_last(family.noise)
+        if not store and not family.exact:
+            height, width, runs = self.matrix.shape[1:]
+            self.scratch = np.empty((height, width, runs)), np.empty((height, height, runs))
         self.steps = family.step.tolist()
         self.lineariser = None if template is None else prepare(template, family.lineariser)
         self.known = [
@@ -42,25 +55,31 @@ class Prepared:
             for parent in (() if template is None else template.given)
         ]
 
-    def value(self, row: int, mean: Array, cov: Array) -> Array:
-        """Linearise a row at beliefs (n, runs): F μ + b, (d, runs)."""
+    def line(self, row: int, mean: Array, cov: Array) -> Line:
+        """Linearise a row at beliefs (n, runs): F, F μ + b and the noise, (d, d, runs or 1)."""
         line = self._line(row, mean, cov)
         if line is None:
             if not self.family.exact:
+                if not self.store:
+                    raise Unusual
                 self.family.linearise(row, mean.T, np.moveaxis(cov, -1, 0))
             value: Array = np.einsum("ijr,jr->ir", self.matrix[row], mean)
             value += self.offset[row]
-            return value
-        matrix, value, error = line
-        kept, offset = self.matrix[row], self.offset[row]
-        kept[...] = matrix
-        np.einsum("ijr,jr->ir", kept, mean, out=offset)
-        np.subtract(value, offset, out=offset)
-        if error is not None:
-            np.add(error, self.own[row if len(self.own) > 1 else 0], out=self.noise[row])
-        return value
+            return self.matrix[row], value, self.noise[row]
+        found, value, error = line
+        matrix, noise = (self.matrix[row], self.noise[row]) if self.store else self.scratch
+        matrix[...] = found
+        if self.store:
+            offset = self.offset[row]
+            np.einsum("ijr,jr->ir", matrix, mean, out=offset)
+            np.subtract(value, offset, out=offset)
+        own = self.own[row if len(self.own) > 1 else 0]
+        if error is None:
+            return matrix, value, own
+        np.add(error, own, out=noise)
+        return matrix, value, noise
 
-    def _line(self, row: int, mean: Array, cov: Array) -> Line | None:
+    def _line(self, row: int, mean: Array, cov: Array) -> Linearised | None:
         if self.lineariser is None:
             return None
         known = [None if values is None else values[row] for values in self.known]
@@ -68,7 +87,7 @@ class Prepared:
 
     def settle(self, *, lost: bool) -> None:
         """Have no room for errors that there are not."""
-        if not self.family.taylor and (lost or not self.family.erroneous):
+        if self.store and not self.family.taylor and (lost or not self.family.erroneous):
             self.family.forget_errors()
 
 
@@ -81,16 +100,16 @@ class Move(Prepared):
         family = link.family
         return Prepared.ordinary(family) and (family.taylor or is_semidefinite(family))
 
-    def __init__(self, link: Link) -> None:
-        super().__init__(link.family)
+    def __init__(self, link: Link, *, store: bool) -> None:
+        super().__init__(link.family, store=store)
         self.link = link
         self.turning = list(zip(link.angles.tolist(), link.before.tolist(), strict=True))
 
     def predict(self, row: int, mean: Array, cov: Array, out: tuple[Array, Array]) -> None:
         """Put the moments of the step after into `out`."""
         new_mean, new_cov = out
-        new_mean[...] = self.value(row, mean, cov)
-        along_runs.push(cov, self.matrix[row], self.noise[row], new_cov)
+        matrix, new_mean[...], noise = self.line(row, mean, cov)
+        along_runs.push(cov, matrix, noise, new_cov)
         if any(np.abs(new_mean[new] - mean[old]).max() > np.pi for new, old in self.turning):
             keep_chart(self.link, row, mean.T, new_mean.T)
 
@@ -110,22 +129,23 @@ class Read(Prepared):
             and sensor.parents == slice(0, width)
         )
 
-    def __init__(self, sensor: Sensor) -> None:
-        super().__init__(sensor.family)
+    def __init__(self, sensor: Sensor, *, store: bool) -> None:
+        super().__init__(sensor.family, store=store)
         self.bounds = sensor.bounds
         self.values, self.moved = runs_last(sensor.values), runs_last(sensor.moved)
         self.angles = np.flatnonzero(sensor.variable.angle_mask).tolist()
 
     def read(self, row: int, mean: Array, cov: Array) -> tuple[Array, Array, Array]:
         """A reading linearised at a belief: H, residual, noise."""
-        value = self.value(row, mean, cov)
+        matrix, value, noise = self.line(row, mean, cov)
         residual: Array = self.values[row] - value
         for k in self.angles:
             if np.abs(residual[k]).max() > np.pi:
                 turns = TURN * np.round(residual[k] / TURN)
                 residual[k] -= turns
-                np.subtract(self.values[row, k], turns, out=self.moved[row, k])
-        return self.matrix[row], residual, self.noise[row]
+                if self.store:
+                    np.subtract(self.values[row, k], turns, out=self.moved[row, k])
+        return matrix, residual, noise
 
 
 def _readable(values: Array) -> Array:

@@ -19,6 +19,7 @@ from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.information import backward_messages
 from pgm.inference.chain.innovations import BySensor, Innovations, innovations
+from pgm.inference.chain.many import Filtered
 from pgm.inference.chain.marginals import Marginals
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.posterior import Posterior
@@ -47,8 +48,8 @@ class ChainPosterior(Posterior):
 
     graph: DynamicGraph
     status: Status
-    _plan: ChainPlan
-    _forward: Forward
+    _planned: ChainPlan
+    _swept: Forward | Filtered
     _smoothed: Beliefs | None
     _reverse_given: Reverse | None
 
@@ -56,12 +57,24 @@ class ChainPosterior(Posterior):
         """The marginal of a hidden variable, at all its steps or at one."""
         return self._marginals(self._beliefs)[variable]
 
+    @property
+    def _forward(self) -> Forward:
+        """All that the forward sweep leaves, found now if only beliefs were wanted so far."""
+        swept = self._swept
+        return swept.whole if isinstance(swept, Filtered) else swept
+
+    @property
+    def _plan(self) -> ChainPlan:
+        """The plan with its linearisations."""
+        assert self._forward is not None
+        return self._planned
+
     def _marginals(self, beliefs: Beliefs) -> Marginals:
-        return Marginals(self.graph.layout, beliefs, self._plan.lead)
+        return Marginals(self.graph.layout, beliefs, self._planned.lead)
 
     @property
     def _beliefs(self) -> Beliefs:
-        return self._smoothed or Beliefs(self._forward.mean, self._forward.cov)
+        return self._smoothed or Beliefs(self._swept.mean, self._swept.cov)
 
     @property
     def predicted(self) -> Marginals:
@@ -71,7 +84,7 @@ class ChainPosterior(Posterior):
     @property
     def filtered(self) -> Marginals:
         """Marginals given the readings up to each step: the forward pass."""
-        return self._marginals(Beliefs(self._forward.mean, self._forward.cov))
+        return self._marginals(Beliefs(self._swept.mean, self._swept.cov))
 
     @cached_property
     def innovations(self) -> Mapping[Variable, Innovations]:
@@ -86,16 +99,16 @@ class ChainPosterior(Posterior):
     @property
     def log_evidence(self) -> Array:
         """The value ln p(readings), (...): the sum of the innovations' log-densities."""
-        total: Array = self._forward.log_density.sum(axis=0)
-        return total.reshape(self._plan.lead)
+        total: Array = self._swept.log_density.sum(axis=0)
+        return total.reshape(self._planned.lead)
 
     @property
     def log_evidence_kind(self) -> str:
         """What `log_evidence` is: exact, linearised or laplace."""
-        if self._plan.exact:
+        if self._planned.exact:
             return "exact"
         fixed = self._smoothed is not None and bool(self.status.converged.all())
-        taylor = all(family.taylor for family in self._plan.families)
+        taylor = all(family.taylor for family in self._planned.families)
         return "laplace" if fixed and taylor else "linearised"
 
     @cached_property
@@ -237,5 +250,6 @@ class ChainPosterior(Posterior):
 
     def __repr__(self) -> str:
         kind = "filtered" if self._smoothed is None else "smoothed"
-        runs = f", runs {self._plan.lead}" if self._plan.lead else ""
+        lead = self._planned.lead
+        runs = f", runs {lead}" if lead else ""
         return f"Posterior({kind}, steps 0..{self.graph.steps}{runs})"

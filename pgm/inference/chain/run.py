@@ -12,9 +12,10 @@ from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.factors.scope import positions
-from pgm.inference.chain import forward, parallel, smoother
+from pgm.inference.chain import forward, many, parallel, smoother
 from pgm.inference.chain.balanced import BalancedPosterior
 from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.many import Filtered
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
@@ -54,7 +55,7 @@ def run(
     balanced = isinstance(graph, BalancedGraph)
     kind: type[ChainPosterior] = BalancedPosterior if balanced else ChainPosterior
     if isinstance(schedule, Filtering):
-        ahead, status = _scan(graph, plan) if balanced else forward.run(plan, schedule)
+        ahead, status = _scan(graph, plan) if balanced else _sweep(plan, schedule)
         return kind(graph, status, plan, ahead, None, None)
     if not isinstance(schedule, Smoothing):
         schedule = Smoothing(schedule.iterations, schedule.tolerance)
@@ -62,6 +63,15 @@ def run(
     result, status = run_smoothing(plan, schedule, given)
     ahead = parallel.whole(result.forward)
     return kind(graph, status, plan, ahead, result.beliefs, result.reverse)
+
+
+def _sweep(plan: ChainPlan, schedule: Filtering) -> tuple[Forward | Filtered, Status]:
+    """Filter; of many runs only the beliefs, as long as nothing else is asked for."""
+    if forward.is_single_pass(plan, schedule) and many.suits(plan):
+        found = many.filtered(plan)
+        if found is not None:
+            return found, forward.once_status(plan)
+    return forward.run(plan, schedule)
 
 
 def _scan(graph: DynamicGraph, plan: ChainPlan) -> tuple[Forward, Status]:
