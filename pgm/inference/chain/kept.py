@@ -22,8 +22,9 @@ from pgm.variables import Variable
 class KeptPosterior(Posterior):
     """The marginals of some hidden variables at all their steps, and nothing else.
 
-    What `filter`, `smooth` and `infer` return with ``keep=[x]``: ``posterior[x]`` and
-    ``posterior[x.at(3)]`` are those of a `ChainPosterior`. What was not kept raises.
+    What `filter`, `smooth` and `infer` return with ``keep=[x]``: ``posterior[x]``, with means
+    (..., T+1, d) of a state and (..., T, d) of a hidden control, and ``posterior[x.at(3)]`` are
+    those of a `ChainPosterior`.
 
     Attributes
     ----------
@@ -34,6 +35,11 @@ class KeptPosterior(Posterior):
         (...).
     log_evidence_kind : str
         ``exact``, ``linearised`` or ``laplace``.
+
+    Raises
+    ------
+    EvidenceError, GraphError
+        If what was not kept is asked for.
     """
 
     graph: DynamicGraph

@@ -123,7 +123,9 @@ def _update(
     """Take the readings of a step into a belief; their log-density."""
     mean, cov = belief
     parts = [
-        read.read(row, mean, cov) for read in reads for row in range(*read.bounds[step : step + 2])
+        read.read(step, row, mean, cov)
+        for read in reads
+        for row in range(*read.bounds[step : step + 2])
     ]
     if not parts:
         kept[0][...], kept[1][...] = mean, cov

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from pgm.inference.chain.forward import is_semidefinite, keep_chart
@@ -29,7 +31,7 @@ class Unusual(Exception):
 class Prepared:
     """A family with its arrays, and the lean form of its lineariser.
 
-    Where only beliefs are wanted, one row of room serves all steps and stays in the cache.
+    Where only beliefs are wanted, the room for a step serves all steps and stays in the cache.
     """
 
     @staticmethod
@@ -38,7 +40,7 @@ class Prepared:
         variances = np.diagonal(family.own_noise, axis1=-2, axis2=-1)
         return bool((variances > 0.0).all()) and bool(family.exact or family.hidden)
 
-    def __init__(self, family: Family, *, store: bool) -> None:
+    def __init__(self, family: Family, *, store: bool, most: int = 1) -> None:
         self.family, template, self.store = family, family.template, store
         self.own = runs_last(family.own_noise)
         if not family.taylor and store:
@@ -47,7 +49,10 @@ class Prepared:
         self.noise = runs_last(family.noise)
         if not store and not family.exact:
             height, width, runs = self.matrix.shape[1:]
-            self.scratch = np.empty((height, width, runs)), np.empty((height, height, runs))
+            self.scratch = (
+                np.empty((most, height, width, runs)),
+                np.empty((most, height, height, runs)),
+            )
         self.steps = family.step.tolist()
         self.lineariser = None if template is None else prepare(template, family.lineariser)
         self.known = [
@@ -55,8 +60,11 @@ class Prepared:
             for parent in (() if template is None else template.given)
         ]
 
-    def line(self, row: int, mean: Array, cov: Array) -> Line:
-        """Linearise a row at beliefs (n, runs): F, F μ + b and the noise, (d, d, runs or 1)."""
+    def line(self, row: int, mean: Array, cov: Array, place: int = 0) -> Line:
+        """Linearise a row at beliefs (n, runs): F, F μ + b and the noise, (d, d, runs or 1).
+
+        `place` is that of the row among those of its step.
+        """
         line = self._line(row, mean, cov)
         if line is None:
             if not self.family.exact:
@@ -67,7 +75,10 @@ class Prepared:
             value += self.offset[row]
             return self.matrix[row], value, self.noise[row]
         found, value, error = line
-        matrix, noise = (self.matrix[row], self.noise[row]) if self.store else self.scratch
+        if self.store:
+            matrix, noise = self.matrix[row], self.noise[row]
+        else:
+            matrix, noise = (room[place] for room in self.scratch)
         matrix[...] = found
         if self.store:
             offset = self.offset[row]
@@ -130,14 +141,15 @@ class Read(Prepared):
         )
 
     def __init__(self, sensor: Sensor, *, store: bool) -> None:
-        super().__init__(sensor.family, store=store)
+        most = max(b - a for a, b in pairwise(sensor.bounds))
+        super().__init__(sensor.family, store=store, most=most)
         self.bounds = sensor.bounds
         self.values, self.moved = runs_last(sensor.values), runs_last(sensor.moved)
         self.angles = np.flatnonzero(sensor.variable.angle_mask).tolist()
 
-    def read(self, row: int, mean: Array, cov: Array) -> tuple[Array, Array, Array]:
-        """A reading linearised at a belief: H, residual, noise."""
-        matrix, value, noise = self.line(row, mean, cov)
+    def read(self, step: int, row: int, mean: Array, cov: Array) -> tuple[Array, Array, Array]:
+        """A reading of a step linearised at a belief: H, residual, noise."""
+        matrix, value, noise = self.line(row, mean, cov, row - self.bounds[step])
         residual: Array = self.values[row] - value
         for k in self.angles:
             if np.abs(residual[k]).max() > np.pi:
