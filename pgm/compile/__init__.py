@@ -8,7 +8,13 @@ from pgm.compile.joingraph import JoinGraph
 from pgm.compile.junction import JunctionTree
 from pgm.compile.layout import SliceLayout
 from pgm.compile.ltrip import LTRIP
-from pgm.compile.orders import MinFill, NestedDissection, Order, WeightedMinFill
+from pgm.compile.orders import (
+    MinFill,
+    NestedDissection,
+    Order,
+    StochasticMinFill,
+    WeightedMinFill,
+)
 from pgm.compile.slices import SliceGraph
 
 __all__ = [
@@ -25,6 +31,7 @@ __all__ = [
     "Order",
     "SliceGraph",
     "SliceLayout",
+    "StochasticMinFill",
     "WeightedMinFill",
     "compile",
 ]

@@ -18,11 +18,21 @@ from pgm.factors.scope import Scope
 
 @dataclass(frozen=True)
 class Balanced:
-    """Compile a dynamic network to a balanced tree of its segments, of logarithmic depth.
+    r"""Compile a dynamic network to a balanced tree of its segments, of logarithmic depth.
 
     All clusters of a level can send at once, in a batched call: solving takes about 2 log₂ T rounds
     where the chain of slices takes 2 T. It serves linear models, and nonlinear ones whose
-    linearisations are given, as in iterated smoothing.
+    linearisations are given, as in iterated smoothing: the first is along ``start=``, or else dead
+    reckoning, so that one iteration with `Taylor` is a single Gauss–Newton step from there, where
+    the chain of slices gives the extended RTS smoother. Nonlinear models are not filtered on it.
+
+    A segment of the steps from a to b, with m in the middle, is a cluster
+
+    .. math:: \{x_a, x_m, x_b\}, \quad m = \text{the multiple of the highest } 2^k
+              \text{ between } a \text{ and } b,
+
+    and the sepset between it and the segment above is :math:`\{x_a, x_b\}`. Leaves are the clusters
+    of the chain, with its CPDs.
 
     References
     ----------

@@ -6,7 +6,7 @@ its neighbours to each other; the edges that this adds are its *fill*.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 
@@ -120,26 +120,40 @@ def min_fill(
     stages : sequence of int, optional
         All vertices of a lower stage are eliminated before any of a higher.
     """
-    graph = Filling(adjacent, weights)
-    count = len(graph.fill)
-    stage = stages or [0] * count
+    return list(fill_order(Filling(adjacent, weights), stages or [0] * len(adjacent)))
+
+
+def fill_order(
+    graph: Filling, stages: Sequence[int], noise: Callable[[], float] | None = None
+) -> Iterator[int]:
+    """Vertices in the order of `min_fill`, each while its neighbours are still there.
+
+    Parameters
+    ----------
+    graph : Filling
+        It is used up.
+    stages : sequence of int
+        See `min_fill`.
+    noise : callable, optional
+        Draws what the fill of a vertex is multiplied by, each time that it changes.
+    """
+    draw = noise or (lambda: 1)
     queued = list(graph.fill)
     # Entries that a change of fill made out of date stay until they come up.
-    heap = [(stage[vertex], queued[vertex], vertex) for vertex in range(count)]
+    heap = [(stages[vertex], fill * draw(), vertex, fill) for vertex, fill in enumerate(queued)]
     heapify(heap)
-    left = [True] * count
-    order = []
+    left = [True] * len(queued)
     while heap:
-        _, fill, vertex = heappop(heap)
+        _, _, vertex, fill = heappop(heap)
         if not left[vertex] or fill != graph.fill[vertex]:
             continue
         left[vertex] = False
-        order.append(vertex)
+        yield vertex
         for other in graph.eliminate(vertex):
-            if graph.fill[other] != queued[other]:
-                queued[other] = graph.fill[other]
-                heappush(heap, (stage[other], queued[other], other))
-    return order
+            fill = graph.fill[other]
+            if fill != queued[other]:
+                queued[other] = fill
+                heappush(heap, (stages[other], fill * draw(), other, fill))
 
 
 @dataclass(frozen=True)

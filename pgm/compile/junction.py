@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.elimination import clique_tree, moral
-from pgm.compile.orders import MinFill, Order, places
+from pgm.compile.orders import Order, StochasticMinFill, places
 from pgm.errors import GraphError
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
@@ -23,9 +23,9 @@ class JunctionTree:
     Parameters
     ----------
     order : Order or iterable of Variable, optional
-        Of elimination: `MinFill()`, `WeightedMinFill()`, `NestedDissection()`, a function from
-        networks to variables, or the variables themselves, each once. What it decides is what
-        calibrating costs: compare `graph.cost`.
+        Of elimination: `StochasticMinFill()`, if not given, `MinFill()`, `WeightedMinFill()`,
+        `NestedDissection()`, a function from networks to variables, or the variables themselves,
+        each once. What it decides is what calibrating costs: compare `graph.cost`.
 
     Raises
     ------
@@ -40,10 +40,10 @@ class JunctionTree:
     Examples
     --------
     >>> JunctionTree()
-    JunctionTree(order=MinFill())
+    JunctionTree(order=StochasticMinFill(tries=200, seed=0))
     """
 
-    order: Order | Iterable[Variable] = field(default_factory=MinFill)
+    order: Order | Iterable[Variable] = field(default_factory=StochasticMinFill)
 
     def __post_init__(self) -> None:
         order = self.order

@@ -9,9 +9,9 @@ import numpy as np
 
 from pgm.evidence.discrete import BoundStates
 from pgm.factors import Table
-from pgm.factors.axes import States
+from pgm.factors.axes import States, sizes
 from pgm.inference.discrete.storage import Storage
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Discrete
 
 
@@ -56,7 +56,9 @@ class Beliefs(ABC):
         lead = self.evidence.lead
         if values.ndim > len(scope):
             values = np.moveaxis(values, -1, 0)
-        values = values.reshape((*lead, *(v.size for v in scope)))
+        shape = (*lead, *sizes(scope))
+        if values.shape != shape:
+            values = values.reshape(shape)
         if log_scale is None:
-            return Table._make(scope, values)
+            return Table._plain(scope, frozen(values) if values.flags.writeable else values)
         return Table._make(scope, values, log_scale.reshape(lead))

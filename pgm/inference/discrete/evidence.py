@@ -11,29 +11,13 @@ from pgm.factors.axes import States
 from pgm.inference import limits
 from pgm.inference.discrete.place import Place
 from pgm.inference.discrete.storage import Storage
-from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
 
-
-def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Array:
-    """The potentials times the evidence, with room for the sepsets behind.
-
-    Raises
-    ------
-    FloatingPointError
-        If a potential has no number.
-    """
-    potentials = plan.potentials(semiring)
-    if potentials is None:
-        raise FloatingPointError
-    size = potentials.size
-    tail = () if evidence.runs == 1 else (evidence.runs,)
-    tables = np.empty((size + plan.columns, *tail))
-    tables[:size] = potentials[:, None] if tail else potentials
-    multiply(plan.storage, tables, evidence, semiring)
-    return tables
+# Runs at once, less than which are computed one by one: loops over a few are short, and the tables
+# of one run stay nearer the processor.
+FEW = 64
 
 
 def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: Semiring) -> None:
@@ -72,8 +56,10 @@ def _exclude(
         table[:, :state] = semiring.zero
         table[:, state + 1 :] = semiring.zero
     else:
-        tables[source[:state]] = semiring.zero
-        tables[source[state + 1 :]] = semiring.zero
+        if state:
+            tables[source[:state]] = semiring.zero
+        if state + 1 < len(source):
+            tables[source[state + 1 :]] = semiring.zero
 
 
 def enter_everywhere(storage: Storage, logs: Array, evidence: BoundStates) -> Array:
@@ -116,9 +102,23 @@ def axes_left(evidence: BoundStates, scope: States) -> States:
     return tuple(v for v in scope if not isinstance(evidence.states.get(v), int))
 
 
+def at_once(entries: int) -> int:
+    """How many runs of a tree are calibrated at once: as many as fit, or one, if only few do."""
+    size = limits.BATCH // entries
+    return size if size >= FEW else 1
+
+
+def tree_pieces(entries: int, evidence: BoundStates) -> Iterator[BoundStates]:
+    """Some runs after the other, as many as are calibrated at once."""
+    return _split(evidence, at_once(entries))
+
+
 def pieces(entries: int, evidence: BoundStates) -> Iterator[BoundStates]:
     """Some runs after the other, as many as fit for tables of so many entries."""
-    size = max(1, limits.BATCH // entries)
+    return _split(evidence, max(1, limits.BATCH // entries))
+
+
+def _split(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
     if evidence.runs <= size:
         yield evidence
         return
@@ -134,3 +134,12 @@ def some_runs(evidence: BoundStates, start: int, stop: int) -> BoundStates:
     }
     weights = {v: w if len(w) == 1 else w[start:stop] for v, w in evidence.weights.items()}
     return BoundStates((stop - start,), states, weights)
+
+
+def alone(evidence: BoundStates) -> BoundStates:
+    """The evidence of a single run without what is not observed in it; of several, itself."""
+    if evidence.runs > 1 or all(isinstance(state, int) for state in evidence.states.values()):
+        return evidence
+    known = {v: s if isinstance(s, int) else int(s[0]) for v, s in evidence.states.items()}
+    states = {v: state for v, state in known.items() if state >= 0}
+    return BoundStates(evidence.lead, states, evidence.weights)

@@ -10,17 +10,19 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.clustergraph import ClusterGraph
-from pgm.compile import SliceGraph
+from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.discrete import BoundStates, bind_discrete
 from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
-from pgm.inference.discrete.evidence import enter, pieces
+from pgm.inference.discrete.distinct import Distinct
+from pgm.inference.discrete.entry import enter
+from pgm.inference.discrete.evidence import tree_pieces
 from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.tree_passes import collect
 from pgm.inference.discrete.tree_plan import Stack, TreePlan
-from pgm.inference.discrete.tree_planner import make_plan
+from pgm.inference.discrete.tree_planner import plan_for
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import require_variable
 from pgm.kernels.arrays import Array, Integers, frozen
@@ -110,8 +112,11 @@ def most_probable(graph: ClusterGraph, evidence: Evidence) -> MostProbable:
             f"most_probable takes a cluster graph (pgm.compile(network)), not {graph!r}"
         )
     if not isinstance(evidence, Mapping):
-        raise EvidenceError(f"evidence maps variables to states; found {type(evidence).__name__}")
-    if isinstance(graph, SliceGraph) or not graph.network.discrete:
+        raise EvidenceError(
+            f"evidence maps variables to states; found {type(evidence).__name__}; of a table of "
+            "records pgm.records(table, network) makes it"
+        )
+    if isinstance(graph, DynamicGraph) or not graph.network.discrete:
         raise GraphError(
             "the network is continuous; the most probable values of Gaussian variables are the "
             "means of pgm.infer(...)"
@@ -122,12 +127,17 @@ def most_probable(graph: ClusterGraph, evidence: Evidence) -> MostProbable:
             "pgm.compile(network)"
         )
     bound = bind_discrete(frozenset(graph.network.variables), evidence)
-    plan = graph.derived(make_plan)
+    distinct = Distinct.of(bound)
+    plan = plan_for(graph, distinct.evidence.runs)
     require_runs(len(plan.storage.homes), bound.runs, "the states of all variables")
-    found = [_maximise(plan, piece) for piece in pieces(plan.storage.entries, bound)]
+    found = [
+        _maximise(plan, piece) for piece in tree_pieces(plan.storage.entries, distinct.evidence)
+    ]
     states = np.concatenate([s for s, _ in found], axis=1)
-    states.flags.writeable = False
     log_tops = np.concatenate([t for _, t in found], axis=1)
+    if distinct.which is not None:
+        states, log_tops = states[:, distinct.which], log_tops[:, distinct.which]
+    states.flags.writeable = False
     require_possible(plan, bound, log_tops)
     log_probability = frozen(log_tops.sum(axis=0).reshape(bound.lead))
     return MostProbable(MappingProxyType(_assignment(plan, bound, states)), log_probability)
@@ -148,8 +158,9 @@ def _assignment(
 def _maximise(plan: TreePlan, evidence: BoundStates) -> tuple[Integers, Array]:
     """States of all variables, (variables, runs); the logarithms of the roots' maxima."""
     runs = evidence.runs
-    done = collect(plan, enter(plan, evidence, MAX_PRODUCT), MAX_PRODUCT)
-    tables = done.tables.reshape(-1, runs)
+    start = enter(plan, evidence, MAX_PRODUCT)
+    done = collect(plan, start, MAX_PRODUCT)
+    tables = start.tables.reshape(-1, runs)
     column = np.zeros((len(plan.graph), runs), dtype=np.intp)
     entry = np.zeros((len(plan.graph), runs), dtype=np.intp)
     for stack in plan.stacks:

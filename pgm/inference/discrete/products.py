@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from pgm.factors.axes import States, sizes
-from pgm.inference.discrete.place import Place
+from pgm.inference.discrete.place import Merged, Place
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import Semiring
+
+# A product whose last axis is shorter is a loop over so few entries; the message is written out for
+# blocks of at most so many.
+SHORT, WIDE = 8, 128
 
 
 class Product(Protocol):
@@ -27,8 +32,8 @@ class Product(Protocol):
         """The senders."""
         ...
 
-    def multiply(self, entries: Array, messages: Array, semiring: Semiring) -> None:
-        """Multiply the messages into the entries."""
+    def multiply(self, source: Array, messages: Array, semiring: Semiring, out: Array) -> None:
+        """Multiply entries and messages; the entries may be those that the products replace."""
         ...
 
     def columns(self, at: Integers) -> Integers:
@@ -50,13 +55,13 @@ class GatheredProduct:
     children: Integers
     index: Integers
 
-    def multiply(self, entries: Array, messages: Array, semiring: Semiring) -> None:
-        """Multiply the messages into the entries."""
+    def multiply(self, source: Array, messages: Array, semiring: Semiring, out: Array) -> None:
+        """Multiply entries and messages; the entries may be those that the products replace."""
         if len(self.index) == 1:
             product = messages.take(self.index[0], 0)
         else:
             product = semiring.times.reduce(messages.take(self.index, 0), 0)
-        semiring.times(entries, product, entries)
+        semiring.times(source, product, out)
 
     def columns(self, at: Integers) -> Integers:
         """The columns that meet some entries."""
@@ -73,22 +78,40 @@ class BlockProduct:
     place : Place
         Of the table.
     sepset : tuple of Discrete
-    first : int
-        The first column.
+    view : Merged
+        The table's axes.
+    source : slice
+        The columns of the message.
+    wide : int
+        The axis from which on the message of a single run is written out for all entries.
     """
 
     children: Integers
     place: Place
     sepset: States
-    first: int
+    view: Merged
+    source: slice
+    wide: int
 
-    def multiply(self, entries: Array, messages: Array, semiring: Semiring) -> None:
-        """Multiply the message into the table."""
-        view = self.place.merged(self.sepset)
-        table = entries.reshape((*view.shape, *entries.shape[1:]))
-        width = int(np.prod(view.sizes, dtype=np.intp))
-        message = view.spread(messages[self.first : self.first + width])
-        semiring.times(table, message, table)
+    @classmethod
+    def of(cls, child: int, place: Place, sepset: States, first: int) -> BlockProduct:
+        """From a child, with the message's columns from one on."""
+        source = slice(first, first + math.prod(sizes(sepset)))
+        view = place.merged(sepset)
+        wide = len(view.shape)
+        if view.shape[-1] < SHORT:
+            while wide and math.prod(view.shape[wide - 1 :]) <= WIDE:
+                wide -= 1
+        return cls(np.array([[child]]), place, sepset, view, source, wide)
+
+    def multiply(self, source: Array, messages: Array, semiring: Semiring, out: Array) -> None:
+        """Multiply entries and the message; the entries may be those that the products replace."""
+        table = source.reshape((*self.view.shape, *source.shape[1:]))
+        message = self.view.spread(messages[self.source])
+        if message.ndim == len(self.view.shape) > self.wide:
+            shape = message.shape[: self.wide] + self.view.shape[self.wide :]
+            message = np.ascontiguousarray(np.broadcast_to(message, shape))
+        semiring.times(table, message, out.reshape((*self.view.shape, *out.shape[1:])))
 
     def columns(self, at: Integers) -> Integers:
         """The columns that meet some entries."""
@@ -96,4 +119,5 @@ class BlockProduct:
         states = np.unravel_index(at, sizes(stored))
         own = tuple(states[stored.index(v)] for v in self.sepset)
         column = np.ravel_multi_index(own, sizes(self.sepset)) if own else np.zeros_like(at)
-        return self.first + column[None]
+        columns: Integers = self.source.start + column[None]
+        return columns

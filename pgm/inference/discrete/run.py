@@ -25,8 +25,14 @@ def run(graph: ClusterGraph, evidence: Evidence, schedule: Schedule | None) -> D
         status = run_loopy(messages, schedule, bound.lead)
         return DiscretePosterior(graph, status, LoopyBeliefs.of(messages))
     beliefs = TreeBeliefs.of(graph, bound)
-    status = Status(1, np.zeros((0, *bound.lead)), np.ones(bound.lead, dtype=bool))
-    return DiscretePosterior(graph, status, beliefs)
+    return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
+
+
+def _calibrated(lead: tuple[int, ...]) -> Status:
+    return Status(1, np.zeros((0, *lead)), np.ones(lead, dtype=bool))
+
+
+ONCE = _calibrated(())
 
 
 def _variables(graph: ClusterGraph) -> frozenset[Variable]:

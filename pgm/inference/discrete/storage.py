@@ -85,18 +85,19 @@ class Storage:
         """What sums the tables to the probabilities of each variable."""
         return Marginals.of(self.by_state)
 
-    def potentials(self, semiring: Semiring) -> Array:
-        """The product of each cluster's CPDs, (entries,).
+    def potentials(self, semiring: Semiring, room: int = 0) -> Array:
+        """The product of each cluster's CPDs, (entries + room,).
 
         Raises
         ------
         FloatingPointError
             If numbers are wanted, and one is below what a number holds.
         """
-        flat = np.full(self.entries, semiring.one)
+        flat = np.full(self.entries + room, semiring.one)
         for cluster, scope in zip(self.graph.clusters, self.scopes, strict=True):
             axis: dict[Variable, int] = {variable: k for k, variable in enumerate(scope)}
-            table = np.full(sizes(scope), semiring.one)
+            place = self.places[cluster.index]
+            table = place.table(flat, scope) if place.large else np.full(sizes(scope), semiring.one)
             for cpd in cast(tuple[TableCPD, ...], cluster.cpds):
                 given = [axis[v] for v in (*cpd.given, cpd.child)]
                 entries = semiring.entries(cpd.table)
@@ -106,10 +107,7 @@ class Storage:
                     semiring.times(
                         table, entries.transpose(np.argsort(given)).reshape(shape), out=table
                     )
-            place = self.places[cluster.index]
-            if place.large:
-                place.table(flat, scope)[...] = table
-            else:
+            if not place.large:
                 flat[place.positions(scope)] = table
         return flat
 

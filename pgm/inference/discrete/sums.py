@@ -10,7 +10,8 @@ from typing import Protocol
 import numpy as np
 
 from pgm.factors.axes import States, sizes
-from pgm.inference.discrete.place import Place
+from pgm.inference.discrete.axis_sums import AxisSums
+from pgm.inference.discrete.place import Merged, Place
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
@@ -65,29 +66,34 @@ class BlockSum:
 
     Attributes
     ----------
-    place : Place
-    wanted : tuple of Discrete
+    entries : slice
+        Of the table.
+    view : Merged
+        Its axes.
+    sums : AxisSums
     target : slice
         Where the sums go.
     """
 
-    place: Place
-    wanted: States
+    entries: slice
+    view: Merged
+    sums: AxisSums
     target: slice
 
     @classmethod
     def of(cls, place: Place, wanted: States, start: int) -> BlockSum:
         """With the sums from a place on."""
-        return cls(place, wanted, slice(start, start + math.prod(sizes(wanted))))
+        target = slice(start, start + math.prod(sizes(wanted)))
+        view = place.merged(wanted)
+        return cls(place.entries, view, AxisSums.of(view.shape, view.others), target)
 
     def apply(self, storage: Array, semiring: Semiring, out: Array) -> Array:
         """Sum into a part of an array, which is returned."""
-        view = self.place.merged(self.wanted)
         tail = storage.shape[1:]
-        table = storage[self.place.entries].reshape((*view.shape, *tail))
-        total = semiring.total(table, view.others, None)
+        table = storage[self.entries].reshape((*self.view.shape, *tail))
+        total = self.sums.total(table, semiring)
         into = out[self.target]
-        ordered = total.reshape((*view.sizes, *tail)).transpose(view.axes(len(tail)))
+        ordered = total.reshape((*self.view.sizes, *tail)).transpose(self.view.axes(len(tail)))
         into.reshape(ordered.shape)[...] = ordered
         return into
 
@@ -103,12 +109,15 @@ class Marginals:
         Where those of each variable stand.
     first, widths : ndarray of int
         (variables,): where they begin, and their numbers.
+    count : int
+        Of all.
     """
 
     sums: Sequence[Sum]
     where: Mapping[Discrete, slice]
     first: Integers
     widths: Integers
+    count: int
 
     @classmethod
     def of(cls, sources: Mapping[Discrete, Integers | Place]) -> Marginals:
@@ -133,11 +142,11 @@ class Marginals:
                 where[variable] = slice(stop, stop + variable.size)
                 stop += variable.size
         widths = np.array([variable.size for variable in where])
-        return cls(sums, where, np.cumsum(widths) - widths, widths)
+        return cls(sums, where, np.cumsum(widths) - widths, widths, stop)
 
     def read(self, tables: Array) -> Array:
         """The probabilities, (states of all variables, [runs])."""
-        out = np.empty((int(self.widths.sum()), *tables.shape[1:]))
+        out = np.empty((self.count, *tables.shape[1:]))
         for each in self.sums:
             each.apply(tables, SUM_PRODUCT, out)
         # They sum to one but for rounding, which grows with the depth of a tree.

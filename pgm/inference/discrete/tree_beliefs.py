@@ -14,14 +14,15 @@ from pgm.factors import Table
 from pgm.factors.axes import States
 from pgm.inference import limits
 from pgm.inference.discrete.beliefs import Beliefs
-from pgm.inference.discrete.evidence import pieces
+from pgm.inference.discrete.calibration import Calibrated, calibrate
+from pgm.inference.discrete.distinct import Distinct
+from pgm.inference.discrete.evidence import pieces, tree_pieces
 from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.joints import joint
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.discrete.tree_messages import TreeMessages
-from pgm.inference.discrete.tree_passes import Calibrated, calibrate
 from pgm.inference.discrete.tree_plan import TreePlan
-from pgm.inference.discrete.tree_planner import make_plan
+from pgm.inference.discrete.tree_planner import plan_for
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete
 
@@ -40,6 +41,8 @@ class TreeBeliefs(Beliefs):
     plan: TreePlan
     storage: Storage
     evidence: BoundStates
+    # What follows is of the runs that differ.
+    _distinct: Distinct
     # Some runs after the other; None where all would take too much room.
     _kept: Sequence[tuple[Calibrated, int]] | None
     _given: Array | None
@@ -56,39 +59,48 @@ class TreeBeliefs(Beliefs):
         EvidenceError
             If the evidence has probability zero.
         """
-        plan = graph.derived(make_plan)
+        distinct = Distinct.of(evidence)
+        runs = distinct.evidence.runs
+        plan = plan_for(graph, runs)
         storage = plan.storage
-        keep = evidence.runs == 1 or storage.entries * evidence.runs <= limits.KEPT
+        keep = runs == 1 or storage.entries * runs <= limits.KEPT
         if not keep:
-            states = int(plan.marginals.widths.sum())
-            limits.require_runs(states, evidence.runs, "the marginals of all variables")
+            limits.require_runs(plan.marginals.count, runs, "the marginals of all variables")
         kept, marginals, tops = [], [], []
-        for piece in pieces(storage.entries, evidence):
+        for piece in tree_pieces(storage.entries, distinct.evidence):
             done = calibrate(plan, piece)
             tops.append((done.log_tops, piece.runs))
             if keep:
                 kept.append((done, piece.runs))
             elif np.isfinite(done.log_tops).all():  # else the evidence is refused below
                 marginals.append((plan.marginals.read(done.tables), piece.runs))
+            del done  # before the next ones are made
         log_tops = _joined(tops)
-        require_possible(plan, evidence, log_tops)
+        if distinct.which is None or not np.isfinite(log_tops).all():
+            require_possible(plan, evidence, distinct.spread(log_tops))
         if keep:
-            return cls(plan, storage, evidence, kept, None, log_tops)
-        return cls(plan, storage, evidence, None, _joined(marginals), log_tops)
+            return cls(plan, storage, evidence, distinct, kept, None, log_tops)
+        return cls(plan, storage, evidence, distinct, None, _joined(marginals), log_tops)
 
     @cached_property
     def _marginals(self) -> Array:
-        return self.read(self.plan.marginals.read) if self._given is None else self._given
+        given = self._read(self.plan.marginals.read) if self._given is None else self._given
+        # Tables of parts of it are handed out as they are.
+        given.flags.writeable = False
+        return given
 
     def marginal(self, variable: Discrete) -> Array:
         """The probabilities of a variable, (states, [runs])."""
-        return self._marginals[self.plan.marginals.where[variable]]
+        return self._distinct.spread(self._marginals[self.plan.marginals.where[variable]])
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
         """What a function makes of the tables, whose last axis, if any, is of runs."""
+        return self._distinct.spread(self._read(reader))
+
+    def _read(self, reader: Callable[[Array], Array]) -> Array:
         if self._kept is not None:
             return _joined([(reader(done.tables), runs) for done, runs in self._kept])
-        some = pieces(self.storage.entries, self.evidence)
+        some = tree_pieces(self.storage.entries, self._distinct.evidence)
         return _joined([(reader(calibrate(self.plan, p).tables), p.runs) for p in some])
 
     def joint(self, scope: States) -> Array:
@@ -97,28 +109,27 @@ class TreeBeliefs(Beliefs):
 
     def log_evidence(self) -> Array:
         """The value ln p(evidence), ([runs])."""
-        total: Array = np.asarray(self._log_tops.sum(axis=0))
-        return total
+        return self._distinct.spread(np.asarray(self._log_tops.sum(axis=0)))
 
     def log_total(self, cluster: int) -> Array:
         """The logarithm of p(evidence) of a cluster's tree, ([runs])."""
         mine = self.plan.tree_of_top == self.plan.forest.roots[cluster]
-        total: Array = np.asarray(self._log_tops[mine].sum(axis=0))
-        return total
+        return self._distinct.spread(np.asarray(self._log_tops[mine].sum(axis=0)))
 
     @cached_property
     def _whole(self) -> TreeMessages | None:
         """The messages of all runs, if they fit at once."""
-        if self.evidence.runs > 1 and self.storage.entries * self.evidence.runs > limits.BATCH:
+        evidence = self._distinct.evidence
+        if evidence.runs > 1 and self.storage.entries * evidence.runs > limits.BATCH:
             return None
-        return TreeMessages(self.storage, self.evidence, self.plan.logs)
+        return TreeMessages(self.storage, evidence, self.plan.logs)
 
     def _messages(self) -> Iterator[TreeMessages]:
         """Those of all runs, or of some runs after the other, none of which is kept."""
         if self._whole is not None:
             yield self._whole
             return
-        for piece in pieces(self.storage.entries, self.evidence):
+        for piece in pieces(self.storage.entries, self._distinct.evidence):
             yield TreeMessages(self.storage, piece, self.plan.logs)
 
     def message(self, source: int, target: int) -> Table:
@@ -128,6 +139,8 @@ class TreeBeliefs(Beliefs):
             logs = messages.message(source, target)
             parts.append(np.broadcast_to(logs, (*logs.shape[:-1], messages.evidence.runs)))
         logs = np.concatenate(parts, axis=-1)
+        if self._distinct.which is not None:
+            logs = logs[..., self._distinct.which]
         scope = messages.sepset(source, target)
         top = logs.max(axis=tuple(range(len(scope))))
         top = np.where(top == -np.inf, 0.0, top)

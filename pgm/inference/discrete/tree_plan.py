@@ -15,14 +15,15 @@ from functools import cached_property
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
+from pgm.evidence.discrete import BoundStates
 from pgm.factors.axes import States, sizes
-from pgm.inference.discrete.place import LARGE, Place
+from pgm.inference.discrete.place import Place
 from pgm.inference.discrete.products import Product
 from pgm.inference.discrete.storage import Storage, sepset_to_parent
 from pgm.inference.discrete.sums import Marginals, Sum
 from pgm.inference.forest import Forest
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.variables import Discrete
 
 
@@ -35,6 +36,8 @@ class Stack:
     Attributes
     ----------
     clusters : ndarray of int
+    bit : int
+        The one bit that stands for the stack in sets of stacks.
     entries, columns, tops : slice
         Where their tables, the columns of their messages, and the scales taken out of these stand:
         one for each cluster, and of a hub one more for each time that its table is rescaled.
@@ -46,6 +49,8 @@ class Stack:
         Of each cluster, its first column in the stack and their number.
     absorbed : sequence of Product
         Messages from the children.
+    senders : sequence of int
+        For each of these, the set of the stacks that send them.
     hub : bool
         Whether the clusters have so many children that their tables are rescaled in between.
     down : Sum or None
@@ -53,6 +58,7 @@ class Stack:
     """
 
     clusters: Integers
+    bit: int
     entries: slice
     columns: slice
     tops: slice
@@ -61,8 +67,24 @@ class Stack:
     first: Integers
     widths: Integers
     absorbed: Sequence[Product]
+    senders: Sequence[int]
     hub: bool
     down: Sum | None
+
+    @cached_property
+    def single(self) -> bool:
+        """Whether it is one cluster."""
+        return self.clusters.size == 1
+
+    @cached_property
+    def narrow(self) -> bool:
+        """Whether each cluster has one column."""
+        return self.clusters.size == int(self.widths.sum())
+
+    @cached_property
+    def top(self) -> slice:
+        """Where the scales of the messages stand; behind them are those of a hub's table."""
+        return slice(self.tops.start, self.tops.start + self.clusters.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +103,8 @@ class TreePlan:
         Scales taken out of all messages.
     first : ndarray of int
         (clusters,): the first column of each cluster's message to its parent.
+    large : int
+        Tables of so many entries stand by themselves.
     """
 
     storage: Storage
@@ -89,6 +113,7 @@ class TreePlan:
     columns: int
     tops: int
     first: Integers
+    large: int
 
     @property
     def graph(self) -> ClusterGraph:
@@ -96,21 +121,47 @@ class TreePlan:
         return self.storage.graph
 
     @cached_property
-    def numbers(self) -> Array | None:
-        """The clusters' potentials; None if an entry is too small for a number."""
-        try:
-            return self.storage.potentials(SUM_PRODUCT)
-        except FloatingPointError:
-            return None
-
-    @cached_property
     def logs(self) -> Array:
         """The logarithms of the clusters' potentials."""
         return self.storage.potentials(LOG_SUM_PRODUCT)
 
-    def potentials(self, semiring: Semiring) -> Array | None:
-        """The clusters' potentials as entries of a semiring."""
-        return self.numbers if semiring.linear else self.logs
+    @cached_property
+    def everything(self) -> int:
+        """The set of all stacks."""
+        return (1 << len(self.stacks)) - 1
+
+    def homes_of(self, evidence: BoundStates) -> int:
+        """The set of the stacks that evidence is put into."""
+        found = 0
+        for variable in (*evidence.states, *evidence.weights):
+            found |= self._bits[variable]
+        return found
+
+    @cached_property
+    def _bits(self) -> dict[Discrete, int]:
+        bits = {k: stack.bit for stack in self.stacks for k in stack.clusters.tolist()}
+        return {variable: bits[home] for variable, home in self.storage.homes.items()}
+
+    @cached_property
+    def _roots(self) -> int:
+        return sum(stack.bit for stack in self.stacks if stack.down is None)
+
+    @cached_property
+    def _paths(self) -> dict[Discrete, int]:
+        """The stacks on the way from each variable's home to the root."""
+        to_root = [0] * len(self.graph)
+        for stack in self.stacks:
+            for k in stack.clusters.tolist():
+                parent = int(self.forest.parent[k])
+                to_root[k] = stack.bit | (to_root[parent] if parent >= 0 else 0)
+        return {variable: to_root[home] for variable, home in self.storage.homes.items()}
+
+    def above(self, evidence: BoundStates) -> int:
+        """The set of the stacks on the ways from the evidence to the roots, and of these."""
+        found = self._roots
+        for variable in (*evidence.states, *evidence.weights):
+            found |= self._paths[variable]
+        return found
 
     @cached_property
     def tree_of_top(self) -> Integers:
@@ -132,7 +183,7 @@ class TreePlan:
             width = math.prod(sizes(sepset))
             if width < least:
                 start = self.storage.entries + int(self.first[k])
-                place = Place(sepset, 1, width, start, width, 1, width >= LARGE)
+                place = Place(sepset, 1, width, start, width, 1, width >= self.large)
                 best, least = place if place.large else place.split(variable), width
         return best
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.factors.axes import discrete, sizes, without
+from pgm.inference.discrete.evidence import at_once
 from pgm.inference.discrete.place import LARGE, Place
 from pgm.inference.discrete.products import BlockProduct, GatheredProduct, Product
 from pgm.inference.discrete.storage import Storage, sepset_to_parent
@@ -18,12 +19,34 @@ from pgm.inference.limits import require_size
 
 # A hub multiplies this many messages at the most into its table before it is rescaled.
 CHUNK = 32
+# In batches, tables of this many entries stand by themselves: runs make calls long, and gathering
+# entries that stand anywhere takes longer than using them where they stand.
+LARGE_OF_MANY = 2**9
 # Entries of expanded messages that are multiplied with one another in one call.
 SMALL = 2**12
 
 
-def make_plan(graph: ClusterGraph) -> TreePlan:
+def plan_for(graph: ClusterGraph, runs: int) -> TreePlan:
+    """The passes over a graph without loops, laid out once for one run and once for many.
+
+    Raises
+    ------
+    GraphError
+        If its tables are too large.
+    """
+    if runs == 1 or at_once(sum(graph.sizes)) == 1:
+        return graph.derived(make_plan, LARGE)
+    return graph.derived(make_plan, LARGE_OF_MANY)
+
+
+def make_plan(graph: ClusterGraph, large: int) -> TreePlan:
     """Lay out the passes over a graph without loops.
+
+    Parameters
+    ----------
+    graph : ClusterGraph
+    large : int
+        Tables of so many entries stand by themselves.
 
     Raises
     ------
@@ -31,20 +54,22 @@ def make_plan(graph: ClusterGraph) -> TreePlan:
         If its tables are too large.
     """
     require_size(graph, graph.sizes, "tables")
-    return _Planner(graph).plan()
+    return _Planner(graph, large).plan()
 
 
 class _Planner:
     """The working place of `make_plan`."""
 
-    def __init__(self, graph: ClusterGraph) -> None:
+    def __init__(self, graph: ClusterGraph, large: int) -> None:
         self.graph = graph
+        self.large = large
         self.forest = Forest.of(graph)
         everywhere = range(len(graph))
         self.sepsets = [sepset_to_parent(graph, self.forest, k) for k in everywhere]
         self.width = [math.prod(sizes(sepset)) for sepset in self.sepsets]
         self.places: list[Place | None] = [None for _ in everywhere]
         self.first = np.zeros(len(graph), dtype=np.intp)
+        self.bits = [0 for _ in everywhere]
 
     def plan(self) -> TreePlan:
         groups: dict[tuple[int, ...], list[int]] = {}
@@ -53,8 +78,10 @@ class _Planner:
                 groups.setdefault(self._kind(k), []).append(k)
         start = 0
         column = 0
-        for clusters in groups.values():
+        for number, clusters in enumerate(groups.values()):
             start, column = self._place(clusters, start, column)
+            for k in clusters:
+                self.bits[k] = 1 << number
         placed = [place for place in self.places if place is not None]
         storage = Storage(self.graph, placed)
         stacks: list[Stack] = []
@@ -62,7 +89,7 @@ class _Planner:
         for clusters in groups.values():
             stacks.append(self._stack(clusters, storage, tops))
             tops = stacks[-1].tops.stop
-        return TreePlan(storage, self.forest, stacks, column, tops, self.first)
+        return TreePlan(storage, self.forest, stacks, column, tops, self.first, self.large)
 
     def _rows(self, cluster: int) -> int:
         return self.graph.sizes[cluster] // self.width[cluster]
@@ -76,7 +103,7 @@ class _Planner:
         return depth, self._rows(cluster), children, above, alone
 
     def _large(self, cluster: int) -> bool:
-        return self.graph.sizes[cluster] >= LARGE
+        return self.graph.sizes[cluster] >= self.large
 
     def _place(self, clusters: list[int], start: int, column: int) -> tuple[int, int]:
         """Place the tables of a stack: as columns of one matrix, or as its rows if that is flat."""
@@ -107,6 +134,7 @@ class _Planner:
         scales = len(clusters) * (len(absorbed) if hub else 1)
         return Stack(
             np.array(clusters),
+            self.bits[clusters[0]],
             slice(start, start + rows * columns),
             slice(first, first + columns),
             slice(tops, tops + scales),
@@ -115,9 +143,17 @@ class _Planner:
             np.cumsum(widths) - widths,
             widths,
             absorbed,
+            [self._set(product.children.ravel().tolist()) for product in absorbed],
             hub,
             self._down(clusters, storage),
         )
+
+    def _set(self, clusters: list[int]) -> int:
+        """The set of the stacks of some clusters."""
+        found = 0
+        for k in clusters:
+            found |= self.bits[k]
+        return found
 
     def _absorbed(
         self, clusters: list[int], storage: Storage, start: int, entries: int
@@ -126,7 +162,7 @@ class _Planner:
         only = storage.places[clusters[0]]
         if only.large:
             return [
-                BlockProduct(np.array([[k]]), only, self.sepsets[k], int(self.first[k]))
+                BlockProduct.of(k, only, self.sepsets[k], int(self.first[k]))
                 for k in self.forest.children[clusters[0]]
             ]
         senders = np.array([self.forest.children[k] for k in clusters], dtype=np.intp).T

@@ -9,8 +9,11 @@ import pytest
 from discrete.enumeration import Enumeration, network
 
 import pgm
-from models.discrete import asia, bronchitis, dyspnoea, smoking, xray
+from models.discrete import asia, bronchitis, cancer, dyspnoea, either, smoking, xray
+from pgm.evidence import bind_discrete
 from pgm.inference import limits
+from pgm.inference.discrete import distinct, entry, tree_planner
+from pgm.inference.discrete import evidence as evidence_
 
 RUNS = 5
 
@@ -124,9 +127,27 @@ def test_a_variable_observed_in_some_runs_has_a_marginal_in_all():
     np.testing.assert_allclose(values[1], Enumeration(asia()).marginal(xray), atol=1e-15)
 
 
+@pytest.mark.parametrize("large", [1, 12, 2**9])
+@pytest.mark.parametrize("small", [0, 2**12])
+@pytest.mark.parametrize("seed", range(4))
+def test_tables_of_a_batch_that_are_used_where_they_stand(seed, small, large, monkeypatch):
+    monkeypatch.setattr(tree_planner, "LARGE_OF_MANY", large)
+    monkeypatch.setattr(entry, "SMALL", small)
+    net = network(40 + seed, count=8)
+    graph = pgm.compile(net)
+    evidence = batch(net, seed)
+    whole, best = pgm.infer(graph, evidence), pgm.most_probable(graph, evidence)
+    for run in range(RUNS):
+        same(whole, pgm.infer(graph, one(evidence, run)), run)
+        probability = pgm.most_probable(graph, one(evidence, run)).log_probability
+        np.testing.assert_allclose(best.log_probability[run], probability, atol=1e-13)
+
+
+@pytest.mark.parametrize("few", [1, 64])
 @pytest.mark.parametrize("kept", [0, 2**24])
 @pytest.mark.parametrize("at_once", [1, 100, 300])
-def test_runs_that_do_not_fit_at_once(at_once, kept, monkeypatch):
+def test_runs_that_do_not_fit_at_once(at_once, kept, few, monkeypatch):
+    monkeypatch.setattr(evidence_, "FEW", few)
     net = network(5, count=8)
     graph = pgm.compile(net)
     rng = np.random.default_rng(0)
@@ -152,6 +173,67 @@ def test_runs_that_do_not_fit_at_once(at_once, kept, monkeypatch):
     again = pgm.most_probable(graph, evidence)
     for variable in net.variables:
         assert np.array_equal(again.assignment[variable], best.assignment[variable])
+
+
+def repeated(net, seed, runs):
+    """Evidence by run of every variable but two, few states of which make many runs equal."""
+    rng = np.random.default_rng(seed)
+    found = {}
+    for variable in net.variables[:-2]:
+        few = rng.integers(-1, variable.size, 2)
+        found[variable] = few[rng.integers(0, 2 if rng.random() < 0.4 else 1, runs)]
+    return found
+
+
+@pytest.mark.parametrize("codes", [8, 2**62])
+@pytest.mark.parametrize("kept", [0, 2**24])
+@pytest.mark.parametrize("seed", range(4))
+def test_equal_runs_are_computed_once(seed, kept, codes, monkeypatch):
+    monkeypatch.setattr(distinct, "CODES", codes)
+    monkeypatch.setattr(limits, "KEPT", kept)
+    net = network(60 + seed, count=6, parents=2)
+    graph = pgm.compile(net)
+    evidence = repeated(net, seed, 40)
+    rows = np.array(list(evidence.values()))
+    bound = bind_discrete(net.variables, evidence)
+    found = distinct.Distinct.of(bound)
+    assert found.evidence.runs == len(np.unique(rows, axis=1).T) < 40
+    whole = pgm.infer(graph, evidence)
+    best = pgm.most_probable(graph, evidence)
+    pair, edge = net.variables[-2:], next(iter(graph.sepsets), None)
+    for run in range(0, 40, 7):
+        alone = one(evidence, run)
+        single = pgm.infer(graph, alone)
+        same(whole, single, run)
+        joint = whole.joint(*pair).values
+        np.testing.assert_allclose(joint[run], single.joint(*pair).values, atol=1e-14)
+        np.testing.assert_allclose(
+            whole.belief(0).log_total[run], single.belief(0).log_total, atol=1e-13
+        )
+        if edge:
+            wide, narrow = whole.message(*edge), single.message(*edge)
+            total = wide.marginal(*narrow.scope).log_total[run]
+            np.testing.assert_allclose(total, narrow.log_total, atol=1e-13)
+        probability = pgm.most_probable(graph, alone).log_probability
+        np.testing.assert_allclose(best.log_probability[run], probability, rtol=1e-14)
+
+
+def test_runs_that_are_all_equal_or_have_weights_of_their_own():
+    graph, truth = pgm.compile(asia()), Enumeration(asia(), {xray: 1})
+    posterior = pgm.infer(graph, {xray: [[1, 1], [1, 1]]})
+    assert posterior[smoking].values.shape == (2, 2, 2)
+    for row in posterior[smoking].values.reshape(-1, 2):
+        np.testing.assert_allclose(row, truth.marginal(smoking), atol=1e-15)
+    assert posterior.joint(smoking, dyspnoea).values.shape == (2, 2, 2, 2)
+    weights = pgm.soft([[0.2, 0.8], [0.2, 0.8], [0.8, 0.2]])
+    uneven = pgm.infer(graph, {xray: [1, 1, 1], dyspnoea: weights})[smoking].values
+    assert np.array_equal(uneven[0], uneven[1])
+    assert not np.allclose(uneven[0], uneven[2])
+
+
+def test_the_run_that_is_named_is_one_of_those_given():
+    with pytest.raises(pgm.EvidenceError, match=r"probability zero \(first in run 3\)"):
+        pgm.infer(pgm.compile(asia()), {cancer: [0, 0, 0, 1], either: [0, 1, 0, 0]})
 
 
 @pytest.mark.parametrize("schedule", [None, pgm.Flooding()])

@@ -6,7 +6,8 @@ from discrete.enumeration import Enumeration, network
 
 import pgm
 from models.discrete import asia, cancer, rain, sprinkler, wet, xray
-from pgm.inference.discrete import storage, tree_plan, tree_planner
+from pgm.evidence import bind_discrete
+from pgm.inference.discrete import entry, storage, tree_planner
 
 CLOSE = {"rtol": 0.0, "atol": 1e-12}
 
@@ -102,10 +103,42 @@ def test_a_sepset_that_shares_nothing():
 @pytest.mark.parametrize("seed", range(12))
 def test_tables_that_are_used_where_they_stand(seed, least, monkeypatch):
     """What large tables take, on small ones."""
-    for module in (tree_plan, tree_planner, storage):
+    for module in (tree_planner, storage):
         monkeypatch.setattr(module, "LARGE", least)
     net = network(400 + seed, count=9)
     assert check(net, pgm.compile(net), seed)
+
+
+@pytest.mark.parametrize("zeros", [0.0, 0.2])
+@pytest.mark.parametrize("held", [0, 2**26])
+@pytest.mark.parametrize("seed", range(12))
+def test_potentials_that_are_made_again_and_tables_that_are_entered_apart(
+    seed, held, zeros, monkeypatch
+):
+    """What the largest graphs take, and larger ones, on small ones."""
+    monkeypatch.setattr(entry, "HELD", held)
+    monkeypatch.setattr(entry, "SMALL", 0)
+    net = network(500 + seed, count=9, zeros=zeros, deterministic=zeros)
+    graph = pgm.compile(net)
+    for again in range(3):
+        check(net, graph, seed + again)
+
+
+def test_without_evidence_only_the_roots_are_active():
+    net = network(8, count=10)
+    plan = tree_planner.plan_for(pgm.compile(net), 1)
+    everywhere = bind_discrete(net.variables, dict.fromkeys(net.variables, 0))
+    assert plan.above(everywhere) == plan.everything
+    roots = [stack.bit for stack in plan.stacks if stack.down is None]
+    assert plan.above(bind_discrete(net.variables, {})) == sum(roots) < plan.everything
+
+
+def test_columns_that_were_rounded_count_in_the_evidence():
+    a, b = pgm.Discrete("a", 2), pgm.Discrete("b", 2)
+    table = np.array([[0.3, 0.7], [0.9, 0.1]]) * (1 + 3e-10)
+    net = pgm.BayesianNetwork([pgm.TableCPD(a, table=[0.4, 0.6]), pgm.TableCPD(b, a, table=table)])
+    found = pgm.infer(pgm.compile(net), {}).log_evidence
+    np.testing.assert_allclose(found, np.log(np.array([0.4, 0.6]) @ table.sum(axis=1)), atol=1e-15)
 
 
 def test_a_large_table():
