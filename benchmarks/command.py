@@ -24,7 +24,10 @@ PEERS = ("filterpy", "stonesoup", "dynamax", "jax", "cuthbert", "gtsam", "pyagru
 def main(arguments: list[str] | None = None) -> None:
     """Run rows and curves, print tables, write summary.json and the figure."""
     names = [row.name for row in ROWS] + [curve.name for curve in CURVES]
-    parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description="Time pgm and other libraries on the same work, once they agree.",
+    )
     parser.add_argument("--quick", action="store_true", help="smaller work, fewer repeats")
     parser.add_argument("--only", help=f"some, with commas between them: {', '.join(names)}")
     parser.add_argument("--repeats", type=int, help="timed calls of each library")

@@ -60,6 +60,7 @@ class Record:
         """Write a figure as PNG and PDF; the caption stands below it in the report."""
         for ending in ("png", "pdf"):
             figure.savefig(self.folder / f"{name}.{ending}", dpi=150, bbox_inches="tight")
+            figure.set_layout_engine("none")  # one layout is enough for both, and is slow to find
         self.picture(f"{name}.png", caption)
 
     def picture(self, file: str, caption: str = "") -> None:

@@ -62,7 +62,9 @@ def filter(
     keep: Variable | Iterable[Variable] | None = None,
     threads: int = 1,
 ) -> ChainPosterior | KeptPosterior:
-    """Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
+    r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
+
+    .. math:: p(x_t \mid \text{readings up to } t), \quad t = 0, \ldots, T
 
     Parameters
     ----------
@@ -77,6 +79,17 @@ def filter(
         Of `Filtering`.
     keep, threads : optional
         As for `infer`.
+
+    Returns
+    -------
+    ChainPosterior
+        ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
+        `KeptPosterior` with ``keep``.
+
+    Raises
+    ------
+    PgmError
+        As `infer`.
     """
     schedule = Filtering(iterations, tolerance, damping)
     require_lineariser(lineariser)
@@ -130,7 +143,9 @@ def smooth(
     keep: Variable | Iterable[Variable] | None = None,
     threads: int = 1,
 ) -> ChainPosterior | KeptPosterior:
-    """Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
+    r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
+
+    .. math:: p(x_t \mid \text{all readings}), \quad t = 0, \ldots, T
 
     Parameters
     ----------
@@ -147,6 +162,17 @@ def smooth(
         Of `Smoothing`.
     keep, threads : optional
         As for `infer`.
+
+    Returns
+    -------
+    ChainPosterior
+        ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
+        `KeptPosterior` with ``keep``.
+
+    Raises
+    ------
+    PgmError
+        As `infer`.
     """
     schedule = Smoothing(iterations, tolerance, damping)
     require_lineariser(lineariser)

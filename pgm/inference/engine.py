@@ -90,7 +90,8 @@ def infer(
     start : mapping of Variable to array_like, optional
         Means at which everything is linearised first, in place of the beliefs at hand: (..., d)
         of the variables without evidence; of a dynamic network (..., T+1, d) of the states,
-        (..., T, d) of hidden controls. On a `Balanced` tree without one, a dead-reckoned trajectory.
+        (..., T, d) of hidden controls. On a `Balanced` tree without a start, where
+        motion alone leads.
     keep : collection of Variable, optional
         Of a dynamic network, the hidden variables of whose results the marginals at all steps are
         kept, ``keep=[x]``, with log-evidence and status; without, everything is. The runs are then

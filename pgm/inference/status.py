@@ -21,10 +21,10 @@ class Status(Immutable):
         the maximum also where messages diverged, which `converged` tells (False).
     residuals : ndarray
         The convergence record. Of a tree, (iterations − 1, *runs): the largest move of a mean at
-        each relinearisation, in standard deviations (on a balanced tree, with `Taylor` and regular
-        noise, those of a component given all others). Of other graphs, (iterations, *runs): the
-        largest change of a message in each iteration, or the largest move of a mean, if larger,
-        where CPDs were linearised anew.
+        each relinearisation, in standard deviations (on a balanced tree, with `Taylor`, given
+        Jacobians and regular noise, those of a component given all others). Of other graphs,
+        (iterations, *runs): the largest change of a message in each iteration, or the largest move
+        of a mean, if larger, where CPDs were linearised anew.
     converged : ndarray of bool
         (*runs): whether the last residual was within the tolerance, or nothing was to iterate.
     by_edge : mapping of (int, int) to ndarray

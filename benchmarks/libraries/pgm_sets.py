@@ -1,0 +1,36 @@
+"""pgm on repository networks: the junction tree is compiled beforehand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import pgm
+from benchmarks.timing import Contender
+from benchmarks.work.repository import Sets
+from benchmarks.work.tables import Task
+
+
+def single(task: Task) -> Contender:
+    """New evidence, then all marginals."""
+    graph, hidden = pgm.compile(task.network), task.hidden
+
+    def call() -> list[np.ndarray]:
+        posterior = pgm.infer(graph, task.evidence)
+        return [posterior[v].values for v in hidden]
+
+    return Contender(call, 1)
+
+
+def marginals(sets: Sets) -> Contender:
+    """All sets at once, then all marginals, (sets, states) each."""
+    graph = pgm.compile(sets.network)
+
+    def call() -> list[np.ndarray]:
+        posterior = pgm.infer(graph, sets.evidence)
+        return [posterior[v].values for v in sets.network.variables if not _seen(sets, v)]
+
+    return Contender(call, sets.count)
+
+
+def _seen(sets: Sets, variable: pgm.Variable) -> bool:
+    return variable in sets.evidence and bool((sets.evidence[variable] >= 0).all())

@@ -1,0 +1,97 @@
+"""Networks of the Bayesian network repository, with what is observed of their leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+import pgm
+from benchmarks.work.tables import Task
+
+NAMES = (
+    "asia",
+    "cancer",
+    "earthquake",
+    "survey",
+    "sachs",
+    "child",
+    "alarm",
+    "insurance",
+    "hailfinder",
+    "win95pts",
+    "hepar2",
+    "andes",
+)
+OBSERVED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Sets:
+    """A network and many sets of evidence, for each of which all marginals are asked.
+
+    Attributes
+    ----------
+    network : BayesianNetwork
+    evidence : dict of Variable to ndarray of int
+        The index of a state by set; −1 where it is not observed.
+    """
+
+    network: pgm.BayesianNetwork
+    evidence: dict[pgm.Variable, npt.NDArray[np.intp]]
+
+    @property
+    def count(self) -> int:
+        """Number of sets."""
+        return len(next(iter(self.evidence.values())))
+
+
+def one(name: str, seed: int = 0) -> Task:
+    """Five leaves, drawn from the network."""
+    network = read(name)
+    rng = np.random.default_rng(seed)
+    drawn = network.sample(rng=rng)
+    return Task(network, {leaf: int(drawn[leaf]) for leaf in _some(network, rng)})
+
+
+def many(name: str, count: int, seed: int = 0) -> Sets:
+    """Sets of five leaves each, other ones each time."""
+    network = read(name)
+    rng = np.random.default_rng(seed)
+    drawn = network.sample(count, rng=rng)
+    evidence = {leaf: np.full(count, -1) for leaf in _leaves(network)}
+    for k in range(count):
+        for leaf in _some(network, rng):
+            evidence[leaf][k] = drawn[leaf][k]
+    return Sets(network, evidence)
+
+
+@cache
+def read(name: str) -> pgm.BayesianNetwork:
+    """The network of a file that comes with pgmpy.
+
+    Raises
+    ------
+    ImportError
+        If that is not here.
+    """
+    found = find_spec("pgmpy")
+    if found is None or not found.submodule_search_locations:
+        raise ImportError("the networks' files come with pgmpy, which is not here")
+    folder = Path(found.submodule_search_locations[0]) / "utils" / "example_models"
+    return pgm.read_bif(folder / f"{name}.bif.gz", normalise=True)
+
+
+def _leaves(network: pgm.BayesianNetwork) -> list[pgm.Variable]:
+    parents = {parent for cpd in network.cpds for parent in cpd.given}
+    return [variable for variable in network.variables if variable not in parents]
+
+
+def _some(network: pgm.BayesianNetwork, rng: np.random.Generator) -> list[pgm.Variable]:
+    leaves = _leaves(network)
+    chosen = rng.choice(len(leaves), min(OBSERVED, len(leaves)), replace=False)
+    return [leaves[k] for k in chosen.tolist()]
