@@ -23,14 +23,10 @@ def single(task: Task) -> Contender:
 
 def marginals(sets: Sets) -> Contender:
     """All sets at once, then all marginals, (sets, states) each."""
-    graph = pgm.compile(sets.network)
+    graph, hidden = pgm.compile(sets.network), sets.hidden
 
     def call() -> list[np.ndarray]:
         posterior = pgm.infer(graph, sets.evidence)
-        return [posterior[v].values for v in sets.network.variables if not _seen(sets, v)]
+        return [posterior[v].values for v in hidden]
 
     return Contender(call, sets.count)
-
-
-def _seen(sets: Sets, variable: pgm.Variable) -> bool:
-    return variable in sets.evidence and bool((sets.evidence[variable] >= 0).all())

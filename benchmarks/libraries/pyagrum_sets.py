@@ -34,8 +34,7 @@ def marginals(sets: Sets) -> Contender:
         {v.name: int(states[k]) for v, states in sets.evidence.items() if states[k] >= 0}
         for k in range(sets.count)
     ]
-    seen = {v for v, states in sets.evidence.items() if (states >= 0).all()}
-    names = [v.name for v in sets.network.variables if v not in seen]
+    names = [v.name for v in sets.hidden]
 
     def call() -> list[np.ndarray]:
         found = []

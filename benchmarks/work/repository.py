@@ -49,6 +49,12 @@ class Sets:
         """Number of sets."""
         return len(next(iter(self.evidence.values())))
 
+    @property
+    def hidden(self) -> list[pgm.Discrete]:
+        """The variables that are not observed in all sets."""
+        seen = {v for v, states in self.evidence.items() if (states >= 0).all()}
+        return [v for v in self.network.variables if v not in seen and isinstance(v, pgm.Discrete)]
+
 
 def one(name: str, seed: int = 0) -> Task:
     """Five leaves, drawn from the network."""

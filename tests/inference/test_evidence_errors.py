@@ -327,7 +327,7 @@ ONLINE = [
         "a reading of 2",
         lambda: ROBOT.update(BELIEF, {fix: [0, 0]}),
         "fix",
-        "(1, 2)",
+        "(2,)",
         variable=fix,
     ),
     online(

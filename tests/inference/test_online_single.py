@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -163,6 +164,10 @@ SEEN = np.array([[5.0, 1.0]])
             "give it once",
         ),
         (lambda r, b: r.update(b, {x: [0.0, 0.0, 0.0]}), "hidden"),
+        (lambda r, b: r.predict(b, [1.0, 0.1]), "predict takes a mapping of inputs"),
+        (lambda r, b: r.update(b, [5.0, 1.0]), "update takes a mapping of sensors"),
+        (lambda r, b: r.update(b, {SIGHT.z: "near", m: LANDMARKS[0]}), "numbers"),
+        (lambda r, b: r.update(b, {SIGHT.z: 5.0, m: LANDMARKS[0]}), "shape"),
     ],
 )
 def test_what_was_refused_is_refused_with_plans_at_hand(robot, call, words):
@@ -270,3 +275,28 @@ def test_a_filter_with_plans_is_pickled(robot):
     due = filter_.predict(belief, {u: [1.0, 0.1]})
     found = twin.predict(same, {u: [1.0, 0.1]})
     np.testing.assert_array_equal(found[x].mean, due[x].mean)
+
+
+def test_a_reading_too_large_to_be_squared_is_refused_without_a_warning(robot):
+    filter_, belief = robot
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(pgm.NumericalError, match=f"at step {belief.step} is indefinite"):
+            filter_.update(belief, {SIGHT.z: [1e300, 0.0], m: LANDMARKS[0]})
+
+
+@pytest.mark.parametrize("runs", [(), (2,)])
+def test_a_contradiction_names_the_step(runs):
+    state, seen = pgm.Variable("state"), pgm.Variable("seen")
+    certain = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(state, [1.0], 0.0)],
+        transition=[pgm.LinearGaussianCPD(state, {state.previous: 1.0}, cov=0.0)],
+        observation=[pgm.LinearGaussianCPD(seen, {state: 1.0}, cov=0.0)],
+    )
+    filter_ = pgm.OnlineFilter(certain)
+    belief = filter_.initial()
+    for _ in range(3):
+        belief = filter_.update(filter_.predict(belief), {seen: np.ones((*runs, 1))})
+    with pytest.raises(pgm.NumericalError, match="at step 3, run 0, contradicts") as caught:
+        filter_.update(belief, {seen: np.full((*runs, 1), 2.0)})
+    assert caught.value.step == 3

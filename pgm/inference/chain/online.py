@@ -11,6 +11,7 @@ import numpy as np
 from pgm.compile import SliceLayout, compile
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
+from pgm.evidence.arrays import as_rows
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable
 from pgm.inference.chain import forward
@@ -192,7 +193,7 @@ class OnlineFilter(Immutable):
             If an input is missing or of a wrong shape, or something is no input.
         """
         self._check(belief)
-        inputs = {} if inputs is None else inputs
+        inputs = {} if inputs is None else _mapping(inputs, "predict", "inputs to values")
         if self._single is not None and belief.lead == ():
             after = self._single.predict(belief, inputs, self._ahead)
             if after is not None:
@@ -239,7 +240,8 @@ class OnlineFilter(Immutable):
             If a reading contradicts an exact model.
         """
         self._check(belief)
-        if self._single is not None and belief.lead == () and isinstance(readings, Mapping):
+        readings = _mapping(readings, "update", "sensors to readings")
+        if self._single is not None and belief.lead == ():
             after = self._single.update(belief, readings, self._seen)
             if after is not None:
                 return after
@@ -254,10 +256,6 @@ class OnlineFilter(Immutable):
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its readings checked."""
-        if not isinstance(readings, Mapping):
-            raise EvidenceError(
-                f"update takes a mapping of sensors to readings, not {type(readings).__name__}"
-            )
         evidence = {v: self._reading(v, value) for v, value in readings.items()}
         bound = bind(
             self.model.transition,
@@ -281,7 +279,7 @@ class OnlineFilter(Immutable):
         if variable not in self.model.sensors:
             return _constant(value)
         if not isinstance(value, Sightings):
-            value = sightings(np.asarray(value, dtype=float)[..., None, :])
+            value = sightings(as_rows(variable, value, None)[..., None, :])
         if value.step is not None:
             raise EvidenceError(
                 f"sightings of {variable!r} online belong to the belief's step; leave step= out",
@@ -298,6 +296,12 @@ class OnlineFilter(Immutable):
 
 def _nothing_to_iterate(lead: tuple[int, ...]) -> Status:
     return Status(1, np.empty((0, *lead)), np.ones(lead, dtype=bool))
+
+
+def _mapping(value: Any, method: str, what: str) -> Mapping[Variable, Any]:
+    if not isinstance(value, Mapping):
+        raise EvidenceError(f"{method} takes a mapping of {what}, not {type(value).__name__}")
+    return value
 
 
 def _constant(value: Any) -> Constant:

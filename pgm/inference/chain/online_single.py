@@ -7,7 +7,7 @@ wrong: batches of robots, missing readings, values of odd shapes.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from math import isfinite
+from math import hypot, isfinite
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -103,8 +103,7 @@ class Given:
             value = _numbers(value)
         if value.ndim != axes:
             raise Special
-        flat = value.reshape(-1)
-        if not isfinite(flat.dot(flat)):
+        if not isfinite(hypot(*value.reshape(-1).tolist())):
             raise Special
         if not value.flags.c_contiguous:
             value = value.copy()
@@ -163,7 +162,7 @@ class _Driven:
                 return None
             if self.rough and single.root(cov) is None and not roots.is_proper(roots.root(cov)):
                 return None
-        return (mean, cov) if _finite(mean, cov) else None
+            return (mean, cov) if _finite(mean, cov) else None
 
 
 class _Sighted:
@@ -197,7 +196,7 @@ class _Sighted:
                 found = self.sight.update(0, belief.mean[0], belief.cov[0])
             except PgmError:
                 return None
-        return found if found is not None and _finite(*found) else None
+            return found if found is not None and _finite(*found) else None
 
 
 def _finite(mean: Array, cov: Array, log_density: float = 0.0) -> bool:

@@ -44,12 +44,12 @@ def _absorb(
     exact = any(sensor.exact for sensor, _ in due)
     result = moments.update(mean, cov, matrix, residual, noise, exact=exact)
     if not np.isfinite(result.log_density.sum()):
-        _refuse_indefinite(due, step)
+        _refuse_indefinite(due)
     several = len(due) > 1 or due[0][1].stop - due[0][1].start > 1
     if several and not last and roots.smallest_pivot(result.lower) < NEARLY_SINGULAR:
         return None
     if result.left is not None:
-        _refuse_contradiction(due, step, mean, result.left)
+        _refuse_contradiction(due, mean, result.left)
     log_density = result.log_density
     if missing is not None:
         log_density = log_density + 0.5 * LOG_2PI * missing
@@ -147,7 +147,7 @@ def _residual(sensor: Sensor, rows: slice, mean: Array) -> tuple[Array, Array, A
     return matrix, residual, noise, taken
 
 
-def _refuse_indefinite(due: Due, step: int) -> None:
+def _refuse_indefinite(due: Due) -> None:
     names = ", ".join(sensor.variable.name for sensor, _ in due)
     blamed = [sensor for sensor, _ in due if sensor.family.approximate]
     sensor = blamed[0] if blamed else due[0][0]
@@ -156,6 +156,7 @@ def _refuse_indefinite(due: Due, step: int) -> None:
         if blamed
         else "are the belief before it and the reading of a size that float64 can hold?"
     )
+    step = _step(due)
     raise NumericalError(
         f"the predictive covariance of {names} at step {step} is indefinite or not "
         f"finite; {advice}",
@@ -165,7 +166,7 @@ def _refuse_indefinite(due: Due, step: int) -> None:
     )
 
 
-def _refuse_contradiction(due: Due, step: int, mean: Array, left: Array) -> None:
+def _refuse_contradiction(due: Due, mean: Array, left: Array) -> None:
     """Refuse a reading that differs from what an exact model has already determined it to be."""
     parts = []
     for sensor, rows in due:
@@ -179,7 +180,7 @@ def _refuse_contradiction(due: Due, step: int, mean: Array, left: Array) -> None
     run, place = (int(axis[0]) for axis in np.nonzero(far))
     heights = [(rows.stop - rows.start) * sensor.moved.shape[2] for sensor, rows in due]
     sensor, rows = due[int(np.searchsorted(np.cumsum(heights), place, side="right"))]
-    which = sensor.family.first_run + run
+    which, step = sensor.family.first_run + run, _step(due)
     raise NumericalError(
         f"a reading of {sensor.variable!r} at step {step}, run {which}, contradicts an exact "
         f"model: it is {left[run, place]:.3g} from a value that is certain; give the sensor, the "
@@ -188,3 +189,9 @@ def _refuse_contradiction(due: Due, step: int, mean: Array, left: Array) -> None
         cpd=sensor.family.cpd,
         step=step,
     )
+
+
+def _step(due: Due) -> int:
+    """The step of readings; online it is no place in the plan, which is for one step alone."""
+    sensor, rows = due[0]
+    return int(sensor.family.step[rows.start])

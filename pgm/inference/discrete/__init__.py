@@ -7,15 +7,19 @@ Where tables stand:
 
 - ``place``: one table in the flat array that holds the tables of all clusters;
 - ``storage``: that array, and the clusters' potentials in it;
-- ``sums``: sums of its entries, as of a table to a sepset or to one variable;
+- ``axis_sums``: sums over axes of a large table, where it stands;
+- ``sums``: sums of entries of the array, as of a table to a sepset or to one variable;
 - ``products``: messages multiplied into it;
-- ``evidence``: states and weights put into it; batches of runs cut into pieces that fit.
+- ``evidence``: states and weights put into it; batches of runs cut into pieces that fit;
+- ``distinct``: runs of equal evidence, which are computed once.
 
 Graphs without loops:
 
 - ``tree_planner``: lays out the passes, clusters of one shape as the columns of one matrix;
 - ``tree_plan``: what it makes;
-- ``tree_passes``: messages to the roots and back, which calibrate the tables;
+- ``tree_passes``: messages to the roots and back;
+- ``entry``: what they begin with, so that messages to the roots are sent from evidence alone;
+- ``calibration``: both passes, with numbers or with logarithms;
 - ``tree_messages``: single messages by their definition, made on request;
 - ``tree_beliefs``: the calibrated tables of all runs;
 - ``maximum``: maxima in place of sums, and the most probable assignment.

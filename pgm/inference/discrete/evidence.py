@@ -138,7 +138,7 @@ def some_runs(evidence: BoundStates, start: int, stop: int) -> BoundStates:
 
 def alone(evidence: BoundStates) -> BoundStates:
     """The evidence of a single run without what is not observed in it; of several, itself."""
-    if evidence.runs > 1 or all(isinstance(state, int) for state in evidence.states.values()):
+    if not evidence.lead or evidence.runs > 1:
         return evidence
     known = {v: s if isinstance(s, int) else int(s[0]) for v, s in evidence.states.items()}
     states = {v: state for v, state in known.items() if state >= 0}

@@ -31,11 +31,13 @@ class DiscretePosterior(Posterior):
     are exact, of a graph with loops approximate. A variable that is observed in some runs alone
     has one for its state there.
 
-    The calibrated tables of a tree are kept for up to 2²⁴ entries over all runs. Of larger batches
-    the marginals and the log-evidence are kept, and each joint and belief calibrates the runs
-    again, some after the others; so ask once for a joint of several variables. Likewise each
-    message of a batch above 2²² entries is made anew. An answer that would take more than a
-    gibibyte is refused.
+    Of a tree, runs of equal evidence are computed once, and those that differ in pieces whose
+    tables take 32 MiB, or one by one where less than 64 would fit; besides these tables a batch
+    takes what it keeps. The calibrated tables are kept for up to 2²⁴ entries over all runs that
+    differ, 128 MiB. Of larger batches the marginals and the log-evidence are kept, and each joint
+    and belief calibrates the runs again, some after the others; so ask once for a joint of several
+    variables. Likewise each message of a batch above 2²² entries is made anew. An answer that would
+    take more than a gibibyte is refused.
 
     Attributes
     ----------

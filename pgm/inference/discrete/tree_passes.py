@@ -110,7 +110,9 @@ def distribute(plan: TreePlan, entry: Entry, done: Collected, semiring: Semiring
     """Send the messages back: tables and sepsets become probabilities."""
     tables = entry.tables
     tail = tables.shape[1:]
-    divisor = semiring.divisor(done.messages)
+    divisor = done.messages
+    # 0/0 becomes 0, for the dividend is zero too.
+    np.copyto(divisor, semiring.one, where=divisor == semiring.zero)
     for stack in plan.stacks:
         matrix = tables[stack.entries].reshape(*stack.shape, *tail)
         if stack.down is None:
