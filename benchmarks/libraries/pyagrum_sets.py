@@ -5,26 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pyagrum
 
-import pgm
+from benchmarks.libraries.pyagrum_tables import filled
 from benchmarks.timing import Contender
 from benchmarks.work.repository import Sets
-
-
-def filled(network: pgm.BayesianNetwork) -> pyagrum.BayesNet:
-    """A network of our numbers."""
-    peer = pyagrum.BayesNet()
-    cpds = [cpd for cpd in network.cpds if isinstance(cpd, pgm.TableCPD)]
-    for cpd in cpds:
-        peer.add(pyagrum.LabelizedVariable(cpd.child.name, "", list(cpd.child.states)))
-        for parent in cpd.parents:
-            peer.addArc(parent.name, cpd.child.name)
-    for cpd in cpds:
-        table = peer.cpt(cpd.child.name)
-        axes = [v.name for v in (*cpd.parents, cpd.child)]
-        # Its arrays have the axes of its variables in reverse.
-        order = [axes.index(name) for name in reversed(table.names)]
-        table[:] = np.ascontiguousarray(np.transpose(cpd.table, order))
-    return peer
 
 
 def marginals(sets: Sets) -> Contender:

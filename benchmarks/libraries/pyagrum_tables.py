@@ -10,10 +10,10 @@ from benchmarks.timing import Contender
 from benchmarks.work.tables import Task
 
 
-def marginals(task: Task) -> Contender:
-    """New evidence, then all marginals, by its own default engine."""
+def filled(network: pgm.BayesianNetwork) -> pyagrum.BayesNet:
+    """A network of our numbers."""
     peer = pyagrum.BayesNet()
-    cpds = [cpd for cpd in task.network.cpds if isinstance(cpd, pgm.TableCPD)]
+    cpds = [cpd for cpd in network.cpds if isinstance(cpd, pgm.TableCPD)]
     for cpd in cpds:
         peer.add(pyagrum.LabelizedVariable(cpd.child.name, "", list(cpd.child.states)))
         for parent in cpd.parents:
@@ -24,7 +24,12 @@ def marginals(task: Task) -> Contender:
         # Its arrays have the axes of its variables in reverse.
         order = [axes.index(name) for name in reversed(table.names)]
         table[:] = np.ascontiguousarray(np.transpose(cpd.table, order))
-    engine = pyagrum.LazyPropagation(peer)
+    return peer
+
+
+def marginals(task: Task) -> Contender:
+    """New evidence, then all marginals, by its own default engine."""
+    engine = pyagrum.LazyPropagation(filled(task.network))
     evidence = {v.name: index for v, index in task.evidence.items()}
     names = [v.name for v in task.hidden]
 

@@ -188,3 +188,25 @@ def test_what_else_there_is_is_found_when_it_is_asked_for(monkeypatch):
         posterior.predicted[pose].cov, plain.predicted[pose].cov, rtol=1e-9, atol=1e-12
     )
     assert stored == [False, True]
+
+
+def test_a_mean_that_is_lost_at_a_step_without_readings_is_refused():
+    """Though the next function would map it back to a number."""
+    network, evidence = drawn()
+    drive = network.transition[0]
+
+    def broken(x, u):
+        out = np.array(drive.function(np.nan_to_num(x), u))
+        if x.ndim == 2 and x.shape[0] == RUNS and 0.35 < np.abs(x[..., 2]).mean() < 0.5:
+            out[7] = np.nan
+        return out
+
+    def slope(x, u):
+        return drive.jacobian[pose.previous](np.nan_to_num(x), u)
+
+    moved = pgm.NonlinearGaussianCPD(
+        drive.child, drive.given, broken, cov=drive.cov, jacobian={pose.previous: slope}
+    )
+    model = network.replace(transition=[moved], observation=[])
+    with pytest.raises(pgm.LinearisationError, match="run 7"):
+        pgm.filter(model, {velocity: np.tile(evidence[velocity], (RUNS, 1, 1))})

@@ -89,8 +89,8 @@ def _run(
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):  # see above
         try:
             _sweep(plan, move, reads, predicted, kept, log_density)
-            # What is not finite stays so from one step to the next.
-            total = kept[0][-1].sum() + kept[1][-1].sum() + log_density.sum()
+            # A covariance that is not finite stays so from one step to the next.
+            total = kept[0].sum() + kept[1][-1].sum() + log_density.sum()
             done = bool(np.isfinite(total))
         except (PgmError, Unusual):
             done = False
