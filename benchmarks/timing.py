@@ -10,7 +10,9 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-SHORTEST = 0.02  # seconds; what takes less is called several times over
+# Seconds; what takes less is called several times over. A library finds the caches full of what
+# the one before it left there, and a turn has to be long beside the time that this takes away.
+SHORTEST = 0.1
 
 Key = TypeVar("Key", bound=Hashable)
 

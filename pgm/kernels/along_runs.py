@@ -6,6 +6,9 @@ between. `moments` has the same mathematics for any shape.
 
 from __future__ import annotations
 
+from math import log
+from typing import NamedTuple
+
 import numpy as np
 
 from pgm.kernels.arrays import LOG_2PI, Array
@@ -13,6 +16,9 @@ from pgm.kernels.roots import NEGLIGIBLE
 
 # A B and A Bᵀ, the latter the faster one.
 _PRODUCT, _TIMES_TRANSPOSED = "ijr,jkr->ikr", "ijr,kjr->ikr"
+# A reading is mild where ln det (S noise⁻¹) is below this: no variance, in whatever direction,
+# falls by more than a thousand, so that P − K S Kᵀ loses three of its sixteen digits at most.
+MILD = log(1e3)
 
 
 def predict(
@@ -42,6 +48,32 @@ def push(cov: Array, matrix: Array, noise: Array, out: Array) -> None:
     _mirror(out)
 
 
+class Update(NamedTuple):
+    """What a reading makes of many beliefs.
+
+    Attributes
+    ----------
+    mean, cov : ndarray
+        (n, runs), (n, n, runs): the belief given the reading.
+    log_density : ndarray
+        (runs,): ln N(r; 0, S).
+    unit, pivots : ndarray
+        (d, d, runs), (d, runs): S = U diag(pivots) Uᵀ with 1 on the diagonal of a lower U, of
+        which only what is below the diagonal is there.
+    """
+
+    mean: Array
+    cov: Array
+    log_density: Array
+    unit: Array
+    pivots: Array
+
+    @property
+    def lower(self) -> Array:
+        """The Cholesky factor of S, (d, d, runs)."""
+        return _lower(self.unit, np.sqrt(self.pivots))
+
+
 def update(
     mean: Array,
     cov: Array,
@@ -49,66 +81,100 @@ def update(
     residual: Array,
     noise: Array,
     out: tuple[Array, Array] | None = None,
-) -> tuple[Array, Array, Array, Array] | None:
-    """A regular `moments.update`: mean, covariance, log-density and root; None if one is singular.
+    least: float = NEGLIGIBLE,
+) -> Update | None:
+    """A regular `moments.update` with S = H P Hᵀ + noise; None if that is singular.
 
     Parameters
     ----------
     mean, cov : ndarray
         (n, runs), (n, n, runs), the covariance exactly symmetric.
     matrix, residual, noise : ndarray
-        H (d, n, runs), z − H mean (d, runs), and (d, d, runs or 1).
+        H (d, n, runs), r = z − H mean (d, runs), and (d, d, runs or 1).
     out : tuple of ndarray, optional
         Where the mean and the covariance go.
+    least : float
+        S is singular where a component has no larger share open, given those before it.
     """
     size, runs, height = len(cov), cov.shape[-1], len(residual)
     result, result_cov = (np.empty((size, runs)), np.empty_like(cov)) if out is None else out
-    # [r, P Hᵀ], then [r, P Hᵀ] L⁻ᵀ, a row of the reading at a time.
+    # [r, P Hᵀ], then [r, P Hᵀ] L⁻ᵀ.
     white = np.empty((1 + size, height, runs))
     white[0] = residual
     cross = np.einsum(_TIMES_TRANSPOSED, cov, matrix, out=white[1:])
-    lower: Array = np.einsum(_PRODUCT, matrix, cross)
-    lower += noise
-    least = NEGLIGIBLE * np.einsum("iir->ir", lower)
-    # [1 − G H, G] and [(1 − G H) P, G noise]; their product is the covariance.
-    factor, spread = np.empty((2, size, size + height, runs))
-    keep, gain = factor[:, :size], factor[:, size:]
-    for j in range(height):
+    unit: Array = np.einsum(_PRODUCT, matrix, cross)
+    unit += noise
+    scale = np.einsum("iir->ir", unit).copy()
+    pivots = _eliminate(unit, white)
+    if not (pivots > least * scale).all():
+        return None
+    log_det = np.log(pivots).sum(axis=0)
+    root = np.sqrt(pivots)
+    white *= 1.0 / root
+    if (log_det - _log_determinant(noise)).max() < MILD:
+        change = np.einsum(_TIMES_TRANSPOSED, white[1:], white)
+        np.add(mean, change[:, 0], out=result)
+        np.subtract(cov, change[:, 1:], out=result_cov)
+    else:
+        gain = divide(white[1:], _lower(unit, root))
+        _sum_of_squares(gain, cov, matrix, noise, result_cov)
+        np.einsum("ijr,jr->ir", gain, residual, out=result)
+        result += mean
+    log_density: Array = np.einsum("jr,jr->r", white[0], white[0])
+    log_density += log_det
+    log_density += height * LOG_2PI
+    log_density *= -0.5
+    return Update(result, result_cov, log_density, unit, pivots)
+
+
+def _eliminate(matrix: Array, right: Array | None = None) -> Array:
+    """The pivots D of A = U D Uᵀ, (d, runs); puts U below the diagonal of A, and B U⁻ᵀ into B."""
+    for j in range(1, len(matrix)):
         for k in range(j):
-            lower[k, j] = 0.0
+            part = matrix[j, k]
             for i in range(k):
-                lower[j, k] -= lower[j, i] * lower[k, i]
-            lower[j, k] /= lower[k, k]
-            lower[j, j] -= lower[j, k] * lower[j, k]
-            white[:, j] -= white[:, k] * lower[j, k]
-        if not (lower[j, j] > least[j]).all():
-            return None
-        np.sqrt(lower[j, j], out=lower[j, j])
-        white[:, j] /= lower[j, j]
-    for j in reversed(range(height)):
-        column = white[1:, j]
-        for k in range(j + 1, height):
-            column = column - gain[:, k] * lower[k, j]
-        np.divide(column, lower[j, j], out=gain[:, j])
+                part -= matrix[j, i] * matrix[i, k]
+            matrix[k, j] = part  # U D, which the symmetric half has room for
+            part /= matrix[k, k]
+            matrix[j, j] -= part * matrix[k, j]
+            if right is not None:
+                right[:, j] -= part * right[:, k]
+    pivots: Array = np.einsum("iir->ir", matrix)
+    return pivots
+
+
+def _lower(unit: Array, root: Array) -> Array:
+    """U diag(root), with what is above the diagonal zero."""
+    lower = np.zeros_like(unit)
+    for j in range(len(unit)):
+        lower[j, j] = root[j]
+        np.multiply(unit[j + 1 :, j], root[j], out=lower[j + 1 :, j])
+    return lower
+
+
+def _log_determinant(matrix: Array) -> Array:
+    """Find ln det of (d, d, runs or 1); NaN or −∞ where that is not positive definite."""
+    if matrix.shape[-1] == 1:
+        _, log_det = np.linalg.slogdet(matrix[..., 0])
+    else:
+        log_det = np.log(_eliminate(matrix.copy())).sum(axis=0)
+    return np.asarray(log_det)
+
+
+def _sum_of_squares(gain: Array, cov: Array, matrix: Array, noise: Array, out: Array) -> None:
+    """Put (1 − G H) P (1 − G H)ᵀ + G noise Gᵀ into `out`."""
+    size, height, runs = gain.shape
+    # [1 − G H, G] and [(1 − G H) P, G noise].
+    factor, spread = np.empty((2, size, size + height, runs))
+    keep, factor[:, size:] = factor[:, :size], gain
     np.einsum(_PRODUCT, gain, matrix, out=keep)
     np.negative(keep, out=keep)
     for i in range(size):
         keep[i, i] += 1.0
     np.einsum(_TIMES_TRANSPOSED, keep, cov, out=spread[:, :size])
-    if noise.shape[-1] == 1:
-        np.matmul(noise[..., 0], gain, out=spread[:, size:])
-    else:
-        np.einsum(_PRODUCT, gain, noise, out=spread[:, size:])
-    np.einsum(_TIMES_TRANSPOSED, spread, factor, out=result_cov)
-    _mirror(result_cov)
-    np.einsum("ijr,jr->ir", gain, residual, out=result)
-    result += mean
-    log_density: Array = np.einsum("ir,ir->r", white[0], white[0])
-    log_density *= -0.5
-    log_density -= 0.5 * height * LOG_2PI
-    for j in range(height):
-        log_density -= np.log(lower[j, j])
-    return result, result_cov, log_density, lower
+    np.einsum(_PRODUCT, gain, np.broadcast_to(noise, (height, height, runs)), out=spread[:, size:])
+    np.einsum(_TIMES_TRANSPOSED, spread, factor, out=out)
+    _mirror(out)
 
 
 def root(matrix: Array) -> Array | None:

@@ -63,16 +63,22 @@ def update(
     zeros have to be told from their rounding.
     """
     if not exact and _many(mean, cov, matrix, residual, noise):
-        found = along_runs.update(
-            _by_component(mean),
-            _by_component(cov),
-            _by_component(matrix),
-            _by_component(residual),
-            _by_component(noise),
-        )
+        with np.errstate(invalid="ignore", divide="ignore"):  # then nothing is found
+            found = along_runs.update(
+                _by_component(mean),
+                _by_component(cov),
+                _by_component(matrix),
+                _by_component(residual),
+                _by_component(noise),
+            )
         if found is not None:
-            new_mean, new_cov, log_density, lower = (_by_run(each) for each in found)
-            return Update(new_mean, new_cov, log_density, lower, None)
+            return Update(
+                _by_run(found.mean),
+                _by_run(found.cov),
+                _by_run(found.log_density),
+                _by_run(found.lower),
+                None,
+            )
     size = residual.shape[-1]
     cross = times_symmetric(matrix, cov)
     predictive = times_transposed(cross, matrix) + noise

@@ -18,8 +18,9 @@ from pgm.inference.chain.many_parts import Move, Read, Unusual, runs_last
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.update import NEARLY_SINGULAR, sensors_due, update
 from pgm.inference.schedule import ONCE
-from pgm.kernels import along_runs, memory, roots
+from pgm.kernels import along_runs, memory
 from pgm.kernels.arrays import Array, vacant
+from pgm.kernels.roots import NEGLIGIBLE
 
 Moments = tuple[Array, Array]
 # From this many runs on there is more arithmetic than calls.
@@ -131,14 +132,10 @@ def _update(
         kept[0][...], kept[1][...] = mean, cov
         return 0.0
     matrix, residual, noise = parts[0] if len(parts) == 1 else _stacked(parts)
-    found = along_runs.update(mean, cov, matrix, residual, noise, kept)
+    least = NEGLIGIBLE if len(parts) == 1 else NEARLY_SINGULAR
+    found = along_runs.update(mean, cov, matrix, residual, noise, kept, least)
     if found is not None:
-        _, _, log_density, lower = found
-        singular = len(parts) > 1 and (
-            roots.smallest_pivot(np.moveaxis(lower, -1, 0)) < NEARLY_SINGULAR
-        )
-        if not singular:
-            return log_density
+        return found.log_density
     if not all(read.store for read in reads):
         raise Unusual
     runs_first = np.moveaxis(mean, -1, 0), np.moveaxis(cov, -1, 0)

@@ -144,7 +144,8 @@ class Read(Prepared):
         most = max(b - a for a, b in pairwise(sensor.bounds))
         super().__init__(sensor.family, store=store, most=most)
         self.bounds = sensor.bounds
-        self.values, self.moved = runs_last(sensor.values), runs_last(sensor.moved)
+        self.values = runs_last(sensor.values)
+        self.moved = runs_last(sensor.moved) if store else self.values
         self.angles = np.flatnonzero(sensor.variable.angle_mask).tolist()
 
     def read(self, step: int, row: int, mean: Array, cov: Array) -> tuple[Array, Array, Array]:

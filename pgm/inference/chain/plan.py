@@ -63,9 +63,6 @@ class Sensor:
         (M, runs or 1); None where no reading is missing.
     values : ndarray
         (M, runs or 1, d), as given.
-    moved : ndarray
-        (M, runs, d): the values, angles moved to the branch nearest the CPD's value at the
-        point of linearisation.
     bounds : list of int
         The readings of step t are the rows bounds[t] to bounds[t + 1].
     cross : dict of int to ndarray
@@ -78,7 +75,6 @@ class Sensor:
     order: Integers
     taken: Mask | None
     values: Array
-    moved: Array
     bounds: list[int]
     cross: dict[int, Array]
 
@@ -87,6 +83,16 @@ class Sensor:
         """Whether the sightings of a step are linearised as one vector."""
         cpd = self.family.cpd
         return isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped
+
+    @cached_property
+    def moved(self) -> Array:
+        """The values, angles moved to the branch nearest the CPD's value where linearised.
+
+        (M, runs, d); a copy where there are angles, to be written to.
+        """
+        count, runs, height, _ = self.family.matrix.shape
+        wide = np.broadcast_to(self.values, (count, runs, height))
+        return wide.copy("K") if self.variable.angles else wide
 
     @cached_property
     def exact(self) -> bool:
@@ -239,15 +245,12 @@ def _sensor(
                 step=0,
             )
     bounds = np.searchsorted(reading.step, np.arange(steps + 2)).tolist()
-    shape = (reading.step.size, family.matrix.shape[1], family.matrix.shape[2])
-    moved = np.broadcast_to(reading.values, shape)
     return Sensor(
         family,
         place.parents,
         reading.order,
         None if reading.taken.all() else reading.taken,
         reading.values,
-        moved.copy("K") if family.cpd.child.angles else moved,
         bounds,
         {},
     )
