@@ -8,8 +8,8 @@ Array = NDArray[np.float64]
 
 def sinc(a: Array) -> Array:
     """Return sin a / a, 1 at a = 0."""
-    nonzero = np.where(a == 0.0, 1e-20, a)  # sin a / a rounds to 1 there
-    quotient: Array = np.sin(nonzero) / nonzero
+    size = np.maximum(np.abs(a), 1e-20)  # not 0, and so small that sin a / a rounds to 1
+    quotient: Array = np.sin(size) / size
     return quotient
 
 

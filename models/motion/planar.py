@@ -9,6 +9,8 @@ Partials = tuple[Array | float, Array | float, Array | float]
 
 def shared(u: Array) -> Array:
     """Controls (..., d) without the repeats that broadcasting makes, which it makes again."""
+    if 0 not in u.strides[:-1]:
+        return u
     return u[tuple(slice(None if stride else 1) for stride in u.strides[:-1])]
 
 

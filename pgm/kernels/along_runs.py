@@ -6,7 +6,6 @@ between. `moments` has the same mathematics for any shape.
 
 from __future__ import annotations
 
-from math import log
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +15,8 @@ from pgm.kernels.roots import NEGLIGIBLE
 
 # A B and A Bᵀ, the latter the faster one.
 _PRODUCT, _TIMES_TRANSPOSED = "ijr,jkr->ikr", "ijr,kjr->ikr"
-# A reading is mild where ln det (S noise⁻¹) is below this: no variance, in whatever direction,
-# falls by more than a thousand, so that P − K S Kᵀ loses three of its sixteen digits at most.
-MILD = log(1e3)
+# By how much a mild reading shrinks a variance at most.
+_MILD = 1e3
 
 
 def predict(
@@ -74,6 +72,20 @@ class Update(NamedTuple):
         return _lower(self.unit, np.sqrt(self.pivots))
 
 
+def sharpness(noise: Array, least: float = NEGLIGIBLE) -> Array:
+    """The det S from which a reading with this noise is sharp, (runs or 1,).
+
+    S is at least the noise, and below this it is at most a thousand times the noise, in whatever
+    direction. So no variance falls by more than a thousand in an update, and P − K S Kᵀ loses
+    three of its sixteen digits at most; and where the noise is regular by a thousand times what is
+    asked, S is regular. Where it is not, this is 0.
+    """
+    pivots = _eliminate(noise.copy())
+    regular = (pivots > _MILD * least * np.einsum("iir->ir", noise)).all(axis=0)
+    bound: Array = np.where(regular, _MILD * pivots.prod(axis=0), 0.0)
+    return bound
+
+
 def update(
     mean: Array,
     cov: Array,
@@ -81,6 +93,8 @@ def update(
     residual: Array,
     noise: Array,
     out: tuple[Array, Array] | None = None,
+    *,
+    sharp: Array | None = None,
     least: float = NEGLIGIBLE,
 ) -> Update | None:
     """A regular `moments.update` with S = H P Hᵀ + noise; None if that is singular.
@@ -93,38 +107,44 @@ def update(
         H (d, n, runs), r = z − H mean (d, runs), and (d, d, runs or 1).
     out : tuple of ndarray, optional
         Where the mean and the covariance go.
+    sharp : ndarray, optional
+        The `sharpness` of the noise, where it is at hand.
     least : float
         S is singular where a component has no larger share open, given those before it.
     """
     size, runs, height = len(cov), cov.shape[-1], len(residual)
-    result, result_cov = (np.empty((size, runs)), np.empty_like(cov)) if out is None else out
+    new_mean, new_cov = (np.empty((size, runs)), np.empty_like(cov)) if out is None else out
     # [r, P Hᵀ], then [r, P Hᵀ] L⁻ᵀ.
     white = np.empty((1 + size, height, runs))
     white[0] = residual
     cross = np.einsum(_TIMES_TRANSPOSED, cov, matrix, out=white[1:])
     unit: Array = np.einsum(_PRODUCT, matrix, cross)
     unit += noise
-    scale = np.einsum("iir->ir", unit).copy()
     pivots = _eliminate(unit, white)
-    if not (pivots > least * scale).all():
+    det = np.multiply.reduce(pivots)
+    if sharp is None:
+        sharp = sharpness(noise, least)
+    mild = (det < sharp).all()
+    if not (mild or _is_regular(unit, pivots, least)):
         return None
-    log_det = np.log(pivots).sum(axis=0)
     root = np.sqrt(pivots)
-    white *= 1.0 / root
-    if (log_det - _log_determinant(noise)).max() < MILD:
+    white /= root
+    if mild:
         change = np.einsum(_TIMES_TRANSPOSED, white[1:], white)
-        np.add(mean, change[:, 0], out=result)
-        np.subtract(cov, change[:, 1:], out=result_cov)
+        np.add(mean, change[:, 0], out=new_mean)
+        np.subtract(cov, change[:, 1:], out=new_cov)
+        log_det = np.log(det, out=det)
     else:
         gain = divide(white[1:], _lower(unit, root))
-        _sum_of_squares(gain, cov, matrix, noise, result_cov)
-        np.einsum("ijr,jr->ir", gain, residual, out=result)
-        result += mean
+        _sum_of_squares(gain, cov, matrix, noise, new_cov)
+        np.einsum("ijr,jr->ir", gain, residual, out=new_mean)
+        new_mean += mean
+        log_det = np.log(pivots).sum(axis=0)  # where their product could be too small a number
     log_density: Array = np.einsum("jr,jr->r", white[0], white[0])
     log_density += log_det
     log_density += height * LOG_2PI
     log_density *= -0.5
-    return Update(result, result_cov, log_density, unit, pivots)
+    return Update(new_mean, new_cov, log_density, unit, pivots)
 
 
 def _eliminate(matrix: Array, right: Array | None = None) -> Array:
@@ -152,13 +172,13 @@ def _lower(unit: Array, root: Array) -> Array:
     return lower
 
 
-def _log_determinant(matrix: Array) -> Array:
-    """Find ln det of (d, d, runs or 1); NaN or −∞ where that is not positive definite."""
-    if matrix.shape[-1] == 1:
-        _, log_det = np.linalg.slogdet(matrix[..., 0])
-    else:
-        log_det = np.log(_eliminate(matrix.copy())).sum(axis=0)
-    return np.asarray(log_det)
+def _is_regular(unit: Array, pivots: Array, least: float) -> bool:
+    """Whether each pivot is more than the least share of the diagonal entry that it is left of."""
+    for j, pivot in enumerate(pivots):
+        taken = sum(unit[j, k] * unit[k, j] for k in range(j))
+        if not (pivot > least * (pivot + taken)).all():
+            return False
+    return True
 
 
 def _sum_of_squares(gain: Array, cov: Array, matrix: Array, noise: Array, out: Array) -> None:

@@ -18,61 +18,63 @@ from pgm.linearisers.function import FunctionTemplate, Lineariser
 from pgm.linearisers.regression import FEW, StatisticalRegression
 from pgm.linearisers.taylor import Taylor
 
-# Values of a step: (runs or 1, d) of the parents with evidence, None of hidden ones.
+# Values (rows, runs or 1, d) of the parents with evidence, None of hidden ones.
 Known = list[Array | None]
 # F (d, n, runs), the value F μ + b (d, runs), and the covariance (d, d, runs) of the error or None.
 Linearised = tuple[Array, Array, Array | None]
 _FLOAT = np.dtype(np.float64)
 
 
-def prepare(template: FunctionTemplate, lineariser: Lineariser) -> ManyLineariser | None:
+def prepare(
+    template: FunctionTemplate, lineariser: Lineariser, known: Known, runs: int
+) -> ManyLineariser | None:
     """A lineariser for many runs; None where there is none but the general one."""
     if type(lineariser) is Taylor and not template.numerical:
-        return _Taylor(template)
+        return _Taylor(template, known, runs)
     if (
         isinstance(lineariser, StatisticalRegression)
         and type(lineariser).affine is StatisticalRegression.affine
         and not (lineariser.fresh_per_run or lineariser.prior_moments)
     ):
-        return _Regression(template, lineariser)
+        return _Regression(template, known, runs, lineariser)
     return None
 
 
 class ManyLineariser(ABC):
     """A function and how it is linearised, prepared for many runs at a time."""
 
-    def __init__(self, template: FunctionTemplate) -> None:
+    def __init__(self, template: FunctionTemplate, known: Known, runs: int) -> None:
         self.template, self.function = template, template.function
         self.height, self.size = template.child.dimension, template.size
+        self.parents = [
+            (place, None if values is None else _wide(values, runs))
+            for place, values in zip(template.places, known, strict=True)
+        ]
 
     @abstractmethod
-    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Linearised | None:
-        """Linearise at beliefs (n, runs) and (n, n, runs)."""
+    def __call__(self, row: int, step: int, mean: Array, cov: Array) -> Linearised | None:
+        """Linearise a row at beliefs (n, runs) and (n, n, runs)."""
 
-    def _arguments(self, x: Array, known: Known) -> list[Array]:
-        """What the function is called with at points (..., n): (..., d) each."""
+    def _arguments(self, x: Array, row: int) -> list[Array]:
+        """What the function is called with at points (runs, ..., n): (runs, ..., d) each."""
         arguments = []
-        for place, values in zip(self.template.places, known, strict=True):
-            if values is None:
+        for place, wide in self.parents:
+            if wide is None:
                 arguments.append(x[..., place])
-                continue
-            shape = (*x.shape[:-1], values.shape[-1])
-            if len(values) == 1:
-                # As broadcast_to makes it, at a fraction of the cost, and as read-only.
-                strides = (0,) * (x.ndim - 1) + (values.itemsize,)
-                arguments.append(np.ndarray(shape, _FLOAT, values, 0, strides))
+            elif x.ndim == 2:
+                arguments.append(wide[row])
             else:
-                between = (1,) * (x.ndim - 2)
-                wide = values.reshape(len(values), *between, -1)
-                arguments.append(np.broadcast_to(wide, shape))
+                values = wide[row]
+                shape = (*x.shape[:-1], values.shape[-1])
+                arguments.append(np.broadcast_to(values[:, None], shape))
         return arguments
 
 
 class _Taylor(ManyLineariser):
     """`Taylor` with the user's own derivatives."""
 
-    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Linearised | None:
-        arguments = self._arguments(mean.T, known)
+    def __call__(self, row: int, step: int, mean: Array, cov: Array) -> Linearised | None:
+        arguments = self._arguments(mean.T, row)
         value = self.function(*arguments)
         runs = mean.shape[1]
         if not _is(value, (runs, self.height)):
@@ -93,12 +95,14 @@ class _Taylor(ManyLineariser):
 class _Regression(ManyLineariser):
     """A sigma-point rule whose points all runs share."""
 
-    def __init__(self, template: FunctionTemplate, rule: StatisticalRegression) -> None:
-        super().__init__(template)
+    def __init__(
+        self, template: FunctionTemplate, known: Known, runs: int, rule: StatisticalRegression
+    ) -> None:
+        super().__init__(template, known, runs)
         self.rule, self.name = rule, template.child.name
         self.angles = np.flatnonzero(template.angles).tolist()
 
-    def __call__(self, known: Known, step: int, mean: Array, cov: Array) -> Linearised | None:
+    def __call__(self, row: int, step: int, mean: Array, cov: Array) -> Linearised | None:
         points = self.rule.points(self.size, self.name, step)
         s = points.points
         if s.ndim != 2 or len(s) > FEW:
@@ -111,7 +115,7 @@ class _Regression(ManyLineariser):
         called = np.concatenate([np.zeros((1, self.size)), s]) if first else s
         x = np.matmul(called, lower)
         x += mean[:, None]
-        value = self.function(*self._arguments(x.T, known))
+        value = self.function(*self._arguments(x.T, row))
         if not _is(value, (x.shape[2], x.shape[1], self.height)):
             return None
         values = value.T
@@ -125,6 +129,12 @@ class _Regression(ManyLineariser):
         error: Array = np.einsum("ikr,jkr->ijr", signed, left)
         slope = along_runs.divide(centre_and_slope[:, 1:], lower)
         return slope, reference + centre_and_slope[:, 0], error
+
+
+def _wide(values: Array, runs: int) -> Array:
+    """Values (rows, runs or 1, d) for each run, read-only, since functions of users see them."""
+    rows, _, size = values.shape
+    return np.broadcast_to(values, (rows, runs, size))
 
 
 def _is(value: Any, shape: tuple[int, ...]) -> TypeGuard[Array]:

@@ -79,6 +79,36 @@ def test_a_weak_prior_loses_no_digits_of_a_sharp_reading():
     assert_allclose(found.cov, np.broadcast_to(np.eye(2), cov.shape), atol=1e-10)
 
 
+@pytest.mark.parametrize("height", [1, 2, 3])
+def test_a_mild_reading_shrinks_no_variance_by_more_than_a_thousand(height):
+    """Whatever the direction; and the sharpest of them still agree with the sum of squares."""
+    mean, cov, matrix, residual, noise = problem(200, 3, height)
+    size = 10.0 ** np.linspace(-6.0, 3.0, 200)
+    cov, noise = size[:, None, None] * cov, noise + 0.3 * np.eye(height)
+    rows = [np.moveaxis(by_run(a), 0, -1) for a in (mean, cov, matrix, residual, noise)]
+    sharp = along_runs.sharpness(rows[-1])
+    predictive = matrix @ cov @ transpose(matrix) + noise
+    mild = np.linalg.det(predictive) < sharp
+    assert mild.any()
+    assert not mild.all()
+    falls = np.linalg.eigvals(np.linalg.solve(noise, predictive)).real.max(axis=-1)
+    assert falls[mild].max() < 1e3
+    found = along_runs.update(*(a[..., mild] for a in rows))
+    summed = along_runs.update(*(a[..., mild] for a in rows), sharp=np.zeros(1))
+    for one, other in zip(found, summed, strict=True):
+        assert_allclose(one, other, rtol=1e-11, atol=1e-12)
+    assert_array_equal(found.cov, found.cov.swapaxes(0, 1))
+    assert_allclose(found.lower, summed.lower)
+
+
+def test_noise_that_is_nearly_singular_is_never_mild():
+    noise = np.stack([np.eye(2), np.ones((2, 2)), [[1.0, 1.0], [1.0, 1.0 + 1e-12]]], axis=-1)
+    noise[..., 1] = [[1.0, 0.0], [0.0, 0.0]]
+    assert_array_equal(along_runs.sharpness(noise), [1e3, 0.0, 0.0])
+    assert along_runs.sharpness(noise[..., 1:2] + 1e-3 * np.eye(2)[..., None], 1e-6) > 0.0
+    assert_array_equal(along_runs.sharpness(1e-5 + np.eye(2)[..., None], 1e-2), [0.0])
+
+
 @pytest.mark.parametrize("bad", [np.zeros((2, 2)), -np.eye(2), np.full((2, 2), np.nan)])
 def test_one_run_that_is_not_regular_goes_the_general_way(bad):
     """Its own result is that of a single run, and others keep theirs."""

@@ -14,7 +14,7 @@ import numpy as np
 from pgm.errors import PgmError
 from pgm.inference.chain import forward
 from pgm.inference.chain.forward import Forward, start
-from pgm.inference.chain.many_parts import Move, Read, Unusual, runs_last
+from pgm.inference.chain.many_parts import Move, Read, Reading, Unusual, runs_last
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.update import NEARLY_SINGULAR, sensors_due, update
 from pgm.inference.schedule import ONCE
@@ -131,9 +131,11 @@ def _update(
     if not parts:
         kept[0][...], kept[1][...] = mean, cov
         return 0.0
-    matrix, residual, noise = parts[0] if len(parts) == 1 else _stacked(parts)
-    least = NEGLIGIBLE if len(parts) == 1 else NEARLY_SINGULAR
-    found = along_runs.update(mean, cov, matrix, residual, noise, kept, least)
+    if len(parts) == 1:
+        [(matrix, residual, noise, sharp)], least = parts, NEGLIGIBLE
+    else:
+        (matrix, residual, noise), sharp, least = _stacked(parts), None, NEARLY_SINGULAR
+    found = along_runs.update(mean, cov, matrix, residual, noise, kept, sharp=sharp, least=least)
     if found is not None:
         return found.log_density
     if not all(read.store for read in reads):
@@ -144,9 +146,9 @@ def _update(
     return log_density
 
 
-def _stacked(parts: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
+def _stacked(parts: list[Reading]) -> tuple[Array, Array, Array]:
     """Several readings as one: H, residual, noise."""
-    matrices, residuals, noises = zip(*parts, strict=True)
+    matrices, residuals, noises, _ = zip(*parts, strict=True)
     size, width, runs = sum(map(len, residuals)), parts[0][0].shape[1], residuals[0].shape[-1]
     matrix, residual = np.empty((size, width, runs)), np.concatenate(residuals)
     noise = np.zeros((size, size, max(each.shape[-1] for each in noises)))

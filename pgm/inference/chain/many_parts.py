@@ -15,6 +15,7 @@ from pgm.kernels.arrays import Array
 from pgm.linearisers.many import Linearised, prepare
 
 Line = tuple[Array, Array, Array]
+Reading = tuple[Array, Array, Array, Array | None]
 
 
 def runs_last(array: Array) -> Array:
@@ -47,18 +48,18 @@ class Prepared:
             family.keep_errors()
         self.matrix, self.offset = runs_last(family.matrix), runs_last(family.offset)
         self.noise = runs_last(family.noise)
-        if not store and not family.exact:
+        if store:
+            self.matrices, self.noises = self.matrix, self.noise
+        elif not family.exact:
             height, width, runs = self.matrix.shape[1:]
-            self.scratch = (
-                np.empty((most, height, width, runs)),
-                np.empty((most, height, height, runs)),
-            )
+            self.matrices = np.empty((most, height, width, runs))
+            self.noises = np.empty((most, height, height, runs))
         self.steps = family.step.tolist()
-        self.lineariser = None if template is None else prepare(template, family.lineariser)
-        self.known = [
-            _readable(family.inputs[parent]) if parent in family.inputs else None
-            for parent in (() if template is None else template.given)
-        ]
+        self.lineariser = None
+        if template is not None:
+            known = [family.inputs.get(parent) for parent in template.given]
+            runs = family.matrix.shape[1]
+            self.lineariser = prepare(template, family.lineariser, known, runs)
 
     def line(self, row: int, mean: Array, cov: Array, place: int = 0) -> Line:
         """Linearise a row at beliefs (n, runs): F, F μ + b and the noise, (d, d, runs or 1).
@@ -75,10 +76,7 @@ class Prepared:
             value += self.offset[row]
             return self.matrix[row], value, self.noise[row]
         found, value, error = line
-        if self.store:
-            matrix, noise = self.matrix[row], self.noise[row]
-        else:
-            matrix, noise = (room[place] for room in self.scratch)
+        matrix = self.matrices[row if self.store else place]
         matrix[...] = found
         if self.store:
             offset = self.offset[row]
@@ -87,14 +85,14 @@ class Prepared:
         own = self.own[row if len(self.own) > 1 else 0]
         if error is None:
             return matrix, value, own
+        noise = self.noises[row if self.store else place]
         np.add(error, own, out=noise)
         return matrix, value, noise
 
     def _line(self, row: int, mean: Array, cov: Array) -> Linearised | None:
         if self.lineariser is None:
             return None
-        known = [None if values is None else values[row] for values in self.known]
-        return self.lineariser(known, self.steps[row], mean, cov)
+        return self.lineariser(row, self.steps[row], mean, cov)
 
     def settle(self, *, lost: bool) -> None:
         """Have no room for errors that there are not."""
@@ -147,9 +145,12 @@ class Read(Prepared):
         self.values = runs_last(sensor.values)
         self.moved = runs_last(sensor.moved) if store else self.values
         self.angles = np.flatnonzero(sensor.variable.angle_mask).tolist()
+        # Of readings alone at their step, whose noise is always the same.
+        constant = len(self.own) == 1 and sensor.family.taylor
+        self.sharp = along_runs.sharpness(self.own[0]) if constant else None
 
-    def read(self, step: int, row: int, mean: Array, cov: Array) -> tuple[Array, Array, Array]:
-        """A reading of a step linearised at a belief: H, residual, noise."""
+    def read(self, step: int, row: int, mean: Array, cov: Array) -> Reading:
+        """A reading of a step linearised at a belief: H, residual, noise and its sharpness."""
         matrix, value, noise = self.line(row, mean, cov, row - self.bounds[step])
         residual: Array = self.values[row] - value
         for k in self.angles:
@@ -158,13 +159,4 @@ class Read(Prepared):
                 residual[k] -= turns
                 if self.store:
                     np.subtract(self.values[row, k], turns, out=self.moved[row, k])
-        return matrix, residual, noise
-
-
-def _readable(values: Array) -> Array:
-    """Contiguous and read-only, since functions of users see them."""
-    rows = np.ascontiguousarray(values)
-    if rows is values:
-        rows = rows.view()
-    rows.flags.writeable = False
-    return rows
+        return matrix, residual, noise, self.sharp
