@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from pgm.errors import LinearisationError, ModelError, PgmError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.scope import Scope, dimension, names
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Integers, Mask, apply, vacant
+from pgm.kernels.arrays import Array, Integers, Mask, apply, cut, vacant
 from pgm.kernels.scan import by_rows
 from pgm.linearisers import (
     Affine,
@@ -104,6 +104,18 @@ class Family:
         noise = np.broadcast_to(own_noise, (rows, runs, height, height))
         return cls(
             cpd, hidden, step, inputs, lineariser, template, matrix, offset, noise, own_noise, timed
+        )
+
+    def of(self, runs: slice) -> Family:
+        """Some of the runs; their arrays are views of these."""
+        return replace(
+            self,
+            inputs={parent: cut(values, runs) for parent, values in self.inputs.items()},
+            matrix=cut(self.matrix, runs),
+            offset=cut(self.offset, runs),
+            noise=cut(self.noise, runs),
+            own_noise=cut(self.own_noise, runs),
+            first_run=self.first_run + runs.start,
         )
 
     def renew(self, step: int, inputs: Mapping[Variable, Array]) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.intp]
+Kind = TypeVar("Kind", bound=np.generic)
 # Where some components stand in a longer vector; a slice, where they stand together, makes views.
 Index = slice | Integers
 
@@ -24,15 +27,19 @@ def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     operations and of `multiply` keep that layout.
     """
     *before, runs = lead
-    memory = np.zeros((*before, *shape, runs))
-    return np.moveaxis(memory, -1, len(before))
+    return _last_to(np.zeros((*before, *shape, runs)), len(before))
 
 
 def vacant(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     """As `stacked`, not initialised."""
     *before, runs = lead
-    memory = np.empty((*before, *shape, runs))
-    return np.moveaxis(memory, -1, len(before))
+    return _last_to(np.empty((*before, *shape, runs)), len(before))
+
+
+def _last_to(memory: Array, place: int) -> Array:
+    """As moveaxis(memory, -1, place), at a tenth of its cost."""
+    last = memory.ndim - 1
+    return memory.transpose(*range(place), last, *range(place, last))
 
 
 def transpose(matrix: Array) -> Array:
@@ -190,6 +197,11 @@ def block(matrix: Array, rows: Index, columns: Index) -> Array:
     if isinstance(rows, slice) or isinstance(columns, slice):
         return matrix[..., rows, :][..., columns]
     return matrix[..., rows[:, None], columns]
+
+
+def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kind]:
+    """Some runs of an array that has all of them along an axis, or one for all."""
+    return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]
 
 
 def frozen(array: Array) -> Array:

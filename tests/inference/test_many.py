@@ -70,6 +70,25 @@ def test_a_filter(ways, rule, each):
 
 
 @pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()], ids=repr)
+@pytest.mark.parametrize("most", [7, RUNS - 1])
+def test_parts_that_fit_a_cache(ways, monkeypatch, rule, most):
+    """Runs differ in their start, controls and landmarks, so that each has to keep its own."""
+    network, evidence = drawn()
+    rng = np.random.default_rng(4)
+    start = rng.normal(size=(RUNS, 3))
+    prior = pgm.GaussianCPD(pose, mean=start, cov=network.prior[0].cov)
+    network = pgm.DynamicBayesianNetwork([prior], network.transition, network.observation)
+    controls = evidence[velocity] + 0.1 * rng.normal(size=(RUNS, STEPS, 2))
+    seen = evidence[sighting]
+    landmarks = seen.given[landmark] + 0.1 * rng.normal(size=(RUNS, STEPS, 2))
+    seen = pgm.sightings(seen.values, seen.step, {landmark: landmarks})
+    monkeypatch.setattr(many, "MOST", most)
+    fast, plain, swept = ways(network, {velocity: controls, sighting: seen}, lineariser=rule)
+    assert swept
+    assert_equal(fast, plain)
+
+
+@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()], ids=repr)
 def test_a_smoother_goes_on_from_it(ways, monkeypatch, rule):
     network, evidence = drawn(2)
     fast = pgm.smooth(network, evidence, lineariser=rule)

@@ -6,6 +6,7 @@ where a number is not finite, the whole sweep does, and refuses it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,6 +26,8 @@ from pgm.kernels.roots import NEGLIGIBLE
 Moments = tuple[Array, Array]
 # From this many runs on there is more arithmetic than calls.
 MANY = 32
+# And so many at a time: what a step touches then stays in a cache of some megabytes.
+MOST = 10_000
 
 
 def suits(plan: ChainPlan) -> bool:
@@ -74,11 +77,16 @@ def filtered(plan: ChainPlan) -> Filtered | None:
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
     mean, cov = vacant(shape, (size,)), vacant(shape, (size, size))
     log_density = np.empty(shape)
-    # One row serves all steps.
-    predicted = np.empty((1, size, plan.runs)), np.empty((1, size, size, plan.runs))
-    kept = runs_last(mean), runs_last(cov)
-    done = _run(plan, predicted, kept, log_density, store=False)
-    return Filtered(plan, mean, cov, log_density) if done else None
+    parts = math.ceil(plan.runs / MOST)
+    edges = [part * plan.runs // parts for part in range(parts + 1)]
+    for runs in map(slice, edges, edges[1:]):
+        part = plan.of(runs) if parts > 1 else plan
+        # One row serves all steps.
+        predicted = np.empty((1, size, part.runs)), np.empty((1, size, size, part.runs))
+        kept = runs_last(mean)[..., runs], runs_last(cov)[..., runs]
+        if not _run(part, predicted, kept, log_density[:, runs], store=False):
+            return None
+    return Filtered(plan, mean, cov, log_density)
 
 
 def _run(

@@ -22,7 +22,7 @@ def runs_last(array: Array) -> Array:
     """Rows of runs, (rows, runs, ...), with the runs last; one run where it stands for all."""
     if array.strides[1] == 0:
         array = array[:, :1]
-    return np.moveaxis(array, 1, -1)
+    return array.transpose(0, *range(2, array.ndim), 1)
 
 
 class Unusual(Exception):

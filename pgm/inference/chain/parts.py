@@ -10,7 +10,6 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from pgm.compile.dynamic import DynamicGraph
 from pgm.cpds import ConditionalGaussian, NonlinearGaussianCPD
@@ -18,7 +17,7 @@ from pgm.evidence import BoundEvidence
 from pgm.evidence.arrays import as_rows
 from pgm.evidence.runs import flat
 from pgm.inference.start import Start, over_runs, require_hidden
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, cut
 from pgm.linearisers import Lineariser
 
 # What the working arrays of all parts at work may take, in bytes.
@@ -117,7 +116,7 @@ def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> Condit
     for name, own in (("offset", 1), ("cov", 2)):
         value = getattr(cpd, name, None)
         if isinstance(value, np.ndarray) and value.ndim > own:
-            changed[name] = _cut(flat(value, lead, own), runs)
+            changed[name] = cut(flat(value, lead, own), runs, 0)
     if not changed:
         return cpd
     part = copy.copy(cpd)
@@ -127,7 +126,7 @@ def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> Condit
 
 def _evidence(bound: BoundEvidence, runs: slice) -> BoundEvidence:
     def inputs(values: Mapping[Any, Array]) -> dict[Any, Array]:
-        return {variable: _cut(array, runs, 1) for variable, array in values.items()}
+        return {variable: cut(array, runs) for variable, array in values.items()}
 
     return replace(
         bound,
@@ -137,15 +136,10 @@ def _evidence(bound: BoundEvidence, runs: slice) -> BoundEvidence:
         readings=tuple(
             replace(
                 reading,
-                values=_cut(reading.values, runs, 1),
-                taken=_cut(reading.taken, runs, 1),
+                values=cut(reading.values, runs),
+                taken=cut(reading.taken, runs),
                 inputs=inputs(reading.inputs),
             )
             for reading in bound.readings
         ),
     )
-
-
-def _cut(array: npt.NDArray[Any], runs: slice, axis: int = 0) -> npt.NDArray[Any]:
-    """Some runs of an array that has all of them, or one for all."""
-    return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]

@@ -8,7 +8,7 @@ round for all steps.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,7 +24,7 @@ from pgm.factors.scope import Scope
 from pgm.inference.family import Family
 from pgm.kernels import roots
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Index, Integers, Mask
+from pgm.kernels.arrays import Array, Index, Integers, Mask, cut
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 
@@ -166,6 +166,31 @@ class ChainPlan:
     def exact(self) -> bool:
         """Whether every CPD is affine."""
         return all(family.exact for family in self.families)
+
+    def of(self, runs: slice) -> ChainPlan:
+        """The plan of some runs; its arrays are views of these."""
+
+        def links(every: list[Link]) -> list[Link]:
+            return [replace(link, family=link.family.of(runs)) for link in every]
+
+        sensors = [
+            replace(
+                sensor,
+                family=sensor.family.of(runs),
+                taken=None if sensor.taken is None else cut(sensor.taken, runs),
+                values=cut(sensor.values, runs),
+                cross={},
+            )
+            for sensor in self.sensors
+        ]
+        lead = (runs.stop - runs.start,)
+        return replace(
+            self,
+            lead=lead,
+            prior=links(self.prior),
+            transition=links(self.transition),
+            sensors=sensors,
+        )
 
     @classmethod
     def make(
