@@ -157,12 +157,12 @@ def range_bearing(x: Array, m: Array) -> Array:
 
 def range_bearing_by_state(x: Array, m: Array) -> Array:
     """Differentiate `range_bearing` by (east, north, heading), ``(..., 2, 3)``; NaN at range 0."""
-    east, north, distance = _sight(x, m)
+    west, south, distance = _sight(m, x)
     out = _zeros(x, 2)
-    out[..., 0, 0] = -east
-    out[..., 0, 1] = -north
-    out[..., 1, 0] = north / distance
-    out[..., 1, 1] = -east / distance
+    out[..., 0, 0] = west
+    out[..., 0, 1] = south
+    out[..., 1, 0] = -south / distance
+    out[..., 1, 1] = west / distance
     out[..., 1, 2] = -1.0
     return out
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -49,8 +50,6 @@ class Family:
         The CPD's own, or the one given to `infer`.
     template : FunctionTemplate or None
         None where the CPD is affine, so that there is nothing to linearise.
-    matrix, offset : ndarray
-        F (rows, runs, d, n) and b (rows, runs, d).
     noise : ndarray
         (rows, runs, d, d): the CPD's own and the lineariser's error.
     first_run : int
@@ -63,8 +62,6 @@ class Family:
     inputs: Mapping[Variable, Array]
     lineariser: Lineariser
     template: FunctionTemplate | None
-    matrix: Array
-    offset: Array
     noise: Array
     own_noise: Array
     timed: bool = True
@@ -88,35 +85,48 @@ class Family:
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
         own_noise = _own_noise(cpd, step if timed else None, rows, inputs, lead)
+        noise = np.broadcast_to(own_noise, (rows, runs, height, height))
+        if isinstance(cpd, NonlinearGaussianCPD):
+            template = template or cpd._template(hidden)
+            lineariser = cpd.lineariser or lineariser
+        elif not isinstance(cpd, AffineCPD):
+            raise ModelError(f"{cpd!r} is of no kind that inference knows", cpd=cpd)
+        made = cls(cpd, hidden, step, inputs, lineariser, template, noise, own_noise, timed)
         if isinstance(cpd, AffineCPD):
             constant, shift = cpd._affine(hidden, inputs)
             if not cpd.given and shift.ndim > 1:
                 shift = np.broadcast_to(shift, (*lead, height)).reshape(1, runs, height)
-            matrix = np.broadcast_to(constant, (rows, runs, height, width))
-            offset = np.broadcast_to(shift, (rows, runs, height))
-        elif isinstance(cpd, NonlinearGaussianCPD):
-            template = template or cpd._template(hidden)
-            lineariser = cpd.lineariser or lineariser
-            matrix = vacant((rows, runs), (height, width))
-            offset = vacant((rows, runs), (height,))
-        else:
-            raise ModelError(f"{cpd!r} is of no kind that inference knows", cpd=cpd)
-        noise = np.broadcast_to(own_noise, (rows, runs, height, height))
-        return cls(
-            cpd, hidden, step, inputs, lineariser, template, matrix, offset, noise, own_noise, timed
-        )
+            made.matrix = np.broadcast_to(constant, (rows, runs, height, width))
+            made.offset = np.broadcast_to(shift, (rows, runs, height))
+        return made
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of `matrix`: rows, runs, d, n."""
+        return (*self.noise.shape[:3], dimension(self.hidden))
+
+    @cached_property
+    def matrix(self) -> Array:
+        """F, (rows, runs, d, n); not initialised, where it is to be linearised."""
+        return vacant(self.shape[:2], self.shape[2:])
+
+    @cached_property
+    def offset(self) -> Array:
+        """The offset b, (rows, runs, d); not initialised, where F is not."""
+        return vacant(self.shape[:2], self.shape[2:3])
 
     def of(self, runs: slice) -> Family:
-        """Some of the runs; their arrays are views of these."""
-        return replace(
+        """Some of the runs, with views of these arrays; what is linearised is its own."""
+        part = replace(
             self,
             inputs={parent: cut(values, runs) for parent, values in self.inputs.items()},
-            matrix=cut(self.matrix, runs),
-            offset=cut(self.offset, runs),
             noise=cut(self.noise, runs),
             own_noise=cut(self.own_noise, runs),
             first_run=self.first_run + runs.start,
         )
+        if self.exact:
+            part.matrix, part.offset = cut(self.matrix, runs), cut(self.offset, runs)
+        return part
 
     def renew(self, step: int, inputs: Mapping[Variable, Array]) -> None:
         """Take other values of the parents with evidence, of a single run, all rows at one step."""

@@ -140,7 +140,7 @@ def update(
         np.einsum("ijr,jr->ir", gain, residual, out=new_mean)
         new_mean += mean
         log_det = np.log(pivots).sum(axis=0)  # where their product could be too small a number
-    log_density: Array = np.einsum("jr,jr->r", white[0], white[0])
+    log_density: Array = np.add.reduce(np.square(white[0]))
     log_density += log_det
     log_density += height * LOG_2PI
     log_density *= -0.5
@@ -159,8 +159,8 @@ def _eliminate(matrix: Array, right: Array | None = None) -> Array:
             matrix[j, j] -= part * matrix[k, j]
             if right is not None:
                 right[:, j] -= part * right[:, k]
-    pivots: Array = np.einsum("iir->ir", matrix)
-    return pivots
+    size, _, runs = matrix.shape
+    return matrix.reshape(size * size, runs)[:: size + 1]
 
 
 def _lower(unit: Array, root: Array) -> Array:

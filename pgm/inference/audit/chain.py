@@ -104,7 +104,7 @@ class ChainDraws:
         """Numbers that one draw of one run takes at a time."""
         size = self.plan.layout.state_size + 2 * self.plan.layout.slice_size
         seen = [
-            np.diff(sensor.bounds).max() * sum(sensor.family.matrix.shape[2:])
+            np.diff(sensor.bounds).max() * sum(sensor.family.shape[2:])
             for sensor in self.plan.sensors
         ]
         return size + int(max(seen, default=0))

@@ -222,7 +222,7 @@ def keep_chart(link: Link, row: int, before: Array, child: Array) -> None:
 
 def is_semidefinite(family: Family) -> bool:
     """Whether the lineariser's error is never indefinite."""
-    lineariser, width = family.lineariser, family.matrix.shape[-1]
+    lineariser, width = family.lineariser, family.shape[-1]
     return isinstance(lineariser, ArrayLineariser) and lineariser.is_semidefinite(width)
 
 

@@ -46,20 +46,18 @@ class Prepared:
         self.own = runs_last(family.own_noise)
         if not family.taylor and store:
             family.keep_errors()
-        self.matrix, self.offset = runs_last(family.matrix), runs_last(family.offset)
         self.noise = runs_last(family.noise)
-        if store:
-            self.matrices, self.noises = self.matrix, self.noise
-        elif not family.exact:
-            height, width, runs = self.matrix.shape[1:]
-            self.matrices = np.empty((most, height, width, runs))
-            self.noises = np.empty((most, height, height, runs))
+        if store or family.exact:
+            self.matrix, self.offset = runs_last(family.matrix), runs_last(family.offset)
+        else:
+            _, runs, height, width = family.shape
+            self.matrix = np.empty((most, height, width, runs))
+            self.noise = np.empty((most, height, height, runs))
         self.steps = family.step.tolist()
         self.lineariser = None
         if template is not None:
             known = [family.inputs.get(parent) for parent in template.given]
-            runs = family.matrix.shape[1]
-            self.lineariser = prepare(template, family.lineariser, known, runs)
+            self.lineariser = prepare(template, family.lineariser, known, family.shape[1])
 
     def line(self, row: int, mean: Array, cov: Array, place: int = 0) -> Line:
         """Linearise a row at beliefs (n, runs): F, F μ + b and the noise, (d, d, runs or 1).
@@ -76,7 +74,8 @@ class Prepared:
             value += self.offset[row]
             return self.matrix[row], value, self.noise[row]
         found, value, error = line
-        matrix = self.matrices[row if self.store else place]
+        place = row if self.store else place
+        matrix = self.matrix[place]
         matrix[...] = found
         if self.store:
             offset = self.offset[row]
@@ -85,7 +84,7 @@ class Prepared:
         own = self.own[row if len(self.own) > 1 else 0]
         if error is None:
             return matrix, value, own
-        noise = self.noises[row if self.store else place]
+        noise = self.noise[place]
         np.add(error, own, out=noise)
         return matrix, value, noise
 
@@ -119,8 +118,10 @@ class Move(Prepared):
         new_mean, new_cov = out
         matrix, new_mean[...], noise = self.line(row, mean, cov)
         along_runs.push(cov, matrix, noise, new_cov)
-        if any(np.abs(new_mean[new] - mean[old]).max() > np.pi for new, old in self.turning):
-            keep_chart(self.link, row, mean.T, new_mean.T)
+        for new, old in self.turning:
+            if np.abs(new_mean[new] - mean[old]).max() > np.pi:
+                keep_chart(self.link, row, mean.T, new_mean.T)
+                return
 
 
 class Read(Prepared):

@@ -90,7 +90,7 @@ class Sensor:
 
         (M, runs, d); a copy where there are angles, to be written to.
         """
-        count, runs, height, _ = self.family.matrix.shape
+        count, runs, height, _ = self.family.shape
         wide = np.broadcast_to(self.values, (count, runs, height))
         return wide.copy("K") if self.variable.angles else wide
 
@@ -168,7 +168,7 @@ class ChainPlan:
         return all(family.exact for family in self.families)
 
     def of(self, runs: slice) -> ChainPlan:
-        """The plan of some runs; its arrays are views of these."""
+        """The plan of some runs, with views of these arrays; what is linearised is its own."""
 
         def links(every: list[Link]) -> list[Link]:
             return [replace(link, family=link.family.of(runs)) for link in every]
