@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
+
+import pgm
 
 Array = npt.NDArray[np.float64]
 
@@ -53,6 +57,26 @@ def marginals(library: str, ours: list[Array], theirs: list[Array]) -> None:
     """
     for mine, other in zip(ours, theirs, strict=True):
         _require(library, "probabilities", other - mine, 1e-12)
+
+
+def networks(library: str, ours: pgm.BayesianNetwork, theirs: Any) -> None:
+    """Variables, states and parents, and probabilities to the last digit.
+
+    Raises
+    ------
+    AssertionError
+        Where they differ.
+    """
+    other = theirs if library == "pgm" else pgm.from_pgmpy(theirs)
+    if set(other.variables) != set(ours.variables):
+        raise AssertionError(f"{library} finds other variables than pgm, or other states of them")
+    for mine in ours.cpds:
+        cpd = other.cpd(mine.child)
+        if not isinstance(mine, pgm.TableCPD) or not isinstance(cpd, pgm.TableCPD):
+            raise AssertionError(f"{mine.child!r} has no table")
+        if cpd.given != mine.given:
+            raise AssertionError(f"{library} finds other parents of {mine.child!r} than pgm")
+        _require(library, f"the probabilities of {mine.child!r}", cpd.table - mine.table, 0.0)
 
 
 def _require(library: str, what: str, difference: Array, within: float) -> None:

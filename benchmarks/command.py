@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from benchmarks import figure
+from benchmarks import figure, memory
 from benchmarks.curves import CURVES
 from benchmarks.row import Row
 from benchmarks.rows import ROWS
@@ -18,12 +18,12 @@ from benchmarks.verdicts import verdicts
 from experiments.record import folder, note, table, versions
 
 OUT = Path("results") / "bench"
-PEERS = ("filterpy", "stonesoup", "dynamax", "jax", "cuthbert", "gtsam", "pyagrum")
+PEERS = ("filterpy", "stonesoup", "dynamax", "jax", "cuthbert", "gtsam", "pyagrum", "pgmpy")
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run rows and curves, print tables, write summary.json and the figure."""
-    names = [row.name for row in ROWS] + [curve.name for curve in CURVES]
+    names = [*(row.name for row in ROWS), *memory.NAMES, *(curve.name for curve in CURVES)]
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description="Time pgm and other libraries on the same work, once they agree.",
@@ -33,17 +33,25 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--repeats", type=int, help="timed calls of each library")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for results")
     options = parser.parse_args(arguments)
-    chosen = options.only.split(",") if options.only else names
+    chosen = options.only.split(",") if options.only else everything(options.quick)
     unknown = sorted(set(chosen) - set(names))
     if unknown:
         parser.error(f"there is no {', '.join(unknown)}, but {', '.join(names)}")
     out, quick = folder(options.out), options.quick
     repeats = options.repeats or (3 if quick else 7)
-    summary: dict[str, Any] = {"versions": known(), "quick": quick, "compile": {}, "curves": {}}
+    summary: dict[str, Any] = {"versions": known(), "quick": quick}
+    summary |= {"compile": {}, "memory": {}, "curves": {}}
     note(f"versions: {summary['versions']}")
     for row in ROWS:
         if row.name in chosen:
-            summary[row.name], summary["compile"][row.name] = run(row, quick, repeats)
+            times, compiling = run(row, quick, repeats)
+            if times:
+                summary[row.name], summary["compile"][row.name] = times, compiling
+    for name in memory.NAMES:
+        if name in chosen:
+            times, summary["memory"][name] = memory.measure(name)
+            if times:
+                summary[name] = times
     for curve in CURVES:
         if curve.name in chosen:
             summary["curves"][curve.name] = curve.measure(quick, min(repeats, 2 if quick else 5))
@@ -53,12 +61,24 @@ def main(arguments: list[str] | None = None) -> None:
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
 
 
+def everything(quick: bool) -> list[str]:
+    """The names of all rows and curves of a run."""
+    rows = [row.name for row in ROWS if row.quick or not quick]
+    return [*rows, *(() if quick else memory.NAMES), *(curve.name for curve in CURVES)]
+
+
 def run(row: Row, quick: bool, repeats: int) -> tuple[dict[str, float], dict[str, float]]:
-    """Seconds a unit, and seconds of compiling, by library; prints them."""
-    size = row.quick if quick else row.size
+    """Seconds a unit, and seconds of compiling, by library; prints them.
+
+    None, where pgm's own part lacks something.
+    """
+    size = row.quick if quick and row.quick else row.size
     ready, missing = row.prepared(size)
+    if "pgm" in missing:
+        note(f"{row.name} is left out: {missing['pgm']}")
+        return {}, {}
     row.agree(ready, size)
-    times = medians(ready, repeats)
+    times = medians(ready, min(repeats, row.repeats or repeats))
     compiling = {k: each.compiling for k, each in ready.items() if each.compiling is not None}
     table(
         f"{row.name}: microseconds a {row.unit}",
@@ -89,7 +109,7 @@ def tell(summary: dict[str, Any]) -> None:
     if found:
         table(
             "what must hold",
-            ("ratio", "measured", "asked", "holds"),
+            ("what", "measured", "asked", "holds"),
             [
                 (
                     each.what,

@@ -14,7 +14,7 @@ from benchmarks.verdicts import verdicts
 
 PAGE = Path("docs") / "speed.md"
 FIRST, LAST = "<!-- measured -->", "<!-- end of what was measured -->"
-COLUMNS = ("pgm", "filterpy", "stonesoup", "dynamax", "cuthbert", "gtsam", "pyagrum")
+COLUMNS = ("pgm", "filterpy", "stonesoup", "dynamax", "cuthbert", "gtsam", "pyagrum", "pgmpy")
 
 
 def main() -> None:
@@ -50,7 +50,12 @@ def measured(summary: Mapping[str, Any]) -> Iterator[str]:
         for row, each in summary["compile"].items()
         for library, value in each.items()
     ]
-    yield f"\nFurther: {', '.join(others)}.\n"
+    large = [
+        f"`{name}.{library}` {summary[name][library]:.3g} s, {peak / 2**20:.0f} MiB"
+        for name, peaks in summary["memory"].items()
+        for library, peak in peaks.items()
+    ]
+    yield f"\nFurther: {', '.join([*others, *large])}.\n"
     yield f"Compiling, once for each shape: {', '.join(compiling)}.\n"
     yield from _table(
         ("what must hold", "measured", "asked", ""),

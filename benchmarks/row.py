@@ -29,11 +29,13 @@ class Row:
     check : callable
         ``check(library, ours, theirs)`` raises AssertionError where results differ.
     size, quick : int
-        Of the work in `make bench` and in `make bench-quick`.
+        Of the work in `make bench` and in `make bench-quick`, which leaves a row of size 0 out.
     most : mapping
         The largest size that a slow library is given, whose cost a unit does not depend on it.
     unchecked : frozenset
         Contenders that do a part of the work only.
+    repeats : int, optional
+        Timed calls at the most, where one takes long.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Row:
     quick: int
     most: Mapping[str, int] = field(default_factory=dict)
     unchecked: frozenset[str] = frozenset()
+    repeats: int | None = None
 
     def prepared(self, size: int) -> tuple[dict[str, Contender], dict[str, str]]:
         """The libraries that are here, with their work, and why others are left out."""

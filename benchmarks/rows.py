@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from benchmarks import agreement
 from benchmarks.row import Prepare, Row, part
-from benchmarks.work import robots, tables, targets
+from benchmarks.work import repository, robots, tables, targets
 
 SHORT = {"taylor": "ekf", "unscented": "ukf"}
+QUICK = ("asia", "alarm")  # networks of the quick run
 
 
 def one_step(rule: str) -> Row:
@@ -133,7 +134,7 @@ def discrete(name: str, task: tables.Task) -> Row:
     return Row(
         name=f"discrete_{name}",
         unit="set of evidence",
-        work=lambda size: task,
+        work=lambda size: [task],
         contenders={
             "pgm": part("pgm_tables", "marginals"),
             "pyagrum": part("pyagrum_tables", "marginals"),
@@ -141,6 +142,58 @@ def discrete(name: str, task: tables.Task) -> Row:
         check=agreement.marginals,
         size=1,
         quick=1,
+    )
+
+
+def new_evidence(name: str) -> Row:
+    """New evidence on a compiled network of the repository, then all marginals."""
+    return Row(
+        name=f"repository_{name}",
+        unit="set of evidence",
+        work=lambda size: repository.several(name, size),
+        contenders={
+            "pgm": part("pgm_tables", "marginals"),
+            "pyagrum": part("pyagrum_tables", "marginals"),
+            "pgmpy": part("pgmpy_tables", "marginals"),
+        },
+        check=agreement.marginals,
+        size=20,
+        quick=10 if name in QUICK else 0,
+        most={"pgmpy": 1 if name == "andes" else 4},
+    )
+
+
+def many_sets(name: str) -> Row:
+    """A thousand sets of evidence at once, other leaves in each, and all marginals."""
+    return Row(
+        name=f"sets_{name}",
+        unit="set of evidence",
+        work=lambda size: repository.many(name, size),
+        contenders={
+            "pgm": part("pgm_sets", "marginals"),
+            "pyagrum": part("pyagrum_sets", "marginals"),
+        },
+        check=agreement.marginals,
+        size=1_000,
+        quick=1_000 if name in QUICK else 200 if name == "andes" else 0,
+        most={"pyagrum": 20},
+    )
+
+
+def reading(name: str) -> Row:
+    """A gzipped BIF file into a network."""
+    return Row(
+        name=f"reading_{name}",
+        unit="file",
+        work=lambda size: repository.path(name),
+        contenders={
+            "pgm": part("pgm_reading", "reading"),
+            "pgmpy": part("pgmpy_reading", "reading"),
+        },
+        check=agreement.networks,
+        size=1,
+        quick=int(name == "alarm"),
+        repeats=3,
     )
 
 
@@ -154,4 +207,6 @@ ROWS = [
     linear(),
     discrete("asia", tables.medical()),
     discrete("random_200", tables.random()),
+    *(make(name) for make in (new_evidence, many_sets) for name in repository.NAMES),
+    *(reading(name) for name in (*repository.NAMES, *repository.LARGE)),
 ]

@@ -6,17 +6,31 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from benchmarks.work import repository
+
 FASTER = (  # row, peer, how many times the peer's cost must be ours
     ("ekf_one_step", "dynamax", 1.3),
     ("ukf_one_step", "dynamax", 1.0),
     ("ekf_robots", "dynamax", 1.5),
     ("ukf_robots", "dynamax", 1.2),
+    *(
+        (f"repository_{name}", peer, asked)
+        for name in repository.NAMES
+        for peer, asked in (("pyagrum", 1.5), ("pgmpy", 20.0))
+    ),
+    *((f"sets_{name}", "pyagrum", 20.0) for name in repository.NAMES),
+    ("munin1", "pyagrum", 1.0),
+    *((f"reading_{name}", "pgmpy", 1.0) for name in (*repository.NAMES, *repository.LARGE)),
 )
 CHEAPER = (  # row, peer, how many times our cost may be the peer's
     ("rts_taylor", "filterpy", 1.2),
     ("rts_unscented", "filterpy", 0.5),
     ("online_taylor", "filterpy", 1.3),
     ("online_unscented", "filterpy", 0.6),
+)
+WITHIN = (  # row, how many milliseconds it may take
+    ("reading_alarm", 20.0),
+    ("reading_andes", 150.0),
 )
 LEVEL = (  # curve, from which length on, how many times its highest cost a step may be its lowest
     ("filter", 1_000, 1.2),
@@ -34,9 +48,9 @@ class Verdict:
     ----------
     what : str
     measured, asked : float
-        Ratios.
+        Ratios, or milliseconds.
     least : bool
-        Whether the ratio asked is the least; else it is the most.
+        Whether what is asked is the least; else it is the most.
     """
 
     what: str
@@ -64,6 +78,13 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
         times = summary.get(row, {})
         if peer in times:
             yield Verdict(f"{row}: pgm / {peer}", times["pgm"] / times[peer], asked, False)
+    for row, asked in WITHIN:
+        if "pgm" in summary.get(row, {}):
+            yield Verdict(f"{row}: milliseconds", 1e3 * summary[row]["pgm"], asked, False)
+    for name, peaks in summary.get("memory", {}).items():
+        if "pyagrum" in peaks:
+            ratio = peaks["pyagrum"] / peaks["pgm"]
+            yield Verdict(f"{name}, peak of memory: pyagrum / pgm", ratio, 1.0, True)
     for curve, least, asked in LEVEL:
         costs = summary.get("curves", {}).get(curve, {}).get("pgm", {})
         chosen = {int(size): cost for size, cost in costs.items() if int(size) >= least}

@@ -1,4 +1,4 @@
-"""pgm on repository networks: the junction tree is compiled beforehand."""
+"""pgm on many sets of evidence at once: the junction tree is compiled beforehand."""
 
 from __future__ import annotations
 
@@ -7,18 +7,6 @@ import numpy as np
 import pgm
 from benchmarks.timing import Contender
 from benchmarks.work.repository import Sets
-from benchmarks.work.tables import Task
-
-
-def single(task: Task) -> Contender:
-    """New evidence, then all marginals."""
-    graph, hidden = pgm.compile(task.network), task.hidden
-
-    def call() -> list[np.ndarray]:
-        posterior = pgm.infer(graph, task.evidence)
-        return [posterior[v].values for v in hidden]
-
-    return Contender(call, 1)
 
 
 def marginals(sets: Sets) -> Contender:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pyagrum
 
@@ -27,15 +29,20 @@ def filled(network: pgm.BayesianNetwork) -> pyagrum.BayesNet:
     return peer
 
 
-def marginals(task: Task) -> Contender:
-    """New evidence, then all marginals, by its own default engine."""
-    engine = pyagrum.LazyPropagation(filled(task.network))
-    evidence = {v.name: index for v, index in task.evidence.items()}
-    names = [v.name for v in task.hidden]
+def marginals(tasks: Sequence[Task]) -> Contender:
+    """Each set of evidence of one network, then all marginals, by its own default engine."""
+    engine = pyagrum.LazyPropagation(filled(tasks[0].network))
+    asked = [
+        ({v.name: index for v, index in task.evidence.items()}, [v.name for v in task.hidden])
+        for task in tasks
+    ]
 
     def call() -> list[np.ndarray]:
-        engine.setEvidence(evidence)
-        engine.makeInference()
-        return [engine.posterior(name).toarray() for name in names]
+        found = []
+        for evidence, names in asked:
+            engine.setEvidence(evidence)
+            engine.makeInference()
+            found += [engine.posterior(name).toarray() for name in names]
+        return found
 
-    return Contender(call, 1)
+    return Contender(call, len(tasks))

@@ -1,4 +1,4 @@
-"""Networks of the Bayesian network repository, with what is observed of their leaves."""
+"""Networks of the Bayesian network repository: their files, and what is observed of leaves."""
 
 from __future__ import annotations
 
@@ -26,6 +26,20 @@ NAMES = (
     "win95pts",
     "hepar2",
     "andes",
+)
+LARGE = (
+    "pigs",
+    "water",
+    "munin1",
+    "link",
+    "pathfinder",
+    "mildew",
+    "barley",
+    "munin",
+    "munin2",
+    "munin3",
+    "munin4",
+    "diabetes",
 )
 OBSERVED = 5
 
@@ -56,9 +70,13 @@ class Sets:
         return [v for v in self.network.variables if v not in seen and isinstance(v, pgm.Discrete)]
 
 
-def one(name: str, seed: int = 0) -> Task:
-    """Five leaves, drawn from the network."""
+def several(name: str, count: int) -> list[Task]:
+    """Sets of five leaves each, drawn from the network one after the other."""
     network = read(name)
+    return [_one(network, seed) for seed in range(count)]
+
+
+def _one(network: pgm.BayesianNetwork, seed: int) -> Task:
     rng = np.random.default_rng(seed)
     drawn = network.sample(rng=rng)
     return Task(network, {leaf: int(drawn[leaf]) for leaf in _some(network, rng)})
@@ -78,18 +96,26 @@ def many(name: str, count: int, seed: int = 0) -> Sets:
 
 @cache
 def read(name: str) -> pgm.BayesianNetwork:
-    """The network of a file that comes with pgmpy.
+    """The network of a file that comes with pgmpy; see `path`."""
+    return pgm.read_bif(path(name), normalise=True)
+
+
+def path(name: str) -> Path:
+    """A gzipped file that comes with pgmpy.
 
     Raises
     ------
     ImportError
-        If that is not here.
+        If it is not here.
     """
     found = find_spec("pgmpy")
     if found is None or not found.submodule_search_locations:
         raise ImportError("the networks' files come with pgmpy, which is not here")
     folder = Path(found.submodule_search_locations[0]) / "utils" / "example_models"
-    return pgm.read_bif(folder / f"{name}.bif.gz", normalise=True)
+    file = folder / f"{name}.bif.gz"
+    if not file.is_file():
+        raise ImportError(f"{name}.bif.gz does not come with the pgmpy that is here")
+    return file
 
 
 def _leaves(network: pgm.BayesianNetwork) -> list[pgm.Variable]:

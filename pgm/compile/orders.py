@@ -63,14 +63,15 @@ class StochasticMinFill:
 
     Of a discrete network whose tables are large, there are tries with other weights, then with
     fills that are multiplied by random numbers near one, and the order whose tables have the
-    fewest entries is taken, the same each time. The search takes about as long as one pass of
-    messages over the tables. Where a try would cost more than it could spare, where nothing would
-    make the tables fit in memory, and of a continuous network there is none.
+    fewest entries is taken, the same each time. The search takes no longer than some thirty passes
+    of messages over the tables, and with 200 tries less than a second. Where a try would cost more
+    than it could spare, where nothing would make the tables fit in memory, and of a continuous
+    network there is none.
 
     Parameters
     ----------
     tries : int
-        At the most.
+        At the most; of networks of more than 160 variables in proportion fewer.
     seed : int
         Of what is drawn.
 

@@ -12,10 +12,11 @@ from pgm.compile.elimination import Adjacency, Filling, clique_tree, fill_order,
 # A fill is multiplied by E**SPREAD, where E is exponential with mean one: so a vertex is the next
 # with a probability in proportion to its fill to the power of −1/SPREAD.
 SPREAD = 0.2
-# Table entries that a pass of messages computes in the time of a try, for each vertex.
-ENTRIES = 1000
-# Vertices that are eliminated in all tries together.
-VERTICES = 2**15
+# Table entries of the cheapest order, for each try and vertex. A pass of messages computes about a
+# thousand in the time that a try takes for a vertex: the search takes as long as some thirty.
+ENTRIES = 30
+# Vertices of a network, above which there are fewer tries, so that all of them take no longer.
+VERTICES = 160
 # Table entries that no search brings down to what fits in memory.
 HOPELESS = 2**33
 
@@ -23,9 +24,8 @@ HOPELESS = 2**33
 def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -> list[int]:
     """The order of min-fill, or one that was drawn and whose cliques have fewer entries.
 
-    There is a try for each `ENTRIES` entries and vertex of the cheapest order so far, so that the
-    search takes about as long as a pass of messages; but no more than `tries`, and none without
-    hope.
+    There is a try for each `ENTRIES` entries and vertex of the cheapest order so far, but no more
+    than `tries`, of large networks fewer, and none without hope.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -
     least = _entries(adjacent, best, sizes)
     if least > HOPELESS:
         return best
-    tries = min(tries, VERTICES // len(sizes))
+    tries = min(tries, tries * VERTICES // len(sizes))
     plain = ((weights, None) for weights in weightings[1:])
     drawn = ((weights, noise) for weights in cycle(weightings))
     for count, (weights, chance) in enumerate(islice(chain(plain, drawn), tries)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -28,13 +28,22 @@ class Soft:
     weights: Any
 
 
-@dataclass(frozen=True, eq=False)
 class Sightings(Immutable):
     """Readings of one sensor at any steps; made by `sightings`."""
 
+    __slots__ = ("given", "step", "values")
+
     values: Any
-    step: Any = None
-    given: Mapping[Variable, Any] = field(default_factory=dict)
+    step: Any
+    given: Mapping[Variable, Any]
+
+    def __init__(
+        self, values: Any, step: Any = None, given: Mapping[Variable, Any] = MappingProxyType({})
+    ) -> None:
+        put = object.__setattr__
+        put(self, "values", values)
+        put(self, "step", step)
+        put(self, "given", given)
 
 
 # By variable: a plain array, a constant, or sightings; of a discrete one states, or soft weights.
@@ -95,7 +104,7 @@ def sightings(
     >>> m = Variable("m", components=("east", "north"))
     >>> seen = sightings([[2.0, 0.1], [3.0, -0.2]], step=[4, 4], given={m: [[0, 1], [5, 1]]})
     """
-    if given is not None and not isinstance(given, Mapping):
+    if type(given) is not dict and not isinstance(given, Mapping | None):
         raise EvidenceError(
             f"sightings: given maps parents to their values, given={{m: landmarks}}; found "
             f"{type(given).__name__}"

@@ -125,8 +125,10 @@ class Table(Immutable):
         """A table of read-only numbers that has all its axes; its log-scale is zero."""
         lead = values.shape[: values.ndim - len(scope)]
         table = object.__new__(cls)
-        log_scale = np.broadcast_to(ZERO, lead) if lead else ZERO
-        table._set(scope=scope, values=values, log_scale=log_scale)
+        # One by one, since posteriors make many tables of a few numbers.
+        object.__setattr__(table, "scope", scope)
+        object.__setattr__(table, "values", values)
+        object.__setattr__(table, "log_scale", np.broadcast_to(ZERO, lead) if lead else ZERO)
         return table
 
     @classmethod

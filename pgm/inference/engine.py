@@ -21,6 +21,11 @@ from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.variables import Variable
 
+CONTINUOUS = (
+    "memory= is for the runs of discrete networks; of a dynamic network keep=[x] holds fewer at a "
+    "time, and of others fewer runs to a call do"
+)
+
 
 @overload
 def infer(
@@ -32,6 +37,7 @@ def infer(
     start: Start | None = None,
     keep: None = None,
     threads: int = 1,
+    memory: float | None = None,
 ) -> ChainPosterior: ...
 
 
@@ -45,6 +51,7 @@ def infer(
     start: Start | None = None,
     keep: Variable | Iterable[Variable],
     threads: int = 1,
+    memory: float | None = None,
 ) -> KeptPosterior: ...
 
 
@@ -58,6 +65,7 @@ def infer(
     start: Start | None = None,
     keep: Variable | Iterable[Variable] | None = None,
     threads: int = 1,
+    memory: float | None = None,
 ) -> Posterior: ...
 
 
@@ -70,6 +78,7 @@ def infer(
     start: Start | None = None,
     keep: Variable | Iterable[Variable] | None = None,
     threads: int = 1,
+    memory: float | None = None,
 ) -> Posterior:
     """Send the messages of a schedule on a cluster graph.
 
@@ -104,6 +113,11 @@ def infer(
         leisure, it may be faster, which only a measurement tells. The functions of the CPDs must
         bear to be called by several threads. The threads of NumPy's linear algebra are other ones:
         with small states they only get in the way (OMP_NUM_THREADS=1).
+    memory : number, optional
+        Of a discrete network and a graph without loops, how many bytes the tables of all runs may
+        take, besides what the compiled graph takes, the evidence, and what is asked for; 2²⁸
+        (256 MiB), if not given. The runs are worked through in parts that fit; the results are the
+        same.
 
     Returns
     -------
@@ -115,7 +129,8 @@ def infer(
     EvidenceError
         If the evidence does not fit the model or the graph, or is impossible.
     GraphError
-        If a cluster is too large, or the schedule does not suit the graph.
+        If a cluster is too large, `memory` is too small for a run, or the schedule does not suit
+        the graph.
     ModelError
         If a function returns a wrong shape.
     LinearisationError, NumericalError
@@ -134,6 +149,8 @@ def infer(
             f"{schedule!r} is no schedule; give one like pgm.Smoothing() or pgm.Flooding()"
         )
     if isinstance(graph, DynamicGraph):
+        if memory is not None:
+            raise GraphError(CONTINUOUS)
         bound = bind_chain(graph.model, evidence, graph.steps)
         return run_chain(graph, bound, schedule, lineariser, start, keep, threads)
     if keep is not None or threads != 1:
@@ -161,5 +178,7 @@ def infer(
     if graph.network.discrete:
         if start is not None:
             raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
-        return discrete.run(graph, evidence, schedule)
+        return discrete.run(graph, evidence, schedule, memory)
+    if memory is not None:
+        raise GraphError(CONTINUOUS)
     return gaussian.run(graph, evidence, schedule, lineariser, start)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from numbers import Real
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.size import amount
@@ -17,12 +20,51 @@ from pgm.variables import Discrete
 # tables, five for many small ones, six where messages go round.
 LIMIT = 2**27
 FACTOR = "about five"
-# Entries, times runs, that are computed at once: what stays near the processor.
-BATCH = 2**22
-# Entries, times runs, that a posterior keeps; those of more are calibrated again when asked for.
-KEPT = 2**24
+# Bytes that the tables of many runs may take. Half is for those computed at once, which take up to
+# four times their room on the way (measured), half for those that a posterior keeps: of more runs
+# they are calibrated again when asked for.
+MEMORY = 2**28
+# Entries, times runs, that these halves hold.
+BATCH, KEPT = 2**22, 2**24
 # Variables of a cluster that a message lists.
 LISTED = 8
+
+
+@dataclass(frozen=True)
+class Room:
+    """How much of many runs is held at a time.
+
+    Attributes
+    ----------
+    batch, kept : int
+        Entries of tables, times runs, that are computed at once, and that a posterior keeps.
+    """
+
+    batch: int
+    kept: int
+
+    @classmethod
+    def of(cls, memory: float | None, graph: ClusterGraph) -> Room:
+        """What fits in so many bytes; without, `BATCH` and `KEPT`.
+
+        Raises
+        ------
+        GraphError
+            If it is no number of bytes, or a single run of the graph takes more.
+        """
+        if memory is None:
+            return cls(BATCH, KEPT)
+        if isinstance(memory, bool) or not isinstance(memory, Real) or not 0 < memory < math.inf:
+            raise GraphError(f"memory= is a number of bytes, such as 2**30, not {memory!r}")
+        room = cls(int(memory * BATCH / MEMORY), int(memory * KEPT / MEMORY))
+        least = sum(graph.sizes)
+        if room.batch < least:
+            raise GraphError(
+                f"memory={memory:g} is less than {MEMORY // BATCH * least:,} bytes, which a "
+                f"single run takes: the tables of {graph!r} have {least:,} entries; give it more, "
+                "or ask pgm.query for what is wanted"
+            )
+        return room
 
 
 def gibibytes(entries: int) -> str:
@@ -67,10 +109,10 @@ def _advice(graph: ClusterGraph) -> str:
         return "Give it smaller clusters"
     return (
         "Another elimination order may make smaller ones, pgm.compile(network, "
-        "method=pgm.JunctionTree(pgm.WeightedMinFill())); a loopy graph has small ones, "
-        "pgm.infer(pgm.compile(network, method=pgm.LTRIP()), evidence, schedule=pgm.Flooding()), "
-        "but its beliefs are approximate; pgm.query(network, variables, evidence) takes no more of "
-        "the network than a single answer needs"
+        "method=pgm.JunctionTree(pgm.StochasticMinFill(tries=2000))); a loopy graph has small "
+        "ones, pgm.infer(pgm.compile(network, method=pgm.LTRIP()), evidence, "
+        "schedule=pgm.Flooding()), but its beliefs are approximate; pgm.query(network, variables, "
+        "evidence) takes no more of the network than a single answer needs"
     )
 
 

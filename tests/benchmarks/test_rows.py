@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import pgm
 from benchmarks import agreement
 from benchmarks.libraries import pgm_robots
 from benchmarks.row import Row, part
@@ -12,8 +13,17 @@ from benchmarks.work import robots
 
 TINY = {"linear": 4, "map": 100, "online_taylor": 100}
 COMPILED = ("dynamax", "dynamax_sequential", "cuthbert")  # for seconds each
+QUICK = ("repository_asia", "repository_sachs", "sets_asia", "sets_alarm", "reading_asia")
+
+
+def slow(row, library):
+    """Whether a row takes seconds: of networks, all but a few do, or are large."""
+    network = row.name.startswith(("repository_", "sets_", "reading_"))
+    return library in COMPILED or (network and row.name not in QUICK)
+
+
 PAIRS = [
-    pytest.param(row, library, marks=[pytest.mark.slow] if library in COMPILED else [])
+    pytest.param(row, library, marks=[pytest.mark.slow] if slow(row, library) else [])
     for row in ROWS
     for library in row.contenders
     if library != "pgm" and library not in row.unchecked
@@ -21,12 +31,12 @@ PAIRS = [
 
 
 @pytest.mark.parametrize(("row", "library"), PAIRS, ids=lambda each: getattr(each, "name", each))
-@pytest.mark.filterwarnings("ignore:::(jax|tensorflow_probability|stonesoup|fastprogress)")
+@pytest.mark.filterwarnings("ignore:::(jax|tensorflow_probability|stonesoup|fastprogress|pgmpy)")
 def test_libraries_agree(row, library):
     if library != "pgm_sequential":
         package = library.split("_")[0]
         pytest.importorskip(package, reason=f"{package} comes with the extra bench")
-    size = row.size_for(library, min(TINY.get(row.name, 4), row.quick))
+    size = row.size_for(library, min(TINY.get(row.name, 4), row.quick or row.size))
     try:
         contender = row.contenders[library](row.work(size))
     except ImportError as error:
@@ -64,6 +74,22 @@ def test_optima_are_held_to_metres_and_to_each_poses_own_size():
 def test_probabilities_must_agree_too():
     with pytest.raises(AssertionError, match="probabilities of off"):
         agreement.marginals("off", [np.array([0.5, 0.5])], [np.array([0.5, 0.5 + 1e-9])])
+
+
+def test_networks_must_be_the_same():
+    a, b = pgm.Discrete("a", 2), pgm.Discrete("b", 2)
+    prior = pgm.TableCPD(a, table=[0.4, 0.6])
+    table = np.array([[0.1, 0.9], [0.8, 0.2]])
+    ours = pgm.BayesianNetwork([prior, pgm.TableCPD(b, a, table=table)])
+    agreement.networks("pgm", ours, ours)
+    three = pgm.Discrete("b", 3)
+    for match, cpd in (
+        ("other variables", pgm.TableCPD(three, a, table=[[0.1, 0.8, 0.1], [0.1, 0.1, 0.8]])),
+        ("other parents of b", pgm.TableCPD(b, table=[0.5, 0.5])),
+        ("probabilities of b", pgm.TableCPD(b, a, table=[[0.1, 0.9], [0.8 + 1e-12, 0.2 - 1e-12]])),
+    ):
+        with pytest.raises(AssertionError, match=match):
+            agreement.networks("pgm", ours, pgm.BayesianNetwork([prior, cpd]))
 
 
 def test_a_missing_library_is_left_out_and_named():

@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from benchmarks import command, curves, figure, page, timing
+from benchmarks import command, curves, figure, memory, page, timing
 from benchmarks.row import part
 from benchmarks.timing import Contender, medians
 from benchmarks.verdicts import verdicts
@@ -12,6 +12,11 @@ SUMMARY = {
     "map": {"pgm": 5.0, "gtsam": 45.0, "gtsam_levenberg_marquardt": 35.0},
     "ekf_one_step": {"pgm": 1.0, "dynamax": 1.4},
     "rts_taylor": {"pgm": 1.3, "filterpy": 1.0},
+    "repository_asia": {"pgm": 1.0, "pyagrum": 1.6, "pgmpy": 19.0},
+    "sets_asia": {"pgm": 1.0, "pyagrum": 25.0},
+    "reading_alarm": {"pgm": 0.021, "pgmpy": 0.6},
+    "munin1": {"pgm": 3.0, "pyagrum": 15.0},
+    "memory": {"munin1": {"pgm": 2**30, "pyagrum": 2**29}},
     "curves": {
         "filter": {"pgm": {100: 9.0, 1_000: 1.0, 10_000: 1.1, 100_000: 1.15}},
         "balanced": {"pgm": {1_000: 9.0, 10_000: 2.0, 100_000: 3.2}},
@@ -21,7 +26,8 @@ SUMMARY = {
 
 
 def test_verdicts_are_ratios_the_right_way_up():
-    found = {each.what.split(":")[0]: each for each in verdicts(SUMMARY)}
+    every = {each.what: each for each in verdicts(SUMMARY)}
+    found = {what.split(":")[0]: each for what, each in every.items()}
     # gtsam at its faster is the one to beat; the unscented rows were not run.
     assert found["map"].measured == pytest.approx(7.0)
     assert not found["map"].holds
@@ -32,7 +38,18 @@ def test_verdicts_are_ratios_the_right_way_up():
     assert found["filter, 1,000 to 100,000 steps"].measured == pytest.approx(1.15)
     assert found["filter, 1,000 to 100,000 steps"].holds
     assert not found["balanced, 10,000 to 100,000 steps"].holds
-    assert len(found) == 5
+    for what, measured, holds in (
+        ("repository_asia: pyagrum / pgm", 1.6, True),
+        ("repository_asia: pgmpy / pgm", 19.0, False),
+        ("sets_asia: pyagrum / pgm", 25.0, True),
+        ("reading_alarm: pgmpy / pgm", 0.6 / 0.021, True),
+        ("reading_alarm: milliseconds", 21.0, False),
+        ("munin1: pyagrum / pgm", 5.0, True),
+        ("munin1, peak of memory: pyagrum / pgm", 0.5, False),
+    ):
+        assert every[what].measured == pytest.approx(measured)
+        assert every[what].holds == holds
+    assert len(every) == 5 + 7
 
 
 def test_contenders_take_turns(monkeypatch):
@@ -45,6 +62,7 @@ def test_contenders_take_turns(monkeypatch):
 
 
 def test_short_calls_are_repeated_and_times_are_of_a_unit(monkeypatch):
+    monkeypatch.setattr(timing, "SHORTEST", 0.02)
     clock = iter(range(1_000))
     monkeypatch.setattr(timing.time, "process_time", lambda: 0.004 * next(clock))
     calls = []
@@ -78,6 +96,22 @@ def test_the_command_writes_a_summary(tmp_path, capsys):
     assert "discrete_asia" in capsys.readouterr().out
 
 
+def test_a_quick_run_leaves_large_work_out():
+    names = command.everything(quick=True)
+    assert {"repository_alarm", "sets_andes", "reading_alarm", "map"} < set(names)
+    assert not {"repository_child", "sets_hepar2", "reading_munin", "munin1"} & set(names)
+    assert {"repository_child", "munin1"} < set(command.everything(quick=False))
+
+
+def test_memory_is_of_each_library_in_its_own_process():
+    pytest.importorskip("pyagrum", reason="pyagrum comes with the extra bench")
+    pytest.importorskip("pgmpy", reason="the networks come with pgmpy")
+    times, peaks = memory.measure("asia")
+    assert set(times) == set(peaks) == {"pgm", "pyagrum"}
+    assert all(0.0 < each < 60.0 for each in times.values())
+    assert all(2**24 < each < 2**31 for each in peaks.values())
+
+
 def test_the_command_names_unknown_rows(capsys):
     with pytest.raises(SystemExit):
         command.main(["--only", "discrete_asia,nothing"])
@@ -99,6 +133,7 @@ def test_the_page_takes_its_numbers_from_the_summary(tmp_path, monkeypatch):
     assert text.endswith("after\n")
     assert "stale" not in text
     assert "| `ekf_one_step` | simulation | 1000000 |" in text
+    assert "`munin1.pgm` 3 s, 1024 MiB, `munin1.pyagrum` 15 s, 512 MiB" in text
     assert "| map: gtsam / pgm | 7.00 | ≥ 8 | **does not hold** |" in text
     assert "steps: dearest / cheapest step | 1.15 | ≤ 1.2 | holds |" in text
     assert (tmp_path / "images" / "cost_against_size.png").read_bytes() == b"a picture"

@@ -1,7 +1,11 @@
+import json
+
 import numpy as np
 import pytest
 
-from benchmarks.work import robots, tables, targets
+import pgm
+from benchmarks import command
+from benchmarks.work import repository, robots, tables, targets
 from models import sensors
 
 
@@ -53,7 +57,41 @@ def test_targets_move_as_their_network_says():
     np.testing.assert_allclose(second.var(axis=0), expected, rtol=0.15)
 
 
+def test_sets_are_of_five_leaves_and_each_of_its_own():
+    pytest.importorskip("pgmpy", reason="the networks come with pgmpy")
+    tasks = repository.several("alarm", 3)
+    network = tasks[0].network
+    parents = {parent for cpd in network.cpds for parent in cpd.given}
+    for task in tasks:
+        assert len(task.evidence) == repository.OBSERVED
+        assert not parents & set(task.evidence)
+        assert set(task.hidden) | set(task.evidence) == set(network.variables)
+    assert tasks[0].evidence != tasks[1].evidence
+    assert repository.several("alarm", 1)[0].evidence == tasks[0].evidence
+    sets = repository.many("alarm", 50)
+    seen = np.array(list(sets.evidence.values())) >= 0
+    assert seen.shape[1] == sets.count == 50
+    assert (seen.sum(axis=0) == repository.OBSERVED).all()
+    assert len({tuple(column) for column in seen.T}) > 30
+
+
+def test_networks_that_are_not_here_leave_their_rows_out(monkeypatch, tmp_path, capsys):
+    repository.read.cache_clear()
+    monkeypatch.setattr(repository, "find_spec", lambda name: None)
+    names = "repository_asia,sets_asia,reading_asia,discrete_asia"
+    command.main(["--quick", "--only", names, "--repeats", "1", "--out", str(tmp_path)])
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert "discrete_asia" in summary
+    assert "reading_asia" not in summary
+    told = " ".join(capsys.readouterr().out.split())
+    for name in names.split(",")[:3]:
+        assert f"{name} is left out: the networks' files come with pgmpy" in told
+    with pytest.raises(ImportError, match="come with pgmpy"):
+        repository.path("asia")
+
+
 def test_the_random_network_is_as_wide_as_was_meant():
     task = tables.random()
     assert len(task.evidence) == tables.OBSERVED
     assert len(task.hidden) == tables.NODES - tables.OBSERVED
+    assert pgm.compile(task.network).width <= 8

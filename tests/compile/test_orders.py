@@ -10,7 +10,7 @@ from dags import chain, continuous, discrete, grid, networks, star, tree
 from hypothesis import given
 
 import pgm
-from pgm.compile import StochasticMinFill
+from pgm.compile import StochasticMinFill, search
 from pgm.compile.dissection import dissect
 from pgm.compile.elimination import moral
 
@@ -109,6 +109,18 @@ def test_a_search_finds_cheaper_orders_of_large_networks():
     assert compiled(network, StochasticMinFill(tries=0)).clusters == plain.clusters
     costs = [compiled(network, StochasticMinFill(tries=tries)).cost for tries in (0, 10, 30)]
     assert costs == sorted(costs, reverse=True)
+
+
+def test_large_networks_are_searched_in_proportion_to_what_is_asked(monkeypatch):
+    made = []
+    monkeypatch.setattr(search, "_try", lambda *given: made.append(given) or [])
+    network = discrete(grid(14))
+    counts = []
+    for tries in (20, 200, 2000):
+        made.clear()
+        StochasticMinFill(tries=tries)(network)
+        counts.append(len(made))
+    assert counts == [20 * 160 // 196, 200 * 160 // 196, 2000 * 160 // 196]
 
 
 @pytest.mark.parametrize("network", [discrete(grid(6)), discrete(grid(24)), continuous(grid(14))])

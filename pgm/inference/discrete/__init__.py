@@ -19,6 +19,7 @@ Graphs without loops:
 - ``tree_plan``: what it makes;
 - ``tree_passes``: messages to the roots and back;
 - ``entry``: what they begin with, so that messages to the roots are sent from evidence alone;
+- ``enumeration``: of tiny networks the joint of all variables, of which every table is a sum;
 - ``calibration``: both passes, with numbers or with logarithms;
 - ``tree_messages``: single messages by their definition, made on request;
 - ``tree_beliefs``: the calibrated tables of all runs;

@@ -56,9 +56,8 @@ class Beliefs(ABC):
         lead = self.evidence.lead
         if values.ndim > len(scope):
             values = np.moveaxis(values, -1, 0)
-        shape = (*lead, *sizes(scope))
-        if values.shape != shape:
-            values = values.reshape(shape)
+        if lead or values.ndim > len(scope):
+            values = values.reshape((*lead, *sizes(scope)))
         if log_scale is None:
             return Table._plain(scope, frozen(values) if values.flags.writeable else values)
         return Table._make(scope, values, log_scale.reshape(lead))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from pgm.evidence.discrete import BoundStates
 from pgm.inference.discrete.entry import enter
+from pgm.inference.discrete.enumeration import Enumeration
+from pgm.inference.discrete.evidence import states_of_one
 from pgm.inference.discrete.tree_passes import collect, distribute
 from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array
@@ -33,11 +36,20 @@ class Calibrated:
 
 def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
     """Both passes: with numbers, or where one would be lost to underflow with logarithms."""
+    if evidence.runs == 1 and not evidence.weights and plan.enumeration is not None:
+        return _enumerated(plan, plan.enumeration, evidence)
     try:
         with np.errstate(all="raise"):
             return _calibrate(plan, evidence, SUM_PRODUCT)
     except FloatingPointError:
         return _calibrate(plan, evidence, LOG_SUM_PRODUCT)
+
+
+def _enumerated(plan: TreePlan, enumeration: Enumeration, evidence: BoundStates) -> Calibrated:
+    tables, total = enumeration.given(states_of_one(evidence))
+    log_tops = np.zeros(plan.tops)
+    log_tops[plan.stacks[0].tops.start] = math.log(total) if total > 0.0 else -math.inf
+    return Calibrated(tables, log_tops)
 
 
 def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Calibrated:

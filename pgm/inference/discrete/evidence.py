@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from pgm.evidence.discrete import BoundStates
 from pgm.factors.axes import States
-from pgm.inference import limits
 from pgm.inference.discrete.place import Place
 from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers
@@ -102,20 +101,20 @@ def axes_left(evidence: BoundStates, scope: States) -> States:
     return tuple(v for v in scope if not isinstance(evidence.states.get(v), int))
 
 
-def at_once(entries: int) -> int:
+def at_once(entries: int, batch: int) -> int:
     """How many runs of a tree are calibrated at once: as many as fit, or one, if only few do."""
-    size = limits.BATCH // entries
+    size = batch // entries
     return size if size >= FEW else 1
 
 
-def tree_pieces(entries: int, evidence: BoundStates) -> Iterator[BoundStates]:
+def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
     """Some runs after the other, as many as are calibrated at once."""
-    return _split(evidence, at_once(entries))
+    return _split(evidence, at_once(entries, batch))
 
 
-def pieces(entries: int, evidence: BoundStates) -> Iterator[BoundStates]:
+def pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
     """Some runs after the other, as many as fit for tables of so many entries."""
-    return _split(evidence, max(1, limits.BATCH // entries))
+    return _split(evidence, max(1, batch // entries))
 
 
 def _split(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
@@ -140,6 +139,10 @@ def alone(evidence: BoundStates) -> BoundStates:
     """The evidence of a single run without what is not observed in it; of several, itself."""
     if not evidence.lead or evidence.runs > 1:
         return evidence
+    return BoundStates(evidence.lead, states_of_one(evidence), evidence.weights)
+
+
+def states_of_one(evidence: BoundStates) -> Mapping[Discrete, int]:
+    """The states that are observed in a single run."""
     known = {v: s if isinstance(s, int) else int(s[0]) for v, s in evidence.states.items()}
-    states = {v: state for v, state in known.items() if state >= 0}
-    return BoundStates(evidence.lead, states, evidence.weights)
+    return {v: state for v, state in known.items() if state >= 0}

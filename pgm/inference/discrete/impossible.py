@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -32,7 +33,7 @@ def require_possible(plan: TreePlan, evidence: BoundStates, log_tops: Array) -> 
         Naming the first run, a cluster, and the variables whose evidence has no common states.
     """
     # One sum finds out, whatever is infinite.
-    if np.isfinite(np.add.reduce(log_tops, None)):
+    if math.isfinite(np.add.reduce(log_tops, None)):
         return
     impossible = log_tops == -np.inf
     runs = impossible.any(axis=0)

@@ -23,7 +23,7 @@ from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.tree_passes import collect
 from pgm.inference.discrete.tree_plan import Stack, TreePlan
 from pgm.inference.discrete.tree_planner import plan_for
-from pgm.inference.limits import require_runs
+from pgm.inference.limits import Room, require_runs
 from pgm.inference.posterior import require_variable
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
@@ -76,7 +76,9 @@ class MostProbable(Immutable):
         return f"MostProbable({', '.join(shown)}; ln p {self.log_probability:.6g})"
 
 
-def most_probable(graph: ClusterGraph, evidence: Evidence) -> MostProbable:
+def most_probable(
+    graph: ClusterGraph, evidence: Evidence, *, memory: float | None = None
+) -> MostProbable:
     r"""Find the assignment of all variables that is most probable given the evidence.
 
     .. math:: \arg\max_x p(x, \text{evidence})
@@ -90,6 +92,8 @@ def most_probable(graph: ClusterGraph, evidence: Evidence) -> MostProbable:
         Of a discrete network, without loops.
     evidence : mapping of Discrete
         As for `infer`. Weights of `soft` evidence count as factors of the probability.
+    memory : number, optional
+        As for `infer`.
 
     Returns
     -------
@@ -98,8 +102,8 @@ def most_probable(graph: ClusterGraph, evidence: Evidence) -> MostProbable:
     Raises
     ------
     GraphError
-        If the network is continuous, the graph has loops or too large a cluster, or there are too
-        many runs.
+        If the network is continuous, the graph has loops or too large a cluster, there are too
+        many runs, or `memory` is too small.
     EvidenceError
         If the evidence does not fit the network, or has probability zero.
 
@@ -126,12 +130,14 @@ def most_probable(graph: ClusterGraph, evidence: Evidence) -> MostProbable:
             f"{graph!r} has loops, and most_probable is for trees; compile a junction tree, "
             "pgm.compile(network)"
         )
+    room = Room.of(memory, graph)
     bound = bind_discrete(frozenset(graph.network.variables), evidence)
     distinct = Distinct.of(bound)
-    plan = plan_for(graph, distinct.evidence.runs)
+    plan = plan_for(graph, distinct.evidence.runs, room.batch)
     require_runs(len(plan.storage.homes), bound.runs, "the states of all variables")
     found = [
-        _maximise(plan, piece) for piece in tree_pieces(plan.storage.entries, distinct.evidence)
+        _maximise(plan, piece)
+        for piece in tree_pieces(plan.storage.entries, distinct.evidence, room.batch)
     ]
     states = np.concatenate([s for s, _ in found], axis=1)
     log_tops = np.concatenate([t for _, t in found], axis=1)

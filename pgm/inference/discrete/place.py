@@ -14,7 +14,7 @@ from pgm.variables import Discrete
 
 # Tables of this many entries stand by themselves, and are summed and multiplied where they stand:
 # positions of their entries, which serve many small tables in one call, would take more room.
-LARGE = 2**16
+LARGE = 2**13
 
 
 @dataclass(frozen=True, eq=False)

@@ -108,7 +108,7 @@ class BlockProduct:
         """Multiply entries and the message; the entries may be those that the products replace."""
         table = source.reshape((*self.view.shape, *source.shape[1:]))
         message = self.view.spread(messages[self.source])
-        if message.ndim == len(self.view.shape) > self.wide:
+        if message.ndim == len(self.view.shape):
             shape = message.shape[: self.wide] + self.view.shape[self.wide :]
             message = np.ascontiguousarray(np.broadcast_to(message, shape))
         semiring.times(table, message, out.reshape((*self.view.shape, *out.shape[1:])))

@@ -5,26 +5,38 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
+from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.discrete import bind_discrete
 from pgm.inference.discrete.loopy_beliefs import LoopyBeliefs
 from pgm.inference.discrete.loopy_messages import TableMessages
 from pgm.inference.discrete.posterior import DiscretePosterior
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
+from pgm.inference.limits import Room
 from pgm.inference.loopy import run_loopy
 from pgm.inference.schedule import Loopy, Schedule
 from pgm.inference.status import Status
 from pgm.variables import Variable
 
 
-def run(graph: ClusterGraph, evidence: Evidence, schedule: Schedule | None) -> DiscretePosterior:
+def run(
+    graph: ClusterGraph,
+    evidence: Evidence,
+    schedule: Schedule | None,
+    memory: float | None = None,
+) -> DiscretePosterior:
     """Send the messages of a schedule; see `pgm.infer`."""
     bound = bind_discrete(graph.derived(_variables), evidence)
     if isinstance(schedule, Loopy):
+        if memory is not None:
+            raise GraphError(
+                f"memory= is for graphs without loops: on {graph!r} all runs go round together; "
+                "to hold less at a time, give fewer runs to a call"
+            )
         messages = TableMessages(graph, bound, schedule.damping)
         status = run_loopy(messages, schedule, bound.lead)
         return DiscretePosterior(graph, status, LoopyBeliefs.of(messages))
-    beliefs = TreeBeliefs.of(graph, bound)
+    beliefs = TreeBeliefs.of(graph, bound, Room.of(memory, graph))
     return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
 
 

@@ -16,6 +16,9 @@ from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
 
+# Entries of a matrix that sums the storage to all marginals, at the most.
+SMALL = 2**12
+
 
 class Sum(Protocol):
     """Which entries of the storage are summed to which place of another array."""
@@ -111,6 +114,8 @@ class Marginals:
         (variables,): where they begin, and their numbers.
     count : int
         Of all.
+    matrix : ndarray or None
+        (length of the storage, count): of zeros and ones, where it is small.
     """
 
     sums: Sequence[Sum]
@@ -118,10 +123,11 @@ class Marginals:
     first: Integers
     widths: Integers
     count: int
+    matrix: Array | None
 
     @classmethod
-    def of(cls, sources: Mapping[Discrete, Integers | Place]) -> Marginals:
-        """From where to sum the probabilities of each variable.
+    def of(cls, sources: Mapping[Discrete, Integers | Place], length: int) -> Marginals:
+        """From where to sum the probabilities of each variable, in a storage of some length.
 
         Positions (states, rows), or a table that stands by itself.
         """
@@ -142,13 +148,22 @@ class Marginals:
                 where[variable] = slice(stop, stop + variable.size)
                 stop += variable.size
         widths = np.array([variable.size for variable in where])
-        return cls(sums, where, np.cumsum(widths) - widths, widths, stop)
+        matrix = np.zeros((length, stop)) if length * stop <= SMALL else None
+        for variable, source in sources.items():
+            if matrix is None or isinstance(source, Place):
+                matrix = None
+                break
+            matrix[source, np.arange(where[variable].start, where[variable].stop)[:, None]] = 1.0
+        return cls(sums, where, np.cumsum(widths) - widths, widths, stop, matrix)
 
     def read(self, tables: Array) -> Array:
         """The probabilities, (states of all variables, [runs])."""
         out = np.empty((self.count, *tables.shape[1:]))
-        for each in self.sums:
-            each.apply(tables, SUM_PRODUCT, out)
+        if self.matrix is not None and tables.ndim == 1:
+            tables.dot(self.matrix, out)
+        else:
+            for each in self.sums:
+                each.apply(tables, SUM_PRODUCT, out)
         # They sum to one but for rounding, which grows with the depth of a tree.
         out /= np.add.reduceat(out, self.first, 0).repeat(self.widths, 0)
         return out

@@ -12,7 +12,6 @@ from pgm.clustergraph import ClusterGraph
 from pgm.evidence.discrete import BoundStates
 from pgm.factors import Table
 from pgm.factors.axes import States
-from pgm.inference import limits
 from pgm.inference.discrete.beliefs import Beliefs
 from pgm.inference.discrete.calibration import Calibrated, calibrate
 from pgm.inference.discrete.distinct import Distinct
@@ -23,6 +22,7 @@ from pgm.inference.discrete.storage import Storage
 from pgm.inference.discrete.tree_messages import TreeMessages
 from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.inference.discrete.tree_planner import plan_for
+from pgm.inference.limits import Room, require_runs
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete
 
@@ -41,6 +41,7 @@ class TreeBeliefs(Beliefs):
     plan: TreePlan
     storage: Storage
     evidence: BoundStates
+    _room: Room
     # What follows is of the runs that differ.
     _distinct: Distinct
     # Some runs after the other; None where all would take too much room.
@@ -49,7 +50,7 @@ class TreeBeliefs(Beliefs):
     _log_tops: Array
 
     @classmethod
-    def of(cls, graph: ClusterGraph, evidence: BoundStates) -> TreeBeliefs:
+    def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> TreeBeliefs:
         """Calibrate a graph without loops.
 
         Raises
@@ -61,26 +62,26 @@ class TreeBeliefs(Beliefs):
         """
         distinct = Distinct.of(evidence)
         runs = distinct.evidence.runs
-        plan = plan_for(graph, runs)
+        plan = plan_for(graph, runs, room.batch)
         storage = plan.storage
-        keep = runs == 1 or storage.entries * runs <= limits.KEPT
+        keep = runs == 1 or storage.entries * runs <= room.kept
         if not keep:
-            limits.require_runs(plan.marginals.count, runs, "the marginals of all variables")
-        kept, marginals, tops = [], [], []
-        for piece in tree_pieces(storage.entries, distinct.evidence):
+            require_runs(plan.marginals.count, runs, "the marginals of all variables")
+        kept, marginals, tops = [], _Gathered(runs), _Gathered(runs)
+        for piece in tree_pieces(storage.entries, distinct.evidence, room.batch):
             done = calibrate(plan, piece)
-            tops.append((done.log_tops, piece.runs))
+            tops.add(done.log_tops, piece.runs)
             if keep:
                 kept.append((done, piece.runs))
             elif np.isfinite(done.log_tops).all():  # else the evidence is refused below
-                marginals.append((plan.marginals.read(done.tables), piece.runs))
+                marginals.add(plan.marginals.read(done.tables), piece.runs)
             del done  # before the next ones are made
-        log_tops = _joined(tops)
+        log_tops = tops.whole
         if distinct.which is None or not np.isfinite(log_tops).all():
             require_possible(plan, evidence, distinct.spread(log_tops))
         if keep:
-            return cls(plan, storage, evidence, distinct, kept, None, log_tops)
-        return cls(plan, storage, evidence, distinct, None, _joined(marginals), log_tops)
+            return cls(plan, storage, evidence, room, distinct, kept, None, log_tops)
+        return cls(plan, storage, evidence, room, distinct, None, marginals.whole, log_tops)
 
     @cached_property
     def _marginals(self) -> Array:
@@ -98,10 +99,15 @@ class TreeBeliefs(Beliefs):
         return self._distinct.spread(self._read(reader))
 
     def _read(self, reader: Callable[[Array], Array]) -> Array:
+        found = _Gathered(self._distinct.evidence.runs)
         if self._kept is not None:
-            return _joined([(reader(done.tables), runs) for done, runs in self._kept])
-        some = tree_pieces(self.storage.entries, self._distinct.evidence)
-        return _joined([(reader(calibrate(self.plan, p).tables), p.runs) for p in some])
+            for done, runs in self._kept:
+                found.add(reader(done.tables), runs)
+            return found.whole
+        evidence, batch = self._distinct.evidence, self._room.batch
+        for piece in tree_pieces(self.storage.entries, evidence, batch):
+            found.add(reader(calibrate(self.plan, piece).tables), piece.runs)
+        return found.whole
 
     def joint(self, scope: States) -> Array:
         """The probabilities of variables that no one cluster holds, (sizes..., [runs])."""
@@ -120,7 +126,7 @@ class TreeBeliefs(Beliefs):
     def _whole(self) -> TreeMessages | None:
         """The messages of all runs, if they fit at once."""
         evidence = self._distinct.evidence
-        if evidence.runs > 1 and self.storage.entries * evidence.runs > limits.BATCH:
+        if evidence.runs > 1 and self.storage.entries * evidence.runs > self._room.batch:
             return None
         return TreeMessages(self.storage, evidence, self.plan.logs)
 
@@ -129,7 +135,7 @@ class TreeBeliefs(Beliefs):
         if self._whole is not None:
             yield self._whole
             return
-        for piece in pieces(self.storage.entries, self._distinct.evidence):
+        for piece in pieces(self.storage.entries, self._distinct.evidence, self._room.batch):
             yield TreeMessages(self.storage, piece, self.plan.logs)
 
     def message(self, source: int, target: int) -> Table:
@@ -149,8 +155,28 @@ class TreeBeliefs(Beliefs):
         return self.table(scope, values, top)
 
 
-def _joined(parts: list[tuple[Array, int]]) -> Array:
-    """Arrays (..., [runs]) of some runs, and how many, one after the other."""
-    if len(parts) == 1:
-        return parts[0][0]
-    return np.concatenate([a if runs > 1 else a[..., None] for a, runs in parts], axis=-1)
+class _Gathered:
+    """Arrays (..., [runs]) of some runs after the other as one of all, beside which none is kept.
+
+    Parameters
+    ----------
+    runs : int
+        Of all; of a single one there is no axis.
+    """
+
+    whole: Array
+
+    def __init__(self, runs: int) -> None:
+        self.runs = runs
+        self.done = 0
+
+    def add(self, values: Array, runs: int) -> None:
+        """Those of the next runs."""
+        if runs == self.runs:
+            self.whole = values
+            return
+        each = values if runs > 1 else values[..., None]
+        if not self.done:
+            self.whole = np.empty((*each.shape[:-1], self.runs))
+        self.whole[..., self.done : self.done + runs] = each
+        self.done += runs

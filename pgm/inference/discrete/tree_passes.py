@@ -64,7 +64,7 @@ def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
         if not stack.bit & active:
             continue
         entries = tables[stack.entries]
-        matrix = entries.reshape(*stack.shape, *tail)
+        matrix = entries.reshape(stack.shape + tail)
         source = entries
         if not stack.bit & entry.entered:
             source = potentials[stack.entries, None] if tail else potentials[stack.entries]
@@ -114,7 +114,7 @@ def distribute(plan: TreePlan, entry: Entry, done: Collected, semiring: Semiring
     # 0/0 becomes 0, for the dividend is zero too.
     np.copyto(divisor, semiring.one, where=divisor == semiring.zero)
     for stack in plan.stacks:
-        matrix = tables[stack.entries].reshape(*stack.shape, *tail)
+        matrix = tables[stack.entries].reshape(stack.shape + tail)
         if stack.down is None:
             sepset = tables[plan.storage.entries :][stack.columns]
             sepset[...] = semiring.one

@@ -17,9 +17,10 @@ import numpy as np
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.discrete import BoundStates
 from pgm.factors.axes import States, sizes
+from pgm.inference.discrete.enumeration import Enumeration
 from pgm.inference.discrete.place import Place
 from pgm.inference.discrete.products import Product
-from pgm.inference.discrete.storage import Storage, sepset_to_parent
+from pgm.inference.discrete.storage import Storage
 from pgm.inference.discrete.sums import Marginals, Sum
 from pgm.inference.forest import Forest
 from pgm.kernels.arrays import Array, Integers
@@ -97,6 +98,8 @@ class TreePlan:
     forest : Forest
     stacks : sequence of Stack
         The roots first, parents before children.
+    sepsets : sequence of tuple of Discrete
+        Of each cluster and its parent, in the order of the message's columns.
     columns : int
         Columns of all messages.
     tops : int
@@ -110,6 +113,7 @@ class TreePlan:
     storage: Storage
     forest: Forest
     stacks: Sequence[Stack]
+    sepsets: Sequence[States]
     columns: int
     tops: int
     first: Integers
@@ -124,6 +128,11 @@ class TreePlan:
     def logs(self) -> Array:
         """The logarithms of the clusters' potentials."""
         return self.storage.potentials(LOG_SUM_PRODUCT)
+
+    @cached_property
+    def enumeration(self) -> Enumeration | None:
+        """The joint of all variables, where the network is tiny."""
+        return Enumeration.of(self.storage, self.forest, self.sepsets, self.first)
 
     @cached_property
     def everything(self) -> int:
@@ -174,7 +183,8 @@ class TreePlan:
     def marginals(self) -> Marginals:
         """What sums the tables and sepsets to the probabilities of each variable."""
         sources = self.storage.by_state
-        return Marginals.of({v: self._smallest(v, source) for v, source in sources.items()})
+        smallest = {v: self._smallest(v, source) for v, source in sources.items()}
+        return Marginals.of(smallest, self.storage.entries + self.columns)
 
     def _smallest(self, variable: Discrete, home: Integers | Place) -> Integers | Place:
         """Where to sum a variable from: its home, or a smaller sepset."""
@@ -190,8 +200,7 @@ class TreePlan:
     @cached_property
     def _sepsets(self) -> dict[Discrete, list[tuple[int, States]]]:
         found: dict[Discrete, list[tuple[int, States]]] = {}
-        for k in range(len(self.graph)):
-            sepset = sepset_to_parent(self.graph, self.forest, k)
+        for k, sepset in enumerate(self.sepsets):
             for variable in sepset:
                 found.setdefault(variable, []).append((k, sepset))
         return found

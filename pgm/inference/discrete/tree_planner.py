@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.factors.axes import discrete, sizes, without
+from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference.discrete.evidence import at_once
 from pgm.inference.discrete.place import LARGE, Place
 from pgm.inference.discrete.products import BlockProduct, GatheredProduct, Product
@@ -26,7 +27,7 @@ LARGE_OF_MANY = 2**9
 SMALL = 2**12
 
 
-def plan_for(graph: ClusterGraph, runs: int) -> TreePlan:
+def plan_for(graph: ClusterGraph, runs: int, batch: int) -> TreePlan:
     """The passes over a graph without loops, laid out once for one run and once for many.
 
     Raises
@@ -34,7 +35,7 @@ def plan_for(graph: ClusterGraph, runs: int) -> TreePlan:
     GraphError
         If its tables are too large.
     """
-    if runs == 1 or at_once(sum(graph.sizes)) == 1:
+    if runs == 1 or at_once(sum(graph.sizes), batch) == 1:
         return graph.derived(make_plan, LARGE)
     return graph.derived(make_plan, LARGE_OF_MANY)
 
@@ -65,7 +66,8 @@ class _Planner:
         self.large = large
         self.forest = Forest.of(graph)
         everywhere = range(len(graph))
-        self.sepsets = [sepset_to_parent(graph, self.forest, k) for k in everywhere]
+        shared = [sepset_to_parent(graph, self.forest, k) for k in everywhere]
+        self.sepsets = [self._ordered(k, scope, shared) for k, scope in enumerate(shared)]
         self.width = [math.prod(sizes(sepset)) for sepset in self.sepsets]
         self.places: list[Place | None] = [None for _ in everywhere]
         self.first = np.zeros(len(graph), dtype=np.intp)
@@ -89,7 +91,8 @@ class _Planner:
         for clusters in groups.values():
             stacks.append(self._stack(clusters, storage, tops))
             tops = stacks[-1].tops.stop
-        return TreePlan(storage, self.forest, stacks, column, tops, self.first, self.large)
+        sepsets, first = self.sepsets, self.first
+        return TreePlan(storage, self.forest, stacks, sepsets, column, tops, first, self.large)
 
     def _rows(self, cluster: int) -> int:
         return self.graph.sizes[cluster] // self.width[cluster]
@@ -105,6 +108,18 @@ class _Planner:
     def _large(self, cluster: int) -> bool:
         return self.graph.sizes[cluster] >= self.large
 
+    def _ordered(self, cluster: int, scope: States, sepsets: Sequence[States]) -> States:
+        """Some variables of a cluster, in a large table those of each child's sepset together.
+
+        What is multiplied and summed there is then in few axes, the last of them long.
+        """
+        if not self._large(cluster):
+            return scope
+        children = [set(sepsets[k]) for k in self.forest.children[cluster]]
+        children.sort(key=lambda sepset: math.prod(variable.size for variable in sepset))
+        found = {v: [k for k, sepset in enumerate(children) if v in sepset] for v in scope}
+        return tuple(sorted(scope, key=lambda v: (found[v][0], found[v][-1]) if found[v] else ()))
+
     def _place(self, clusters: list[int], start: int, column: int) -> tuple[int, int]:
         """Place the tables of a stack: as columns of one matrix, or as its rows if that is flat."""
         rows = self._rows(clusters[0])
@@ -112,7 +127,7 @@ class _Planner:
         offset = 0
         for k in clusters:
             rest = without(discrete(self.graph.clusters[k].scope), self.sepsets[k])
-            scope = (*rest, *self.sepsets[k])
+            scope = (*self._ordered(k, rest, self.sepsets), *self.sepsets[k])
             self.first[k] = column + offset
             large = self._large(k)
             if rows <= columns:

@@ -79,7 +79,7 @@ def test_a_cluster_that_is_too_large():
             "five times as much memory",
             "cluster 0 over (b0, b1, b2, b3, b4, b5, b6, b7, ...), 40 variables, takes 8.19e+03 "
             "GiB, 10^12.0 entries",
-            "pgm.JunctionTree(pgm.WeightedMinFill())",
+            "pgm.JunctionTree(pgm.StochasticMinFill(tries=2000))",
             "pgm.LTRIP()",
             "pgm.Flooding()",
         ):

@@ -126,7 +126,7 @@ def test_potentials_that_are_made_again_and_tables_that_are_entered_apart(
 
 def test_without_evidence_only_the_roots_are_active():
     net = network(8, count=10)
-    plan = tree_planner.plan_for(pgm.compile(net), 1)
+    plan = tree_planner.plan_for(pgm.compile(net), 1, 2**22)
     everywhere = bind_discrete(net.variables, dict.fromkeys(net.variables, 0))
     assert plan.above(everywhere) == plan.everything
     roots = [stack.bit for stack in plan.stacks if stack.down is None]

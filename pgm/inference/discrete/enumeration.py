@@ -1,0 +1,93 @@
+"""Tiny networks: every table of the tree is a sum of the joint of all variables.
+
+Messages over such a tree are calls on a few numbers each. One product with a matrix of zeros and
+ones takes less.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.factors.axes import States, sizes
+from pgm.inference.discrete.storage import Storage
+from pgm.inference.forest import Forest
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.semirings import SUM_PRODUCT
+from pgm.variables import Discrete
+
+# Entries of this matrix, at the most.
+TINY = 2**14
+
+
+@dataclass(frozen=True, eq=False)
+class Enumeration:
+    """The joint of all variables of a network whose graph is one tree.
+
+    Attributes
+    ----------
+    joint : ndarray
+        (cells,): probabilities without evidence.
+    shown : mapping of Discrete to ndarray
+        (states, cells): one in the cells of a state, zero in the others.
+    tables : ndarray
+        (cells, entries + columns): one where a cell is part of an entry of a cluster or a sepset.
+    """
+
+    joint: Array
+    shown: Mapping[Discrete, Array]
+    tables: Array
+
+    @classmethod
+    def of(
+        cls, storage: Storage, forest: Forest, sepsets: Sequence[States], first: Integers
+    ) -> Enumeration | None:
+        """The joint of a network; None if it is not tiny, or an entry is too small for a number.
+
+        Parameters
+        ----------
+        storage : Storage
+        forest : Forest
+        sepsets : sequence of tuple of Discrete
+            Of each cluster and its parent.
+        first : ndarray of int
+            (clusters,): the first column of each cluster's message to its parent.
+        """
+        scope = tuple(storage.homes)
+        cells = math.prod(sizes(scope))
+        length = storage.entries + sum(math.prod(sizes(sepset)) for sepset in sepsets)
+        if cells * length > TINY or forest.levels[0].size > 1:
+            return None
+        state = dict(zip(scope, np.indices(sizes(scope)).reshape(len(scope), cells), strict=True))
+        joint, tables = np.ones(cells), np.zeros((cells, length))
+        try:
+            with np.errstate(under="raise"):
+                potentials = storage.potentials(SUM_PRODUCT)
+                for k, own in enumerate(storage.scopes):
+                    entry = storage.positions(k)[tuple(state[v] for v in own)]
+                    column = np.zeros(cells, dtype=np.intp)
+                    for variable in sepsets[k]:
+                        column = column * variable.size + state[variable]
+                    tables[np.arange(cells), entry] = 1.0
+                    tables[np.arange(cells), storage.entries + first[k] + column] = 1.0
+                    joint *= potentials[entry]
+        except FloatingPointError:
+            return None
+        shown = {v: (state[v] == np.arange(v.size)[:, None]).astype(float) for v in scope}
+        return cls(joint, shown, tables)
+
+    def given(self, states: Mapping[Discrete, int]) -> tuple[Array, float]:
+        """The tables of a single run, each of which sums to one, and p(evidence).
+
+        Where that is zero, the tables are too.
+        """
+        cells = self.joint
+        for variable, state in states.items():
+            cells = cells * self.shown[variable][state]
+        total = float(np.add.reduce(cells))
+        if total > 0.0:
+            cells = cells / total
+        return cells.dot(self.tables), total
