@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+
+# As `array.setflags(write=...)`, of whose time the name of the argument takes two thirds.
+set_writeable: Callable[[Any, bool], None] = np.ndarray.setflags  # type: ignore[assignment]
 
 
 class Immutable:

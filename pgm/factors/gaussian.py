@@ -114,9 +114,17 @@ class Gaussian(Immutable):
         )
 
     def _put(self, scope: Scope, mean: Array, cov: Array, steps: Integers | None) -> None:
+        if mean.flags.writeable:
+            mean = frozen(mean)
+        if cov.flags.writeable:
+            cov = frozen(cov)
         if steps is not None:
             steps.flags.writeable = False
-        self._set(scope=scope, mean=frozen(mean), cov=frozen(cov), steps=steps)
+        put = object.__setattr__  # as `_set`, in a third of the time
+        put(self, "scope", scope)
+        put(self, "mean", mean)
+        put(self, "cov", cov)
+        put(self, "steps", steps)
 
     @classmethod
     def _make(

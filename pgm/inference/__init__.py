@@ -4,7 +4,8 @@ from pgm.inference.audit import Audit, audit
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.kept import KeptPosterior
 from pgm.inference.chain.marginals import Marginals
-from pgm.inference.chain.online import OnlineBelief, OnlineFilter
+from pgm.inference.chain.online import OnlineFilter
+from pgm.inference.chain.online_belief import OnlineBelief
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable

@@ -128,17 +128,6 @@ class Family:
             part.matrix, part.offset = cut(self.matrix, runs), cut(self.offset, runs)
         return part
 
-    def renew(self, step: int, inputs: Mapping[Variable, Array]) -> None:
-        """Take other values of the parents with evidence, of a single run, all rows at one step."""
-        self.step.fill(step)
-        self.inputs = inputs
-        if inputs and isinstance(self.cpd, AffineCPD):
-            self.offset = self.cpd._affine(self.hidden, inputs)[1]
-        if isinstance(self.cpd.cov, Noise):
-            self.own_noise = _own_noise(self.cpd, self.step, self.step.size, inputs, (1,))
-            wide = np.broadcast_to(self.own_noise, self.noise.shape)
-            self.noise = np.array(wide) if self.approximate else wide
-
     @property
     def exact(self) -> bool:
         """Whether the CPD is affine, so that no linearisation is needed."""

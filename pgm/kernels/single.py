@@ -9,11 +9,12 @@ from functools import lru_cache
 from math import log
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
+from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
 
 from pgm.kernels.angles import wrap
-from pgm.kernels.arrays import LOG_2PI, Array, Index
+from pgm.kernels.arrays import LOG_2PI, Array, Index, symmetric
 from pgm.kernels.roots import NEGLIGIBLE
+from pgm.kernels.straight import predicting, updating
 
 # Below this part of its diagonal entry a pivot of a predictive covariance is left to `moments`.
 NEARLY_SINGULAR = 1e-6
@@ -33,9 +34,12 @@ def root(cov: Array) -> Array | None:
 
 def predict(cov: Array, matrix: Array, noise: Array) -> Array:
     """The covariance of F x + b + n."""
+    written = predicting(len(noise), len(cov))
+    if written is not None:
+        return written(cov, matrix, noise)
     spread: Array = matrix.dot(cov).dot(matrix.T)
     spread += noise
-    return spread
+    return symmetric(spread)
 
 
 def extend(
@@ -52,7 +56,7 @@ def extend(
     mean[child] = value
     cov[child] = cross
     cov[:, child] = cross.T
-    cov[child, child] = cross[:, parents].dot(matrix.T) + noise
+    cov[child, child] = symmetric(cross[:, parents].dot(matrix.T) + noise)
 
 
 def update(
@@ -63,10 +67,13 @@ def update(
     With S = H P Hᵀ + noise and G = P Hᵀ S⁻¹ the covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ;
     None where S is nearly singular.
     """
+    written = updating(len(mean), len(residual), NEARLY_SINGULAR)
+    if written is not None:
+        return written(mean, cov, matrix, residual, noise)
     cross = matrix.dot(cov)
     predictive = cross.dot(matrix.T)
     predictive += noise
-    lower, fault = dpotrf(predictive, 1)
+    lower, gain, fault = dposv(predictive, cross, 1)
     if fault:
         return None
     volume = 0.0
@@ -75,14 +82,12 @@ def update(
             return None
         volume += log(pivot)
     white = dtrtrs(lower, residual, 1)[0]
-    gain = dpotrs(lower, cross, 1)[0].T
+    gain = gain.T
     keep = identity(len(mean)) - gain.dot(matrix)
     posterior = keep.dot(cov).dot(keep.T)
     posterior += gain.dot(noise).dot(gain.T)
-    posterior = posterior + posterior.T
-    posterior *= 0.5
     log_density = -0.5 * (float(white.dot(white)) + len(residual) * LOG_2PI) - volume
-    return mean + gain.dot(residual), posterior, log_density
+    return mean + gain.dot(residual), symmetric(posterior), log_density
 
 
 @lru_cache(maxsize=64)

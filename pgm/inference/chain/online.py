@@ -8,104 +8,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pgm.compile import SliceLayout, compile
+from pgm.compile import compile
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
 from pgm.evidence.arrays import as_rows
-from pgm.factors import Gaussian
 from pgm.immutable import Immutable
 from pgm.inference.chain import forward
 from pgm.inference.chain.cost import require_cost
+from pgm.inference.chain.online_belief import OnlineBelief
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reading import take
-from pgm.inference.posterior import require_variable
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
-from pgm.kernels.arrays import Array, block, symmetric
+from pgm.kernels.arrays import Array, block
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
     from pgm.inference.chain.online_single import Single
-
-
-class OnlineBelief(Immutable):
-    """The belief of an online filter at one step.
-
-    Attributes
-    ----------
-    step : int
-    log_evidence : ndarray
-        (...): ln p of all readings so far.
-    status : Status
-        How the linearisations of the last update went.
-    """
-
-    __slots__ = ("cov", "layout", "lead", "log_density", "mean", "status", "step")
-
-    step: int
-    layout: SliceLayout
-    lead: tuple[int, ...]
-    mean: Array
-    cov: Array
-    log_density: Array
-    status: Status
-
-    def __init__(
-        self,
-        step: int,
-        layout: SliceLayout,
-        lead: tuple[int, ...],
-        mean: Array,
-        cov: Array,
-        log_density: Array,
-        status: Status,
-    ) -> None:
-        for array in (mean, cov, log_density):
-            array.setflags(write=False)
-        put = object.__setattr__
-        put(self, "step", step)
-        put(self, "layout", layout)
-        put(self, "lead", lead)
-        put(self, "mean", mean)
-        put(self, "cov", cov)
-        put(self, "log_density", log_density)
-        put(self, "status", status)
-
-    def after(
-        self, step: int, mean: Array, cov: Array, log_density: Array, status: Status
-    ) -> OnlineBelief:
-        """The belief of a single run that follows this one, from moments (n,) and (n, n)."""
-        return OnlineBelief(
-            step, self.layout, self.lead, mean[None], cov[None], log_density, status
-        )
-
-    @property
-    def log_evidence(self) -> Array:
-        """The value ln p of all readings so far, (...)."""
-        return self.log_density.reshape(self.lead)
-
-    def __getitem__(self, variable: Variable) -> Gaussian:
-        """The marginal of a hidden variable at the belief's step."""
-        known = self.layout.slice if self.step else self.layout.states
-        template = require_variable(variable).template
-        if template not in known or variable.step not in (None, self.step):
-            raise EvidenceError(
-                f"the belief at step {self.step} is over {list(known)}, not {variable!r}",
-                variable=variable,
-                step=self.step,
-            )
-        places = self.layout.places[template]
-        mean, cov = self.mean[:, places], symmetric(block(self.cov, places, places))
-        return Gaussian._make(
-            (variable,),
-            mean.reshape(*self.lead, -1),
-            cov.reshape(*self.lead, *cov.shape[-2:]),
-        )
-
-    def __repr__(self) -> str:
-        return f"OnlineBelief(step {self.step}, over {list(self.layout.slice)})"
 
 
 class OnlineFilter(Immutable):
@@ -156,7 +77,7 @@ class OnlineFilter(Immutable):
             return None
         from pgm.inference.chain.online_single import Single  # here, since LAPACK is slow to import
 
-        return Single()
+        return Single(self._ahead, self._seen)
 
     def __getstate__(self) -> dict[str, Any]:
         # What was prepared is not part of the value.
@@ -172,9 +93,7 @@ class OnlineFilter(Immutable):
         mean, cov = forward.start(plan, linearise=True)
         slice_mean[:, states] = mean
         forward.put(slice_cov, states, cov)
-        return OnlineBelief(
-            0, layout, lead, slice_mean, slice_cov, np.zeros(plan.runs), _nothing_to_iterate(lead)
-        )
+        return _belief(plan, 0, slice_mean, slice_cov, np.zeros(lead), _nothing_to_iterate(lead))
 
     def predict(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None = None
@@ -193,19 +112,22 @@ class OnlineFilter(Immutable):
             If an input is missing or of a wrong shape, or something is no input.
         """
         self._check(belief)
-        inputs = {} if inputs is None else _mapping(inputs, "predict", "inputs to values")
-        if self._single is not None and belief.lead == ():
-            after = self._single.predict(belief, inputs, self._ahead)
+        if type(inputs) is not dict:
+            inputs = {} if inputs is None else _mapping(inputs, "predict", "inputs to values")
+        single = self._single
+        if single is not None and not belief.lead:
+            after = single.predict(belief, inputs)
             if after is not None:
                 return after
         plan = self._ahead(belief, inputs)
-        mean, cov, log_density = _wide(belief, plan)
+        mean, cov = _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2)
         states = plan.layout.state_places
         mean, cov = forward.predict(
             plan, 0, mean[:, states], block(cov, states, states), linearise=True
         )
+        log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
         status = _nothing_to_iterate(plan.lead)
-        return OnlineBelief(belief.step + 1, plan.layout, plan.lead, mean, cov, log_density, status)
+        return _belief(plan, belief.step + 1, mean, cov, log_evidence, status)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of a prediction, its inputs checked."""
@@ -240,19 +162,19 @@ class OnlineFilter(Immutable):
             If a reading contradicts an exact model.
         """
         self._check(belief)
-        readings = _mapping(readings, "update", "sensors to readings")
-        if self._single is not None and belief.lead == ():
-            after = self._single.update(belief, readings, self._seen)
+        if type(readings) is not dict:
+            readings = _mapping(readings, "update", "sensors to readings")
+        single = self._single
+        if single is not None and not belief.lead:
+            after = single.update(belief, readings)
             if after is not None:
                 return after
         plan = self._seen(belief, readings)
-        mean, cov, log_density = _wide(belief, plan)
+        mean, cov = _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2)
         taken = take(plan.sensors, 0, mean, cov, self.schedule)
-        total = log_density + taken.log_density
+        log_evidence = np.asarray(belief.log_evidence + taken.log_density.reshape(plan.lead))
         status = Status.of(taken.residuals, taken.converged, plan.lead)
-        return OnlineBelief(
-            belief.step, plan.layout, plan.lead, taken.mean, taken.cov, total, status
-        )
+        return _belief(plan, belief.step, taken.mean, taken.cov, log_evidence, status)
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its readings checked."""
@@ -308,14 +230,16 @@ def _constant(value: Any) -> Constant:
     return value if isinstance(value, Constant) else constant(value)
 
 
-def _wide(belief: OnlineBelief, plan: ChainPlan) -> tuple[Array, Array, Array]:
-    """The belief's arrays for the runs of a plan."""
-    if belief.lead == plan.lead:
-        return belief.mean, belief.cov, belief.log_density
+def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
+    """A belief's array for the runs of a plan, as one axis."""
+    rest = array.shape[-own:]
+    return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)
 
-    def wide(array: Array) -> Array:
-        rest = array.shape[1:]
-        full = np.broadcast_to(array.reshape((*belief.lead, *rest)), (*plan.lead, *rest))
-        return full.reshape((plan.runs, *rest))
 
-    return wide(belief.mean), wide(belief.cov), wide(belief.log_density)
+def _belief(
+    plan: ChainPlan, step: int, mean: Array, cov: Array, log_evidence: Array, status: Status
+) -> OnlineBelief:
+    """A belief with the runs as the user's axes."""
+    lead, size = plan.lead, mean.shape[-1]
+    mean, cov = mean.reshape(*lead, size), cov.reshape(*lead, size, size)
+    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status)

@@ -12,9 +12,10 @@ from pgm.errors import PgmError
 from pgm.inference.chain.forward import Forward, put, start
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.single_motion import Motion
+from pgm.inference.chain.single_rows import MoveRows
 from pgm.inference.chain.single_sight import Sight
 from pgm.kernels import roots
-from pgm.kernels.arrays import Mask, block, transpose
+from pgm.kernels.arrays import Mask
 
 
 def run(plan: ChainPlan) -> tuple[Forward, Mask] | None:
@@ -22,20 +23,20 @@ def run(plan: ChainPlan) -> tuple[Forward, Mask] | None:
 
     None where the general sweep has to find out what is wrong.
     """
-    motion, sight = Motion(plan), Sight(plan)
+    moves, sight = [MoveRows(link) for link in plan.transition], Sight(plan)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):  # see above
         try:
-            out = _sweep(plan, motion, sight)
+            out = _sweep(plan, Motion(plan.layout, moves), sight)
         except PgmError:
             out = None
         lost = out is None or not _proper(plan, out)
-    for prepared in (*motion.moves, *sight.reads):
+    for prepared in (*moves, *sight.reads):
         if lost or not prepared.family.erroneous:
             prepared.family.forget_errors()
     return None if out is None or lost else (out, np.array([sight.linear]))
 
 
-def _sweep(plan: ChainPlan, motion: Motion, sight: Sight) -> Forward | None:
+def _sweep(plan: ChainPlan, motion: Motion[int], sight: Sight) -> Forward | None:
     out = Forward.empty(plan)
     predicted_mean, predicted_cov = out.predicted_mean[:, 0], out.predicted_cov[:, 0]
     kept_mean, kept_cov, log_density = out.mean[:, 0], out.cov[:, 0], out.log_density[:, 0]
@@ -46,8 +47,6 @@ def _sweep(plan: ChainPlan, motion: Motion, sight: Sight) -> Forward | None:
     mean, cov = predicted_mean[0], predicted_cov[0]
     for step in range(plan.steps + 1):
         if step:
-            if not motion.whole:
-                mean, cov = mean[states], block(cov, states, states)
             mean, cov = motion.predict(step - 1, mean, cov)
             predicted_mean[step], predicted_cov[step] = mean, cov
         found = sight.update(step, mean, cov)
@@ -55,9 +54,6 @@ def _sweep(plan: ChainPlan, motion: Motion, sight: Sight) -> Forward | None:
             return None
         mean, cov, log_density[step] = found
         kept_mean[step], kept_cov[step] = mean, cov
-    for rounded in (predicted_cov, kept_cov):
-        rounded += transpose(rounded).copy()
-        rounded *= 0.5
     return out
 
 

@@ -7,19 +7,18 @@ from math import inf
 import numpy as np
 
 from pgm.inference.chain.plan import ChainPlan, Sensor
-from pgm.inference.chain.single_motion import Prepared
+from pgm.inference.chain.single_rows import Rows
 from pgm.inference.chain.update import linearise_sensor, update
 from pgm.kernels import single
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, block
-from pgm.linearisers.single import Line
 
 _HALF_TURN = 0.5 * TURN
 # What is read of a step: H over the slice, residual, noise.
 Stacked = tuple[Array, Array, Array]
 
 
-class Read(Prepared):
+class Read(Rows):
     """A sensor."""
 
     def __init__(self, sensor: Sensor, width: int) -> None:
@@ -33,16 +32,6 @@ class Read(Prepared):
         self.angles = np.flatnonzero(sensor.variable.angle_mask).tolist()
         self.height = sensor.variable.dimension
 
-    def renew_readings(self, step: int, values: Array, rows: list[Array]) -> None:
-        """Take other readings, (M, d)."""
-        self.renew(step, rows)
-        self.values, self.moved = values, values.copy()
-
-    def settle(self) -> None:
-        """Let the sensor know what has been renewed, too."""
-        super().settle()
-        self.sensor.values, self.sensor.moved = self.values[:, None], self.moved[:, None]
-
     def read(self, step: int, first: int, last: int, mean: Array, cov: Array) -> Stacked | None:
         """The readings of a step, linearised at a belief over the slice; None if none is taken."""
         places = self.parents
@@ -52,15 +41,15 @@ class Read(Prepared):
         line = self.line(first, last, at, spread)
         if line is None:
             if not self.exact:
-                self.settle()
                 linearise_sensor(self.sensor, step, mean[None], cov[None])
-                self._see()
+                self.see()
             matrix = self.matrix[first:last].reshape((last - first) * self.height, at.size)
             predicted = matrix.dot(at) + self.offset[first:last].reshape(-1)
         else:
-            matrix, offset, error, predicted = line
+            matrix, predicted, error = line
+            offset = predicted - matrix.dot(at)
             if last - first > 1:
-                self._store(step, first, last, line)
+                self._store(step, first, last, matrix, offset, error)
             else:
                 self.matrix[first], self.offset[first] = matrix, offset
                 if error is not None:
@@ -80,11 +69,12 @@ class Read(Prepared):
         seen = np.flatnonzero(np.repeat(self.taken[first:last], self.height))
         return (matrix[seen], residual[seen], block(noise, seen, seen)) if seen.size else None
 
-    def _store(self, step: int, first: int, last: int, line: Line) -> None:
+    def _store(
+        self, step: int, first: int, last: int, matrix: Array, offset: Array, error: Array | None
+    ) -> None:
         """Keep what several sightings were linearised to, one a row."""
         count, rows = last - first, slice(first, last)
         shape = (count, self.height)
-        matrix, offset, error, _ = line
         self.matrix[rows] = matrix.reshape(*shape, -1)
         self.offset[rows] = offset.reshape(shape)
         if error is None:
@@ -128,23 +118,23 @@ class Sight:
 
     def update(self, step: int, mean: Array, cov: Array) -> tuple[Array, Array, float] | None:
         """Take the readings of a step into a belief over the slice; None if it is not finite."""
-        found = []
+        found, several = [], len(self.reads) > 1
         for read in self.reads:
             first, last = read.bounds[step], read.bounds[step + 1]
             if first < last:
                 stacked = read.read(step, first, last, mean, cov)
                 if stacked is not None:
-                    found.append(stacked)
+                    matrix, residual, noise = stacked
+                    # A function may return an array that it uses again, for another sensor.
+                    found.append((matrix.copy() if several else matrix, residual, noise))
         if not found:
             return mean, cov, 0.0
         if not self.exact:
-            result = single.update(mean, cov, *(found[0] if len(found) == 1 else _joined(found)))
+            result = single.update(mean, cov, *(found[0] if len(found) == 1 else joined(found)))
             if result is not None:
                 return result
         if not all(np.isfinite(part).all() for parts in ((mean, cov), *found) for part in parts):
             return None
-        for read in self.reads:
-            read.settle()
         due = [
             (read.sensor, read.sensor.rows(step))
             for read in self.reads
@@ -154,7 +144,7 @@ class Sight:
         return many_mean[0], many_cov[0], float(log_density[0])
 
 
-def _joined(parts: list[Stacked]) -> Stacked:
+def joined(parts: list[Stacked]) -> Stacked:
     """Several sensors' readings as one."""
     matrices, residuals, noises = zip(*parts, strict=True)
     size = sum(residual.size for residual in residuals)

@@ -1,0 +1,82 @@
+"""What a user gives for a step of one robot, as far as it is ordinary."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from pgm.evidence import Sightings
+from pgm.immutable import set_writeable
+from pgm.kernels.arrays import Array
+from pgm.variables import Variable
+
+_ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)
+_SIGHTED, _GIVEN = -1, -2
+# What tells values of one kind from those of another: of what, how many rows, how wide. Variables
+# are told by identity, which is quicker than by value; whoever keeps a key has to keep them.
+Key = tuple[Any, ...]
+
+
+def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
+    """The kind of what is given, and its rows, (d,), or (M, d) of several sightings; read-only.
+
+    Each is before what is given with it; None where some are missing, odd, or for many robots.
+    """
+    key: list[Any] = []
+    rows: list[Array] = []
+    for variable, value in values.items():
+        if not isinstance(value, Sightings):
+            row = _view(value, 1)
+            if row is None or not isfinite(sum(row.tolist())):
+                return None
+            rows.append(row)
+            key += id(variable), row.shape
+            continue
+        # A reading that is not finite leaves no density, which is found out where it is used.
+        row = _view(value.values, 2)
+        if row is None or value.step is not None:
+            return None
+        rows.append(row)
+        key += id(variable), _SIGHTED, row.shape
+        for parent, each in value.given.items():
+            row = _view(each, 2)
+            if row is None or not isfinite(sum(row.ravel().tolist())):
+                return None
+            rows.append(row)
+            key += id(parent), _GIVEN, row.shape
+    return tuple(key), rows
+
+
+def _view(value: Any, axes: int) -> Array | None:
+    """A view that functions of users may see, (d,) or (M, d), of an array of floats or the like."""
+    if type(value) is not _ARRAY or value.dtype is not _FLOAT:
+        value = _numbers(value)
+    if value is None or value.ndim != axes:
+        return None
+    view: Array = value[0] if axes == 2 and len(value) == 1 else value.view()
+    set_writeable(view, False)
+    return view
+
+
+def _numbers(value: Any) -> Array | None:
+    if not isinstance(value, np.ndarray | list | tuple):
+        return None
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        return None
+    return array.astype(np.float64) if array.dtype.kind in "fiu" else None
+
+
+def places(values: Mapping[Variable, Any]) -> dict[tuple[Variable | None, Variable], int]:
+    """Which of the rows are of which variable, by the sensor whose sightings they came with."""
+    found: dict[tuple[Variable | None, Variable], int] = {}
+    for variable, value in values.items():
+        found[None, variable] = len(found)
+        if isinstance(value, Sightings):
+            for parent in value.given:
+                found[variable, parent] = len(found)
+    return found
