@@ -125,7 +125,7 @@ def linear() -> Row:
         },
         check=agreement.beliefs,
         size=10_000,
-        quick=100,  # XLA compiles parallel scans for half a minute, by length
+        quick=16,  # XLA compiles parallel scans for half a minute, by length
     )
 
 
