@@ -78,7 +78,7 @@ def run(
     draws: Annotated[int, typer.Option(min=1, help="Grids and random networks of a kind.")] = 3,
     known: Annotated[
         list[str] | None,
-        typer.Option(help="A known network, of pgmpy's files; seven small ones without."),
+        typer.Option(help="A known network, of pgmpy's files; fourteen without."),
     ] = None,
 ) -> None:
     """Exact against loopy: marginals, means, deviations, and where messages converge."""

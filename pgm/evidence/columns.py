@@ -63,11 +63,13 @@ def columns_of(table: Any, wanted: Iterable[str] | None) -> dict[str, Column]:
     if wanted is not None:
         if isinstance(wanted, str):
             raise EvidenceError(f"columns= takes several names, [{wanted!r}], not a text")
-        asked = list(dict.fromkeys(wanted))
+        if not isinstance(wanted, Iterable):
+            raise EvidenceError(f"columns= takes names, such as {names[:1]}, not {wanted!r}")
+        asked = list(wanted)
         missing = [name for name in asked if name not in names]
         if missing:
             raise EvidenceError(f"the table has no column {missing[0]!r}; it has ({listed(names)})")
-        names = asked
+        names = list(dict.fromkeys(asked))
     if not names:
         raise EvidenceError("the table has no columns: evidence of nothing is {}")
     found = {name: _column(name, table[name]) for name in names}

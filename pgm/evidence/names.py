@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from itertools import count, repeat
 from typing import Any
 
@@ -14,7 +15,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence.columns import Column
 from pgm.evidence.indices import MISSING, STRANGER
 from pgm.factors.scope import listed
-from pgm.kernels.arrays import Integers, Mask
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete
 
 # Up to so many states, NumPy compares texts with each of them sooner than Python looks them up.
@@ -71,19 +72,25 @@ def _indices(variable: Discrete, cells: npt.NDArray[Any]) -> Integers:
     # Texts are done. Among the rest may be numbers, and what stands for a missing one.
     others = [k for k in np.flatnonzero(indices == STRANGER) if not isinstance(listing[k], str)]
     if others:
-        rest = [listing[k] for k in others]
-        plain = {int, float}.issuperset(map(type, rest))
-        numbers = np.array(rest if plain else list(map(_number, rest)), dtype=float)
-        indices[others] = _whole(variable, numbers)
+        indices[others] = _whole(variable, _numbers([listing[k] for k in others]))
     return indices
 
 
+def _numbers(cells: list[Any]) -> Array:
+    if {int, float}.issuperset(map(type, cells)):
+        with suppress(OverflowError):
+            return np.array(cells, dtype=float)
+    return np.array(list(map(_number, cells)))
+
+
 def _number(cell: Any) -> float:
-    """A cell as a number: NaN where one is missing, a half where it is none."""
+    """A cell as a number: NaN where one is missing, a half where it is none, or no index."""
     if cell is None or type(cell).__name__ in ("NAType", "NaTType"):
         return math.nan
-    number = isinstance(cell, int | float | np.integer | np.floating)
-    return float(cell) if number and not isinstance(cell, bool) else 0.5
+    if isinstance(cell, int | float | np.integer | np.floating) and not isinstance(cell, bool):
+        with suppress(OverflowError):
+            return float(cell)
+    return 0.5
 
 
 def _whole(variable: Discrete, cells: npt.NDArray[Any]) -> Integers:

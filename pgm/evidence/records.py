@@ -108,7 +108,7 @@ def _numbers(variable: Variable, column: Column) -> Array:
         if column.categories is not None or np.iscomplexobj(column.cells):
             raise TypeError
         array = np.asarray(column.cells, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise EvidenceError(
             f"column {variable!r} must be numbers, none of them missing", variable=variable
         ) from None

@@ -29,8 +29,8 @@ def as_states(scope: Variable | Iterable[Variable]) -> States:
         found.append(variable)
     if len(found) > AXES:
         raise ModelError(
-            f"a table over {len(found)} variables: NumPy's arrays have axes for {AXES}; leave out "
-            "variables of one state"
+            f"a table over {len(found)} variables: NumPy's arrays have axes for {AXES}; take "
+            "fewer at once, or leave out those of one state"
         )
     return tuple(found)
 

@@ -61,7 +61,7 @@ class Room:
         if room.batch < least:
             raise GraphError(
                 f"memory={memory:g} is less than {MEMORY // BATCH * least:,} bytes, which a "
-                f"single run takes: the tables of {graph!r} have {least:,} entries; give it more, "
+                f"single run may take: the tables of {graph!r} have {least:,} entries; give more, "
                 "or ask pgm.query for what is wanted"
             )
         return room

@@ -141,6 +141,7 @@ def test_they_are_evidence_of_a_gaussian_network():
         ([1.0, None], "NaN or infinity in record 1"),
         ([[1.0], [2.0, 3.0]], "must be numbers"),
         ([1j, 2.0], "must be numbers"),
+        ([10**400, 2.0], "must be numbers"),
         (rows, r"column a has shape \(2, 2\); \(records, 1\) was due"),
     ):
         with pytest.raises(pgm.EvidenceError, match=what):
@@ -151,7 +152,22 @@ def test_they_are_evidence_of_a_gaussian_network():
 
 @pytest.mark.parametrize(
     "cell",
-    ["sunny", "Sun", 3, -2, 1.5, np.inf, True, np.True_, b"sun", ["sun"], object, 10**30, "-1"],
+    [
+        "sunny",
+        "Sun",
+        3,
+        -2,
+        1.5,
+        np.inf,
+        True,
+        np.True_,
+        b"sun",
+        ["sun"],
+        object,
+        10**30,
+        10**400,
+        "-1",
+    ],
     ids=repr,
 )
 def test_a_cell_that_is_no_state(cell):
@@ -215,6 +231,10 @@ def test_columns_that_the_table_lacks():
         pgm.records(TEXTS, BOTH, columns=["fog"])
     with pytest.raises(pgm.EvidenceError, match=r"several names, \['wet'\]"):
         pgm.records(TEXTS, BOTH, columns="wet")
+    with pytest.raises(pgm.EvidenceError, match=r"takes names, such as \['weather'\], not 3"):
+        pgm.records(TEXTS, BOTH, columns=3)
+    with pytest.raises(pgm.EvidenceError, match=r"no column \['wet'\]"):
+        pgm.records(TEXTS, BOTH, columns=[["wet"]])
     pd = pytest.importorskip("pandas")
     twice = pd.DataFrame([["no", "yes"]], columns=["wet", "wet"])
     with pytest.raises(pgm.EvidenceError, match="two columns are called 'wet'"):

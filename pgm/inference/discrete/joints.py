@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,7 +24,7 @@ def joint(storage: Storage, forest: Forest, tables: Array, scope: States) -> Arr
     """The probabilities of some variables, (sizes..., [runs]).
 
     Each cluster's belief given its sepset is multiplied into its parent's, along the smallest
-    subtree that holds the variables, and what is not asked for is summed out on the way.
+    subtree that holds the variables, and what is not asked for is summed out as soon as may be.
 
     Raises
     ------
@@ -61,12 +62,21 @@ def _of_tree(
         if k != top:
             sepset = sepset_to_parent(storage.graph, forest, k)
             factor = own, _given(factor, sepset)
-        for child in forest.children[k]:
-            if child in found:
-                factor = _product(factor, found.pop(child))
-        wanted = tuple(v for v in factor[0] if v in scope or v in sepset)
-        found[k] = wanted, _sum(factor, wanted)
+        below_it = [found.pop(child) for child in forest.children[k] if child in found]
+        found[k] = _combined([factor, *below_it], {*scope, *sepset})
     return found[top]
+
+
+def _combined(factors: Sequence[Factor], keep: set[Discrete]) -> Factor:
+    """The product of some factors, each variable summed out as soon as no other factor has it."""
+    result, *others = factors
+    while True:
+        later = keep.union(*(scope for scope, _ in others))
+        left = tuple(v for v in result[0] if v in later)
+        result = left, _sum(result, left)
+        if not others:
+            return result
+        result = _product(result, others.pop(0))
 
 
 def _given(factor: Factor, sepset: States) -> Array:
@@ -86,8 +96,8 @@ def _product(a: Factor, b: Factor) -> Factor:
         raise GraphError(
             f"the joint needs a table over {names(scope)}, {len(scope)} variables and "
             f"{limits.gibibytes(entries)}, where {AXES} variables and "
-            f"{limits.gibibytes(limits.LIMIT)} are the limit; ask for fewer variables at once, or "
-            "with fewer runs"
+            f"{limits.gibibytes(limits.LIMIT)} are the limit; ask for fewer variables at once, "
+            "with fewer runs, or pgm.query, which may need less"
         )
     return scope, _arranged(a, scope) * _arranged(b, scope)
 

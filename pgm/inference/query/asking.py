@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from types import MappingProxyType
 from typing import Any
 
@@ -77,6 +78,8 @@ def query(
     GraphError
         If the network is dynamic or continuous, a table on the way is too large, or the answer
         over all runs.
+    ModelError
+        If it is no network, or one of the variables is asked for twice.
 
     References
     ----------
@@ -162,11 +165,12 @@ def _answer(graph: ClusterGraph | None, requisite: Requisite, scope: States) -> 
     tree = math.inf
     if graph is not None and graph.is_tree and sum(graph.sizes) <= limits.LIMIT:
         tree = PASS + ENTRY * graph.cost * runs
-    if graph is None or tree > least:
-        plan = EliminationPlan.of(requisite, scope)
-        if graph is None or tree > least + plan.cost * runs:
-            return _eliminated(plan, scope)
-    return _read(graph, requisite.evidence, scope)
+    plan = EliminationPlan.of(requisite, scope) if tree > least else None
+    if graph is not None and (plan is None or tree <= least + plan.cost * runs):
+        # Variables that are far apart in the tree may need larger tables there.
+        with suppress(GraphError):
+            return _read(graph, requisite.evidence, scope)
+    return _eliminated(plan or EliminationPlan.of(requisite, scope), scope)
 
 
 def _eliminated(plan: EliminationPlan, scope: States) -> Array:

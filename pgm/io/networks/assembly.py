@@ -19,6 +19,9 @@ from pgm.variables import Discrete
 
 # Axes of a table that NumPy can hold.
 AXES = 64
+# Bytes of a file's limit for each entry of a table, and for each variable or state, of which there
+# may be some in any case.
+ENTRY, NAME, SOME = 4, 128, 2**10
 # How far an entry of a table with two decimals may be from the number that was rounded.
 ROUNDED = 5e-3
 
@@ -59,12 +62,13 @@ class Assembly:
         Makes the error of a message and a place.
     normalise : bool
         Whether columns that do not quite sum to one are divided by their sums.
-    entries : int
-        How many entries all tables may have together.
+    limit : int
+        How many bytes the file may hold, in proportion to which what is made of it is bounded.
     """
 
-    def __init__(self, fail: Fail, *, normalise: bool, entries: int) -> None:
-        self._fail, self._normalise, self._entries = fail, normalise, entries
+    def __init__(self, fail: Fail, *, normalise: bool, limit: int) -> None:
+        self._fail, self._normalise = fail, normalise
+        self._entries, self._names = limit // ENTRY, max(SOME, limit // NAME)
         self.variables: dict[str, Discrete] = {}
         self._cpds: dict[str, TableCPD | None] = {}
         self._declared: dict[str, int] = {}
@@ -74,7 +78,7 @@ class Assembly:
         if not name:
             raise self._fail("a variable has an empty name; give it one", at)
         if name in self.variables:
-            raise self._fail(f"the variable {shown(name)} is declared a second time", at)
+            raise self._fail(f"the variable {shown(name)} is declared a second time; keep one", at)
         if not states:
             raise self._fail(f"the variable {shown(name)} has no states; list them", at)
         if len(set(states)) < len(states):
@@ -82,23 +86,41 @@ class Assembly:
             raise self._fail(
                 f"two states of {shown(name)} are called {shown(twice)}; give each its own name", at
             )
+        self.expect(1 + len(states), at)
+        self._names -= 1 + len(states)
         self.variables[name] = Discrete(name, states)
         self._declared[name] = at
+
+    def expect(self, names: int, at: int) -> None:
+        """Refuse variables and states before there is memory for them, if they are too many."""
+        if names > self._names:
+            raise self._fail(
+                "its variables and states are more than the limit leaves room for; where that is "
+                "meant, raise the limit (limit=)",
+                at,
+            )
 
     def family(self, child: str, given: Sequence[str], at: int) -> Family:
         """The variables of a table."""
         for name in (child, *given):
             if name not in self.variables:
-                raise self._fail(f"the variable {shown(name)} is not declared", at)
+                raise self._fail(
+                    f"the variable {shown(name)} is not declared; declare it, or correct the name",
+                    at,
+                )
         if child in self._cpds:
-            raise self._fail(f"the probabilities of {shown(child)} are given a second time", at)
+            raise self._fail(
+                f"the probabilities of {shown(child)} are given a second time; keep one", at
+            )
         if child in given:
-            raise self._fail(f"{shown(child)} is given as its own parent", at)
+            raise self._fail(f"{shown(child)} is given as its own parent; leave it out", at)
         if len(set(given)) < len(given):
             raise self._fail(f"a parent of {shown(child)} is named twice; name each once", at)
         if len(given) >= AXES:
             raise self._fail(
-                f"{shown(child)} has {len(given)} parents; a table has room for {AXES - 1}", at
+                f"{shown(child)} has {len(given)} parents; a table has room for {AXES - 1}; divide "
+                "them among variables in between",
+                at,
             )
         self._cpds[child] = None
         return Family(self.variables[child], tuple(self.variables[name] for name in given), at)

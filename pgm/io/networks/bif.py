@@ -28,8 +28,9 @@ def read_bif(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
         a `TableCPD` takes is taken as it is: a sum may be off by 5e-7 for each state. Sums that
         rounding to two decimals does not explain are refused in any case.
     limit : int, optional
-        How many bytes the file may hold, once unpacked; its tables may have a fourth as many
-        entries.
+        How many bytes the file may hold, once unpacked; its tables may have an entry for each 4
+        of them, and its variables and states, which take more room than their names, be one for
+        each 128.
 
     Returns
     -------
@@ -50,7 +51,7 @@ def read_bif(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     """
     content = sources.read(source, limit)
     cursor = Cursor(content.text(), content.origin)
-    assembly = Assembly(cursor.fault, normalise=normalise, entries=limit // 4)
+    assembly = Assembly(cursor.fault, normalise=normalise, limit=limit)
     for start in _declarations(cursor, assembly):
         cursor.restart(start)
         probability(cursor, assembly)

@@ -42,6 +42,9 @@ def write_bif(network: BayesianNetwork, target: Source) -> None:
 
     Raises
     ------
+    FileError
+        If the target is no path or file open for writing, or has an encoding without a name's
+        letters.
     ModelError
         If the network is not of tables, or a variable is of a step.
     """

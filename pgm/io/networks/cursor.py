@@ -9,7 +9,7 @@ from typing import NoReturn
 
 from pgm.errors import FileError
 from pgm.io.networks.numbers import numbers
-from pgm.io.networks.sources import Origin
+from pgm.io.networks.sources import Origin, line_of
 
 # Every repetition is possessive: nothing that was matched is ever tried again.
 QUOTE = r'"[^"\\]*+(?:\\(?s:.)[^"\\]*+)*+"'
@@ -116,7 +116,7 @@ class Cursor:
 
     def line(self, at: int) -> int:
         """The line of a place in the text, from 1."""
-        return self.text.count("\n", 0, at) + 1
+        return line_of(self.text, at)
 
     def fail(self, message: str) -> NoReturn:
         """Raise the error of the token that was read."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import os
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import IO, Any, TypeAlias
 
 from pgm.errors import FileError
 
-Source: TypeAlias = str | Path | IO[Any]
+Source: TypeAlias = str | os.PathLike[str] | IO[Any]
 
 # Some ten times the largest network of the public repositories, in bytes.
 LIMIT = 64 * 2**20
@@ -48,18 +49,26 @@ class Content:
             raise self.origin.fault(
                 f"the byte 0x{self.data[error.start]:02x} is no UTF-8; where the file has another "
                 "encoding, give it opened: open(path, encoding='latin-1')",
-                self.data.count(b"\n", 0, error.start) + 1,
+                line_of(self.data.decode("latin-1"), error.start),
             ) from None
+
+
+def line_of(text: str, at: int) -> int:
+    """The line of a place, from 1; lines end in a line feed, or all in a carriage return."""
+    return text.count("\n" if "\n" in text else "\r", 0, at) + 1
 
 
 def read(source: Source, limit: int) -> Content:
     """All of a source; refuses one that holds more than `limit` bytes, once unpacked."""
-    if isinstance(source, str | Path):
-        with open(source, "rb") as file:
-            return _unpacked(file, Origin(str(source), str(source)), limit)
+    if isinstance(limit, bool) or not isinstance(limit, int) or limit < 1:
+        raise FileError(f"limit= is a whole number of bytes, such as 2**28, not {limit!r}")
+    if isinstance(source, str | os.PathLike):
+        path = os.fspath(source)
+        with open(path, "rb") as file:
+            return _unpacked(file, Origin(path, path), limit)
     named = getattr(source, "name", None)
-    path = str(named) if isinstance(named, str | Path) else None
-    origin = Origin(path or "the file", path)
+    known = os.fspath(named) if isinstance(named, str | os.PathLike) else None
+    origin = Origin(known or "the file", known)
     if not callable(getattr(source, "read", None)):
         raise origin.fault(f"a source is a path or an open file, not {type(source).__name__}")
     return _unpacked(source, origin, limit)
@@ -72,6 +81,10 @@ def _unpacked(file: IO[Any], origin: Origin, limit: int) -> Content:
         raise origin.fault(
             f"it was opened as {error.encoding}, which it is not ({error.reason}); open it with "
             "its own encoding, or as bytes ('rb')"
+        ) from None
+    except ValueError as error:
+        raise origin.fault(
+            f"it cannot be read ({error}); is it still open, and for reading?"
         ) from None
     if isinstance(data, bytes) and data.startswith(GZIP) and len(data) <= limit:
         try:
@@ -98,17 +111,27 @@ def _all(file: Any, limit: int) -> str | bytes:
 
 def write(target: Source, text: str) -> None:
     """Write text, as UTF-8 where the target takes bytes; gzipped to a path that ends in .gz."""
-    if isinstance(target, str | Path):
+    if isinstance(target, str | os.PathLike):
         data = text.encode()
-        if str(target).endswith(".gz"):
+        if os.fspath(target).endswith(".gz"):
             data = gzip.compress(data, mtime=0)  # no time: equal networks make equal files
         Path(target).write_bytes(data)
         return
     if not callable(getattr(target, "write", None)):
         raise FileError(f"a target is a path or an open file, not {type(target).__name__}")
     try:
-        target.write("")
-    except TypeError:
-        target.write(text.encode())
-    else:
-        target.write(text)
+        try:
+            target.write("")
+        except TypeError:
+            target.write(text.encode())
+        else:
+            target.write(text)
+    except UnicodeEncodeError as error:
+        raise FileError(
+            f"the target was opened as {error.encoding}, which has no {error.object[error.start]!r}"
+            "; open it with encoding='utf-8', or as bytes ('wb')"
+        ) from None
+    except ValueError as error:
+        raise FileError(
+            f"the target cannot be written ({error}); is it still open, and for writing?"
+        ) from None

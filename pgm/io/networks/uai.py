@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from pgm.errors import ModelError
 from pgm.io.networks import sources
 from pgm.io.networks.assembly import AXES, Assembly
 from pgm.io.networks.sources import LIMIT, Source
@@ -47,12 +48,12 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     """
     content = sources.read(source, limit)
     words = Words(content, heading=True)
-    assembly = Assembly(words.fault, normalise=normalise, entries=limit // 4)
-    sizes = [
-        words.count("a number of states") for _ in range(words.count("the number of variables"))
-    ]
+    assembly = Assembly(words.fault, normalise=normalise, limit=limit)
+    count = words.count("the number of variables")
+    sizes = [words.count("a number of states") for _ in range(count)]
     if 0 in sizes:
         words.fail(f"the variable {sizes.index(0)} has no states", sizes.index(0) + 1)
+    assembly.expect(count + sum(sizes), 0)
     functions = words.count("the number of tables")
     if functions != len(sizes):
         words.fail(f"{functions} tables of {len(sizes)} variables; each has one", words.at - 1)
@@ -119,7 +120,14 @@ def read_uai_evidence(
     ------
     FileError
         If the file is no such evidence; the message names the line, what was found, what to do.
+    ModelError
+        If the network is none.
     """
+    if not isinstance(network, BayesianNetwork):
+        raise ModelError(
+            "read_uai_evidence takes the BayesianNetwork that the evidence is of, not "
+            f"{type(network).__name__}"
+        )
     words = Words(sources.read(source, limit), heading=False)
     observed = words.count("the number of variables observed")
     # One sample that is announced leaves an odd count of numbers, where pairs leave an even one.

@@ -12,7 +12,7 @@ import numpy as np
 from pgm.errors import FileError
 from pgm.io.networks.cursor import shown
 from pgm.io.networks.numbers import WORD, numbers, whole
-from pgm.io.networks.sources import Content
+from pgm.io.networks.sources import Content, line_of
 from pgm.kernels.arrays import Array
 
 COMMENT = re.compile("#[^\r\n]*+")
@@ -79,7 +79,7 @@ class Words:
         return self._error(message, word.start() if word else len(self._text))
 
     def _error(self, message: str, at: int) -> FileError:
-        return self._origin.fault(message, self._text.count("\n", 0, at) + 1)
+        return self._origin.fault(message, line_of(self._text, at))
 
     def _heading(self) -> int:
         word = WORD.search(self._text)

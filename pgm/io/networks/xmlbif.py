@@ -63,7 +63,7 @@ def read_xmlbif(source: Source, *, normalise: bool = False, limit: int = LIMIT) 
     Cozman, F. (1998), The interchange format for Bayesian networks, XMLBIF version 0.3.
     """
     content = sources.read(source, limit)
-    assembly = Assembly(content.origin.fault, normalise=normalise, entries=limit // 4)
+    assembly = Assembly(content.origin.fault, normalise=normalise, limit=limit)
     for definition in _definitions(content, assembly):
         given = definition.given
         family = assembly.family(definition.child, given, definition.line)
@@ -149,14 +149,16 @@ class Elements(ContentHandler):
         if self._skipped or tag == "PROPERTY":
             self._skipped += 1
             if self._skipped > DEEP:
-                raise self.fault(f"elements in a property are nested more than {DEEP} deep")
+                raise self.fault(
+                    f"elements in a property are nested more than {DEEP} deep; remove them"
+                )
             return
         allowed = INSIDE.get(self._path[-1], set())
         if tag not in allowed:
             where = f"in {self._path[-1]}" if self._path[-1] else "at the top"
             raise self.fault(
                 f"the element {shown(tag)} stands {where}, where XMLBIF 0.3 has "
-                f"{', '.join([*sorted(allowed), 'PROPERTY'])}"
+                f"{', '.join([*sorted(allowed), 'PROPERTY'])}; remove it, or correct the name"
             )
         self._path.append(tag)
         if tag == "NETWORK":
@@ -215,13 +217,15 @@ class Elements(ContentHandler):
             self._outcomes.append(text)
         elif tag == "FOR":
             if definition.child:
-                raise self.fault("a definition is for one variable; this is the second")
+                raise self.fault(
+                    "a definition is for one variable, and this is the second; remove it"
+                )
             definition.child = text
         elif tag == "GIVEN":
             definition.given.append(text)
         elif tag == "TABLE":
             if definition.table:
-                raise self.fault("a definition has one table; this is the second")
+                raise self.fault("a definition has one table, and this is the second; remove it")
             end = numbers(text, 0, definition.table)
             if end < len(text):
                 raise self.fault(

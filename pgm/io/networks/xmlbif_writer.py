@@ -31,6 +31,9 @@ def write_xmlbif(network: BayesianNetwork, target: Source) -> None:
 
     Raises
     ------
+    FileError
+        If the target is no path or file open for writing, or has an encoding without a name's
+        letters.
     ModelError
         If the network is not of tables, a variable is of a step, or a name holds a control
         character, which XML cannot write.

@@ -2,6 +2,7 @@
 
 import gzip
 import io
+from pathlib import Path
 
 import pytest
 from files import same, written
@@ -74,3 +75,78 @@ def test_another_encoding(tmp_path):
         pytest.raises(pgm.FileError, match="opened as utf-8, which it is not"),
     ):
         pgm.read_bif(file)
+
+
+@pytest.mark.parametrize("limit", [None, 0, -1, True, 1e6, "1 GiB", float("nan")])
+@pytest.mark.parametrize("read", [pgm.read_bif, pgm.read_xmlbif, pgm.read_uai])
+def test_a_limit_is_a_number_of_bytes(read, limit):
+    with pytest.raises(pgm.FileError, match=r"limit= is a whole number of bytes, such as 2\*\*28"):
+        read(io.BytesIO(DATA), limit=limit)
+
+
+def test_paths_of_other_kinds(tmp_path):
+    class Place:
+        def __fspath__(self):
+            return str(tmp_path / "a.bif.gz")
+
+    pgm.write_bif(sprinkler(), Place())
+    assert Path(Place()).read_bytes().startswith(b"\x1f\x8b")
+    same(sprinkler(), pgm.read_bif(Place()))
+
+
+def test_files_that_are_closed_or_opened_for_something_else(tmp_path):
+    path = tmp_path / "a.bif"
+    with path.open("w", encoding="utf-8") as file:
+        with pytest.raises(
+            pgm.FileError, match=r"a\.bif: it cannot be read \(not readable\); is it"
+        ):
+            pgm.read_bif(file)
+        pgm.write_bif(sprinkler(), file)
+    with pytest.raises(pgm.FileError, match=r"cannot be read \(I/O operation on closed file"):
+        pgm.read_bif(file)
+    with pytest.raises(pgm.FileError, match=r"the target cannot be written \(.*closed file"):
+        pgm.write_bif(sprinkler(), file)
+    with path.open("rb") as file:
+        with pytest.raises(pgm.FileError, match=r"the target cannot be written \("):
+            pgm.write_bif(sprinkler(), file)
+        same(sprinkler(), pgm.read_bif(file))
+
+
+def test_names_that_an_encoding_has_no_letters_for(tmp_path):
+    network = pgm.BayesianNetwork([pgm.TableCPD(pgm.Discrete("a", ("猫", "x")), table=[0.5, 0.5])])
+    path = tmp_path / "a"
+    with (
+        path.open("w", encoding="latin-1") as file,
+        pytest.raises(
+            pgm.FileError, match="opened as latin-1, which has no '猫'; open it with enc"
+        ),
+    ):
+        pgm.write_bif(network, file)
+    with path.open("w", encoding="latin-1") as file:
+        pgm.write_xmlbif(network, file)  # as a reference
+    same(network, pgm.read_xmlbif(path))
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_lines_end_as_they_like(end):
+    text = DATA.decode().replace("0.8", "0.9").replace("\n", end)
+    line = DATA.decode().split("0.8")[0].count("\n") + 1
+    with pytest.raises(pgm.FileError) as caught:
+        pgm.read_bif(io.BytesIO(text.encode()))
+    assert caught.value.line == line
+    with pytest.raises(pgm.FileError) as caught:
+        pgm.read_uai(io.StringIO(f"BAYES{end}1{end}2{end}1{end}1 0{end}x", newline=""))
+    assert caught.value.line == 6
+
+
+@pytest.mark.parametrize(
+    ("write", "read"), [(pgm.write_bif, pgm.read_bif), (pgm.write_xmlbif, pgm.read_xmlbif)]
+)
+def test_names_are_no_more_than_the_limit_leaves_room_for(write, read):
+    """A variable takes some hundred times as much memory as its declaration takes in a file."""
+    cpds = [pgm.TableCPD(pgm.Discrete(f"v{k}", 1), table=[1.0]) for k in range(600)]
+    data = written(write, pgm.BayesianNetwork(cpds))
+    with pytest.raises(pgm.FileError, match=r"limit leaves room for; .*raise the limit") as caught:
+        read(io.BytesIO(data), limit=2**17)
+    assert "v512" in "".join(data.decode().splitlines()[caught.value.line - 1 :][:2])
+    same(pgm.BayesianNetwork(cpds), read(io.BytesIO(data), limit=2**18))

@@ -82,8 +82,9 @@ def test_tables_in_any_order_and_several_parents():
         (TEXT.replace(" 0.4 0.6", " 0.4 0.5"), 13, "'1' given '0'='1' sum to 0.9, not to one"),
         ("BAYES 1 1 1 2 0 0 1 1", 1, "'0' is given as its own parent"),
         ("BAYES 0 0", None, "declares no variable"),
-        ("BAYES 2 2 2147483647 2 1 0 1 0 2 1 0 2 1 0", 1, "no table has the variable 1"),
-        ("BAYES 1 2147483647 1 1 0 2147483647 1", 1, "1 numbers are left of 2147483647"),
+        ("BAYES 2 2 3 2 1 0 1 0 2 1 0 2 1 0", 1, "no table has the variable 1"),
+        ("BAYES 1\n2147483647 1 1 0 2147483647 1", 1, "more than the limit leaves room for"),
+        ("BAYES 1 9 1 1 0 9 1", 1, "1 numbers are left of 9"),
         ("BAYES 2 2 2 2 2 1 0 2 0 1 4 1 0 1 0 4 1 0 1 0", 1, "the CPDs form a cycle"),
         ("BAYES 1 2 1 65" + " 0" * 65, 1, "a table of 65 variables"),
     ],
@@ -140,3 +141,10 @@ def test_errors_of_evidence_name_the_line(text, line, message):
     with pytest.raises(pgm.FileError, match=message) as error:
         pgm.read_uai_evidence(io.StringIO(text), due)
     assert error.value.line == line
+
+
+def test_evidence_is_of_a_network():
+    with pytest.raises(
+        pgm.ModelError, match="the BayesianNetwork that the evidence is of, not None"
+    ):
+        pgm.read_uai_evidence(io.StringIO("0"), None)

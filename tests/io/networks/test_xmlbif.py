@@ -110,7 +110,7 @@ def test_white_space_is_dropped_unless_it_is_preserved():
         (
             document(A + PA.replace("</D", "<TABLE>1</TABLE></D")),
             3,
-            "one table; this is the second",
+            "one table, and this is the second",
         ),
         (document(A + PA.replace(" .75", "\n .7.5")), 4, "'.7.5' stands where a number is due"),
         (document(A + PA.replace(" .75", "")), 3, "1 probabilities of 'a' where 2 are due"),
