@@ -33,10 +33,14 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--repeats", type=int, help="timed calls of each library")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for results")
     options = parser.parse_args(arguments)
-    chosen = options.only.split(",") if options.only else everything(options.quick)
+    if options.repeats is not None and options.repeats < 1:
+        parser.error(f"--repeats must be 1 or more, not {options.repeats}")
+    chosen = everything(options.quick)
+    if options.only is not None:
+        chosen = [name.strip() for name in options.only.split(",")]
     unknown = sorted(set(chosen) - set(names))
     if unknown:
-        parser.error(f"there is no {', '.join(unknown)}, but {', '.join(names)}")
+        parser.error(f"there is no {', '.join(map(repr, unknown))}, but {', '.join(names)}")
     out, quick = folder(options.out), options.quick
     repeats = options.repeats or (3 if quick else 7)
     summary: dict[str, Any] = {"versions": known(), "quick": quick}

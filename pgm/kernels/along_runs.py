@@ -17,6 +17,8 @@ from pgm.kernels.roots import NEGLIGIBLE
 _PRODUCT, _TIMES_TRANSPOSED = "ijr,jkr->ikr", "ijr,kjr->ikr"
 # By how much a mild reading shrinks a variance at most.
 _MILD = 1e3
+# Below this a product of pivots has lost digits.
+_SMALLEST = float(np.finfo(np.float64).tiny)
 
 
 def predict(
@@ -78,11 +80,12 @@ def sharpness(noise: Array, least: float = NEGLIGIBLE) -> Array:
     S is at least the noise, and below this it is at most a thousand times the noise, in whatever
     direction. So no variance falls by more than a thousand in an update, and P − K S Kᵀ loses
     three of its sixteen digits at most; and where the noise is regular by a thousand times what is
-    asked, S is regular. Where it is not, this is 0.
+    asked, S is regular. Where it is not, or its determinant too small a number, this is 0.
     """
     pivots = _eliminate(noise.copy())
     regular = (pivots > _MILD * least * np.einsum("iir->ir", noise)).all(axis=0)
-    bound: Array = np.where(regular, _MILD * pivots.prod(axis=0), 0.0)
+    det = pivots.prod(axis=0)
+    bound: Array = np.where(regular & (det > _SMALLEST), _MILD * det, 0.0)
     return bound
 
 
@@ -124,7 +127,8 @@ def update(
     det = np.multiply.reduce(pivots)
     if sharp is None:
         sharp = sharpness(noise, least)
-    mild = (det < sharp).all()
+    # Rounding alone can leave S below the noise, and then its pivots are not all positive.
+    mild = bool((det < sharp).all() and (pivots > 0.0).all())
     if not (mild or _is_regular(unit, pivots, least)):
         return None
     root = np.sqrt(pivots)

@@ -126,6 +126,7 @@ def _many(mean: Array, cov: Array, matrix: Array, vector: Array, noise: Array) -
     parts = mean, cov, matrix, vector, noise
     return (
         by_runs(cov)
+        and cov.strides[0] > 0  # one covariance of all runs, 1 × 1, looks like any layout
         and [part.ndim for part in parts] == [2, 3, 3, 2, 3]
         and all(len(part) == len(cov) for part in parts)
     )

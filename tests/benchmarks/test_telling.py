@@ -89,7 +89,7 @@ def test_curves_have_every_size_of_every_library_that_is_here(tmp_path):
 
 
 def test_the_command_writes_a_summary(tmp_path, capsys):
-    command.main(["--quick", "--only", "discrete_asia", "--repeats", "1", "--out", str(tmp_path)])
+    command.main(["--quick", "--only", " discrete_asia", "--repeats", "1", "--out", str(tmp_path)])
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert 1e-6 < summary["discrete_asia"]["pgm"] < 1.0
     assert "numpy" in summary["versions"]
@@ -112,10 +112,18 @@ def test_memory_is_of_each_library_in_its_own_process():
     assert all(2**24 < each < 2**31 for each in peaks.values())
 
 
-def test_the_command_names_unknown_rows(capsys):
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--only", "discrete_asia,nothing"], "there is no 'nothing', but ekf_one_step"),
+        (["--only", ""], "there is no '', but ekf_one_step"),
+        (["--only", "discrete_asia", "--repeats", "0"], "--repeats must be 1 or more, not 0"),
+    ],
+)
+def test_the_command_names_what_is_wrong(capsys, options, words):
     with pytest.raises(SystemExit):
-        command.main(["--only", "discrete_asia,nothing"])
-    assert "there is no nothing" in capsys.readouterr().err
+        command.main(options)
+    assert words in capsys.readouterr().err
 
 
 def test_the_page_takes_its_numbers_from_the_summary(tmp_path, monkeypatch):

@@ -7,7 +7,14 @@ import pgm
 from models.networks import landmark, pose, range_bearing, sighting, velocity
 from pgm.inference.chain import many
 
-RULES = [pgm.Taylor(), pgm.Unscented(), pgm.Cubature(), pgm.GaussHermite(3), pgm.MonteCarlo(20)]
+RULES = [
+    pgm.Taylor(),
+    pgm.Unscented(),
+    pgm.Cubature(),
+    pgm.GaussHermite(3),
+    pgm.MonteCarlo(20),
+]
+GENERAL = [pgm.MonteCarlo(20, prior_moments=True), pgm.MonteCarlo(20, fresh_per_run=True)]
 RUNS, STEPS = 40, 6
 
 
@@ -61,12 +68,80 @@ def assert_equal(fast, plain):
     assert fast.log_evidence_kind == plain.log_evidence_kind
 
 
-@pytest.mark.parametrize("rule", RULES, ids=repr)
+@pytest.mark.parametrize("rule", RULES + GENERAL, ids=repr)
 @pytest.mark.parametrize("each", [1, 3])
 def test_a_filter(ways, rule, each):
     fast, plain, swept = ways(*drawn(each), lineariser=rule)
-    assert swept
+    assert swept or rule in GENERAL
     assert_equal(fast, plain)
+
+
+def changed(network, *, transition=None, observation=None):
+    """The network with some of its CPDs' arguments changed."""
+    parts = {}
+    for name, changes in (("transition", transition), ("observation", observation)):
+        (cpd,) = getattr(network, name)
+        kept = {"function": cpd.function, "cov": cpd.cov, "jacobian": cpd.jacobian}
+        kept |= changes or {}
+        parts[name] = [pgm.NonlinearGaussianCPD(cpd.child, cpd.given, **kept)]
+    return network.replace(**parts)
+
+
+SINGULAR = np.diag([0.01, 0.0, 0.0])
+INDEFINITE = pgm.Unscented(alpha=0.8, beta=2.0, kappa=0.0)  # its weights may be negative
+ODD = {
+    "numerical jacobians": {"transition": {"jacobian": None}, "observation": {"jacobian": None}},
+    "noise by control": {
+        "transition": {"cov": pgm.noise(lambda u: u[..., :1, None] ** 2 * np.eye(3), velocity)}
+    },
+    "grouped": {"observation": {"grouped": True}},
+    "an exact range": {"observation": {"cov": np.diag([0.0, 0.01])}},
+    "sharp readings": {"observation": {"cov": 1e-8 * np.eye(2)}},
+    "a motion without noise": {"transition": {"cov": SINGULAR}},
+    "own lineariser": {"observation": {"lineariser": pgm.Cubature()}},
+    "negative weights": {"transition": {"lineariser": INDEFINITE}},
+}
+
+
+@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()], ids=repr)
+@pytest.mark.parametrize("each", [1, 2])
+@pytest.mark.parametrize("name", ODD)
+def test_models_of_all_kinds(ways, name, each, rule):
+    """Whichever way they go."""
+    network, evidence = drawn(each)
+    controls = evidence[velocity] * np.linspace(0.5, 1.5, STEPS)[:, None]
+    controls = controls * np.linspace(0.8, 1.2, RUNS)[:, None, None]
+    model = changed(network, **ODD[name])
+    seen = evidence[sighting]
+    if name == "sharp readings":  # what was drawn with more noise would contradict them
+        drawn_again = model.sample(
+            {velocity: controls, sighting: pgm.sightings(step=seen.step, given=seen.given)}, rng=5
+        )
+        seen = drawn_again.evidence[sighting]
+    fast, plain, swept = ways(model, {velocity: controls, sighting: seen}, lineariser=rule)
+    assert_equal(fast, plain)
+    ordinary = {"numerical jacobians", "noise by control", "own lineariser"}
+    if name in ordinary:
+        assert swept
+
+
+def test_a_noise_that_varies_is_judged_anew_at_each_step(ways):
+    """A blunt reading first, then sharp ones, of which a difference would lose eight digits."""
+    x, z, scale = pgm.Variable("x"), pgm.Variable("z"), pgm.Variable("scale")
+    noise = pgm.noise(lambda scale: scale[..., None] ** 2, given=scale)
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0)],
+        [pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=1.0)],
+        [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=noise)],
+    )
+    scales = np.array([1e4, 1e-4, 1e-4])[:, None]
+    values = 1e-4 * np.random.default_rng(1).normal(size=(RUNS, 3, 1))
+    fast, plain, swept = ways(
+        model, {z: pgm.sightings(values, [1, 2, 3], {scale: scales})}, steps=3
+    )
+    assert swept
+    np.testing.assert_allclose(fast[x].cov, plain[x].cov, rtol=1e-12)
+    np.testing.assert_allclose(fast[x].cov[:, -1], 1e-8, rtol=1e-6)
 
 
 @pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()], ids=repr)
@@ -229,3 +304,24 @@ def test_a_mean_that_is_lost_at_a_step_without_readings_is_refused():
     model = network.replace(transition=[moved], observation=[])
     with pytest.raises(pgm.LinearisationError, match="run 7"):
         pgm.filter(model, {velocity: np.tile(evidence[velocity], (RUNS, 1, 1))})
+
+
+@pytest.mark.parametrize("runs", [(), (RUNS,)])
+def test_a_prediction_that_a_rule_makes_indefinite_is_refused(runs):
+    """A belief of negative variance is none, even if no later step would notice."""
+    x, u = pgm.Variable("x"), pgm.Variable("u")
+    rule = pgm.Unscented(alpha=0.5, beta=-3.0, kappa=0.0)
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0)],
+        [pgm.NonlinearGaussianCPD(x, (x.previous, u), lambda x, u: u * x**2, cov=0.01)],
+        [],
+    )
+    evidence = {u: np.broadcast_to([[0.001], [3.0]], (*runs, 2, 1))}
+    with pytest.raises(pgm.NumericalError, match="predicted covariance at step 1 is indefinite"):
+        pgm.filter(model, {u: evidence[u][..., 1:, :]}, lineariser=rule)
+    assert (pgm.filter(model, {u: evidence[u][..., :1, :]}, lineariser=rule)[x].std > 0.0).all()
+    robot = pgm.OnlineFilter(model, rule)
+    belief = robot.predict(robot.initial(), {u: evidence[u][..., 0, :]})  # a step that is laid out
+    assert (belief[x].std > 0.0).all()
+    with pytest.raises(pgm.NumericalError, match="predicted covariance at step 1 is indefinite"):
+        robot.predict(robot.initial(), {u: evidence[u][..., 1, :]})

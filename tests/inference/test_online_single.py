@@ -236,6 +236,7 @@ def test_a_function_that_reuses_its_result_does_not_change_beliefs():
     mean = belief[x].mean.copy()
     robot.predict(belief, {u: [1.0, 0.1]})
     np.testing.assert_array_equal(belief[x].mean, mean)
+    assert room.flags.writeable
 
 
 @pytest.mark.parametrize("jacobian", ["kept", "new"])
@@ -334,3 +335,120 @@ def test_a_contradiction_names_the_step(runs):
     with pytest.raises(pgm.NumericalError, match="at step 3, run 0, contradicts") as caught:
         filter_.update(belief, {seen: np.full((*runs, 1), 2.0)})
     assert caught.value.step == 3
+
+
+@pytest.mark.parametrize("lean", [True, False])
+def test_a_sensor_that_is_exact_at_times_only(lean):
+    """What a step was laid out with does not say what noise a later one has."""
+    place, reading, spread = (
+        pgm.Variable("place", ("here", "rate")),
+        pgm.Variable("reading"),
+        pgm.Variable("s"),
+    )
+    noise, small = pgm.noise(lambda s: s[..., None] ** 2, given=spread), 0.01 * np.eye(2)
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, np.zeros(2), np.eye(2))],
+        [pgm.LinearGaussianCPD(place, {place.previous: [[1.0, 0.1], [0.0, 1.0]]}, cov=small)],
+        [pgm.LinearGaussianCPD(reading, {place: [[1.0, 0.0]]}, cov=noise)],
+    )
+    values, spreads = [0.3, 0.7, 0.7, 0.7], [1.0, 0.0, 0.0, 1.0]
+    due = pgm.filter(
+        model,
+        {reading: pgm.sightings(np.c_[values], [1] * 4, {spread: np.c_[spreads]})},
+        steps=1,
+    )
+    robot = pgm.OnlineFilter(model)
+    if not lean:
+        object.__setattr__(robot, "_single", None)
+    belief = robot.predict(robot.initial())
+    for value, each in zip(values, spreads, strict=True):
+        belief = robot.update(belief, {reading: pgm.sightings([[value]], given={spread: [[each]]})})
+    np.testing.assert_allclose(belief[place].mean, due[place].mean[1], atol=1e-12)
+    np.testing.assert_allclose(belief[place].cov, due[place].cov[1], atol=1e-12)
+    np.testing.assert_allclose(belief.log_evidence, due.log_evidence, rtol=1e-12)
+    with pytest.raises(pgm.NumericalError, match="reading at step 1, run 0, contradicts an exact"):
+        robot.update(belief, {reading: pgm.sightings([[0.9]], given={spread: [[0.0]]})})
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_a_prediction_too_large_for_numbers_is_refused(robot):
+    filter_, belief = robot
+    with pytest.raises(pgm.NumericalError, match="predicted covariance at step 2 is not finite"):
+        filter_.predict(belief, {u: [1e160, 0.1]})
+    controls = [[1.0, 0.1], [1e160, 0.1]]
+    for runs in (1, 40):
+        with pytest.raises(pgm.NumericalError, match="covariance at step 2 is not finite"):
+            pgm.filter(filter_.model, {u: np.broadcast_to(controls, (runs, 2, 2))})
+
+
+@pytest.mark.parametrize("rule", ["taylor", "unscented"])
+def test_a_function_that_changes_its_argument_is_refused(rule):
+    def drive(state, control):
+        state[..., 0] += 1.0
+        return state + control[..., :1]
+
+    robot = pgm.OnlineFilter(
+        network(transition=pgm.NonlinearGaussianCPD(x, (x.previous, u), drive, cov=np.eye(3))),
+        RULES[rule],
+    )
+    with pytest.raises(pgm.ModelError, match=r"trial call .* read-only"):
+        robot.predict(robot.initial(), {u: [1.0, 0.1]})
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_what_a_motion_makes_certain_is_certain(apart):
+    """A difference whose variance is zero, not what rounding leaves of it."""
+    a, b, both = pgm.Variable("a"), pgm.Variable("b"), pgm.Variable("both", ("a", "b"))
+    pair = pgm.GaussianCPD(both, [0.0, 0.0], np.outer([0.3, 0.1], [0.3, 0.1]))
+    if apart:
+        model = pgm.DynamicBayesianNetwork(
+            [pgm.GaussianCPD(b, 0.0, 0.013), pgm.LinearGaussianCPD(a, {b: 3.1}, cov=0.0)],
+            [
+                pgm.LinearGaussianCPD(a, {a.previous: 2.3, b.previous: -7.13}, cov=0.0),
+                pgm.LinearGaussianCPD(b, {b.previous: 0.7}, cov=0.0),
+            ],
+            [],
+        )
+    else:
+        matrix = [[1.0, -3.0], [0.0, 0.7]]
+        motion = pgm.LinearGaussianCPD(both, {both.previous: matrix}, cov=np.zeros((2, 2)))
+        model = pgm.DynamicBayesianNetwork([pair], [motion], [])
+    robot = pgm.OnlineFilter(model)
+    belief = robot.predict(robot.initial())
+    assert belief.cov[0, 0] == belief.cov[0, 1] == 0.0
+    swept = pgm.filter(model, {}, steps=1)
+    known = swept[both] if not apart else swept[a]
+    assert known.cov[1, 0, 0] == 0.0
+    np.testing.assert_allclose(belief.cov[1, 1], 0.49 * (0.013 if apart else 0.01), rtol=1e-12)
+
+
+def test_sharp_readings_of_what_is_hardly_known_cost_no_digits():
+    place, readings = pgm.Variable("place"), [pgm.Variable("one"), pgm.Variable("other")]
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, 0.0, 1e12)],
+        [pgm.LinearGaussianCPD(place, {place.previous: 1.0}, cov=1.0)],
+        [pgm.LinearGaussianCPD(z, {place: 1.0}, cov=1.0) for z in readings],
+    )
+    robot = pgm.OnlineFilter(model)
+    belief = robot.update(robot.initial(), {readings[0]: [3.0], readings[1]: [5.0]})
+    np.testing.assert_allclose(belief[place].mean, 4.0, rtol=1e-9)
+    np.testing.assert_allclose(belief[place].cov, 0.5, rtol=1e-9)
+
+
+def test_what_is_laid_out_for_later_steps_does_not_serve_the_first():
+    """Where there are no controls, a reading of one is refused."""
+    told, command_, state = pgm.Variable("told"), pgm.Variable("command"), pgm.Variable("state")
+    control = pgm.Variable("control")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(state, 0.0, 1.0)],
+        [
+            pgm.LinearGaussianCPD(control, {command_: 1.0}, cov=0.1),
+            pgm.LinearGaussianCPD(state, {state.previous: 1.0, control: 1.0}, cov=0.1),
+        ],
+        [pgm.LinearGaussianCPD(told, {control: 1.0}, cov=0.1)],
+    )
+    robot = pgm.OnlineFilter(model)
+    start = robot.initial()
+    robot.update(robot.predict(start, {command_: [1.0]}), {told: [1.1]})
+    with pytest.raises(pgm.EvidenceError, match="controls begin at step 1"):
+        robot.update(start, {told: [1.1]})

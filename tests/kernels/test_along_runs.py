@@ -57,6 +57,21 @@ def test_an_update_of_many_runs_is_that_of_each(runs, size, height, shared):
     assert found.left is None
 
 
+@pytest.mark.parametrize(("size", "height"), [(1, 1), (3, 1), (3, 3)])
+def test_one_belief_may_stand_for_all_runs(size, height):
+    mean, cov, matrix, residual, noise = problem(40, size, height)
+    mean, cov = (np.broadcast_to(part[0], part.shape) for part in (mean, cov))
+    seen = by_run(matrix), by_run(residual), by_run(noise)
+    updated = moments.update(mean, cov, *seen, exact=False)
+    moved = moments.predict(mean, cov, moments.Conditional(*seen))
+    for k in range(40):
+        due = conditioned(mean[k], cov[k], matrix[k], residual[k], noise[k])
+        for one, expected in zip(updated, due, strict=False):
+            assert_allclose(one[k], expected, rtol=1e-8, atol=1e-10)
+        assert_allclose(moved[0][k], matrix[k] @ mean[k] + residual[k])
+        assert_allclose(moved[1][k], matrix[k] @ cov[k] @ matrix[k].T + noise[k])
+
+
 @RUNS
 @pytest.mark.parametrize(("size", "height"), [(1, 1), (3, 2), (2, 3)])
 def test_a_prediction_of_many_runs_is_that_of_each(runs, size, height):
@@ -127,6 +142,37 @@ def test_one_run_that_is_not_regular_goes_the_general_way(bad):
     assert np.isfinite(found.cov[6]).all()
 
 
+def test_a_predictive_covariance_that_rounding_leaves_below_the_noise_is_not_mild():
+    """Its determinant is below any bound, or a product of negative pivots."""
+    rng = np.random.default_rng(3)
+    noise = 1e-16 * np.eye(6)[..., None]
+    fell = 0
+    for _ in range(40):
+        cov = 1e4 * (np.ones((3, 3)) + rng.uniform() * np.eye(3))[..., None]
+        matrix = rng.normal(size=(6, 3, 1))
+        residual, mean = np.zeros((6, 1)), np.zeros((3, 1))
+        predictive = (matrix[..., 0] @ cov[..., 0] @ matrix[..., 0].T) + noise[..., 0]
+        fell += np.linalg.det(predictive) < along_runs.sharpness(noise)[0]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found = along_runs.update(mean, cov, matrix, residual, noise)
+        assert found is None or (found.pivots > 0.0).all()
+    assert fell > 5
+
+
+def test_a_determinant_too_small_for_numbers_costs_no_digits():
+    """That of twenty readings with deviations of 1e-8, for one."""
+    runs, height = 40, 20
+    mean, cov, matrix, residual, _ = problem(runs, 2, height)
+    scale = 1e-8
+    noise = np.broadcast_to(np.eye(height), (runs, height, height))
+    small = (mean * scale, 0.01 * cov * scale**2, matrix, residual * scale, noise * scale**2)
+    found = moments.update(*map(by_run, small), exact=False)
+    due = moments.update(*map(by_run, (mean, 0.01 * cov, matrix, residual, noise)), exact=False)
+    assert 0.0 < np.prod(np.diagonal(small[4][0])) < np.finfo(float).tiny
+    assert_allclose(found.log_density, due.log_density - height * np.log(scale), rtol=1e-12)
+    assert_allclose(found.cov, due.cov * scale**2, rtol=1e-9)
+
+
 @pytest.mark.parametrize("lead", [(40,), (5, 40)])
 def test_products_keep_the_layout(lead):
     rng = np.random.default_rng(1)
@@ -173,6 +219,16 @@ def test_one_indefinite_matrix_among_many():
     assert np.isnan(lower[3]).all()
     assert_array_equal(roots.determined(lower[4]), [False, True, False])
     assert_allclose(lower[5:], np.linalg.cholesky(cov[5:]), atol=1e-12)
+
+
+def test_a_root_of_runs_is_that_of_each_or_none():
+    _, cov, _, _, _ = problem(50, 3, 1)
+    due = np.linalg.cholesky(cov)
+    assert_allclose(np.moveaxis(along_runs.root(np.moveaxis(cov, 0, -1)), -1, 0), due, atol=1e-12)
+    for bad in (np.diag([1.0, -1.0, 1.0]), np.diag([1.0, np.nan, 1.0]), np.full((3, 3), 0.1)):
+        cov[3] = bad + 1e-15 * np.eye(3)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            assert along_runs.root(np.moveaxis(cov, 0, -1)) is None
 
 
 @pytest.mark.parametrize("runs", [1, 50])

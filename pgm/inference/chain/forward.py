@@ -227,16 +227,24 @@ def is_semidefinite(family: Family) -> bool:
 
 
 def _check_predicted(link: Link, row: int, cov: Array) -> None:
-    """Only a lineariser's error can make a prediction indefinite."""
+    """Refuse what is too large, or indefinite, which only a lineariser's error can make it."""
     family = link.family
-    if not family.approximate or is_semidefinite(family):
-        return
-    if not roots.is_proper(roots.root(cov)):
-        step = int(family.step[row])
-        raise NumericalError(
-            f"{family.cpd!r}: the predicted covariance at step {step} is indefinite with "
-            f"{family.lineariser!r}; use a rule with positive weights or more samples",
-            variable=family.cpd.child,
-            cpd=family.cpd,
-            step=step,
+    if not np.isfinite(cov).all():
+        fault = (
+            "not finite; are the belief before it, its inputs and its noise of a size that float64 "
+            "can hold?"
         )
+    elif not family.approximate or is_semidefinite(family) or roots.is_proper(roots.root(cov)):
+        return
+    else:
+        fault = (
+            f"indefinite with {family.lineariser!r}; use a rule with positive weights or more "
+            "samples"
+        )
+    step = int(family.step[row])
+    raise NumericalError(
+        f"{family.cpd!r}: the predicted covariance at step {step} is {fault}",
+        variable=family.cpd.child,
+        cpd=family.cpd,
+        step=step,
+    )

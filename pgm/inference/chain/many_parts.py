@@ -129,9 +129,16 @@ class Read(Prepared):
 
     @staticmethod
     def suits(sensor: Sensor, width: int) -> bool:
-        """Whether it can be prepared: all is read, with some noise, of the whole state."""
+        """Whether it can be prepared: all is read, with some noise, of the whole state.
+
+        A rule that draws for each run draws at once for all sightings of a step, which are
+        linearised one by one here.
+        """
+        family = sensor.family
+        fresh = getattr(family.lineariser, "fresh_per_run", False) and not family.exact
         return (
-            Prepared.ordinary(sensor.family)
+            Prepared.ordinary(family)
+            and not (fresh and max(b - a for a, b in pairwise(sensor.bounds)) > 1)
             and sensor.taken is None
             and not sensor.grouped
             and not sensor.exact

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 class OnlineFilter(Immutable):
     """A filter for one step at a time; immutable, and so are its beliefs.
 
+    Beliefs belong to the filter's own model: to go on from one in another process, pickle the two
+    together.
+
     Parameters
     ----------
     model : DynamicBayesianNetwork
@@ -211,9 +214,7 @@ class OnlineFilter(Immutable):
         return Sightings(value.values, np.zeros(count, dtype=np.intp), value.given)
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
-        return ChainPlan.make(
-            self._graph, bound, self.lineariser, first=step, prior=prior, probe=False
-        )
+        return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)
 
 
 def _nothing_to_iterate(lead: tuple[int, ...]) -> Status:

@@ -67,6 +67,14 @@ class Read(Law):
         self.parents, self.width = None if whole else sensor.parents, width
         angles = np.flatnonzero(np.tile(own.angle_mask, self.count))
         self.angles = angles.tolist()
+        # Where noise depends on inputs, it is found out at each step.
+        self.exact = self.noise is not None and sensor.exact
+
+    def _noise(self, step: int, rows: list[Array]) -> Array:
+        noise = super()._noise(step, rows)
+        if single.root(noise) is None:
+            raise Special
+        return noise
 
     def read(self, at: Now, mean: Array, cov: Array, *, keep: bool = False) -> Stacked:
         """The readings, linearised at a belief over the slice.
@@ -104,7 +112,7 @@ class Update:
         sensors = [sensor for sensor in plan.sensors if len(sensor.values)]
         self.reads = [Read(sensor, plan.layout.slice_size, places) for sensor in sensors]
         self.linear = all(sensor.family.exact for sensor in sensors)
-        self.exact = any(sensor.exact for sensor in sensors)
+        self.exact = any(read.exact for read in self.reads)
         self.several = sum(read.count for read in self.reads) > 1
 
     def take(self, at: Now, mean: Array, cov: Array) -> tuple[Array, Array, float] | None:

@@ -69,7 +69,7 @@ def sweep(seeds, kind, damping, most):
     return exact, open_
 
 
-MOST = {pgm.Flooding: 300, pgm.Sequential: 150, pgm.Residual: 40}
+MOST = {pgm.Flooding: 150, pgm.Sequential: 150, pgm.Residual: 40}
 
 
 @kinds
@@ -97,8 +97,8 @@ def test_means_are_exact_wherever_messages_converge_at_length(kind, damping):
 
 
 def test_at_least_half_converge_and_some_do_not():
-    exact, open_ = sweep(range(100), pgm.Flooding, 0.0, 60)
-    assert 50 <= len(exact) < 100
+    exact, open_ = sweep(range(40), pgm.Flooding, 0.0, 60)
+    assert 20 <= len(exact) < 40
     assert max(exact) <= 1e-6
     assert all(status.residuals[-1] > TOLERANCE for status in open_)
 
