@@ -12,6 +12,7 @@ from pgm.compile import DynamicGraph
 from pgm.evidence import BoundEvidence
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.many import Filtered
 from pgm.inference.chain.plan import ChainPlan, Sensor
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.family import Family
@@ -28,19 +29,29 @@ def joined(
 ) -> ChainPosterior:
     """What one run of everything would have left."""
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
+    return type(found[0])(
+        graph,
+        one_status((each.status for each in found), bound.lead),
+        plan,
+        _swept(plan, found),
+        _along_runs(Beliefs, [each._smoothed for each in found]),
+        _along_runs(Reverse, [each._reverse_given for each in found]),
+    )
+
+
+def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward | Filtered:
+    """What the forward sweeps left; of filters the beliefs alone, as long as that will do."""
+    parts = [each._swept for each in found]
+    if all(isinstance(part, Filtered) for part in parts):
+        names = "mean", "cov", "log_density"
+        return Filtered(plan, *(_along_runs(np.ndarray, _each(parts, name)) for name in names))
     plans = [each._plan for each in found]
     for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
         _family(family, families)
     for sensor, *sensors in zip(plan.sensors, *(p.sensors for p in plans), strict=True):
         _sensor(sensor, sensors)
-    return type(found[0])(
-        graph,
-        one_status((each.status for each in found), bound.lead),
-        plan,
-        _along_runs(Forward, [each._forward for each in found]),
-        _along_runs(Beliefs, [each._smoothed for each in found]),
-        _along_runs(Reverse, [each._reverse_given for each in found]),
-    )
+    forward: Forward = _along_runs(Forward, [each._forward for each in found])
+    return forward
 
 
 def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
@@ -85,6 +96,10 @@ def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
         return np.concatenate(parts, axis=1)
     found = {}
     for name in getattr(kind, "_fields", None) or [field.name for field in fields(kind)]:
-        values = [getattr(part, name) for part in parts]
+        values = _each(parts, name)
         found[name] = _along_runs(type(values[0]), values)
     return kind(**found)
+
+
+def _each(parts: Sequence[Any], name: str) -> list[Any]:
+    return [getattr(part, name) for part in parts]
