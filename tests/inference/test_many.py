@@ -163,6 +163,18 @@ def test_parts_that_fit_a_cache(ways, monkeypatch, rule, most):
     assert_equal(fast, plain)
 
 
+def test_parts_that_threads_have_filtered_are_one_filter():
+    """Of beliefs alone, until something else is asked for."""
+    network, evidence = drawn(2, runs=2 * RUNS)
+    shared = pgm.filter(network, evidence, threads=2)
+    assert isinstance(shared._swept, many.Filtered)
+    whole = pgm.filter(network, evidence)
+    np.testing.assert_allclose(shared[pose].cov, whole[pose].cov, rtol=1e-12)
+    np.testing.assert_allclose(shared.log_evidence, whole.log_evidence, rtol=1e-12)
+    assert "whole" not in vars(shared._swept)
+    assert_equal(shared, whole)
+
+
 @pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()], ids=repr)
 def test_a_smoother_goes_on_from_it(ways, monkeypatch, rule):
     network, evidence = drawn(2)
