@@ -105,7 +105,7 @@ def most_probable() -> Row:
         },
         check=agreement.optima,
         size=10_000,
-        quick=2_000,
+        quick=5_000,
         unchecked=frozenset({"gtsam_optimum_alone", "gtsam_building"}),
     )
 
