@@ -25,6 +25,7 @@ from pgm.errors import (
     ModelError,
     NumericalError,
     PgmError,
+    PrecisionWarning,
 )
 from pgm.evidence import constant, records, sightings, soft
 from pgm.factors import AffineGaussian, CanonicalForm, Gaussian, Table
@@ -130,6 +131,7 @@ __all__ = [
     "OnlineFilter",
     "PgmError",
     "Posterior",
+    "PrecisionWarning",
     "QuasiMonteCarlo",
     "Residual",
     "Sequential",

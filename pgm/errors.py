@@ -1,4 +1,4 @@
-"""The errors that pgm raises: each names the object, the step, what was found, what to do."""
+"""The errors that pgm raises, and its warning: each names the object, the step, what was found, what to do."""
 
 from __future__ import annotations
 
@@ -67,3 +67,7 @@ class LinearisationError(PgmError, ValueError):
 
 class NumericalError(PgmError, ArithmeticError):
     """A quantity that does not exist for these numbers, like the inverse of a singular matrix."""
+
+
+class PrecisionWarning(UserWarning):
+    """An answer of which rounding leaves few digits; ``status.digits`` says how many."""

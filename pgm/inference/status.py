@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
 
+from pgm.errors import PrecisionWarning
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
+
+# Digits of a mean, counted from its deviation, below which the user is warned.
+ENOUGH_DIGITS = 6.0
 
 
 class Status(Immutable):
@@ -31,12 +36,17 @@ class Status(Immutable):
         After a schedule for any graph, (*runs): how much the messages between each two joined
         clusters would still change, for ``pgm.plot.cluster_graph(graph, residuals=...)``; empty
         after others.
+    digits : ndarray or None
+        (*runs): the decimal digits that rounding leaves of the least certain mean, counted from its
+        standard deviation (6 are an error of 10⁻⁶ deviations); None where they are not measured.
+        Below six a `PrecisionWarning` has said so.
     """
 
     iterations: int
     residuals: Array
     converged: Mask
     by_edge: Mapping[tuple[int, int], Array]
+    digits: Array | None
 
     def __init__(
         self,
@@ -44,14 +54,17 @@ class Status(Immutable):
         residuals: Array,
         converged: Mask,
         by_edge: Mapping[tuple[int, int], Array] = MappingProxyType({}),
+        digits: Array | None = None,
     ) -> None:
-        residuals.flags.writeable = False
-        converged.flags.writeable = False
+        for record in (residuals, converged, digits):
+            if record is not None:
+                record.flags.writeable = False
         self._set(
             iterations=iterations,
             residuals=residuals,
             converged=converged,
             by_edge=MappingProxyType(dict(by_edge)),
+            digits=digits,
         )
 
     @classmethod
@@ -61,7 +74,24 @@ class Status(Immutable):
         record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
         return cls(count + 1, record, converged.reshape(lead))
 
+    def with_digits(self, digits: Array) -> Status:
+        """The same status with the digits that were measured, (*runs); it warns below six."""
+        least = float(digits.min(initial=np.inf))
+        if least < ENOUGH_DIGITS:
+            runs = int((digits < ENOUGH_DIGITS).sum())
+            message = (
+                f"rounding leaves {max(least, 0.0):.1f} decimal digits of a mean, counted from its "
+                f"standard deviation, in {runs} of {digits.size} runs (status.digits): some "
+                "deviations of the model are too far apart for float64; scale them, or read a "
+                "repeated or redundant measurement once"
+            )
+            warnings.warn(message, PrecisionWarning, stacklevel=2)
+        return Status(self.iterations, self.residuals, self.converged, self.by_edge, digits)
+
     def __repr__(self) -> str:
         last = f", last residual {self.residuals[-1].max():.3g}" if len(self.residuals) else ""
         share = f"{int(self.converged.sum())} of {self.converged.size} runs converged"
-        return f"Status({self.iterations} iterations, {share}{last})"
+        lost = ""
+        if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
+            lost = f", {max(least, 0.0):.1f} digits left"
+        return f"Status({self.iterations} iterations, {share}{last}{lost})"
