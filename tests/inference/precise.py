@@ -202,6 +202,8 @@ class Reference:
         # The rest is determined: what is left of it should be zero.
         rest = [k for k in range(total) if k not in kept]
         magnitude = norms(value) + norms(matrix) @ norms(record.mean)
+        for k in np.flatnonzero(magnitude == 0):
+            magnitude[k] = mp.sqrt(size[k, k]) or mp.mpf(1)
         if rest:
             left = residual[rest] - joint[np.ix_(rest, kept)] @ weighted
             self.determined += len(rest)
