@@ -44,12 +44,12 @@ def _absorb(
     exact = any(sensor.exact for sensor, _ in due)
     result = moments.update(mean, cov, matrix, residual, noise, exact=exact)
     if not np.isfinite(result.log_density.sum()):
-        _refuse_indefinite(due)
+        refuse_indefinite(due)
     several = len(due) > 1 or due[0][1].stop - due[0][1].start > 1
     if several and not last and roots.smallest_pivot(result.lower) < NEARLY_SINGULAR:
         return None
     if result.left is not None:
-        _refuse_contradiction(due, mean, result.left)
+        refuse_contradiction(due, mean, result.left)
     log_density = result.log_density
     if missing is not None:
         log_density = log_density + 0.5 * LOG_2PI * missing
@@ -147,7 +147,8 @@ def _residual(sensor: Sensor, rows: slice, mean: Array) -> tuple[Array, Array, A
     return matrix, residual, noise, taken
 
 
-def _refuse_indefinite(due: Due) -> None:
+def refuse_indefinite(due: Due) -> None:
+    """Refuse readings whose predictive covariance is indefinite or not finite."""
     names = ", ".join(sensor.variable.name for sensor, _ in due)
     blamed = [sensor for sensor, _ in due if sensor.family.approximate]
     sensor = blamed[0] if blamed else due[0][0]
@@ -166,7 +167,7 @@ def _refuse_indefinite(due: Due) -> None:
     )
 
 
-def _refuse_contradiction(due: Due, mean: Array, left: Array) -> None:
+def refuse_contradiction(due: Due, mean: Array, left: Array) -> None:
     """Refuse a reading that differs from what an exact model has already determined it to be."""
     parts = []
     for sensor, rows in due:
