@@ -25,7 +25,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.inference.chain.backward import Beliefs
-from pgm.inference.chain.careful import ROUNDING, Belief, Careful, Component, Step, moments
+from pgm.inference.chain.careful import Careful, Step
+from pgm.inference.chain.flat import moments
+from pgm.inference.chain.taking import ROUNDING, Belief, Component, variances
 from pgm.kernels import twofold
 from pgm.kernels.arrays import Array, Mask, sandwich, stacked
 from pgm.kernels.twofold import Twofold
@@ -184,7 +186,7 @@ def _given(known: Belief, later: Later) -> Belief:
     """A belief with what is read after its step."""
     columns, cov, _ = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
-    rounding = ROUNDING * _variances(cov)[..., None] * np.eye(cov.shape[-1])
+    rounding = ROUNDING * variances(cov.hi)[..., None] * np.eye(cov.shape[-1])
     return Belief(columns + cov @ later.vector, left, known.rounding + rounding).certain()
 
 
@@ -193,7 +195,7 @@ def _lost(known: Belief, belief: Belief) -> Mask:
 
     (runs, 1, 1).
     """
-    before, after = _variances(known.cov), _variances(belief.cov)
+    before, after = variances(known.cov.hi), variances(belief.cov.hi)
     small: Mask = np.any((after < _SMALL * before) & (before > 0.0), axis=-1, keepdims=True)
     return small[..., None]
 
@@ -226,8 +228,3 @@ def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
 
 def _symmetric(cov: Twofold) -> Twofold:
     return 0.5 * (cov + cov.mT)
-
-
-def _variances(cov: Twofold) -> Array:
-    found: Array = np.einsum("...ii->...i", cov.hi)
-    return found

@@ -18,84 +18,28 @@ Durbin & Koopman, Time series analysis by state space methods, 2012, sections 5.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from pgm.errors import LinearisationError
 from pgm.inference.chain import forward
+from pgm.inference.chain.flat import Solved, moments, solved
 from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.iteration import Anchor, Point
 from pgm.inference.chain.plan import ChainPlan, Link
-from pgm.inference.chain.update import (
-    Due,
-    linearise_sensor,
-    refuse_contradiction,
-    refuse_indefinite,
-    sensors_due,
-)
+from pgm.inference.chain.reading import Reading, Updated, take
+from pgm.inference.chain.taking import Belief, Component, Taken, hold, rounded, update
+from pgm.inference.chain.update import linearise_sensor, sensors_due
 from pgm.inference.chain.whitened import distinct
 from pgm.inference.family import Family
 from pgm.inference.schedule import Filtering
 from pgm.inference.status import Status
 from pgm.kernels import twofold
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, block, sandwich
+from pgm.kernels.arrays import Array, Mask, block, sandwich
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
-
-# The part of what is summed up to a variance that rounding may change.
-ROUNDING = 1e-31
-# By so much a variance has to exceed what rounding may have made of a zero.
-_CLEAR = 100.0
-
-
-class Component(NamedTuple):
-    """A component of a reading, taken in.
-
-    Attributes
-    ----------
-    row, gain : Twofold
-        (runs, n): h and G; the gain is zero where nothing was learnt.
-    innovation : Twofold
-        (runs, 1 + q): v and V.
-    weight : Twofold
-        (runs,): 1 / S, zero where nothing was learnt.
-    """
-
-    row: Twofold
-    gain: Twofold
-    innovation: Twofold
-    weight: Twofold
-
-
-class Belief(NamedTuple):
-    """Moments as functions of δ.
-
-    Attributes
-    ----------
-    columns : Twofold
-        (runs, n, 1 + q): [m D].
-    cov : Twofold
-        (runs, n, n): P.
-    rounding : ndarray
-        (runs, n, n): a bound, as a covariance, of what rounding has changed P by so far. It goes
-        through transitions and readings as an error does.
-    """
-
-    columns: Twofold
-    cov: Twofold
-    rounding: Array
-
-    def certain(self) -> Belief:
-        """With zeros where a variance may be rounding alone."""
-        floor = _CLEAR * _variances(self.rounding)
-        open_ = _variances(self.cov.hi) > floor
-        if open_.all():
-            return self
-        both = open_[..., None] & open_[..., None, :]
-        return self._replace(
-            cov=twofold.where(both, self.cov, 0.0), rounding=np.where(both, self.rounding, 0.0)
-        )
 
 
 class Step(NamedTuple):
@@ -121,71 +65,6 @@ class Step(NamedTuple):
     information: Twofold
 
 
-class Solved(NamedTuple):
-    """An estimate of δ.
-
-    Attributes
-    ----------
-    weights : Twofold
-        (runs, 1 + q, 1): [1 δ] for its mean δ; zero where nothing is known of a component.
-    cov : Twofold
-        (runs, q, q): of what is known of it.
-    open : ndarray
-        (runs, q, q): directions in which nothing is known, as columns, or zeros.
-    log_weight : ndarray
-        (runs,): what integrating δ out adds to the log-density of the readings.
-    """
-
-    weights: Twofold
-    cov: Twofold
-    open: Array
-    log_weight: Array
-
-    def between(self, first: Belief, second: Belief) -> Twofold:
-        """The share of δ in the covariance of two slices, (runs, n, n)."""
-        return first.columns[..., 1:] @ self.cov @ second.columns[..., 1:].mT
-
-
-def solved(whole: Twofold) -> Solved:
-    """The estimate of δ from W = Σ [v V]ᵀ[v V] / S, (runs, 1 + q, 1 + q).
-
-    With M = Σ VᵀV / S and y = Σ Vᵀv / S it is δ = −M⁻¹y; its covariance M⁻¹.
-    """
-    runs, size = whole.shape[0], whole.shape[-1] - 1
-    weights = Twofold(np.zeros((runs, size + 1, 1)))
-    weights.hi[:, 0] = 1.0
-    if not size:
-        nothing = np.zeros((runs, 0, 0))
-        return Solved(weights, Twofold(nothing), nothing, np.zeros(runs))
-    unit, pivots = twofold.eliminated(whole[:, 1:, 1:], _CLEAR * ROUNDING)
-    known = pivots.hi > 0.0
-    cov = twofold.inverse(unit, pivots)
-    one = Twofold(np.broadcast_to(np.eye(size), unit.shape).copy())
-    mean = -(cov @ whole[:, 1:, :1])
-    weights[:, 1:] = mean
-    level = -(whole[:, :1, 1:] @ mean).hi[:, 0, 0]
-    log_det = np.log(np.where(known, pivots.hi, 1.0)).sum(axis=-1)
-    open_ = np.where(known[:, None, :], 0.0, twofold.solve_unit(unit, one).mT.hi)
-    return Solved(weights, cov, open_, 0.5 * (level - log_det))
-
-
-def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
-    """Mean and covariance; the variance of a component of which nothing is known is infinite."""
-    columns, cov, _ = belief
-    mean = (columns @ unknown.weights).hi[..., 0]
-    if not unknown.open.shape[-1]:
-        return mean, cov.hi
-    total = (cov + unknown.between(belief, belief)).hi
-    slope = columns.hi[..., 1:]
-    reach, size = np.abs(slope @ unknown.open), np.abs(slope) @ np.abs(unknown.open)
-    lost = np.any(reach > NEGLIGIBLE * size, axis=-1)
-    if lost.any():
-        total = np.where(lost[..., None] | lost[..., None, :], 0.0, total)
-        diagonal = np.einsum("...ii->...i", total)
-        diagonal[lost] = np.inf
-    return mean, total
-
-
 @dataclass(frozen=True, eq=False)
 class Careful:
     """A forward pass.
@@ -208,48 +87,103 @@ class Careful:
         return solved(self.steps[step].information)
 
 
-def sweep(plan: ChainPlan, *, linearise: bool) -> Careful:
-    """The forward pass, with every CPD as it is laid out or linearised at its incoming belief."""
+def sweep(
+    plan: ChainPlan, schedule: Filtering | None = None, anchor: Anchor | None = None
+) -> tuple[Careful, Status]:
+    """The forward pass.
+
+    Parameters
+    ----------
+    plan : ChainPlan
+    schedule : Filtering, optional
+        How CPDs are linearised at the incoming beliefs; without, they are as laid out.
+    anchor : Anchor, optional
+        What holds the beliefs.
+    """
     out = Forward.empty(plan)
     steps: list[Step] = []
-    belief = _start(plan, linearise=linearise)
+    record: list[Array] = []
+    converged = np.ones(plan.runs, dtype=bool)
+    belief = _start(plan, linearise=schedule is not None)
     information = Twofold.zeros((plan.runs, *(belief.columns.shape[-1:] * 2)))
     unknown = solved(information)
     matrix: Twofold | None = None
     noise: Twofold | None = None
-    every = None if linearise else _transition(plan, slice(None))
+    every = None if schedule is not None else _transition(plan, slice(None))
     for step in range(plan.steps + 1):
         if step:
-            if linearise:
+            if every is None:
                 _linearise_motion(plan, step, out.mean[step - 1], out.cov[step - 1])
             moves = every or _transition(plan, slice(step - 1, step))
             move = moves.at(step - 1 if len(moves.matrix.hi) > 1 else 0)
             matrix, noise, belief = move.matrix, move.cov, _predict(belief, move)
         predicted = belief
-        mean, cov = moments(belief, unknown)
-        out.predicted_mean[step], out.predicted_cov[step] = mean, cov
-        due = sensors_due(plan.sensors, step)
-        for sensor, _ in due if linearise else ():
-            linearise_sensor(sensor, step, mean, _proper(sensor.family, step, cov))
-        components: list[Component] = []
-        density = -unknown.log_weight
-        if due:
-            belief, components, own = _update(due, belief, mean)
-            density = density + own
-        for component in components:
+        mean, cov = out.predicted_mean[step], out.predicted_cov[step]
+        mean[...], cov[...] = moments(belief, unknown)
+        reading = _Reading(sensors_due(plan.sensors, step), step, mean, cov, belief, information)
+        if schedule is None:
+            found = reading.solve(anchor)
+        else:
+            taken = take(reading, schedule)
+            found = taken.solution.at(taken.mean)
+            record = forward.largest(record, taken.residuals)
+            converged &= taken.converged
+        belief, information, unknown = found.belief, found.information, found.unknown
+        out.mean[step], out.cov[step] = found.mean, found.cov
+        out.log_density[step] = found.log_density
+        steps.append(Step(matrix, noise, predicted, belief, found.components, information))
+    return Careful(out, steps, unknown), Status.of(record, converged, plan.lead)
+
+
+@dataclass(frozen=True, eq=False)
+class _Updated(Updated):
+    """The belief that an update leaves."""
+
+    taken: Taken
+    information: Twofold
+    unknown: Solved
+
+    @property
+    def components(self) -> list[Component]:
+        return self.taken.components
+
+    @property
+    def belief(self) -> Belief:
+        return self.taken.belief
+
+    def at(self, mean: Array) -> _Updated:
+        """The same with the mean that a step control kept."""
+        if np.array_equal(mean, self.mean):
+            return self
+        taken = self.taken._replace(belief=self.belief.shifted(mean - self.mean))
+        return replace(self, mean=mean, taken=taken)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reading(Reading[_Updated]):
+    """The readings of a step, to be linearised anywhere and taken into the predicted belief."""
+
+    belief: Belief
+    information: Twofold
+
+    def linearise(self, at: Point, active: Mask | None) -> None:
+        for sensor, _ in self.due:
+            cov = _proper(sensor.family, self.step, at.cov[0])
+            linearise_sensor(sensor, self.step, at.mean[0], cov, active)
+
+    def solve(self, anchor: Anchor | None = None) -> _Updated:
+        taken = Taken(self.belief, [], np.zeros(len(self.mean)))
+        if self.due:
+            taken = update(self.due, self.belief, self.mean)
+        if anchor is not None:
+            taken = hold(anchor, self.step, taken)
+        information = self.information
+        for component in taken.components:
             row = component.innovation[:, None, :]
             information = information + row.mT @ (row * component.weight[:, None, None])
         unknown = solved(information)
-        out.log_density[step] = density + unknown.log_weight
-        out.mean[step], out.cov[step] = moments(belief, unknown)
-        steps.append(Step(matrix, noise, predicted, belief, components, information))
-    return Careful(out, steps, unknown)
-
-
-def run(plan: ChainPlan, schedule: Filtering) -> tuple[Careful, Status]:
-    """Run a filtering schedule."""
-    swept = sweep(plan, linearise=True)
-    return swept, forward.once_status(plan)
+        log_density = taken.log_density + unknown.log_weight - solved(self.information).log_weight
+        return _Updated(*moments(taken.belief, unknown), log_density, taken, information, unknown)
 
 
 class Move(NamedTuple):
@@ -281,7 +215,7 @@ def _start(plan: ChainPlan, *, linearise: bool) -> Belief:
     forward.put(cov.hi, states, np.broadcast_to(first.cov.hi, (plan.runs, *first.cov.shape[1:])))
     forward.put(cov.lo, states, np.broadcast_to(first.cov.lo, (plan.runs, *first.cov.shape[1:])))
     eye = np.eye(size)
-    return Belief(columns, cov, _rounded(eye, cov.hi, np.zeros_like(cov.hi)))
+    return Belief(columns, cov, rounded(eye, cov.hi, np.zeros_like(cov.hi)))
 
 
 def _transition(plan: ChainPlan, rows: slice) -> Move:
@@ -344,97 +278,8 @@ def _predict(belief: Belief, move: Move) -> Belief:
     columns[..., 0] = columns[..., 0] + move.offset
     cov = move.matrix @ belief.cov @ move.matrix.mT + move.cov
     rounding = sandwich(move.matrix.hi, belief.rounding)
-    rounding = rounding + _rounded(move.matrix.hi, belief.cov.hi, move.cov.hi)
+    rounding = rounding + rounded(move.matrix.hi, belief.cov.hi, move.cov.hi)
     return Belief(columns, cov, rounding).certain()
-
-
-def _rounded(matrix: Array, cov: Array, noise: Array) -> Array:
-    """What rounding may change F P Fᵀ + noise by."""
-    size = np.abs(matrix)
-    summed = ((size @ np.abs(cov)) * size).sum(axis=-1) + np.abs(_variances(noise))
-    rounded: Array = ROUNDING * summed[..., None] * np.eye(matrix.shape[-2])
-    return rounded
-
-
-def _variances(cov: Array) -> Array:
-    found: Array = np.einsum("...ii->...i", cov)
-    return found
-
-
-def _update(due: Due, belief: Belief, mean: Array) -> tuple[Belief, list[Component], Array]:
-    """Take in the readings of a step; also their log-density given δ = 0."""
-    columns, cov, rounding = belief
-    rows, noises, taken = _decorrelated(due, mean)
-    components: list[Component] = []
-    log_density = np.zeros(len(mean))
-    left = np.zeros(taken.shape)
-    for k in range(taken.shape[-1]):
-        row, noise = rows[:, k, :-1], noises[:, k]
-        cross = (cov @ row[..., None])[..., 0]
-        predictive = row.dot(cross) + noise
-        floor = sandwich(row.hi[:, None, :], rounding)
-        floor = (floor + _rounded(row.hi[:, None, :], cov.hi, noise.hi[:, None, None]))[:, 0, 0]
-        if not np.isfinite(floor).all() or (predictive.hi < -_CLEAR * floor).any():
-            refuse_indefinite(due)
-        read = taken[:, k] & (predictive.hi > _CLEAR * floor)
-        weight = twofold.where(read, 1.0 / twofold.where(read, predictive, 1.0), 0.0)
-        innovation = -(row[:, None, :] @ columns)[:, 0]
-        innovation[:, 0] = innovation[:, 0] + rows[:, k, -1]
-        gain = cross * weight[:, None]
-        columns = columns + gain[..., None] * innovation[:, None, :]
-        keep = np.eye(cov.shape[-1]) - gain[..., None] * row[:, None, :]
-        own = (gain * noise[:, None])[..., None] * gain[:, None, :]
-        rounding = sandwich(keep.hi, rounding) + _rounded(keep.hi, cov.hi, own.hi)
-        _, cov, rounding = Belief(columns, keep @ cov @ keep.mT + own, rounding).certain()
-        left[:, k] = np.where(taken[:, k] & ~read, np.abs(innovation.hi[:, 0]), 0.0)
-        squared = (innovation[:, 0] * innovation[:, 0] * weight).hi
-        log_density -= 0.5 * np.where(
-            read, squared + np.log(np.where(read, predictive.hi, 1.0)) + LOG_2PI, 0.0
-        )
-        components.append(Component(row, gain, innovation, weight))
-    if left.any():
-        refuse_contradiction(due, mean, left)
-    return Belief(columns, cov, rounding), components, log_density
-
-
-def _decorrelated(due: Due, mean: Array) -> tuple[Twofold, Twofold, Mask]:
-    """The components of the readings of a step, each with an error of its own.
-
-    Returns
-    -------
-    rows : Twofold
-        (runs, D, n + 1): h, and the reading less the CPD's offset.
-    noises : Twofold
-        (runs, D): variances.
-    taken : ndarray of bool
-        (runs, D).
-    """
-    runs, width = mean.shape
-    parts = [(sensor, rows, *sensor.reading(rows)) for sensor, rows in due]
-    height = sum(value.shape[0] * value.shape[2] for _, _, _, value, _, _ in parts)
-    rows = Twofold.zeros((runs, height, width + 1))
-    noise = np.zeros((runs, height, height))
-    taken = np.ones((runs, height), dtype=bool)
-    top = 0
-    for sensor, own, matrix, value, cov, seen in parts:
-        count, size = value.shape[0], value.shape[2]
-        if (step := int(sensor.family.step[own.start])) in sensor.cross:
-            every = slice(top, top + count * size)
-            noise[:, every, every] = sensor.cross[step]
-        offset = sensor.family.offset[own]
-        for k in range(count):
-            place = slice(top, top + size)
-            top += size
-            rows.hi[:, place, :-1][..., sensor.parents] = matrix[k]
-            rows[:, place, -1] = Twofold(value[k]) - offset[k]
-            noise[:, place, place] = cov[k]
-            if seen is not None:
-                taken[:, place] = seen[k][..., None]
-    if not taken.all():
-        noise = np.where(taken[..., None] & taken[..., None, :], noise, np.eye(height))
-        rows = twofold.where(taken[..., None], rows, 0.0)
-    unit, noises = twofold.eliminated(noise, NEGLIGIBLE)
-    return twofold.solve_unit(unit, rows), noises, taken
 
 
 def _linearise_motion(plan: ChainPlan, step: int, mean: Array, cov: Array) -> None:

@@ -11,7 +11,7 @@ from pgm.errors import NumericalError
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Link
-from pgm.inference.chain.reading import take
+from pgm.inference.chain.reading import MomentReading, take
 from pgm.inference.chain.update import sensors_due, update
 from pgm.inference.family import Family
 from pgm.inference.schedule import Filtering
@@ -89,11 +89,15 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     record: list[Array] = []
     converged = np.ones(plan.runs, dtype=bool)
     for step in _predictions(plan, out, linearise=True):
-        taken = take(
-            plan.sensors, step, out.predicted_mean[step], out.predicted_cov[step], schedule
+        mean, cov = out.predicted_mean[step], out.predicted_cov[step]
+        taken = take(MomentReading(sensors_due(plan.sensors, step), step, mean, cov), schedule)
+        last = taken.solution
+        out.mean[step], out.cov[step], out.log_density[step] = (
+            taken.mean,
+            last.cov,
+            last.log_density,
         )
-        out.mean[step], out.cov[step], out.log_density[step] = taken[:3]
-        record = _largest(record, taken.residuals)
+        record = largest(record, taken.residuals)
         converged &= taken.converged
     return out, Status.of(record, converged, plan.lead)
 
@@ -125,7 +129,7 @@ def _predictions(plan: ChainPlan, out: Forward, *, linearise: bool) -> Iterator[
         yield step
 
 
-def _largest(record: list[Array], residuals: list[Array]) -> list[Array]:
+def largest(record: list[Array], residuals: list[Array]) -> list[Array]:
     """The largest residuals of all steps; a step that was done earlier keeps its last one."""
     if not record or not residuals:
         return record or residuals

@@ -48,12 +48,15 @@ class Filtered:
     ----------
     mean, cov, log_density : ndarray
         As of a `Forward`.
+    sharpest : float
+        The largest Σ_j (HᵀR⁻¹H)_jj σ_j² of the readings looked at.
     """
 
     plan: ChainPlan
     mean: Array
     cov: Array
     log_density: Array
+    sharpest: float = 0.0
 
     @cached_property
     def whole(self) -> Forward:

@@ -17,7 +17,8 @@ from pgm.inference.chain import forward
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.online_belief import OnlineBelief
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.reading import take
+from pgm.inference.chain.reading import MomentReading, take
+from pgm.inference.chain.update import sensors_due
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, block
@@ -174,10 +175,11 @@ class OnlineFilter(Immutable):
                 return after
         plan = self._seen(belief, readings)
         mean, cov = _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2)
-        taken = take(plan.sensors, 0, mean, cov, self.schedule)
-        log_evidence = np.asarray(belief.log_evidence + taken.log_density.reshape(plan.lead))
+        taken = take(MomentReading(sensors_due(plan.sensors, 0), 0, mean, cov), self.schedule)
+        last = taken.solution
+        log_evidence = np.asarray(belief.log_evidence + last.log_density.reshape(plan.lead))
         status = Status.of(taken.residuals, taken.converged, plan.lead)
-        return _belief(plan, belief.step, taken.mean, taken.cov, log_evidence, status)
+        return _belief(plan, belief.step, taken.mean, last.cov, log_evidence, status)
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its readings checked."""

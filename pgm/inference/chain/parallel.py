@@ -17,8 +17,8 @@ from pgm.inference.chain.likelihoods import Readings, know
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.update import sensors_due, update
 from pgm.inference.schedule import ONCE
-from pgm.kernels import conditionals, elements
-from pgm.kernels.arrays import Array, deviation, room
+from pgm.kernels import conditionals, elements, moments
+from pgm.kernels.arrays import Array, apply, deviation, room
 from pgm.kernels.conditionals import Map, Moments, Value
 from pgm.kernels.elements import Belief
 from pgm.kernels.moments import Conditional
@@ -27,6 +27,8 @@ from pgm.kernels.scan import gather, in_chunks, levels, prefixes, take
 # Beliefs this many deviations from the reference leave too few digits: they are solved for again.
 _FAR = 1e4
 _TRIES = 5
+# Beliefs that follow from one another do so within this part of a deviation.
+_CLOSE = 1e-7
 # Predictions as large as this are of no use.
 _BEYOND = 1e30
 
@@ -36,6 +38,8 @@ class Scanned:
     """What a forward scan leaves: `Forward`, whose log-densities are computed when asked for.
 
     They take the plan as it is linearised, so that they are to be asked for before it is again.
+    `agrees` says whether each belief follows from the one before it, which shows that composing
+    segments has cost no digits.
     """
 
     predicted_mean: Array
@@ -43,6 +47,7 @@ class Scanned:
     mean: Array
     cov: Array
     log_density: Callable[[], Array]
+    agrees: bool
 
 
 def whole(ahead: Ahead) -> Forward:
@@ -59,8 +64,10 @@ def filtered(
     reference: Array,
     anchor: Anchor | None = None,
     readings: Readings | None = None,
-) -> Scanned:
+) -> Ahead:
     """The forward pass with every CPD as it is laid out, as `forward.sweep` gives it.
+
+    Where composing segments costs digits, that is what it is.
 
     Parameters
     ----------
@@ -73,7 +80,8 @@ def filtered(
         Those of the plan about the reference, where they are known.
     """
     readings = Readings.of(plan, reference) if readings is None else readings
-    return _solve(plan, segments.steps(plan), _first(plan, anchor), readings, anchor)
+    found = _solve(plan, segments.steps(plan), _first(plan, anchor), readings, anchor)
+    return found if found.agrees else forward.sweep(plan, anchor)
 
 
 def run(plan: ChainPlan) -> Ahead:
@@ -91,7 +99,9 @@ def run(plan: ChainPlan) -> Ahead:
         std = deviation(found.cov)
         far = (np.abs(found.mean - reference) > _FAR * std) & (std > 0.0)
         if not _move(plan, found.predicted_mean) and not far.any():
-            return found
+            if found.agrees:
+                return found
+            break
         reference = found.mean
     return forward.run(plan, ONCE)[0]
 
@@ -153,6 +163,7 @@ def _solve(
     known = _from(first.known, reference[0], plan.steps)
     predicted = _from(first.predicted, reference[0], plan.steps)
     evidence = np.zeros((plan.steps + 1, plan.runs))
+    agrees = True
     if plan.steps:
         likelihood = readings.held(anchor)
         leaves = segments.leaves(near, likelihood, readings.stacks)
@@ -163,10 +174,14 @@ def _solve(
         )
         if not np.isfinite(known.mean.sum() + known.cov.sum()):
             _refuse(known)
+        pushed = in_chunks(conditionals.push, take(known, slice(None, -1)), near)
         if readings.stacks:
             # They are in the beliefs already.
-            before = in_chunks(conditionals.push, take(known, slice(None, -1)), near)
-        predicted.mean[1:], predicted.cov[1:] = before[:2]
+            predicted.mean[1:], predicted.cov[1:] = pushed
+            agrees = _agree(_read(predicted, readings), known)
+        else:
+            predicted.mean[1:], predicted.cov[1:] = before[:2]
+            agrees = _agree(pushed, take(predicted, slice(1, None)))
 
     def log_density() -> Array:
         total = evidence + readings.log_density(known.mean, predicted)
@@ -179,7 +194,29 @@ def _solve(
         known.mean + reference,
         known.cov,
         log_density,
+        agrees,
     )
+
+
+def _read(predicted: Moments, readings: Readings) -> Moments:
+    """Predictions after the readings of their steps."""
+    mean, cov, _ = in_chunks(
+        know, Belief(*predicted, np.zeros(predicted.mean.shape[:2])), readings.likelihood
+    )
+    for steps, matrix, residual, noise, _ in readings.stacks:
+        left = residual - apply(matrix, mean[steps])
+        found = moments.update(mean[steps], cov[steps], matrix, left, noise)
+        mean[steps], cov[steps] = found.mean, found.cov
+    return Moments(mean, cov)
+
+
+def _agree(found: Moments, due: Moments) -> bool:
+    """Whether moments are the same but for what rounding may make of them."""
+    std = deviation(due.cov)
+    off = np.abs(found.mean - due.mean)
+    far = off > _CLOSE * np.where(std > 0.0, std, np.abs(due.mean) + off.max(initial=0.0))
+    spread = np.abs(deviation(found.cov) - std) > _CLOSE * std.max(axis=0)
+    return not (far.any() or spread.any())
 
 
 def _from(belief: Belief, reference: Array, steps: int) -> Moments:

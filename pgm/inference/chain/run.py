@@ -55,7 +55,7 @@ def run(
     if not certificate.is_flat(plan):
         try:
             found = _solve(graph, plan, schedule, given)
-            if certificate.suffices(found._planned, found._swept, found._smoothed):
+            if certificate.suffices(found._planned, found._swept):
                 return found
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
@@ -85,7 +85,7 @@ def _carefully(
     if isinstance(schedule, Filtering):
         if isinstance(graph, BalancedGraph):
             _refuse_nonlinear(graph, plan)
-        swept, status = careful.run(plan, schedule)
+        swept, status = careful.sweep(plan, schedule)
         return kind(graph, status, plan, swept.forward, None, None, swept)
     result, status = smoother.carefully(plan, _smoothing(schedule), start)
     return kind(graph, status, plan, result.careful.forward, result.beliefs, None, result.careful)

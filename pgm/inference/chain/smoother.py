@@ -118,7 +118,7 @@ def carefully(
     plan: ChainPlan, schedule: Smoothing, start: Array | None
 ) -> tuple[CarefulSmoothed, Status]:
     """Run a smoothing schedule in twice the digits."""
-    swept = careful.sweep(plan, linearise=start is None)
+    swept, _ = careful.sweep(plan, ONCE if start is None else None)
     result = CarefulSmoothed.of(swept)
     return result, Status.of([], np.full(plan.runs, plan.exact), plan.lead)
 

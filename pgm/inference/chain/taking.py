@@ -1,0 +1,204 @@
+"""Readings taken into a belief in twice the digits, one component after another."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.inference.chain.iteration import Anchor
+from pgm.inference.chain.update import Due, refuse_contradiction, refuse_indefinite
+from pgm.kernels import twofold
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, sandwich
+from pgm.kernels.roots import NEGLIGIBLE
+from pgm.kernels.twofold import Twofold
+
+# The part of what is summed up to a variance that rounding may change.
+ROUNDING = 1e-31
+# By so much a variance has to exceed what rounding may have made of a zero.
+CLEAR = 100.0
+
+
+class Component(NamedTuple):
+    """A component of a reading, taken in.
+
+    Attributes
+    ----------
+    row, gain : Twofold
+        (runs, n): h and G; the gain is zero where nothing was learnt.
+    innovation : Twofold
+        (runs, 1 + q): v and V.
+    weight : Twofold
+        (runs,): 1 / S, zero where nothing was learnt.
+    """
+
+    row: Twofold
+    gain: Twofold
+    innovation: Twofold
+    weight: Twofold
+
+
+class Belief(NamedTuple):
+    """Moments as functions of δ.
+
+    Attributes
+    ----------
+    columns : Twofold
+        (runs, n, 1 + q): [m D].
+    cov : Twofold
+        (runs, n, n): P.
+    rounding : ndarray
+        (runs, n, n): a bound, as a covariance, of what rounding has changed P by so far. It goes
+        through transitions and readings as an error does.
+    """
+
+    columns: Twofold
+    cov: Twofold
+    rounding: Array
+
+    def shifted(self, mean: Array) -> Belief:
+        """With another mean, by so much."""
+        columns = self.columns.copy()
+        columns[..., 0] = columns[..., 0] + mean
+        return self._replace(columns=columns)
+
+    def certain(self) -> Belief:
+        """With zeros where a variance may be rounding alone."""
+        floor = CLEAR * variances(self.rounding)
+        open_ = variances(self.cov.hi) > floor
+        if open_.all():
+            return self
+        both = open_[..., None] & open_[..., None, :]
+        return self._replace(
+            cov=twofold.where(both, self.cov, 0.0), rounding=np.where(both, self.rounding, 0.0)
+        )
+
+
+def rounded(matrix: Array, cov: Array, noise: Array) -> Array:
+    """What rounding may change F P Fᵀ + noise by."""
+    size = np.abs(matrix)
+    summed = ((size @ np.abs(cov)) * size).sum(axis=-1) + np.abs(variances(noise))
+    bound: Array = ROUNDING * summed[..., None] * np.eye(matrix.shape[-2])
+    return bound
+
+
+def variances(cov: Array) -> Array:
+    """The diagonal of a covariance."""
+    found: Array = np.einsum("...ii->...i", cov)
+    return found
+
+
+class Taken(NamedTuple):
+    """What readings make of a belief.
+
+    Attributes
+    ----------
+    belief : Belief
+    components : list of Component
+    log_density : ndarray
+        (runs,): of the readings, given δ = 0.
+    """
+
+    belief: Belief
+    components: list[Component]
+    log_density: Array
+
+
+def update(due: Due, belief: Belief, mean: Array) -> Taken:
+    """Take in the readings of a step; the rounded mean tells how large their numbers are."""
+    rows, noises, seen = _decorrelated(due, mean)
+    components: list[Component] = []
+    log_density = np.zeros(len(mean))
+    left = np.zeros(seen.shape)
+    for k in range(seen.shape[-1]):
+        belief, component, predictive, indefinite = _take(
+            belief, rows[:, k, :-1], rows[:, k, -1], noises[:, k], seen[:, k]
+        )
+        if indefinite:
+            refuse_indefinite(due)
+        components.append(component)
+        innovation, weight = component.innovation[:, 0], component.weight
+        read = weight.hi > 0.0
+        left[:, k] = np.where(seen[:, k] & ~read, np.abs(innovation.hi), 0.0)
+        level = (innovation * innovation * weight).hi + np.log(np.where(read, predictive, 1.0))
+        log_density -= np.where(read, 0.5 * (level + LOG_2PI), 0.0)
+    if left.any():
+        refuse_contradiction(due, mean, left)
+    return Taken(belief, components, log_density)
+
+
+def hold(anchor: Anchor, step: int, taken: Taken) -> Taken:
+    """Take in the reading of an anchor too, which is no evidence."""
+    belief, components = taken.belief, list(taken.components)
+    size = belief.cov.shape[-1]
+    held = (anchor.std[step] > 0.0) & (anchor.weight > 0.0)[:, None]
+    variance = anchor.std[step] ** 2 / np.where(anchor.weight > 0.0, anchor.weight, 1.0)[:, None]
+    for k in range(size):
+        row = Twofold(np.broadcast_to(np.eye(size)[k], belief.columns.shape[:2]).copy())
+        value, noise = Twofold(anchor.mean[step][:, k]), Twofold(variance[:, k])
+        belief, component, *_ = _take(belief, row, value, noise, held[:, k])
+        components.append(component)
+    return Taken(belief, components, taken.log_density)
+
+
+def _take(
+    belief: Belief, row: Twofold, value: Twofold, noise: Twofold, seen: Mask
+) -> tuple[Belief, Component, Array, bool]:
+    """Take in a component; also its predictive variance, and whether that is indefinite."""
+    columns, cov, rounding = belief
+    cross = (cov @ row[..., None])[..., 0]
+    predictive = row.dot(cross) + noise
+    floor = np.maximum(sandwich(row.hi[:, None, :], rounding), 0.0)
+    floor = (floor + rounded(row.hi[:, None, :], cov.hi, noise.hi[:, None, None]))[:, 0, 0]
+    indefinite = not np.isfinite(floor).all() or bool((predictive.hi < -CLEAR * floor).any())
+    read = seen & (predictive.hi > CLEAR * floor)
+    weight = twofold.where(read, 1.0 / twofold.where(read, predictive, 1.0), 0.0)
+    innovation = -(row[:, None, :] @ columns)[:, 0]
+    innovation[:, 0] = innovation[:, 0] + value
+    gain = cross * weight[:, None]
+    columns = columns + gain[..., None] * innovation[:, None, :]
+    keep = np.eye(cov.shape[-1]) - gain[..., None] * row[:, None, :]
+    own = (gain * noise[:, None])[..., None] * gain[:, None, :]
+    rounding = sandwich(keep.hi, rounding) + rounded(keep.hi, cov.hi, own.hi)
+    after = Belief(columns, keep @ cov @ keep.mT + own, rounding).certain()
+    return after, Component(row, gain, innovation, weight), predictive.hi, indefinite
+
+
+def _decorrelated(due: Due, mean: Array) -> tuple[Twofold, Twofold, Mask]:
+    """The components of the readings of a step, each with an error of its own.
+
+    Returns
+    -------
+    rows : Twofold
+        (runs, D, n + 1): h, and the reading less the CPD's offset.
+    noises : Twofold
+        (runs, D): variances.
+    taken : ndarray of bool
+        (runs, D).
+    """
+    runs, width = mean.shape
+    parts = [(sensor, rows, *sensor.reading(rows)) for sensor, rows in due]
+    height = sum(value.shape[0] * value.shape[2] for _, _, _, value, _, _ in parts)
+    rows = Twofold.zeros((runs, height, width + 1))
+    noise = np.zeros((runs, height, height))
+    taken = np.ones((runs, height), dtype=bool)
+    top = 0
+    for sensor, own, matrix, value, cov, seen in parts:
+        count, size = value.shape[0], value.shape[2]
+        if (step := int(sensor.family.step[own.start])) in sensor.cross:
+            every = slice(top, top + count * size)
+            noise[:, every, every] = sensor.cross[step]
+        offset = sensor.family.offset[own]
+        for k in range(count):
+            place = slice(top, top + size)
+            top += size
+            rows.hi[:, place, :-1][..., sensor.parents] = matrix[k]
+            rows[:, place, -1] = Twofold(value[k]) - offset[k]
+            noise[:, place, place] = cov[k]
+            if seen is not None:
+                taken[:, place] = seen[k][..., None]
+    if not taken.all():
+        noise = np.where(taken[..., None] & taken[..., None, :], noise, np.eye(height))
+        rows = twofold.where(taken[..., None], rows, 0.0)
+    unit, noises = twofold.eliminated(noise, NEGLIGIBLE)
+    return twofold.solve_unit(unit, rows), noises, taken
