@@ -11,7 +11,6 @@ from pgm.inference.chain import cost
 from pgm.inference.chain.iteration import Anchor, Point, iterate
 from pgm.inference.chain.plan import Sensor
 from pgm.inference.chain.update import Due, linearise_sensor, sensors_due, update
-from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Mask, inner
@@ -48,16 +47,9 @@ def take(sensors: list[Sensor], step: int, mean: Array, cov: Array, schedule: Fi
     nothing = np.full(mean.shape[0], all(sensor.family.exact for sensor, _ in due))
     if schedule.iterations == 1 or nothing.all():
         return Taken(*once, [], nothing)
-    # The predicted belief need not agree with an exact reading, which all later points obey.
-    controlled = isinstance(schedule.damping, LevenbergMarquardt)
-    exact = controlled and any(sensor.exact for sensor, _ in due)
-    result = iterate(
-        _Reading(due, step, mean, cov),
-        _Updated(*once),
-        schedule,
-        nothing,
-        None if exact else Point(mean[None], cov[None]),
-    )
+    reading = _Reading(due, step, mean, cov)
+    predicted = Point(mean[None], cov[None])
+    result = iterate(reading, _Updated(*once), schedule, nothing, predicted)
     last = result.solution
     return Taken(result.mean[0], last.cov, last.log_density, result.residuals, result.converged)
 
@@ -106,3 +98,8 @@ class _Reading:
             cov = np.broadcast_to(at.cov, (count, *at.cov.shape[1:]))
             total = total + cost.readings(sensor, rows, mean, cov)
         return total
+
+    def feasible(self, mean: Array, found: Point) -> Array:
+        """The predicted means, given the exact readings alone."""
+        exact = [(sensor, rows) for sensor, rows in self.due if sensor.exact]
+        return update(exact, self.step, mean[0], self.cov)[0][None]

@@ -9,7 +9,16 @@ from functools import cached_property
 import numpy as np
 
 from pgm.factors.scope import angle_mask
-from pgm.inference.chain import backward, cost, forward, grouped, newton, parallel, reckoning
+from pgm.inference.chain import (
+    backward,
+    cost,
+    forward,
+    grouped,
+    newton,
+    parallel,
+    reckoning,
+    relations,
+)
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Point, iterate
@@ -79,13 +88,13 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         (T+1, runs, n): means of the slices for the first linearisation; without, it is that of the
         filter.
     """
-    cost.require_cost(schedule, plan.families)
+    cost.require_cost(schedule, plan.families, first=start is None)
     chain = _Chain(plan, _swept)
     if start is None:
         return _iterated(chain, schedule, Smoothed.of(plan, forward.run(plan, ONCE)[0]), None)
     at = _start(plan, start)
     chain.linearise(at, None)
-    return _from(chain, schedule, at)
+    return _iterated(chain, schedule, chain.solve(), at)
 
 
 def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
@@ -94,28 +103,24 @@ def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smo
     Without a start, everything is linearised first along a dead-reckoned trajectory, since beliefs
     are not to be waited for.
     """
-    cost.require_cost(schedule, plan.families)
+    cost.require_cost(schedule, plan.families, first=False)
     chain = _Chain(plan, parallel.filtered)
     if plan.exact:
         return _iterated(chain, schedule, Smoothed.of(plan, parallel.run(plan)), None)
     at = reckoning.dead(plan) if start is None else _start(plan, start)
     chain.linearise(at, None)
     means = newton.step(plan, at.mean) if _is_newton(plan, schedule) else None
-    return _from(chain, schedule, at) if means is None else _newton(chain, means, schedule, at)
-
-
-def _from(chain: _Chain, schedule: Smoothing, at: Point) -> tuple[Smoothed, Status]:
-    """Solve what was linearised at a point, and iterate."""
-    # A start need not obey exact CPDs, as what is solved for does: it has no cost.
-    controlled = isinstance(schedule.damping, LevenbergMarquardt)
-    return _iterated(chain, schedule, chain.solve(), None if controlled else at)
+    if means is None:
+        return _iterated(chain, schedule, chain.solve(), at)
+    return _newton(chain, means, schedule, at)
 
 
 def _iterated(
     chain: _Chain, schedule: Smoothing, solution: Smoothed, first: Point | None
 ) -> tuple[Smoothed, Status]:
     plan = chain.plan
-    if schedule.iterations == 1 or plan.exact:
+    controlled = first is not None and isinstance(schedule.damping, LevenbergMarquardt)
+    if plan.exact or (schedule.iterations == 1 and not controlled):
         return solution, Status.of([], np.full(plan.runs, plan.exact), plan.lead)
     result = iterate(chain, solution, schedule, np.zeros(plan.runs, dtype=bool), first)
     smoothed = result.solution
@@ -163,6 +168,10 @@ class _Chain:
     def cost(self, at: Point) -> Array:
         return cost.trajectory(self.plan, at)
 
+    def feasible(self, mean: Array, found: Point) -> Array:
+        nearest, obeyed = relations.projected(self.plan, mean, found.std)
+        return np.where(obeyed[:, None], nearest, found.mean)
+
 
 @dataclass(frozen=True, eq=False)
 class _Means:
@@ -186,6 +195,9 @@ class _Means:
 
     def cost(self, at: Point) -> Array:
         return self.chain.cost(at)
+
+    def feasible(self, mean: Array, found: Point) -> Array:
+        return self.chain.feasible(mean, found)
 
 
 def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
