@@ -215,7 +215,7 @@ class _Control:
         self.weight = np.full(runs, first)
 
     def feasible(self, first: Point, found: Point) -> Point:
-        """The first point, or where its cost is not finite one near it that the control can use."""
+        """The first point, with means that have a cost where steps are controlled by theirs."""
         if not isinstance(self.damping, LevenbergMarquardt):
             return first
         return first._replace(mean=self.problem.feasible(first.mean, found))

@@ -1,4 +1,4 @@
-"""Exact relations of a chain: linear CPDs whose noise is singular; trajectories projected onto them.
+"""Exact relations of a chain, of linear CPDs with singular noise, and projections onto them.
 
 A relation is C x = c at a step, or C x + B x⁻ = c with the slice before. It has a row for each
 component of the CPD's child; those that the noise leaves open are zero.
@@ -98,7 +98,7 @@ def _equations(relations: list[Relation], mean: Array, unit: Array, weight: floa
     diagonal = np.zeros((steps, runs, size, size)) + np.eye(size)
     above, right = np.zeros((steps - 1, runs, size, size)), np.zeros((steps, runs, size))
     for relation in relations:
-        step, earlier = relation.step, relation.step - 1
+        step = relation.step
         own = relation.own * unit[:, None, :]
         before = relation.before * unit[:, None, :]
         square = (own**2).sum(axis=-1) + (before**2).sum(axis=-1)
@@ -107,11 +107,11 @@ def _equations(relations: list[Relation], mean: Array, unit: Array, weight: floa
         left = relation.missed(mean)[0] / length
         np.add.at(diagonal, step, weight * multiply(transpose(own), own))
         np.add.at(right, step, weight * apply(transpose(own), left))
-        later = step > 0
-        before, own, left, earlier = (part[later] for part in (before, own, left, earlier))
-        np.add.at(diagonal, earlier, weight * multiply(transpose(before), before))
-        np.add.at(above, earlier, weight * multiply(transpose(before), own))
-        np.add.at(right, earlier, weight * apply(transpose(before), left))
+        later = np.flatnonzero(step)
+        back, earlier = transpose(before[later]), step[later] - 1
+        np.add.at(diagonal, earlier, weight * multiply(back, before[later]))
+        np.add.at(above, earlier, weight * multiply(back, own[later]))
+        np.add.at(right, earlier, weight * apply(back, left[later]))
     return System(diagonal, above, right)
 
 
