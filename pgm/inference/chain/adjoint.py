@@ -19,17 +19,21 @@ Durbin & Koopman, Time series analysis by state space methods, 2012, sections 4.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from pgm.compile import SliceLayout
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.careful import Careful, Step
 from pgm.inference.chain.flat import moments
+from pgm.inference.chain.iteration import Point
+from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.taking import ROUNDING, Belief, Component, variances
 from pgm.kernels import twofold
-from pgm.kernels.arrays import Array, Mask, sandwich, stacked
+from pgm.kernels.arrays import Array, Mask, block, sandwich, stacked
 from pgm.kernels.twofold import Twofold
 
 # A variance that the readings after a step leave so small a part of is not found as a difference.
@@ -95,26 +99,56 @@ class CarefulSmoothed:
         Of each step, given all readings.
     beliefs : Beliefs
         Their moments, rounded.
+    layout : SliceLayout
     """
 
     careful: Careful
     slices: list[Smooth]
     beliefs: Beliefs
+    layout: SliceLayout
 
     @classmethod
-    def of(cls, careful: Careful) -> CarefulSmoothed:
+    def of(cls, plan: ChainPlan, careful: Careful) -> CarefulSmoothed:
         """Go back."""
         shape = careful.forward.mean.shape
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
         slices = smoothed(careful, shape[0] - 1)
         for step, each in enumerate(slices):
             beliefs.mean[step], beliefs.cov[step] = moments(each.belief, careful.unknown)
-        return cls(careful, slices, beliefs)
+        return cls(careful, slices, beliefs, plan.layout)
 
     @property
     def means(self) -> Array:
         """Of the slices."""
         return self.beliefs.mean
+
+    @cached_property
+    def point(self) -> Point:
+        """Moments of slices, and of pairs."""
+        pairs = None if self.layout.single else self._pairs()
+        return Point(self.beliefs.mean, self.beliefs.cov, pairs)
+
+    def _pairs(self) -> Array:
+        """The covariances of the states before each step with its slice."""
+        states, front = self.layout.state_places, self.layout.state_size
+        found = [
+            joint(self.careful, [step - 1, step], self.slices)[1]
+            for step in range(1, len(self.slices))
+        ]
+        size = self.layout.slice_size
+        wanted = np.concatenate([np.arange(size)[states], size + np.arange(size)])
+        shape = (0, *self.beliefs.mean.shape[1:2], front + size, front + size)
+        return block(np.array(found), wanted, wanted) if found else np.zeros(shape)
+
+    def at(self, plan: ChainPlan, mean: Array) -> CarefulSmoothed:
+        """The same with other means."""
+        shift = mean - self.beliefs.mean
+        slices = [
+            each._replace(belief=each.belief.shifted(own))
+            for each, own in zip(self.slices, shift, strict=True)
+        ]
+        beliefs = Beliefs(mean, self.beliefs.cov)
+        return replace(self, slices=slices, beliefs=beliefs)
 
 
 def smoothed(careful: Careful, last: int) -> list[Smooth]:

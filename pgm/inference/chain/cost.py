@@ -95,12 +95,15 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
     return total
 
 
-def require_cost(schedule: Filtering | Smoothing, families: Iterable[Family]) -> None:
+def require_cost(
+    schedule: Filtering | Smoothing, families: Iterable[Family], *, first: bool = True
+) -> None:
     """Refuse nonlinear CPDs with singular noise where steps are controlled by their cost.
 
-    Only their solutions have a finite one.
+    Only their solutions have a finite one. `first` says whether the first step is left alone.
     """
-    if schedule.iterations == 1 or not isinstance(schedule.damping, LevenbergMarquardt):
+    once = first and schedule.iterations == 1
+    if once or not isinstance(schedule.damping, LevenbergMarquardt):
         return
     for family in families:
         if not family.exact and roots.determined(roots.root(family.own_noise)).any():

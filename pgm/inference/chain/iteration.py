@@ -133,6 +133,13 @@ class Problem(Protocol[Found]):
         """The cost of means with the covariances given, the noise as linearised, (runs,)."""
         ...
 
+    def feasible(self, mean: Array, found: Point) -> Array:
+        """Means that obey exact CPDs, whose others have no finite cost: these, or a projection.
+
+        Distances may be measured in the deviations of what was found.
+        """
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Iterated(Generic[S]):
@@ -179,10 +186,10 @@ def iterate(
     control = _Control(problem, schedule.damping, converged.size)
     residuals: list[Array] = []
     mean = solution.means
-    if schedule.iterations > 1 and not converged.all():
+    if not converged.all():
         point = solution.point
         if first is not None:
-            point = control.step(first, solution.point, ~converged)
+            point = control.step(control.feasible(first, point), point, ~converged)
             mean = control.shown(mean, point, ~converged)
     while len(residuals) + 1 < schedule.iterations and not converged.all():
         active = ~converged
@@ -207,6 +214,12 @@ class _Control:
         first = damping.start if isinstance(damping, LevenbergMarquardt) else 0.0
         self.weight = np.full(runs, first)
 
+    def feasible(self, first: Point, found: Point) -> Point:
+        """The first point, with means that have a cost where steps are controlled by theirs."""
+        if not isinstance(self.damping, LevenbergMarquardt):
+            return first
+        return first._replace(mean=self.problem.feasible(first.mean, found))
+
     def step(self, point: Point, found: Point, active: Mask) -> Point:
         """The point after this one, from which its linearisation has led to what was found."""
         if isinstance(self.damping, LevenbergMarquardt):
@@ -224,7 +237,8 @@ class _Control:
     ) -> Array:
         """Means that do not raise the cost; those of the point where none were found."""
         cost = self.problem.cost(point)
-        limit = cost + _NO_WORSE * np.abs(cost)
+        # A point outside a function's domain, where it has no cost, is worse than any other.
+        limit = np.where(np.isnan(cost), np.inf, cost + _NO_WORSE * np.abs(cost))
         mean = found.mean
         settled = ~active | (self.problem.cost(point._replace(mean=mean)) <= limit)
         self.weight = np.where(active & settled, self.weight / rule.factor, self.weight)

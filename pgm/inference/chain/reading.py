@@ -11,7 +11,6 @@ import numpy as np
 from pgm.inference.chain import cost
 from pgm.inference.chain.iteration import Anchor, Point, iterate
 from pgm.inference.chain.update import Due, linearise_sensor, update
-from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Mask, inner
@@ -107,6 +106,11 @@ class Reading(ABC, Generic[U]):
             total = total + cost.readings(sensor, rows, mean, cov)
         return total
 
+    def feasible(self, mean: Array, found: Point) -> Array:
+        """The predicted means, given the exact readings alone."""
+        exact = [(sensor, rows) for sensor, rows in self.due if sensor.exact]
+        return update(exact, self.step, mean[0], self.cov)[0][None]
+
 
 @dataclass(frozen=True, eq=False)
 class MomentReading(Reading[Updated]):
@@ -128,8 +132,5 @@ def take(reading: Reading[U], schedule: Filtering) -> Taken[U]:
     nothing = np.full(once.mean.shape[0], all(sensor.family.exact for sensor, _ in due))
     if schedule.iterations == 1 or nothing.all():
         return Taken(once, once.mean, [], nothing)
-    # The predicted belief need not agree with an exact reading, which all later points obey.
-    controlled = isinstance(schedule.damping, LevenbergMarquardt)
-    exact = controlled and any(sensor.exact for sensor, _ in due)
-    result = iterate(reading, once, schedule, nothing, None if exact else predicted)
+    result = iterate(reading, once, schedule, nothing, predicted)
     return Taken(result.solution, result.mean[0], result.residuals, result.converged)

@@ -87,7 +87,9 @@ def _carefully(
             _refuse_nonlinear(graph, plan)
         swept, status = careful.sweep(plan, schedule)
         return kind(graph, status, plan, swept.forward, None, None, swept)
-    result, status = smoother.carefully(plan, _smoothing(schedule), start)
+    result, status = smoother.carefully(
+        plan, _smoothing(schedule), start, reckoned=isinstance(graph, BalancedGraph)
+    )
     return kind(graph, status, plan, result.careful.forward, result.beliefs, None, result.careful)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -18,10 +19,10 @@ from pgm.inference.chain import (
     newton,
     parallel,
     reckoning,
+    relations,
 )
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
-from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Point, iterate
 from pgm.inference.chain.likelihoods import Readings
 from pgm.inference.chain.newton import Means
@@ -74,8 +75,7 @@ class Smoothed:
         return Smoothed(self.forward, reverse, Beliefs(mean, self.beliefs.cov), self.paired)
 
 
-# The forward pass of a plan, given the means at which it was linearised, and an anchor.
-Pass = Callable[[ChainPlan, Array, Anchor | None], Ahead]
+Either = TypeVar("Either", Smoothed, CarefulSmoothed)
 
 
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
@@ -89,13 +89,13 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         (T+1, runs, n): means of the slices for the first linearisation; without, it is that of the
         filter.
     """
-    cost.require_cost(schedule, plan.families)
+    cost.require_cost(schedule, plan.families, first=start is None)
     chain = _Chain(plan, _swept)
     if start is None:
         return _iterated(chain, schedule, Smoothed.of(plan, forward.run(plan, ONCE)[0]), None)
     at = _start(plan, start)
     chain.linearise(at, None)
-    return _from(chain, schedule, at)
+    return _iterated(chain, schedule, chain.solve(), at)
 
 
 def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
@@ -104,37 +104,42 @@ def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smo
     Without a start, everything is linearised first along a dead-reckoned trajectory, since beliefs
     are not to be waited for.
     """
-    cost.require_cost(schedule, plan.families)
-    chain = _Chain(plan, parallel.filtered)
+    cost.require_cost(schedule, plan.families, first=False)
+    chain = _Chain(plan, _scanned)
     if plan.exact:
         return _iterated(chain, schedule, Smoothed.of(plan, parallel.run(plan)), None)
     at = reckoning.dead(plan) if start is None else _start(plan, start)
     chain.linearise(at, None)
     means = newton.step(plan, at.mean) if _is_newton(plan, schedule) else None
-    return _from(chain, schedule, at) if means is None else _newton(chain, means, schedule, at)
+    if means is None:
+        return _iterated(chain, schedule, chain.solve(), at)
+    return _newton(chain, means, schedule, at)
 
 
 def carefully(
-    plan: ChainPlan, schedule: Smoothing, start: Array | None
+    plan: ChainPlan, schedule: Smoothing, start: Array | None, *, reckoned: bool
 ) -> tuple[CarefulSmoothed, Status]:
-    """Run a smoothing schedule in twice the digits."""
-    swept, _ = careful.sweep(plan, ONCE if start is None else None)
-    result = CarefulSmoothed.of(swept)
-    return result, Status.of([], np.full(plan.runs, plan.exact), plan.lead)
+    """Run a smoothing schedule in twice the digits, going forward step by step.
 
-
-def _from(chain: _Chain, schedule: Smoothing, at: Point) -> tuple[Smoothed, Status]:
-    """Solve what was linearised at a point, and iterate."""
-    # A start need not obey exact CPDs, as what is solved for does: it has no cost.
-    controlled = isinstance(schedule.damping, LevenbergMarquardt)
-    return _iterated(chain, schedule, chain.solve(), None if controlled else at)
+    Without a start, everything is linearised first by a filter, or along dead reckoning.
+    """
+    reckoned = reckoned and not plan.exact
+    cost.require_cost(schedule, plan.families, first=start is None and not reckoned)
+    chain = _Chain(plan, _careful)
+    if start is None and not reckoned:
+        swept, _ = careful.sweep(plan, ONCE)
+        return _iterated(chain, schedule, CarefulSmoothed.of(plan, swept), None)
+    at = reckoning.dead(plan) if start is None else _start(plan, start)
+    chain.linearise(at, None)
+    return _iterated(chain, schedule, chain.solve(), at)
 
 
 def _iterated(
-    chain: _Chain, schedule: Smoothing, solution: Smoothed, first: Point | None
-) -> tuple[Smoothed, Status]:
+    chain: _Chain[Either], schedule: Smoothing, solution: Either, first: Point | None
+) -> tuple[Either, Status]:
     plan = chain.plan
-    if schedule.iterations == 1 or plan.exact:
+    controlled = first is not None and isinstance(schedule.damping, LevenbergMarquardt)
+    if plan.exact or (schedule.iterations == 1 and not controlled):
         return solution, Status.of([], np.full(plan.runs, plan.exact), plan.lead)
     result = iterate(chain, solution, schedule, np.zeros(plan.runs, dtype=bool), first)
     smoothed = result.solution
@@ -149,7 +154,9 @@ def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
     return several and all(map(_pointwise, plan.families))
 
 
-def _newton(chain: _Chain, means: Means, schedule: Smoothing, at: Point) -> tuple[Smoothed, Status]:
+def _newton(
+    chain: _Chain[Smoothed], means: Means, schedule: Smoothing, at: Point
+) -> tuple[Smoothed, Status]:
     """Iterate on means alone, and solve for everything as it was linearised last."""
     unsettled = np.zeros(chain.plan.runs, dtype=bool)
     result = iterate(_Means(chain), means, schedule, unsettled, at)
@@ -159,35 +166,47 @@ def _newton(chain: _Chain, means: Means, schedule: Smoothing, at: Point) -> tupl
     return Smoothed.of(chain.plan, ahead), status
 
 
-def _swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Forward:
-    return forward.sweep(plan, anchor)
+def _swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
+    return Smoothed.of(plan, forward.sweep(plan, anchor))
+
+
+def _scanned(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
+    return Smoothed.of(plan, parallel.filtered(plan, reference, anchor))
+
+
+def _careful(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> CarefulSmoothed:
+    return CarefulSmoothed.of(plan, careful.sweep(plan, None, anchor)[0])
 
 
 @dataclass(eq=False)
-class _Chain:
+class _Chain(Generic[Either]):
     """All CPDs of a chain, to be linearised anywhere and solved."""
 
     plan: ChainPlan
-    forward: Pass
+    solver: Callable[[ChainPlan, Array, Anchor | None], Either]
     at: Array | None = None
 
     def linearise(self, at: Point, active: Mask | None) -> None:
         relinearise(self.plan, at, None if active is None or active.all() else active)
         self.at = at.mean
 
-    def solve(self, anchor: Anchor | None = None) -> Smoothed:
+    def solve(self, anchor: Anchor | None = None) -> Either:
         assert self.at is not None
-        return Smoothed.of(self.plan, self.forward(self.plan, self.at, anchor))
+        return self.solver(self.plan, self.at, anchor)
 
     def cost(self, at: Point) -> Array:
         return cost.trajectory(self.plan, at)
+
+    def feasible(self, mean: Array, found: Point) -> Array:
+        nearest, obeyed = relations.projected(self.plan, mean, found.std)
+        return np.where(obeyed[:, None], nearest, found.mean)
 
 
 @dataclass(frozen=True, eq=False)
 class _Means:
     """The same, to be solved for its means alone."""
 
-    chain: _Chain
+    chain: _Chain[Smoothed]
 
     def linearise(self, at: Point, active: Mask | None) -> None:
         self.chain.linearise(at, active)
@@ -205,6 +224,9 @@ class _Means:
 
     def cost(self, at: Point) -> Array:
         return self.chain.cost(at)
+
+    def feasible(self, mean: Array, found: Point) -> Array:
+        return self.chain.feasible(mean, found)
 
 
 def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
