@@ -36,8 +36,8 @@ from pgm.kernels import twofold
 from pgm.kernels.arrays import Array, Mask, block, sandwich, stacked
 from pgm.kernels.twofold import Twofold
 
-# A variance that the readings after a step leave so small a part of is not found as a difference.
-_SMALL = 1e-6
+# A difference is found in another way where this part of it may be rounding.
+_CLOSE = 1e-12
 # The share of its diagonal entry below which a pivot of a predicted covariance is rounding.
 _SINGULAR = 1e-26
 
@@ -51,7 +51,7 @@ class Later(NamedTuple):
     def before(self, components: list[Component]) -> Later:
         """With the components read at the step too, for the belief before they are."""
         vector, matrix = self
-        for row, gain, innovation, weight in reversed(components):
+        for row, gain, innovation, weight, _ in reversed(components):
             keep = np.eye(matrix.shape[-1]) - gain[..., None] * row[:, None, :]
             said = innovation * weight[:, None]
             vector = keep.mT @ vector + row[..., None] * said[:, None, :]
@@ -80,11 +80,14 @@ class Smooth(NamedTuple):
         What is read from its step on.
     back : Back or None
         Where in some run the belief was found from that of the slice after it.
+    error : ndarray
+        (runs,): the part of a variance that rounding may have changed.
     """
 
     belief: Belief
     here: Later
     back: Back | None
+    error: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +119,12 @@ class CarefulSmoothed:
         for step, each in enumerate(slices):
             beliefs.mean[step], beliefs.cov[step] = moments(each.belief, careful.unknown)
         return cls(careful, slices, beliefs, plan.layout)
+
+    @property
+    def error(self) -> Array:
+        """The largest part of a variance that rounding may have changed, (runs,)."""
+        largest: Array = np.max([each.error for each in self.slices], axis=0)
+        return np.maximum(largest, self.careful.error)
 
     @property
     def means(self) -> Array:
@@ -155,16 +164,19 @@ def smoothed(careful: Careful, last: int) -> list[Smooth]:
     """Every slice up to a last step, given the readings up to it."""
     columns, cov, _ = careful.steps[last].known
     later = Later(Twofold.zeros(columns.shape), Twofold.zeros(cov.shape))
+    blurred = np.zeros(columns.shape[0])
     out: list[Smooth] = []
     for step in range(last, -1, -1):
         made = careful.steps[step]
-        belief, back = _given(made.known, later), None
-        if out and (lost := _lost(made.known, belief)).any():
-            gain, other = _reversed(made.known, careful.steps[step + 1], out[-1].belief)
-            back = Back(gain, lost)
-            belief = _either(lost, other, belief)
+        belief, error, back = *_given(made.known, later, blurred), None
+        if out and (error > _CLOSE).any():
+            gain, other, its_error = _reversed(made.known, careful.steps[step + 1], out[-1])
+            back = Back(gain, (its_error < error)[:, None, None])
+            belief, error = _either(back.lost, other, belief), np.minimum(error, its_error)
         here = later.before(made.components)
-        out.append(Smooth(belief, here, back))
+        out.append(Smooth(belief, here, back, error))
+        for component in made.components:
+            blurred = np.maximum(blurred, component.error)
         if made.matrix is not None:
             later = here.back(made.matrix)
     return out[::-1]
@@ -216,39 +228,42 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
     return twofold.where(back.lost, back.gain @ rest, across)
 
 
-def _given(known: Belief, later: Later) -> Belief:
-    """A belief with what is read after its step."""
+def _given(known: Belief, later: Later, blurred: Array) -> tuple[Belief, Array]:
+    """A belief with what is read after its step, and the part of a variance that may be rounding.
+
+    `blurred` is the largest part of an innovation's variance, after the step, that may be rounding.
+    """
     columns, cov, _ = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
-    rounding = ROUNDING * variances(cov.hi)[..., None] * np.eye(cov.shape[-1])
-    return Belief(columns + cov @ later.vector, left, known.rounding + rounding).certain()
+    before = variances(cov.hi)
+    rounding = (ROUNDING + blurred)[:, None] * before
+    found = Belief(
+        columns + cov @ later.vector, left, rounding[..., None] * np.eye(before.shape[-1])
+    )
+    after = np.maximum(variances(left.hi), rounding)
+    error = (rounding / np.where(after > 0.0, after, np.inf)).max(axis=-1)
+    return found.certain(), error
 
 
-def _lost(known: Belief, belief: Belief) -> Mask:
-    """Whether a variance is so much smaller than it was that the difference has lost its digits.
+def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belief, Array]:
+    """`_given` by Bayes' rule from the slice after it, and the gain G = P Aᵀ(P⁻)⁺ on that.
 
-    (runs, 1, 1).
+    The covariance (1 − G A) P (1 − G A)ᵀ + G (Q + P′) Gᵀ subtracts nothing.
     """
-    before, after = variances(known.cov.hi), variances(belief.cov.hi)
-    small: Mask = np.any((after < _SMALL * before) & (before > 0.0), axis=-1, keepdims=True)
-    return small[..., None]
-
-
-def _reversed(known: Belief, after: Step, belief: Belief) -> tuple[Twofold, Belief]:
-    """A belief with what is read after its step, by Bayes' rule from that of the slice after it.
-
-    With the gain G = P Aᵀ(P⁻)⁺, (1 − G A) P (1 − G A)ᵀ + G (Q + P′) Gᵀ subtracts nothing.
-    """
+    belief = later.belief
     columns, cov, _ = known
     matrix, noise = after.matrix, after.noise
     assert matrix is not None
     assert noise is not None
-    gain = cov @ matrix.mT @ twofold.inverse(*twofold.eliminated(after.predicted.cov, _SINGULAR))
+    unit, pivots = twofold.eliminated(after.predicted.cov, _SINGULAR)
+    gain = cov @ matrix.mT @ twofold.inverse(unit, pivots)
     keep = np.eye(cov.shape[-1]) - gain @ matrix
     left = keep @ cov @ keep.mT + gain @ (noise + belief.cov) @ gain.mT
     rounding = sandwich(keep.hi, known.rounding) + sandwich(gain.hi, belief.rounding)
     mean = columns + gain @ (belief.columns - after.predicted.columns)
-    return gain, Belief(mean, _symmetric(left), rounding).certain()
+    proper = np.where(pivots.hi > 0.0, pivots.hi, np.inf)
+    error = (variances(after.predicted.rounding) / proper).max(axis=-1) + later.error
+    return gain, Belief(mean, _symmetric(left), rounding).certain(), error
 
 
 def _either(mask: Mask, a: Belief, b: Belief) -> Belief:

@@ -82,6 +82,12 @@ class Careful:
     steps: list[Step]
     unknown: Solved
 
+    @property
+    def error(self) -> Array:
+        """The largest part of a variance that rounding may have changed, (runs,)."""
+        largest: Array = np.max([step.known.error for step in self.steps], axis=0)
+        return largest
+
     def to(self, step: int) -> Solved:
         """δ given the readings up to a step."""
         return solved(self.steps[step].information)

@@ -86,11 +86,19 @@ def _carefully(
         if isinstance(graph, BalancedGraph):
             _refuse_nonlinear(graph, plan)
         swept, status = careful.sweep(plan, schedule)
+        status = status.with_digits(_digits(swept.error, plan))
         return kind(graph, status, plan, swept.forward, None, None, swept)
     result, status = smoother.carefully(
         plan, _smoothing(schedule), start, reckoned=isinstance(graph, BalancedGraph)
     )
+    status = status.with_digits(_digits(result.error, plan))
     return kind(graph, status, plan, result.careful.forward, result.beliefs, None, result.careful)
+
+
+def _digits(error: Array, plan: ChainPlan) -> Array:
+    """The digits that an error leaves, no more than float64 has."""
+    least = np.finfo(np.float64).eps
+    return np.asarray(-np.log10(np.maximum(error, least)).reshape(plan.lead))
 
 
 def _kind(graph: DynamicGraph) -> type[ChainPosterior]:

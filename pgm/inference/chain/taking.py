@@ -30,12 +30,15 @@ class Component(NamedTuple):
         (runs, 1 + q): v and V.
     weight : Twofold
         (runs,): 1 / S, zero where nothing was learnt.
+    error : ndarray
+        (runs,): the part of S that rounding may have changed.
     """
 
     row: Twofold
     gain: Twofold
     innovation: Twofold
     weight: Twofold
+    error: Array
 
 
 class Belief(NamedTuple):
@@ -55,6 +58,14 @@ class Belief(NamedTuple):
     columns: Twofold
     cov: Twofold
     rounding: Array
+
+    @property
+    def error(self) -> Array:
+        """The largest part of a variance that rounding may have changed, (runs,)."""
+        variance = variances(self.cov.hi)
+        part = variances(self.rounding) / np.where(variance > 0.0, variance, np.inf)
+        largest: Array = part.max(axis=-1)
+        return largest
 
     def shifted(self, mean: Array) -> Belief:
         """With another mean, by so much."""
@@ -159,9 +170,13 @@ def _take(
     columns = columns + gain[..., None] * innovation[:, None, :]
     keep = np.eye(cov.shape[-1]) - gain[..., None] * row[:, None, :]
     own = (gain * noise[:, None])[..., None] * gain[:, None, :]
-    rounding = sandwich(keep.hi, rounding) + rounded(keep.hi, cov.hi, own.hi)
+    # What rounding has left of a zero in 1 − G h is squared.
+    size = np.eye(cov.shape[-1]) + np.abs(gain.hi[..., None] * row.hi[:, None, :])
+    again = ROUNDING * rounded(size, cov.hi, np.zeros_like(cov.hi))
+    rounding = sandwich(keep.hi, rounding) + rounded(keep.hi, cov.hi, own.hi) + again
     after = Belief(columns, keep @ cov @ keep.mT + own, rounding).certain()
-    return after, Component(row, gain, innovation, weight), predictive.hi, indefinite
+    component = Component(row, gain, innovation, weight, floor * weight.hi)
+    return after, component, predictive.hi, indefinite
 
 
 def _decorrelated(due: Due, mean: Array) -> tuple[Twofold, Twofold, Mask]:
