@@ -97,7 +97,7 @@ class TreeDraws:
                 assert given is not None
                 assert moved is not None
                 rows = slice(row, row + 1)
-                total += term.readings(rows, parents[None], given[rows], moved[rows], None)
+                total += term.readings(rows, parents[None], given[rows], moved[rows])
             else:
                 child = group.child[row]
                 values[..., child], weight = term.child(row, parents, values[..., child])
