@@ -1,4 +1,4 @@
-"""Readings of which some components are missing, against dense conditioning on those that are not."""
+"""Readings that lack components, against dense conditioning on those that are there."""
 
 import numpy as np
 import pytest
