@@ -66,7 +66,10 @@ class TreeDraws:
         if layout.size:
             joint = posterior.joint(*layout.hidden)
             mean, cov = joint.mean.reshape(runs, -1), joint.cov.reshape(runs, *joint.cov.shape[-2:])
-        terms = [Term.make(family, relative=relative) for family in model.families]
+        terms = [
+            Term.make(family, relative=relative, taken=taken)
+            for family, taken in zip(model.families, model.taken, strict=True)
+        ]
         free = np.zeros((1, *mean.shape), dtype=bool)
         for group, term in zip(layout.groups, terms, strict=True):
             mask = term.free()
