@@ -1,4 +1,4 @@
-"""The errors that pgm raises, and its warning: each names the object, the step, what was found, what to do."""
+"""Errors and warnings: each names the object, the step, what was found, what to do."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from dense import unrolled
-from textbooks import assert_belief, assert_covs, assert_log, assert_means, assert_same
+from textbooks import assert_covs, assert_log, assert_means
 
 import pgm
 
@@ -158,45 +158,50 @@ FILTERS = {
 @pytest.mark.parametrize("method", FILTERS)
 @pytest.mark.parametrize("name", SENSORS)
 def test_filtered_together_alone_and_online(name, method, runs):
-    sensor, options = SENSORS[name], FILTERS[method]
+    sensor, options = SENSORS[name], dict(FILTERS[method])
     model = network(sensor)
     values, others, gains = draw(sensor, runs)
-    seen = evidence(sensor, values, others, gains)
-    found = pgm.filter(model, seen, steps=T, **options)
-    for run in range(RUNS):
-        _, log_density = dense(sensor, values[run], others[run], gains)
-        assert_log(found.log_evidence[run], log_density)
-        for step in (0, 2, 3, T):
-            joint, _ = dense(sensor, values[run], others[run], gains, step)
-            belief = found[x.at(step)]
-            check(belief.mean[run], belief.cov[run], joint, step)
-        one = evidence(sensor, values[run], others[run], gains)
-        alone = pgm.filter(model, one, steps=T, **options)
-        assert_log(alone.log_evidence, log_density)
-        assert_belief(alone[x], found[x].mean[run], found[x].cov[run], 1e-8)
-    lineariser = options.get("lineariser", pgm.Taylor())
-    schedule = pgm.Filtering(**{k: v for k, v in options.items() if k != "lineariser"})
-    robot = pgm.OnlineFilter(model, lineariser, schedule)
-    for part, due in ((np.s_[:], found), (0, alone if runs == 1 else None)):
-        online(robot, sensor, values[part], others[part], gains, due)
+    due = [
+        [dense(sensor, values[run], others[run], gains, step) for step in range(T + 1)]
+        for run in range(RUNS)
+    ]
 
+    def compare(belief, step, run=None):
+        mean, cov = (
+            (belief.mean, belief.cov) if run is None else (belief.mean[run], belief.cov[run])
+        )
+        check(mean, cov, due[run or 0][step][0], step)
 
-def online(robot, sensor, values, others, gains, due):
-    """Step by step; where one robot is driven, the first, against the dense joint."""
-    belief = robot.initial()
+    together = pgm.filter(model, evidence(sensor, values, others, gains), steps=T, **options)
+    alone = pgm.filter(model, evidence(sensor, values[0], others[0], gains), steps=T, **options)
+    rule = options.pop("lineariser", pgm.Taylor())
+    robot = pgm.OnlineFilter(model, rule, pgm.Filtering(**options))
+    every = online(robot, sensor, values, others, gains)
+    single = online(robot, sensor, values[0], others[0], gains)
     for step in range(T + 1):
-        belief = robot.predict(belief) if step else belief
+        compare(alone[x.at(step)], step)
+        compare(single[step][x], step)
+        for run in range(RUNS):
+            compare(together[x.at(step)], step, run)
+            compare(every[step][x], step, run)
+    for found in (together, every[-1]):
+        assert_log(found.log_evidence[:RUNS], [steps[-1][1] for steps in due])
+    for found in (alone, single[-1]):
+        assert_log(found.log_evidence, due[0][-1][1])
+
+
+def online(robot, sensor, values, others, gains):
+    """The beliefs after each step."""
+    beliefs = [robot.initial()]
+    for step in range(T + 1):
+        belief = robot.predict(beliefs[-1]) if step else beliefs.pop()
         rows = step == steps_of(sensor)
         given = {w: gains[rows]} if w in sensor.parents else {}
         seen = {z: pgm.sightings(values[..., rows, :], given=given)}
         if step in (1, 4):
             seen[extra] = others[..., (1, 4).index(step), :]
-        belief = robot.update(belief, seen)
-        if due is None:
-            joint, _ = dense(sensor, values, others, gains, step)
-            check(belief[x].mean, belief[x].cov, joint, step)
-        else:
-            assert_same(belief[x], due[x.at(step)])
+        beliefs.append(robot.update(belief, seen))
+    return beliefs
 
 
 @pytest.mark.parametrize("name", SENSORS)

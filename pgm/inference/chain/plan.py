@@ -60,15 +60,21 @@ class Seen(NamedTuple):
     ----------
     matrix, offset, value, noise : ndarray
         F, b, z with angles moved, and the noise: (k, runs, ...).
-    missing : ndarray of int or None
-        (k, runs or 1): how many components are missing; None where none is.
+    taken : ndarray of bool or None
+        (k, runs or 1, d): which components are there; None where none is missing.
     """
 
     matrix: Array
     offset: Array
     value: Array
     noise: Array
-    missing: Integers | None
+    taken: Mask | None
+
+    @property
+    def missing(self) -> Integers:
+        """How many components of each reading are missing, (k, runs or 1)."""
+        none: Integers = np.zeros((1, 1), dtype=np.intp)
+        return none if self.taken is None else (~self.taken).sum(axis=-1)
 
 
 @dataclass(eq=False)
@@ -149,7 +155,7 @@ class Sensor:
             np.where(taken, offset, 0.0),
             np.where(taken, value, 0.0),
             independent(noise, taken),
-            (~taken).sum(axis=-1),
+            taken,
         )
 
     def noise(self, rows: slice | Integers) -> Array:

@@ -14,8 +14,9 @@ from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names, positions
-from pgm.inference.chain import backward
+from pgm.inference.chain import adjoint, backward
 from pgm.inference.chain.backward import Beliefs, Reverse
+from pgm.inference.chain.careful import Careful
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.information import backward_messages
 from pgm.inference.chain.innovations import BySensor, Innovations, innovations
@@ -25,7 +26,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
 from pgm.kernels import canonical
-from pgm.kernels.arrays import Array, block
+from pgm.kernels.arrays import Array, Index, block
 from pgm.variables import Variable
 
 
@@ -52,6 +53,7 @@ class ChainPosterior(Posterior):
     _swept: Forward | Filtered
     _smoothed: Beliefs | None
     _reverse_given: Reverse | None
+    _careful: Careful | None = None
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a hidden variable, at all its steps or at one."""
@@ -144,6 +146,8 @@ class ChainPosterior(Posterior):
         rows = [slice(int(a), int(b)) for a, b in pairwise(starts)]
         mean = np.empty((runs, starts[-1]))
         cov = np.empty((runs, starts[-1], starts[-1]))
+        if self._careful is not None:
+            return self._careful_joint(self._careful, tuple(variables), places)
         # Going back from each wanted step in turn gives its covariance with all earlier ones.
         beliefs = self._beliefs
         latest = max(steps)
@@ -169,6 +173,24 @@ class ChainPosterior(Posterior):
             tuple(variables),
             mean.reshape(*shape, -1),
             cov.reshape(*shape, *cov.shape[1:]),
+        )
+
+    def _careful_joint(self, careful: Careful, variables: Scope, places: list[Index]) -> Gaussian:
+        steps = [variable.step for variable in variables if variable.step is not None]
+        distinct = sorted(set(steps))
+        last = self.graph.steps if self._smoothed is not None else distinct[-1]
+        mean, cov = adjoint.joint(careful, distinct, adjoint.smoothed(careful, last))
+        size = self.graph.layout.slice_size
+        wanted = np.concatenate(
+            [
+                distinct.index(step) * size + np.arange(size)[place]
+                for step, place in zip(steps, places, strict=True)
+            ]
+        )
+        shape = self._plan.lead
+        mean, cov = mean[:, wanted], block(cov, wanted, wanted)
+        return Gaussian._make(
+            variables, mean.reshape(*shape, -1), cov.reshape(*shape, *cov.shape[1:])
         )
 
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
@@ -222,9 +244,15 @@ class ChainPosterior(Posterior):
         known = self._forward.log_density
         weight = (known if self._smoothed is not None else known[: step + 1]).sum(axis=0)
         if step:
-            pair = backward.pairs(beliefs, self._reverse, step - 1)
             scope: Scope = tuple(variable.at(step) for variable in layout.pair)
-            parts = canonical.from_moments(pair.mean, pair.cov, weight)
+            if self._careful is None:
+                pair = backward.pairs(beliefs, self._reverse, step - 1)
+                mean, cov = pair.mean, pair.cov
+            else:
+                joint = self.joint(*scope)
+                runs, size = self._plan.runs, joint.mean.shape[-1]
+                mean, cov = joint.mean.reshape(runs, size), joint.cov.reshape(runs, size, size)
+            parts = canonical.from_moments(mean, cov, weight)
         else:
             places = layout.state_places
             scope = tuple(variable.at(0) for variable in layout.states)

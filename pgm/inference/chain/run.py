@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
-from pgm.errors import EvidenceError, GraphError, ModelError
+from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.factors.scope import positions
-from pgm.inference.chain import forward, many, parallel, smoother
+from pgm.inference.chain import careful, certificate, forward, many, parallel, smoother
 from pgm.inference.chain.balanced import BalancedPosterior
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.many import Filtered
@@ -52,17 +52,53 @@ def run(
         raise EvidenceError("a start is for smoothing; a filter linearises at its own beliefs")
     given = None if start is None else _start(graph.layout, bound, start)
     plan = ChainPlan.make(graph, bound, lineariser)
+    if not certificate.is_flat(plan):
+        try:
+            found = _solve(graph, plan, schedule, given)
+            if certificate.suffices(found._planned, found._swept, found._smoothed):
+                return found
+        except NumericalError:
+            pass  # with twice the digits there may be an answer; if not, the same is refused
+        plan = ChainPlan.make(graph, bound, lineariser, probe=False)
+    return _carefully(graph, plan, schedule, given)
+
+
+def _solve(
+    graph: DynamicGraph, plan: ChainPlan, schedule: Filtering | Calibration, start: Array | None
+) -> ChainPosterior:
     balanced = isinstance(graph, BalancedGraph)
-    kind: type[ChainPosterior] = BalancedPosterior if balanced else ChainPosterior
+    kind = _kind(graph)
     if isinstance(schedule, Filtering):
         ahead, status = _scan(graph, plan) if balanced else _sweep(plan, schedule)
         return kind(graph, status, plan, ahead, None, None)
-    if not isinstance(schedule, Smoothing):
-        schedule = Smoothing(schedule.iterations, schedule.tolerance)
     run_smoothing = smoother.scan if balanced else smoother.smooth
-    result, status = run_smoothing(plan, schedule, given)
+    result, status = run_smoothing(plan, _smoothing(schedule), start)
     ahead = parallel.whole(result.forward)
     return kind(graph, status, plan, ahead, result.beliefs, result.reverse)
+
+
+def _carefully(
+    graph: DynamicGraph, plan: ChainPlan, schedule: Filtering | Calibration, start: Array | None
+) -> ChainPosterior:
+    """The same in twice the digits, one step after another."""
+    kind = _kind(graph)
+    if isinstance(schedule, Filtering):
+        if isinstance(graph, BalancedGraph):
+            _refuse_nonlinear(graph, plan)
+        swept, status = careful.run(plan, schedule)
+        return kind(graph, status, plan, swept.forward, None, None, swept)
+    result, status = smoother.carefully(plan, _smoothing(schedule), start)
+    return kind(graph, status, plan, result.careful.forward, result.beliefs, None, result.careful)
+
+
+def _kind(graph: DynamicGraph) -> type[ChainPosterior]:
+    return BalancedPosterior if isinstance(graph, BalancedGraph) else ChainPosterior
+
+
+def _smoothing(schedule: Calibration) -> Smoothing:
+    if isinstance(schedule, Smoothing):
+        return schedule
+    return Smoothing(schedule.iterations, schedule.tolerance)
 
 
 def _sweep(plan: ChainPlan, schedule: Filtering) -> tuple[Forward | Filtered, Status]:
@@ -76,15 +112,19 @@ def _sweep(plan: ChainPlan, schedule: Filtering) -> tuple[Forward | Filtered, St
 
 def _scan(graph: DynamicGraph, plan: ChainPlan) -> tuple[Forward, Status]:
     """Filter on a balanced tree."""
+    _refuse_nonlinear(graph, plan)
+    return parallel.whole(parallel.run(plan)), Status.of(
+        [], np.ones(plan.runs, dtype=bool), plan.lead
+    )
+
+
+def _refuse_nonlinear(graph: DynamicGraph, plan: ChainPlan) -> None:
     for family in plan.families:
         if not family.exact:
             raise GraphError(
                 f"{family.cpd!r} is nonlinear, and {graph!r} solves for all steps at once, where a "
                 "filter linearises at the belief before: compile without pgm.Balanced(), or smooth"
             )
-    return parallel.whole(parallel.run(plan)), Status.of(
-        [], np.ones(plan.runs, dtype=bool), plan.lead
-    )
 
 
 def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Array:

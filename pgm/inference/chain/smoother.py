@@ -9,7 +9,17 @@ from functools import cached_property
 import numpy as np
 
 from pgm.factors.scope import angle_mask
-from pgm.inference.chain import backward, cost, forward, grouped, newton, parallel, reckoning
+from pgm.inference.chain import (
+    backward,
+    careful,
+    cost,
+    forward,
+    grouped,
+    newton,
+    parallel,
+    reckoning,
+)
+from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Point, iterate
@@ -102,6 +112,15 @@ def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smo
     chain.linearise(at, None)
     means = newton.step(plan, at.mean) if _is_newton(plan, schedule) else None
     return _from(chain, schedule, at) if means is None else _newton(chain, means, schedule, at)
+
+
+def carefully(
+    plan: ChainPlan, schedule: Smoothing, start: Array | None
+) -> tuple[CarefulSmoothed, Status]:
+    """Run a smoothing schedule in twice the digits."""
+    swept = careful.sweep(plan, linearise=start is None)
+    result = CarefulSmoothed.of(swept)
+    return result, Status.of([], np.full(plan.runs, plan.exact), plan.lead)
 
 
 def _from(chain: _Chain, schedule: Smoothing, at: Point) -> tuple[Smoothed, Status]:

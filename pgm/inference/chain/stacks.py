@@ -68,6 +68,5 @@ def _stack(
             matrix[..., place, sensor.parents] = seen.matrix
             residual[..., place] = seen.value - apply(seen.matrix, mean) - seen.offset
             noise[..., place, place] = seen.noise
-            if seen.missing is not None:
-                missing += seen.missing
+            missing += seen.missing
     return Stack(steps, matrix, residual, noise, missing)

@@ -44,12 +44,12 @@ def _absorb(
     exact = any(sensor.exact for sensor, _ in due)
     result = moments.update(mean, cov, matrix, residual, noise, exact=exact)
     if not np.isfinite(result.log_density.sum()):
-        _refuse_indefinite(due)
+        refuse_indefinite(due)
     several = len(due) > 1 or due[0][1].stop - due[0][1].start > 1
     if several and not last and roots.smallest_pivot(result.lower) < NEARLY_SINGULAR:
         return None
     if result.left is not None:
-        _refuse_contradiction(due, mean, result.left)
+        refuse_contradiction(due, mean, result.left)
     log_density = result.log_density
     if missing is not None:
         log_density = log_density + 0.5 * LOG_2PI * missing
@@ -108,8 +108,9 @@ def stack(due: Due, step: int, mean: Array) -> tuple[Array, Array, Array, Array 
     """
     parts = [sensor.reading(rows) for sensor, rows in due]
     runs, width = mean.shape
-    missing = sum(part.missing.sum(axis=0) for part in parts if part.missing is not None)
-    lost = np.broadcast_to(missing, (runs,)) if np.any(missing) else None
+    lost = None
+    if any(part.taken is not None for part in parts):
+        lost = sum((part.missing.sum(axis=0) for part in parts), np.zeros(runs))
     if len(parts) == 1 and parts[0].matrix.shape[0] == 1 and _is_all(due[0][0].parents, width):
         [seen] = parts
         return seen.matrix[0], _residual(due[0][0], seen, mean)[0], seen.noise[0], lost
@@ -138,7 +139,8 @@ def _residual(sensor: Sensor, seen: Seen, mean: Array) -> Array:
     return np.subtract(seen.value, predicted, out=predicted)  # in memory as beliefs are
 
 
-def _refuse_indefinite(due: Due) -> None:
+def refuse_indefinite(due: Due) -> None:
+    """Refuse readings whose predictive covariance is indefinite or not finite."""
     names = ", ".join(sensor.variable.name for sensor, _ in due)
     blamed = [sensor for sensor, _ in due if sensor.family.approximate]
     sensor = blamed[0] if blamed else due[0][0]
@@ -157,7 +159,7 @@ def _refuse_indefinite(due: Due) -> None:
     )
 
 
-def _refuse_contradiction(due: Due, mean: Array, left: Array) -> None:
+def refuse_contradiction(due: Due, mean: Array, left: Array) -> None:
     """Refuse a reading that differs from what an exact model has already determined it to be."""
     parts = []
     for sensor, rows in due:
