@@ -149,9 +149,9 @@ class Gaussian(Immutable):
     def __getitem__(self, index: Any) -> Gaussian:
         """Some of the Gaussians, by their places along the leading axes.
 
-        Each axis takes a number, a slice or a row of places or truths, by itself; axes that are not
-        mentioned stay. ``belief[100:200]`` is of a hundred runs, or steps where there are no runs,
-        ``belief[..., -1]`` of the last step.
+        Each axis takes a number, a slice or a row of places or booleans, by itself; axes that are
+        not mentioned stay. ``belief[100:200]`` is of a hundred runs, or steps where there are no
+        runs, ``belief[..., -1]`` of the last step.
 
         Raises
         ------
@@ -174,8 +174,7 @@ class Gaussian(Immutable):
                 steps = None if isinstance(item, int) else steps[item]
         return self._make(self.scope, mean, cov, steps)
 
-    # Only some Gaussians are stacked, and then along more axes than one.
-    __iter__ = None
+    __iter__ = None  # else Python would go through places until one is refused
 
     def marginal(self, *keep: Variable) -> Gaussian:
         """The Gaussian over some of the variables, in the order asked for."""

@@ -19,7 +19,7 @@ def lead_index(index: Any, lead: tuple[int, ...], what: object) -> Sequence[Item
 
     Parameters
     ----------
-    index : int, slice, row of places or truths, Ellipsis, or tuple of them
+    index : int, slice, row of places or booleans, Ellipsis, or tuple of them
     lead : tuple of int
         The axes.
     what : object
@@ -54,7 +54,7 @@ def _item(part: Any, length: int, what: object) -> Item:
     except (TypeError, ValueError):
         raise ModelError(
             f"{what!r}: {part!r} picks nothing; give a number, a slice, or a row of places or "
-            "truths"
+            "booleans"
         ) from None
     except IndexError as error:
         raise ModelError(f"{what!r}: {error}") from None
