@@ -58,12 +58,13 @@ class Joint:
         return self.cov[np.ix_(self.index(a), self.index(b))]
 
     def given(self, evidence):
-        """Condition on values by label; also return the log-density of the values."""
-        if not evidence:
+        """Condition on values by label, NaN not known; also return the values' log-density."""
+        value = np.concatenate([np.zeros(0), *(np.ravel(each) for each in evidence.values())])
+        known = ~np.isnan(value)
+        if not known.any():
             return self, 0.0
-        value = np.concatenate([np.ravel(each) for each in evidence.values()])
-        seen = self.index(*evidence)
-        mean, cov = self.marginal(*evidence)
+        value, seen = value[known], self.index(*evidence)[known]
+        mean, cov = self.mean[seen], self.cov[np.ix_(seen, seen)]
         gain = self.cov[:, seen] @ np.linalg.pinv(cov, hermitian=True, rcond=1e-11)
         posterior = self.cov - gain @ self.cov[seen]
         log_density = multivariate_normal(mean, cov, allow_singular=True).logpdf(value)

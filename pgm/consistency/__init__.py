@@ -1,4 +1,9 @@
-"""Is a belief right about its own errors? Errors, normalised errors, coverage, whiteness."""
+"""Is a belief right about its own errors? Errors, normalised errors, coverage, whiteness.
+
+NaN in a truth is a component that is not known. Normalised errors and regions are then those of the
+marginal of the components that are; the length of an error is known where all of its components
+are. Results say how many they are made of, as their `count`.
+"""
 
 from pgm.consistency.autocorrelation import Whiteness, whiteness
 from pgm.consistency.averages import Average, anees, anis, average, mean_band

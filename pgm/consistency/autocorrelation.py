@@ -13,7 +13,7 @@ from pgm.consistency.quantiles import chi_squared, normal
 from pgm.errors import ModelError
 from pgm.inference import Innovations
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers, inner
+from pgm.kernels.arrays import Array, Integers, independent, inner
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
     Parameters
     ----------
     innovations : Innovations
-        As ``posterior.innovations[z]``; rows that were not taken are left out.
+        As ``posterior.innovations[z]``; components that were not taken are left out.
     lags : int
         The number of lags.
     confidence : float
@@ -109,15 +109,13 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
 
 
 def _by_step(innovations: Innovations) -> Array:
-    """Whitened innovations, (steps with readings, runs, readings, d), 0 where none was taken."""
+    """Whitened innovations, (steps with readings, runs, readings, d), 0 where not taken."""
     shape = innovations.residual.shape
     runs = math.prod(shape[:-2])
     residual = innovations.residual.reshape(runs, *shape[-2:])
     cov = innovations.cov.reshape(*residual.shape, shape[-1])
-    taken = ~np.isnan(residual[..., 0])
-    residual = np.where(taken[..., None], residual, 0.0)
-    lower = roots.root(np.where(taken[..., None, None], cov, np.eye(shape[-1])))
-    white = roots.whiten(lower, residual)
+    taken = ~np.isnan(residual)
+    white = roots.whiten(roots.root(independent(cov, taken)), np.where(taken, residual, 0.0))
 
     order = np.argsort(innovations.step, kind="stable")
     _, first, step, counts = np.unique(

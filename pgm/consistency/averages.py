@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.consistency.checks import check_count, check_innovations, numbers
-from pgm.consistency.errors import places
-from pgm.consistency.normalised import nees
+from pgm.consistency.normalised import nees_and_dof
 from pgm.consistency.quantiles import chi_squared, tails
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
@@ -138,6 +137,7 @@ def anees(
 ) -> Average:
     """The NEES at each step, averaged over runs, (T+1,); over all of a belief without steps.
 
+    Degrees of freedom differ with how much of the truth is known; the band is that of their sum.
     Above its band the belief claims too much, below it too little. See `nees` and `average`.
 
     Parameters
@@ -158,13 +158,8 @@ def anees(
     NumericalError
         If a covariance is singular.
     """
-    squares = nees(belief, truth, components)
-    return average(
-        squares,
-        len(places(belief, components)),
-        axis=run_axes(squares, belief.steps),
-        confidence=confidence,
-    )
+    squares, dof = nees_and_dof(belief, truth, components)
+    return average(squares, dof, axis=run_axes(squares, belief.steps), confidence=confidence)
 
 
 def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:

@@ -16,7 +16,7 @@ from pgm.kernels.arrays import Array, Integers
 
 
 def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
-    """Mean less truth, (..., n), angles wrapped to [−π, π).
+    """Mean less truth, (..., n), angles wrapped to [−π, π); NaN where the truth is not known.
 
     A truth has the steps of the belief. Its runs are the belief's, or it is one truth that all of
     them had; several truths against one belief are refused, since statistics would count them as
@@ -27,12 +27,12 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
     belief : Gaussian
         (*runs, T+1, n), as ``posterior[x]``; without steps, all its leading axes are runs.
     truth : array_like
-        (*runs, T+1, n), or without the axes of runs.
+        (*runs, T+1, n), or without the axes of runs; NaN in components that are not known.
 
     Raises
     ------
     ModelError
-        If the belief is no Gaussian, the axes do not fit, or a value is not finite.
+        If the belief is no Gaussian, the axes do not fit, or a value is infinite.
     """
     shape = check_gaussian(belief).mean.shape
     values = numbers("a truth", truth)
@@ -54,12 +54,12 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
             f"{what}; the leading axes, of runs, must agree: give as many truths as the belief has "
             "runs, or one for all of them"
         ) from None
-    if lost := int((~np.isfinite(values)).sum()):
-        *at, component = np.argwhere(~np.isfinite(spread))[0]
+    if lost := int(np.isinf(values).sum()):
+        *at, component = np.argwhere(np.isinf(spread))[0]
         raise ModelError(
-            f"{what} has values that are NaN or infinite ({lost} of {values.size}), the first of "
-            f"{labels(belief)[component]}{place(belief, tuple(at))}; leave out the runs or steps "
-            "whose truth is not known"
+            f"{what} has infinite values ({lost} of {values.size}), the first of "
+            f"{labels(belief)[component]}{place(belief, tuple(at))}; a truth that is not known is "
+            "NaN"
         )
     return difference(belief.mean, spread, belief.angles)
 
@@ -94,7 +94,10 @@ def places(belief: Gaussian, components: Sequence[str]) -> Integers:
 
 
 def size(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> Array:
-    """The length of the error, (...), over the components named, or over all."""
+    """The length of the error over the components named, or over all, (...).
+
+    NaN where the truth of one of them is not known.
+    """
     errors = error(belief, truth)[..., places(belief, components)]
     return np.asarray(np.sqrt(np.sum(errors**2, axis=-1)))
 
@@ -102,7 +105,8 @@ def size(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
 def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> float:
     """Root mean square error over all runs and steps.
 
-    √ of the mean of Σ e², the sum taken over the components named, or over all.
+    √ of the mean of Σ e², the sum taken over the components named, or over all, the mean over the
+    runs and steps at which the truth of all these is known.
 
     Parameters
     ----------
@@ -116,6 +120,19 @@ def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     Raises
     ------
     ModelError
-        If the truth or a component does not fit the belief.
+        If the truth or a component does not fit the belief, or none is known.
     """
-    return float(np.sqrt(np.mean(size(belief, truth, components) ** 2)))
+    lengths = size(belief, truth, components)
+    known = ~np.isnan(lengths)
+    if not known.any():
+        raise nothing_known(belief, components)
+    return float(np.sqrt(np.mean(lengths[known] ** 2)))
+
+
+def nothing_known(belief: Gaussian, components: Sequence[str]) -> ModelError:
+    """The error of a truth that is NaN wherever it is needed."""
+    wanted = ", ".join(components or labels(belief))
+    return ModelError(
+        f"no truth of {names(belief.scope)} is known, at any run or step, in ({wanted}); name "
+        "components that are, with components=(...)"
+    )

@@ -14,11 +14,14 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import names
 from pgm.inference import Innovations
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Mask, block, inner
+from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner
 
 
 def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> Array:
     """Normalised estimation error squared, eᵀP⁻¹e, (...): χ² with n degrees for a right belief.
+
+    Where the truth of some components is not known, e and P are those of the others, n of them;
+    NaN where that of none is.
 
     Parameters
     ----------
@@ -40,15 +43,24 @@ def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
     section 5.4.
     """
-    errors = error(belief, truth)
+    return nees_and_dof(belief, truth, components)[0]
+
+
+def nees_and_dof(
+    belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str]
+) -> tuple[Array, Integers]:
+    """The NEES, and its degrees of freedom: how many of the components are known, (...)."""
     chosen = places(belief, components)
-    lower = roots.root(block(belief.cov, chosen, chosen))
+    errors = error(belief, truth)[..., chosen]
+    known = ~np.isnan(errors)
+    lower = roots.root(independent(block(belief.cov, chosen, chosen), known))
     # A root that does not exist is NaN.
     faulty = ~(np.diagonal(lower, axis1=-2, axis2=-1) > 0.0)
     if faulty.any():
         raise _no_scale(belief, [labels(belief)[k] for k in chosen], faulty)
-    white = roots.whiten(lower, errors[..., chosen])
-    return inner(white, white)
+    white = roots.whiten(lower, np.where(known, errors, 0.0))
+    dof = known.sum(axis=-1)
+    return np.where(dof > 0, inner(white, white), np.nan), dof
 
 
 def _no_scale(belief: Gaussian, judged: list[str], faulty: Mask) -> NumericalError:
@@ -58,11 +70,7 @@ def _no_scale(belief: Gaussian, judged: list[str], faulty: Mask) -> NumericalErr
     leave = ""
     if where := place(belief, first):
         found = f"{int(singular.sum())} of {singular.size}, the first{where}, in {found}"
-        steps = "" if belief.steps is None else ", steps=steps[kept]"
-        leave = (
-            ", or leave such beliefs out, with pgm.Gaussian(scope, mean[..., kept, :], "
-            f"cov[..., kept, :, :]{steps}) and truth[..., kept, :]"
-        )
+        leave = ", or leave such beliefs out, with belief[..., kept] and truth[..., kept, :]"
     return NumericalError(
         f"no NEES of {names(belief.scope)}: a covariance is singular ({found}), so that an error "
         f"has no scale; judge components that vary, with components=(...){leave}",

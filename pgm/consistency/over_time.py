@@ -17,7 +17,7 @@ from pgm.kernels.arrays import Array, Integers
 
 @dataclass(frozen=True, eq=False)
 class OverTime:
-    """A size, at each step, of several runs.
+    """A size, at each step, of several runs; NaN at steps where that of none is known.
 
     Attributes
     ----------
@@ -28,6 +28,8 @@ class OverTime:
     median, low, high : ndarray
         (T+1,): percentiles over runs, which they cannot.
     runs : int
+    count : ndarray of int
+        (T+1,): in how many of them the size is known.
     """
 
     steps: Integers
@@ -36,6 +38,7 @@ class OverTime:
     low: Array
     high: Array
     runs: int
+    count: Integers
 
 
 def over_time(
@@ -58,19 +61,38 @@ def over_time(
         If the sizes are not over those steps or some are NaN, or the percentiles no such pair.
     """
     values = numbers("a size", sizes)
+    steps = _steps_of(values, steps)
+    if lost := int(np.isnan(values).sum()):
+        raise ModelError(
+            f"{lost} of the {values.size} sizes are NaN; leave out their runs or steps"
+        )
+    return _over_runs(values, steps, percentiles)
+
+
+def _steps_of(values: Array, steps: Integers | None) -> Integers:
     if steps is None or values.shape[-1:] != steps.shape:
         raise ModelError(
             f"sizes of shape {values.shape} over the steps {steps}; a belief over time is needed, "
             "like posterior[x]"
         )
-    flat = values.reshape(-1, values.shape[-1])
-    if lost := int(np.isnan(flat).sum()):
-        raise ModelError(f"{lost} of the {flat.size} sizes are NaN; leave out their runs or steps")
+    return steps
+
+
+def _over_runs(values: Array, steps: Integers, percentiles: tuple[float, float]) -> OverTime:
+    """Of sizes (*runs, T+1), those of NaN left out."""
     pair = numbers("a percentile", percentiles)
     if pair.shape != (2,) or not 0.0 <= pair[0] < pair[1] <= 100.0:
         raise ModelError(f"percentiles are a lower and an upper one in percent, not {percentiles}")
-    below, median, above = np.percentile(flat, (pair[0], 50.0, pair[1]), axis=0)
-    return OverTime(steps, np.sqrt(np.mean(flat**2, axis=0)), median, below, above, flat.shape[0])
+    flat = values.reshape(-1, values.shape[-1])
+    count = (~np.isnan(flat)).sum(axis=0)
+    known = count > 0
+    # With gaps it takes many times as long.
+    percentile = np.percentile if (count == len(flat)).all() else np.nanpercentile
+    rms, found = np.full(count.shape, np.nan), np.full((3, *count.shape), np.nan)
+    rms[known] = np.sqrt(np.nanmean(flat[:, known] ** 2, axis=0))
+    found[:, known] = percentile(flat[:, known], (pair[0], 50.0, pair[1]), axis=0)
+    below, median, above = found
+    return OverTime(steps, rms, median, below, above, len(flat), count)
 
 
 def rmse_over_time(
@@ -81,6 +103,8 @@ def rmse_over_time(
     percentiles: tuple[float, float] = (5.0, 95.0),
 ) -> OverTime:
     """RMSE over runs at each step, and percentiles of the length of a run's error.
+
+    The runs are, at each step, those of which the truth of all the components is known there.
 
     Parameters
     ----------
@@ -98,4 +122,5 @@ def rmse_over_time(
     ModelError
         If the belief is over no steps, or an argument does not fit it.
     """
-    return over_time(size(belief, truth, components), belief.steps, percentiles)
+    lengths = size(belief, truth, components)
+    return _over_runs(lengths, _steps_of(lengths, belief.steps), percentiles)

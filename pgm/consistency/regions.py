@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from pgm.consistency.averages import run_axes
 from pgm.consistency.checks import check_confidence
-from pgm.consistency.errors import places
-from pgm.consistency.normalised import nees
+from pgm.consistency.errors import nothing_known
+from pgm.consistency.normalised import nees_and_dof
 from pgm.consistency.quantiles import chi_squared, clopper_pearson
 from pgm.factors import Gaussian
 from pgm.kernels.arrays import Array, Mask
@@ -31,7 +29,9 @@ class Coverage:
     low, high : ndarray
         (...): the binomial interval of the region's probability, from the runs alone.
     runs : int
-        How many of them, independent of each other.
+        How many of them, independent of each other; those of which some truth is known.
+    count : int
+        How many truths, of all runs and steps.
     """
 
     nominal: Array
@@ -39,6 +39,7 @@ class Coverage:
     low: Array
     high: Array
     runs: int
+    count: int
 
     @property
     def inside(self) -> Mask:
@@ -62,6 +63,8 @@ def coverage(
     each other: they sharpen the share, but only runs count as trials, so that the interval is
     wider than need be rather than too narrow.
 
+    Where the truth of some components is not known, the region is that of the others.
+
     Parameters
     ----------
     belief : Gaussian
@@ -79,7 +82,7 @@ def coverage(
     ------
     ModelError
         If a confidence is not between 0 and 1, or the truth or a component does not fit the
-        belief.
+        belief, or no truth is known.
     NumericalError
         If a covariance is singular.
 
@@ -89,9 +92,15 @@ def coverage(
     binomial, 1934.
     """
     nominal = check_confidence(confidence)
-    squares = nees(belief, truth, components)
-    runs = math.prod(squares.shape[axis] for axis in run_axes(squares, belief.steps))
-    ordered = np.sort(squares, axis=None)
-    edge = chi_squared(nominal, len(places(belief, components)))
-    actual = np.searchsorted(ordered, edge, side="right") / ordered.size
-    return Coverage(nominal, actual, *clopper_pearson(actual, runs, band), runs)
+    squares, dof = nees_and_dof(belief, truth, components)
+    known = dof > 0
+    count = int(known.sum())
+    if not count:
+        raise nothing_known(belief, components)
+    held = np.zeros(nominal.shape, dtype=np.intp)
+    for degrees in np.unique(dof[known]):
+        ordered = np.sort(squares[dof == degrees])
+        held += np.searchsorted(ordered, chi_squared(nominal, degrees), side="right")
+    actual = held / count
+    runs = int((known if belief.steps is None else known.any(axis=-1)).sum())
+    return Coverage(nominal, actual, *clopper_pearson(actual, runs, band), runs, count)

@@ -67,35 +67,26 @@ def require_finite(
 
 
 def require_readings(variable: Variable, array: Array, step: Integers | None = None) -> Array:
-    """Refuse infinity, and rows that are only partly NaN, in a sensor's readings."""
+    """Refuse infinity in a sensor's readings, in which NaN is a component not taken."""
     taken_readings(variable, array, step)
     return array
 
 
 def taken_readings(variable: Variable, array: Array, step: Integers | None = None) -> Mask | None:
-    """Which of a sensor's readings, (..., rows, d), were taken, (..., rows); None for all.
+    """Which components of a sensor's readings, (..., rows, d), were taken; None for all.
 
     Refuses what `require_readings` does.
     """
     if np.isfinite(array).all():
         return None
-    missing = np.isnan(array)
     _refuse(
         variable,
         np.isinf(array).any(axis=-1),
         step,
         "infinite entries",
-        "a reading not taken is a row of NaN",
+        "a component not taken is NaN",
     )
-    taken: Mask = np.asarray(~missing.any(axis=-1))
-    _refuse(
-        variable,
-        taken == missing.all(axis=-1),
-        step,
-        "a row that is partly NaN",
-        "a reading not taken is a whole row of NaN, and a part of one needs a sensor of its own",
-    )
-    return taken
+    return ~np.isnan(array)
 
 
 def _refuse(

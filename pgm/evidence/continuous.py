@@ -6,13 +6,15 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
-from pgm.evidence.arrays import as_rows, require_finite
+from pgm.evidence.arrays import as_rows, require_finite, taken_readings
 from pgm.evidence.keys import unknown
 from pgm.evidence.runs import common_runs, flat
 from pgm.evidence.values import Constant, Evidence, Sightings
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Variable
 
 NOT_OBSERVED = "leave a variable that was not observed out of the evidence, in all runs alike"
@@ -27,11 +29,14 @@ class BoundValues:
     lead : tuple of int
         The leading axes, of runs; inside, they are flattened to one.
     values : mapping of Variable to ndarray
-        (runs or 1, d).
+        (runs or 1, d); zero where missing.
+    taken : mapping of Variable to ndarray of bool
+        Of the variables some of whose components are missing, which are not, (runs or 1, d).
     """
 
     lead: tuple[int, ...]
     values: Mapping[Variable, Array]
+    taken: Mapping[Variable, Mask]
 
     @property
     def runs(self) -> int:
@@ -51,7 +56,8 @@ def bind_values(
     ----------
     cpds : sequence of CPD
     evidence : mapping of Variable to array_like
-        (..., d); leading axes are runs.
+        (..., d); leading axes are runs. NaN is a component that was not observed, of a variable
+        on which no other depends: it integrates out.
     lead : tuple of int
         Leading axes that the runs have at least.
     needed : iterable of Variable
@@ -60,11 +66,14 @@ def bind_values(
     Raises
     ------
     EvidenceError
-        If evidence is missing, unknown, of a wrong shape, not finite, or the axes of runs do not
-        broadcast.
+        If evidence is missing, unknown, of a wrong shape, not finite where it has to be, or the
+        axes of runs do not broadcast.
     """
     known = {v for cpd in cpds for v in cpd.scope}
+    children = {cpd.child for cpd in cpds}
+    dependent = {parent: cpd.child for cpd in cpds for parent in cpd.parents}
     arrays: dict[Variable, Array] = {}
+    masks: dict[Variable, Mask] = {}
     for variable, value in evidence.items():
         if variable not in known:
             raise unknown(variable, known)
@@ -75,14 +84,26 @@ def bind_values(
                 variable=variable,
             )
         row = as_rows(variable, value.value if isinstance(value, Constant) else value, None)
-        arrays[variable] = require_finite(variable, row[..., None, :], advice=NOT_OBSERVED)[
-            ..., 0, :
-        ]
+        if variable in children and variable not in dependent:
+            taken = taken_readings(variable, row[..., None, :])
+            if taken is not None:
+                masks[variable] = taken[..., 0, :]
+                row = np.where(masks[variable], row, 0.0)
+        else:
+            advice = NOT_OBSERVED
+            if variable in dependent:
+                advice = f"{dependent[variable]!r} depends on it; {NOT_OBSERVED}"
+            require_finite(variable, row[..., None, :], advice=advice)
+        arrays[variable] = row
     for variable in needed:
         if variable not in arrays:
             _refuse_missing(variable, cpds)
     shape = common_runs([*((v, a.shape[:-1]) for v, a in arrays.items()), ("the model", lead)])
-    return BoundValues(shape, {v: flat(a, shape, 1) for v, a in arrays.items()})
+    return BoundValues(
+        shape,
+        {v: flat(a, shape, 1) for v, a in arrays.items()},
+        {v: flat(a, shape, 1) for v, a in masks.items()},
+    )
 
 
 def _refuse_missing(variable: Variable, cpds: Iterable[CPD]) -> None:

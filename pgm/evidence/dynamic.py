@@ -18,7 +18,7 @@ from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
 
-WHOLE = "only a sensor's reading may be missing, as a whole row of NaN"
+WHOLE = "only a sensor's reading may be missing, or components of it, as NaN"
 
 
 def bind(
@@ -190,8 +190,8 @@ class _Binder:
         inputs = self._inputs(cpd, given, step, None if sorted_already else order)
         taken = taken_readings(sensor, rows, step)
         if taken is None:
-            return Reading(cpd, step, order, rows, np.ones(step.size, dtype=bool), inputs)
-        return Reading(cpd, step, order, np.where(taken[..., None], rows, 0.0), taken, inputs)
+            return Reading(cpd, step, order, rows, np.ones(rows.shape[-2:], dtype=bool), inputs)
+        return Reading(cpd, step, order, np.where(taken, rows, 0.0), taken, inputs)
 
     def _inputs(
         self,

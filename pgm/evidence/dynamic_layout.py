@@ -35,7 +35,7 @@ class Reading:
     values : ndarray
         (M, runs or 1, d); zero where missing.
     taken : ndarray of bool
-        (M, runs or 1).
+        (M, runs or 1, d): which components were; the others are missing.
     inputs : mapping of Variable to ndarray
         Values of the sensor's observed parents, (M, runs or 1, d).
     """
@@ -97,6 +97,6 @@ def reading_by_row(reading: Reading, lead: tuple[int, ...]) -> Reading:
         reading.step,
         reading.order,
         by_row(reading.values, lead),
-        by_row(reading.taken[..., None], lead)[..., 0],
+        by_row(reading.taken, lead),
         {v: by_row(a, lead) for v, a in reading.inputs.items()},
     )

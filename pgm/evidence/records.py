@@ -42,8 +42,8 @@ def records(
         variable are names of states, or whole numbers, their indices; the numbers may be floats,
         since a column with NaN is. Not observed in this record is None, NaN, pandas' NA, a masked
         cell, −1, or an empty text that is no state's name. Categorical columns are the quickest.
-        Cells of a continuous variable are numbers, none of them missing, (records,) of a scalar,
-        (records, d) of a vector.
+        Cells of a continuous variable are numbers, (records,) of a scalar, (records, d) of a
+        vector; NaN is a component not observed, of a variable on which no other depends.
     network : BayesianNetwork or iterable of Variable
         Whose variables the columns are; a copy at a step is written like ``x[3]``.
     columns : iterable of str, optional
@@ -109,9 +109,7 @@ def _numbers(variable: Variable, column: Column) -> Array:
             raise TypeError
         array = np.asarray(column.cells, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise EvidenceError(
-            f"column {variable!r} must be numbers, none of them missing", variable=variable
-        ) from None
+        raise EvidenceError(f"column {variable!r} must be numbers", variable=variable) from None
     if array.ndim == 1 and variable.dimension == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[1] != variable.dimension:
@@ -121,11 +119,11 @@ def _numbers(variable: Variable, column: Column) -> Array:
             f"{{{repr(variable)!r}: frame[[...]]}}",
             variable=variable,
         )
-    bad = ~np.isfinite(array).all(axis=1)
+    bad = np.isinf(array).any(axis=1)
     if bad.any():
         raise EvidenceError(
-            f"column {variable!r} has NaN or infinity in record {int(bad.argmax())}; a continuous "
-            "variable is observed in all runs or in none: leave out the column, or such records",
+            f"column {variable!r} has infinity in record {int(bad.argmax())}; finite numbers were "
+            "due, or NaN where nothing was observed",
             variable=variable,
         )
     return array

@@ -91,8 +91,8 @@ def sightings(
     Parameters
     ----------
     values : array_like
-        (..., M, d); leading axes are runs; a row of NaN is a reading not taken. Left out where a
-        model is to draw them (`DynamicBayesianNetwork.sample`).
+        (..., M, d); leading axes are runs; NaN is a component not taken, a row of NaN a reading
+        not taken. Left out where a model is to draw them (`DynamicBayesianNetwork.sample`).
     step : array_like of int
         (M,), in 0..T, in any order, repeats allowed, shared by all runs. Left out online, where
         readings belong to the current step.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, names, positions
+from pgm.factors.stacking import lead_index
 from pgm.immutable import Immutable
 from pgm.kernels import moments, roots
 from pgm.kernels.angles import difference, wrap
@@ -144,6 +145,36 @@ class Gaussian(Immutable):
     def angles(self) -> npt.NDArray[np.bool_]:
         """Which components are angles, (n,)."""
         return angle_mask(self.scope)
+
+    def __getitem__(self, index: Any) -> Gaussian:
+        """Some of the Gaussians, by their places along the leading axes.
+
+        Each axis takes a number, a slice or a row of places or booleans, by itself; axes that are
+        not mentioned stay. ``belief[100:200]`` is of a hundred runs, or steps where there are no
+        runs, ``belief[..., -1]`` of the last step.
+
+        Raises
+        ------
+        ModelError
+            If there are no such places.
+
+        Examples
+        --------
+        >>> x = Variable("x")
+        >>> walk = Gaussian(x, mean=[[0.0], [1.0], [2.0]], cov=[[1.0]], steps=[0, 1, 2])
+        >>> walk[1:].steps
+        array([1, 2])
+        """
+        lead = self.mean.shape[:-1]
+        mean, cov, steps = self.mean, self.cov, self.steps
+        for axis, item in reversed(list(enumerate(lead_index(index, lead, self)))):
+            at = (slice(None),) * axis + (item,)
+            mean, cov = mean[at], cov[at]
+            if axis == len(lead) - 1 and steps is not None:
+                steps = None if isinstance(item, int) else steps[item]
+        return self._make(self.scope, mean, cov, steps)
+
+    __iter__ = None  # else Python would go through places until one is refused
 
     def marginal(self, *keep: Variable) -> Gaussian:
         """The Gaussian over some of the variables, in the order asked for."""

@@ -106,7 +106,7 @@ def readings(
     each = [as_stamps(f"stamps of {variable!r}", log.stamps, variable) for log in logs]
     counts = [part.size for part in each]
     stamps, values = np.concatenate(each), _values(variable, logs, counts)
-    taken = ~np.isnan(values[:, 0])  # a row of NaN is NaN throughout
+    taken: Mask = np.asarray(~np.isnan(values).all(axis=-1))
     given = {
         parent: _given(variable, parent, logs, counts, taken) for parent in _parents(variable, logs)
     }

@@ -44,7 +44,8 @@ def stamped(
         (n,), seconds, in any order.
     values : array_like
         (n, d), one row a stamp; (n,) where d = 1; or columns of a structured array or table, in
-        order, such as ``log[["distance", "turn"]]``. A sensor's row of NaN is a reading not taken.
+        order, such as ``log[["distance", "turn"]]``. NaN is a component that a
+        sensor has not taken.
     given : mapping of Variable to array_like, optional
         A sensor's observed parents, such as the landmark sighted: (n, d) each, (n,) where d = 1,
         or ``pgm.constant(value)`` where it is the same in all rows.

@@ -103,9 +103,9 @@ def timeline(
     ------
     EvidenceError
         If times do not increase, rows do not fit their stamps or their variable, numbers are NaN
-        or infinite (a reading may be a row of NaN: it is dropped as not taken), controls do not
-        reach from the first state to the last, two rows of a control have one stamp, or none of a
-        sensor's readings is kept.
+        or infinite (a reading may lack components, NaN: without any it is dropped as not taken),
+        controls do not reach from the first state to the last, two rows of a control have one
+        stamp, or none of a sensor's readings is kept.
 
     Notes
     -----

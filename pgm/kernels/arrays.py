@@ -199,6 +199,14 @@ def block(matrix: Array, rows: Index, columns: Index) -> Array:
     return matrix[..., rows[:, None], columns]
 
 
+def independent(cov: Array, seen: Mask) -> Array:
+    """Covariances whose components that are not seen have unit variance and no correlations.
+
+    Seen ones are (..., d); the others drop out of what the covariance is divided by.
+    """
+    return np.where(seen[..., None] & seen[..., None, :], cov, np.eye(cov.shape[-1]))
+
+
 def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kind]:
     """Some runs of an array that has all of them along an axis, or one for all."""
     return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]

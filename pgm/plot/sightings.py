@@ -36,7 +36,7 @@ def reading_counts(graph: ClusterGraph, evidence: Evidence) -> dict[Variable, in
     bound = bind(model.transition, model.observation, evidence, graph.steps, model.lead)
     counts = {sensor.at(step): 0 for sensor in model.sensors for step in span}
     for reading in bound.readings:
-        steps = reading.step[reading.taken.any(axis=-1)]
+        steps = reading.step[reading.taken.any(axis=(1, 2))]
         for step, count in zip(*np.unique(steps, return_counts=True), strict=True):
             counts[reading.cpd.child.at(int(step))] = int(count)
     return counts

@@ -115,7 +115,7 @@ def test_noise_of_what_is_not_known(variable, cpd):
         ({a: [1.0, 2.0]}, a, ["(2,)", "value[..., None]"]),
         ({p: 1.0}, p, ["()", "('p0', 'p1')"]),
         ({p: [[1.0], [2.0]]}, p, ["(2, 1)", "(..., 2)"]),
-        ({p: [1.0, np.nan]}, p, ["NaN", "was not observed out of the evidence"]),
+        ({b: np.nan}, b, ["NaN", "c depends on it", "was not observed out of the evidence"]),
         ({a: None}, a, ["NaN", "leave a variable that was not observed out of the evidence"]),
         ({a: pgm.constant(np.nan)}, a, ["NaN", "out of the evidence, in all runs alike"]),
         ({a: [[1.0], [np.nan]]}, a, ["NaN"]),

@@ -17,6 +17,7 @@ def bound(lead, step, missing=False):
     values = RNG.normal(size=(*lead, 4, 2))
     if missing:
         values[..., 2, :] = np.nan
+        values[..., 1, 1] = np.nan
     controls = RNG.normal(size=(*lead, 5, 2))
     seen = pgm.sightings(values, step=step, given={landmark: LANDMARKS})
     found = bind(MODEL.transition, MODEL.observation, {velocity: controls, sighting: seen}, None)
@@ -34,8 +35,8 @@ def test_rows_are_steps_then_runs(lead, step, missing):
     assert reading.step.tolist() == sorted(step)
     assert reading.order.tolist() == order.tolist()
     wide = values.reshape(runs, 4, 2)[:, order].swapaxes(0, 1)
-    taken = np.broadcast_to(reading.taken, wide.shape[:2])
-    np.testing.assert_array_equal(taken, ~np.isnan(wide[..., 0]))
+    taken = np.broadcast_to(reading.taken, wide.shape)
+    np.testing.assert_array_equal(taken, ~np.isnan(wide))
     np.testing.assert_array_equal(reading.values, np.nan_to_num(wide, nan=0.0))
     np.testing.assert_array_equal(reading.inputs[landmark][:, 0], LANDMARKS[order])
     due = controls.reshape(runs, 5, 2).swapaxes(0, 1)

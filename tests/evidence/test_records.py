@@ -134,11 +134,15 @@ def test_they_are_evidence_of_a_gaussian_network():
     pd = pytest.importorskip("pandas")
     frame = pd.DataFrame(rows, columns=["east", "north"])
     np.testing.assert_array_equal(pgm.records({"b": frame}, net)[b], rows)
+    np.testing.assert_array_equal(pgm.records({"a": [1.0, None]}, net)[a], [[1.0], [np.nan]])
+    frame.loc[1, "east"] = np.nan
+    found = pgm.infer(pgm.compile(net), pgm.records({"b": frame}, net))[a]
+    np.testing.assert_allclose(found.mean[:, 0], [rows[0] @ [1.0, 2.0] / 6.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(found.cov[:, 0, 0], [1.0 / 6.0, 1.0 / 5.0])
     for column, what in (
-        ([1.0, np.nan], "NaN or infinity in record 1; a continuous variable"),
+        ([1.0, np.inf], "infinity in record 1; finite numbers were due, or NaN"),
         (["x", "y"], "must be numbers"),
         (pd.Categorical([1.0, 2.0]), "must be numbers"),
-        ([1.0, None], "NaN or infinity in record 1"),
         ([[1.0], [2.0, 3.0]], "must be numbers"),
         ([1j, 2.0], "must be numbers"),
         ([10**400, 2.0], "must be numbers"),

@@ -148,14 +148,14 @@ NUMBERS = [
     row("NaN in a constant", {u: pgm.constant([1, np.nan])}, "u", "NaN", steps=T, variable=u),
     row("NaN in a landmark", sights(given={m: holed(AT, 1)}), "m", "NaN", variable=m),
     row(
-        "a partly missing reading",
-        GOOD | {fix: holed(np.zeros((T, 3)), 1, column=0)},
+        "a partly infinite reading",
+        GOOD | {fix: holed(np.zeros((T, 3)), 1, np.inf, column=0)},
         "fix",
-        "partly NaN",
-        "whole row",
+        "infinite",
+        "a component not taken is NaN",
         variable=fix,
     ),
-    row("a partly missing sighting", sights(holed(SEEN, 1, column=0)), "partly NaN", variable=z),
+    row("a partly known landmark", sights(given={m: holed(AT, 1, column=0)}), "NaN", variable=m),
     row("an infinite reading", sights(holed(SEEN, 1, -np.inf)), "z", "infinite", variable=z),
 ]
 
@@ -263,10 +263,10 @@ def test_evidence_errors_are_value_errors(refused):
     [
         ({u: holed(U, 2)}, 3),
         ({u: holed(np.stack([U, U]), 2, np.inf)}, 3),
-        (GOOD | {fix: holed(np.zeros((T, 3)), 1, column=0)}, 2),
+        (GOOD | {fix: holed(np.zeros((T, 3)), 1, np.inf, column=0)}, 2),
         (GOOD | {fix: holed(np.zeros((T, 3)), 0, np.inf)}, 1),
         (sights(given={m: holed(AT, 2)}), 4),
-        (sights(holed(SEEN, 1, column=0)), 2),
+        (sights(holed(SEEN, 1, np.inf, column=0)), 2),
         (sights(step=[4, 0, 2], values=holed(SEEN, 1, np.inf)), 0),
     ],
 )
@@ -279,7 +279,8 @@ def test_bad_numbers_say_at_which_step(evidence, step):
 @pytest.mark.parametrize("infer", [pgm.filter, pgm.smooth])
 def test_the_good_evidence_is_taken(infer):
     """Else the rows would say nothing."""
-    evidence = sights(step=[0, 4, 4]) | {fix: holed(np.zeros((T, 3)), 2)}
+    readings = holed(holed(np.zeros((T, 3)), 2), 1, column=0)
+    evidence = sights(holed(SEEN, 1, column=1), step=[0, 4, 4]) | {fix: readings}
     assert infer(MODEL, evidence)[x].mean.shape == (T + 1, 3)
     assert infer(HIDDEN, {wheel: np.ones((T, 1))})[u].mean.shape == (T, 2)
 
@@ -346,9 +347,9 @@ ONLINE = [
         cpd=SIGHT,
     ),
     online(
-        "partly NaN",
-        lambda: ROBOT.update(BELIEF, {fix: [np.nan, 0, 0]}),
-        "partly NaN",
+        "partly infinite",
+        lambda: ROBOT.update(BELIEF, {fix: [np.inf, 0, 0]}),
+        "infinite",
         variable=fix,
     ),
     online("a state", lambda: ROBOT.update(BELIEF, {x: [0, 0, 0]}), "x", "hidden", variable=x),

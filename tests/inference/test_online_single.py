@@ -152,9 +152,9 @@ SEEN = np.array([[5.0, 1.0]])
         ),
         (
             lambda r, b: r.update(
-                b, {SIGHT.z: pgm.sightings([[np.nan, 1.0]], given={m: LANDMARKS[:1]})}
+                b, {SIGHT.z: pgm.sightings([[np.inf, 1.0]], given={m: LANDMARKS[:1]})}
             ),
-            "partly NaN",
+            "infinite",
         ),
         (lambda r, b: r.update(b, {SIGHT.z: pgm.sightings(SEEN)}), "no evidence for m"),
         (

@@ -280,6 +280,13 @@ def test_report_of_readings():
     ]
 
 
+def test_a_reading_without_some_of_its_components_is_kept():
+    nan = np.nan
+    log = timeline(TIMES, sensors={gps: stamped([1.0, 2.0, 3.0], [[nan, 2], [nan, nan], [3, 4]])})
+    assert_array_equal(log.readings[gps].kept, [True, False, True])
+    assert_array_equal(log.evidence[gps].values, [[nan, 2], [3, 4]])
+
+
 def test_a_list_of_logs_is_one_log():
     near, far = [1.0, 2.0], [3.0, 4.0]
     logs = [
@@ -538,10 +545,10 @@ BAD = {
         plain,
         r"velocities of v end at 0 s, the states 4 s later",
     ),
-    "a reading partly NaN": (
-        {"sensors": {gps: stamped([0.0, 1.0], [[1, 2], [np.nan, 2]])}},
+    "a reading partly infinite": (
+        {"sensors": {gps: stamped([0.0, 1.0], [[1, 2], [np.inf, 2]])}},
         gps,
-        r"partly NaN",
+        r"gps has infinite entries; a component not taken is NaN",
     ),
     "a reading infinite": ({"sensors": {z: stamped([0.0], [np.inf])}}, z, r"range has infinite"),
     "a reading of a wrong shape": (

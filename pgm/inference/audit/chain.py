@@ -94,7 +94,10 @@ class ChainDraws:
             Proposal.make(later, free),
             prior,
             transition,
-            [(sensor, Term.make(sensor.family, relative=relative)) for sensor in plan.sensors],
+            [
+                (sensor, Term.make(sensor.family, relative=relative, taken=sensor.taken))
+                for sensor in plan.sensors
+            ],
             np.zeros(plan.runs) if reference is None else reference,
             relative,
         )
@@ -147,7 +150,6 @@ class ChainDraws:
                 np.broadcast_to(parents, (rows.stop - rows.start, *parents.shape)),
                 sensor.values[rows],
                 sensor.moved[rows],
-                None if sensor.taken is None else sensor.taken[rows],
             )
         return total
 

@@ -12,7 +12,7 @@ from pgm.factors.scope import names
 from pgm.inference.family import Family
 from pgm.kernels import roots
 from pgm.kernels.angles import difference, nearest_branch
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, transpose
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, independent, transpose
 
 Stack = TypeVar("Stack", Array, Mask)
 
@@ -31,20 +31,27 @@ class Term:
         affine one.
     linearised : ndarray or None
         (rows, runs, d, d): the root of the noise of the linearised CPD, where it is divided by.
+    taken : ndarray of bool or None
+        (rows, runs or 1, d): of a sensor, which components were read, where some were not. These
+        have unit variance in the roots.
     """
 
     family: Family
     own: Array
     relative: bool
     linearised: Array | None = None
+    taken: Mask | None = None
 
     @classmethod
-    def make(cls, family: Family, *, relative: bool) -> Term:
+    def make(cls, family: Family, *, relative: bool, taken: Mask | None = None) -> Term:
         """Take the roots of the noise."""
-        own = roots.root(family.own_noise)
+        own, noise = family.own_noise, family.noise
+        if taken is not None:
+            own, noise = independent(own, taken), independent(noise, taken)
+        own = roots.root(own)
         if not relative or family.exact:
-            return cls(family, own, relative)
-        linearised = roots.root(family.noise)
+            return cls(family, own, relative, taken=taken)
+        linearised = roots.root(noise)
         if roots.determined(own).any() or not _regular(linearised):
             cpd = family.cpd
             raise NumericalError(
@@ -55,7 +62,7 @@ class Term:
                 variable=cpd.child,
                 cpd=cpd,
             )
-        return cls(family, own, relative, linearised)
+        return cls(family, own, relative, linearised, taken)
 
     def free(self) -> Mask:
         """Which components of the child its parents leave open, (rows or 1, runs or 1, d)."""
@@ -83,9 +90,7 @@ class Term:
             proposed = np.where(_at(free, row)[..., None, :], proposed, implied)
         return proposed, self._relative(row, parents, proposed, log_density)
 
-    def readings(
-        self, rows: slice, parents: Array, values: Array, moved: Array, taken: Mask | None
-    ) -> Array:
+    def readings(self, rows: slice, parents: Array, values: Array, moved: Array) -> Array:
         """The log-density of readings, (runs, S), their sum over rows.
 
         Parameters
@@ -96,21 +101,27 @@ class Term:
         values, moved : ndarray
             (k, runs or 1, d): as given, and with angles on the branch of the linearisation, where
             an affine CPD takes them.
-        taken : ndarray of bool or None
-            (k, runs or 1).
         """
         if self.relative and self.family.exact:
             return np.zeros(parents.shape[1:3])
-        value = self._value(rows, parents, taken=taken)
+        value = self._value(rows, parents)
         reading = moved if self.family.exact else values
         angles = self.family.cpd.child.angle_mask & (not self.family.exact)
-        residual = difference(reading[..., None, :], value, angles)
+        residual = self._read(rows, difference(reading[..., None, :], value, angles))
         _, log_density = _log_density(_at(self.own, rows), residual)
         log_density = self._relative(rows, parents, moved[..., None, :], log_density)
-        if taken is not None:
-            log_density = np.where(taken[..., None], log_density, 0.0)
+        if self.taken is not None and not self.relative:
+            missing = (~self.taken[rows]).sum(axis=-1)
+            log_density = log_density + 0.5 * LOG_2PI * missing[..., None]
         total: Array = log_density.sum(axis=0)
         return total
+
+    def _read(self, rows: int | slice, residual: Array) -> Array:
+        """Residuals (..., S, d), zero in components that were not read."""
+        return residual if self.taken is None else np.where(self._seen(rows), residual, 0.0)
+
+    def _seen(self, rows: int | slice) -> Mask | np.bool_:
+        return np.True_ if self.taken is None else self.taken[rows][..., None, :]
 
     def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:
         """The log-density, less that of the linearised CPD where it is divided by."""
@@ -118,7 +129,7 @@ class Term:
             return own
         if self.linearised is None:
             return np.zeros(parents.shape[:-1])
-        residual = child - self._affine(rows, parents)
+        residual = self._read(rows, child - self._affine(rows, parents))
         return own - _log_density(self.linearised[rows], residual)[1]
 
     def _affine(self, rows: int | slice, parents: Array) -> Array:
@@ -132,7 +143,6 @@ class Term:
         parents: Array,
         *,
         on_chart: bool = False,
-        taken: Mask | None = None,
     ) -> Array:
         """The CPD's mean at draws of its parents, (..., S, d).
 
@@ -146,9 +156,7 @@ class Term:
         function = family.bound(rows, parents.ndim - 2, parents.shape[:-2])
         with np.errstate(all="ignore"):  # non-finite values are refused below
             value = function(parents)
-        lost = np.asarray(~np.isfinite(value).all(axis=-1))
-        if taken is not None:
-            lost &= taken[..., None]
+        lost = np.asarray((~np.isfinite(value) & self._seen(rows)).any(axis=-1))
         if lost.any():
             self._refuse(rows, parents, lost)
         if on_chart and function.angles.any():

@@ -66,7 +66,10 @@ class TreeDraws:
         if layout.size:
             joint = posterior.joint(*layout.hidden)
             mean, cov = joint.mean.reshape(runs, -1), joint.cov.reshape(runs, *joint.cov.shape[-2:])
-        terms = [Term.make(family, relative=relative) for family in model.families]
+        terms = [
+            Term.make(family, relative=relative, taken=taken)
+            for family, taken in zip(model.families, model.taken, strict=True)
+        ]
         free = np.zeros((1, *mean.shape), dtype=bool)
         for group, term in zip(layout.groups, terms, strict=True):
             mask = term.free()
@@ -97,7 +100,7 @@ class TreeDraws:
                 assert given is not None
                 assert moved is not None
                 rows = slice(row, row + 1)
-                total += term.readings(rows, parents[None], given[rows], moved[rows], None)
+                total += term.readings(rows, parents[None], given[rows], moved[rows])
             else:
                 child = group.child[row]
                 values[..., child], weight = term.child(row, parents, values[..., child])

@@ -51,10 +51,10 @@ def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
     expected = _expected(family, rows, mean[..., parents], block(cov, parents, parents))
     left = difference(sensor.values[rows], expected, family.cpd.child.angle_mask)
     if sensor.taken is not None:
-        left = np.where(sensor.taken[rows][..., None], left, 0.0)
+        left = np.where(sensor.taken[rows], left, 0.0)
     if sensor.cross:
         return _grouped(sensor, rows, left)
-    return weighted(family, left, family.noise[rows])
+    return weighted(family, left, sensor.noise(rows))
 
 
 def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
@@ -68,14 +68,12 @@ def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
             continue
         stacked = left[own.start - first : own.stop - first].swapaxes(0, 1).reshape(runs, -1)
         size = stacked.shape[1]
-        noise = np.zeros((runs, size, size)) + sensor.cross.get(step, 0.0)
-        for k, row in enumerate(range(own.start, own.stop)):
+        noise, between = np.zeros((runs, size, size)), sensor.between(step)
+        if between is not None:
+            noise += between
+        for k, each in enumerate(sensor.noise(own)):
             place = slice(k * height, (k + 1) * height)
-            noise[:, place, place] = sensor.family.noise[row]
-        if sensor.taken is not None:
-            seen = np.broadcast_to(sensor.taken[own], (own.stop - own.start, runs))
-            read = np.repeat(seen.T, height, axis=-1)
-            noise = np.where(read[..., None] & read[..., None, :], noise, np.eye(size))
+            noise[:, place, place] = each
         total += weighted(sensor.family, stacked[None], noise[None])
     return total
 

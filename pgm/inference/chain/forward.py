@@ -227,6 +227,8 @@ def keep_chart(link: Link, row: int, before: Array, child: Array) -> None:
 def is_semidefinite(family: Family) -> bool:
     """Whether the lineariser's error is never indefinite."""
     lineariser, width = family.lineariser, family.shape[-1]
+    if not width:  # no hidden parent, and no error
+        return True
     return isinstance(lineariser, ArrayLineariser) and lineariser.is_semidefinite(width)
 
 

@@ -13,7 +13,7 @@ from pgm.errors import EvidenceError
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import Sensor
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers, block, inner, sandwich
+from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, sandwich
 from pgm.variables import Variable
 
 
@@ -27,14 +27,15 @@ class Innovations:
     Attributes
     ----------
     residual : ndarray
-        (..., M, d): reading less prediction; NaN where not taken.
+        (..., M, d): reading less prediction; NaN in components not taken.
     cov : ndarray
-        (..., M, d, d): its predictive covariance, S = H P Hᵀ + noise; NaN where not taken.
+        (..., M, d, d): its predictive covariance, S = H P Hᵀ + noise; NaN in rows and columns of
+        components not taken.
     step : ndarray of int
         (M,).
     nis : ndarray
         (..., T+1): the normalised innovation squared of each step, rᵀS⁻¹r with the joint
-        covariance of the sensor's sightings at the step; NaN without any.
+        covariance of all components that were read at the step; NaN without any.
     dof : ndarray of int
         (..., T+1): the number of components read at each step.
     """
@@ -77,7 +78,7 @@ def innovations(sensor: Sensor, forward: Forward, lead: tuple[int, ...]) -> Inno
     residual = sensor.moved - family.value(slice(None), mean)
     spread = block(forward.predicted_cov[family.step], parents, parents)
     cov = sandwich(family.matrix, spread) + family.noise
-    taken = np.broadcast_to(True if sensor.taken is None else sensor.taken, residual.shape[:2])
+    taken = np.broadcast_to(True if sensor.taken is None else sensor.taken, residual.shape)
     nis, dof = _by_step(sensor, forward, residual, taken)
     back = np.argsort(sensor.order)
 
@@ -87,8 +88,8 @@ def innovations(sensor: Sensor, forward: Forward, lead: tuple[int, ...]) -> Inno
         return result
 
     return Innovations(
-        out(np.where(taken[..., None], residual, np.nan)[back]),
-        out(np.where(taken[..., None, None], cov, np.nan)[back]),
+        out(np.where(taken, residual, np.nan)[back]),
+        out(np.where(taken[..., None] & taken[..., None, :], cov, np.nan)[back]),
         family.step[back],
         out(nis),
         out(dof),
@@ -96,7 +97,7 @@ def innovations(sensor: Sensor, forward: Forward, lead: tuple[int, ...]) -> Inno
 
 
 def _by_step(
-    sensor: Sensor, forward: Forward, residual: Array, taken: np.ndarray
+    sensor: Sensor, forward: Forward, residual: Array, taken: Mask
 ) -> tuple[Array, Integers]:
     """Normalised innovations squared, (T+1, runs): steps with equally many sightings at once."""
     family, parents = sensor.family, sensor.parents
@@ -115,8 +116,8 @@ def _by_step(
             each = np.moveaxis(array[rows], 1, 2)
             return each.reshape(*each.shape[:2], width, *each.shape[4:])
 
-        seen = np.repeat(np.moveaxis(taken[rows], 1, 2), height, axis=-1)
-        matrix = stacked(family.matrix) * seen[..., None]
+        seen = np.moveaxis(taken[rows], 1, 2).reshape(steps.size, runs, width)
+        matrix = stacked(family.matrix)
         r = stacked(residual) * seen
         spread = block(forward.predicted_cov[steps], parents, parents)
         cov = sandwich(matrix, spread)
@@ -127,8 +128,7 @@ def _by_step(
         for index, step in enumerate(steps.tolist()):
             if step in sensor.cross:
                 cov[index] += sensor.cross[step]
-        cov = np.where(seen[..., None] & seen[..., None, :], cov, np.eye(cov.shape[-1]))
-        lower = roots.root(cov)
+        lower = roots.root(independent(cov, seen))
         white = roots.whiten(lower, r)
         dof[steps] = seen.sum(axis=-1)
         nis[steps] = np.where(dof[steps] > 0, inner(white, white), np.nan)

@@ -120,7 +120,9 @@ class Law:
         at, spread = (np.broadcast_to(each, (*lead, *each.shape)) for each in (mean, cov))
         found = self.family.call(function, at, spread)
         height, width = self.height * (count if self.grouped else 1), mean.size
-        matrix = np.broadcast_to(found.F, (*lead, height, width)).reshape(-1, width)
+        matrix = np.broadcast_to(found.F, (*lead, height, width)).reshape(
+            count * self.height, width
+        )
         offset = np.broadcast_to(found.b, (*lead, height)).reshape(-1)
         value = matrix.dot(mean) + offset
         if found.cov is None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from pgm.factors.scope import Scope
 from pgm.inference.family import Family
 from pgm.kernels import roots
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Index, Integers, Mask, cut
+from pgm.kernels.arrays import Array, Index, Integers, Mask, cut, independent
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 
@@ -51,6 +51,32 @@ class Link:
     before: Integers
 
 
+class Seen(NamedTuple):
+    """Some readings of a sensor as it is linearised, z = F x + b + n.
+
+    A missing component is one of unit variance that says nothing: zero in F, b and z.
+
+    Attributes
+    ----------
+    matrix, offset, value, noise : ndarray
+        F, b, z with angles moved, and the noise: (k, runs, ...).
+    taken : ndarray of bool or None
+        (k, runs or 1, d): which components are there; None where none is missing.
+    """
+
+    matrix: Array
+    offset: Array
+    value: Array
+    noise: Array
+    taken: Mask | None
+
+    @property
+    def missing(self) -> Integers:
+        """How many components of each reading are missing, (k, runs or 1)."""
+        none: Integers = np.zeros((1, 1), dtype=np.intp)
+        return none if self.taken is None else (~self.taken).sum(axis=-1)
+
+
 @dataclass(eq=False)
 class Sensor:
     """A sensor's family in place, with its readings sorted by step.
@@ -60,7 +86,7 @@ class Sensor:
     parents : Index
         Where its hidden parents stand in the slice vector.
     taken : ndarray of bool or None
-        (M, runs or 1); None where no reading is missing.
+        (M, runs or 1, d): which components were; None where none is missing.
     values : ndarray
         (M, runs or 1, d), as given.
     bounds : list of int
@@ -117,11 +143,39 @@ class Sensor:
             moved = np.where(active[:, None], moved, self.moved[rows])
         self.moved[rows] = moved
 
-    def reading(self, rows: slice) -> tuple[Array, Array, Array, Mask | None]:
-        """F, value as moved, noise and who was taken of some rows."""
+    def reading(self, rows: slice | Integers) -> Seen:
+        """Some rows, for beliefs to be conditioned on."""
         family = self.family
-        taken = None if self.taken is None else self.taken[rows]
-        return family.matrix[rows], self.moved[rows], family.noise[rows], taken
+        matrix, offset, value = family.matrix[rows], family.offset[rows], self.moved[rows]
+        noise, taken = family.noise[rows], self._taken(rows)
+        if taken is None:
+            return Seen(matrix, offset, value, noise, None)
+        return Seen(
+            np.where(taken[..., None], matrix, 0.0),
+            np.where(taken, offset, 0.0),
+            np.where(taken, value, 0.0),
+            independent(noise, taken),
+            taken,
+        )
+
+    def noise(self, rows: slice | Integers) -> Array:
+        """The noise of some rows, of unit variance where components are missing."""
+        noise, taken = self.family.noise[rows], self._taken(rows)
+        return noise if taken is None else independent(noise, taken)
+
+    def between(self, step: int) -> Array | None:
+        """The covariances between a step's sightings, (runs, D, D), zero where one is missing."""
+        cross, taken = self.cross.get(step), self._taken(self.rows(step))
+        if cross is None or taken is None:
+            return cross
+        seen = taken.swapaxes(0, 1).reshape(taken.shape[1], -1)
+        return np.where(seen[..., None] & seen[..., None, :], cross, 0.0)
+
+    def _taken(self, rows: slice | Integers) -> Mask | None:
+        """Which components of some rows were taken, (k, runs or 1, d); None for all."""
+        if self.taken is None or (taken := self.taken[rows]).all():
+            return None
+        return taken
 
 
 @dataclass(eq=False)

@@ -66,7 +66,7 @@ class Read(Rows):
             matrix[:, places] = narrow
         if self.taken is None or self.taken[first:last].all():
             return matrix, residual, noise
-        seen = np.flatnonzero(np.repeat(self.taken[first:last], self.height))
+        seen = np.flatnonzero(self.taken[first:last])
         return (matrix[seen], residual[seen], block(noise, seen, seen)) if seen.size else None
 
     def _store(

@@ -56,24 +56,17 @@ def _stack(
     for sensor, height, count in zip(sensors, heights, counts, strict=True):
         own = slice(top, top + height)
         for group, step in enumerate(steps.tolist()):
-            if step in sensor.cross:
-                noise[group, :, own, own] = sensor.cross[step]
+            between = sensor.between(step)
+            if between is not None:
+                noise[group, :, own, own] = between
         bounds = np.asarray(sensor.bounds)[steps]
-        family, each = sensor.family, sensor.moved.shape[-1]
+        each = sensor.moved.shape[-1]
         for k in range(int(count)):
-            rows, place = bounds + k, slice(top, top + each)
+            seen, place = sensor.reading(bounds + k), slice(top, top + each)
             top += each
             mean = reference[steps][..., sensor.parents]
-            found = family.matrix[rows]
-            matrix[..., place, sensor.parents] = found
-            residual[..., place] = sensor.moved[rows] - apply(found, mean) - family.offset[rows]
-            noise[..., place, place] = family.noise[rows]
-            if sensor.taken is not None:
-                lost = np.broadcast_to(~sensor.taken[rows], shape)
-                matrix[lost, place] = 0.0
-                residual[lost, place] = 0.0
-                noise[lost, place, :] = 0.0
-                noise[lost, :, place] = 0.0
-                noise[lost, place, place] = np.eye(each)
-                missing += each * lost
+            matrix[..., place, sensor.parents] = seen.matrix
+            residual[..., place] = seen.value - apply(seen.matrix, mean) - seen.offset
+            noise[..., place, place] = seen.noise
+            missing += seen.missing
     return Stack(steps, matrix, residual, noise, missing)

@@ -192,28 +192,25 @@ def _decorrelated(due: Due, mean: Array) -> tuple[Twofold, Twofold, Mask]:
         (runs, D).
     """
     runs, width = mean.shape
-    parts = [(sensor, rows, *sensor.reading(rows)) for sensor, rows in due]
-    height = sum(value.shape[0] * value.shape[2] for _, _, _, value, _, _ in parts)
+    parts = [(sensor, own, sensor.reading(own)) for sensor, own in due]
+    height = sum(seen.value.shape[0] * seen.value.shape[2] for *_, seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))
     noise = np.zeros((runs, height, height))
     taken = np.ones((runs, height), dtype=bool)
     top = 0
-    for sensor, own, matrix, value, cov, seen in parts:
-        count, size = value.shape[0], value.shape[2]
-        if (step := int(sensor.family.step[own.start])) in sensor.cross:
+    for sensor, own, seen in parts:
+        count, _, size = seen.value.shape
+        between = sensor.between(int(sensor.family.step[own.start]))
+        if between is not None:
             every = slice(top, top + count * size)
-            noise[:, every, every] = sensor.cross[step]
-        offset = sensor.family.offset[own]
+            noise[:, every, every] = between
         for k in range(count):
             place = slice(top, top + size)
             top += size
-            rows.hi[:, place, :-1][..., sensor.parents] = matrix[k]
-            rows[:, place, -1] = Twofold(value[k]) - offset[k]
-            noise[:, place, place] = cov[k]
-            if seen is not None:
-                taken[:, place] = seen[k][..., None]
-    if not taken.all():
-        noise = np.where(taken[..., None] & taken[..., None, :], noise, np.eye(height))
-        rows = twofold.where(taken[..., None], rows, 0.0)
+            rows.hi[:, place, :-1][..., sensor.parents] = seen.matrix[k]
+            rows[:, place, -1] = Twofold(seen.value[k]) - seen.offset[k]
+            noise[:, place, place] = seen.noise[k]
+            if seen.taken is not None:
+                taken[:, place] = seen.taken[k]
     unit, noises = twofold.eliminated(noise, NEGLIGIBLE)
     return twofold.solve_unit(unit, rows), noises, taken

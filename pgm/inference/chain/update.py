@@ -6,7 +6,7 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.inference.chain import grouped
-from pgm.inference.chain.plan import Sensor
+from pgm.inference.chain.plan import Seen, Sensor
 from pgm.kernels import moments, roots
 from pgm.kernels.arrays import LOG_2PI, Array, Index, Mask, apply, block
 
@@ -104,47 +104,39 @@ def linearise_sensor(
 def stack(due: Due, step: int, mean: Array) -> tuple[Array, Array, Array, Array | None]:
     """One reading of all sightings of a step: H, residual, noise, number of missing components.
 
-    A missing reading becomes one of unit variance that says nothing.
+    A missing component becomes one of unit variance that says nothing.
     """
-    parts = [_residual(sensor, rows, mean) for sensor, rows in due]
+    parts = [sensor.reading(rows) for sensor, rows in due]
     runs, width = mean.shape
-    if len(parts) == 1 and parts[0][0].shape[0] == 1 and _is_all(due[0][0].parents, width):
-        matrix, residual, noise, taken = parts[0]
-        if taken is None:
-            return matrix[0], residual[0], noise[0], None
-    height = sum(residual.shape[0] * residual.shape[2] for _, residual, _, _ in parts)
+    lost = None
+    if any(part.taken is not None for part in parts):
+        lost = sum((part.missing.sum(axis=0) for part in parts), np.zeros(runs))
+    if len(parts) == 1 and parts[0].matrix.shape[0] == 1 and _is_all(due[0][0].parents, width):
+        [seen] = parts
+        return seen.matrix[0], _residual(due[0][0], seen, mean)[0], seen.noise[0], lost
+    height = sum(seen.value.shape[0] * seen.value.shape[2] for seen in parts)
     matrices = np.zeros((runs, height, width))
     residuals = np.zeros((runs, height))
     noises = np.zeros((runs, height, height))
-    missing = np.zeros(runs)
     top = 0
-    for (sensor, _), (matrix, residual, noise, taken) in zip(due, parts, strict=True):
-        size = residual.shape[2]
-        if step in sensor.cross:
-            every = slice(top, top + residual.shape[0] * size)
-            noises[:, every, every] = sensor.cross[step]
-        for k in range(residual.shape[0]):
+    for (sensor, _), seen in zip(due, parts, strict=True):
+        count, _, size = seen.value.shape
+        residual, between = _residual(sensor, seen, mean), sensor.between(step)
+        if between is not None:
+            every = slice(top, top + count * size)
+            noises[:, every, every] = between
+        for k in range(count):
             rows = slice(top, top + size)
             top += size
-            matrices[:, rows, sensor.parents] = matrix[k]
+            matrices[:, rows, sensor.parents] = seen.matrix[k]
             residuals[:, rows] = residual[k]
-            noises[:, rows, rows] = noise[k]
-            if taken is not None:
-                lost = np.broadcast_to(~taken[k], (runs,))
-                matrices[lost, rows] = 0.0
-                residuals[lost, rows] = 0.0
-                noises[lost, rows, :] = 0.0
-                noises[lost, :, rows] = 0.0
-                noises[lost, rows, rows] = np.eye(size)
-                missing += size * lost
-    return matrices, residuals, noises, missing if missing.any() else None
+            noises[:, rows, rows] = seen.noise[k]
+    return matrices, residuals, noises, lost
 
 
-def _residual(sensor: Sensor, rows: slice, mean: Array) -> tuple[Array, Array, Array, Mask | None]:
-    matrix, value, noise, taken = sensor.reading(rows)
-    predicted = apply(matrix, mean[:, sensor.parents]) + sensor.family.offset[rows]
-    residual = np.subtract(value, predicted, out=predicted)  # in memory as beliefs are
-    return matrix, residual, noise, taken
+def _residual(sensor: Sensor, seen: Seen, mean: Array) -> Array:
+    predicted = apply(seen.matrix, mean[:, sensor.parents]) + seen.offset
+    return np.subtract(seen.value, predicted, out=predicted)  # in memory as beliefs are
 
 
 def refuse_indefinite(due: Due) -> None:
@@ -171,10 +163,9 @@ def refuse_contradiction(due: Due, mean: Array, left: Array) -> None:
     """Refuse a reading that differs from what an exact model has already determined it to be."""
     parts = []
     for sensor, rows in due:
-        matrix, value, _, _ = sensor.reading(rows)
-        shift = np.abs(sensor.family.offset[rows])
-        size = np.abs(value) + apply(np.abs(matrix), np.abs(mean[:, sensor.parents])) + shift
-        parts.append(size.max(axis=(0, 2)))
+        seen = sensor.reading(rows)
+        expected = apply(np.abs(seen.matrix), np.abs(mean[:, sensor.parents]))
+        parts.append((np.abs(seen.value) + expected + np.abs(seen.offset)).max(axis=(0, 2)))
     far = left > CONTRADICTION * np.max(parts, axis=0)[:, None]
     if not far.any():
         return

@@ -9,7 +9,17 @@ import numpy as np
 
 from pgm.inference.chain.plan import Sensor
 from pgm.kernels import roots
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, apply, inner, multiply, room, transpose
+from pgm.kernels.arrays import (
+    LOG_2PI,
+    Array,
+    Integers,
+    apply,
+    independent,
+    inner,
+    multiply,
+    room,
+    transpose,
+)
 from pgm.kernels.elements import Likelihood
 from pgm.kernels.scan import gather
 
@@ -28,7 +38,7 @@ class Whitened:
         (T+1, runs, n).
     white, scale : ndarray
         L⁻¹ and ln N(0; 0, L Lᵀ) of the noise L Lᵀ of each reading, or of all: (M or 1, runs or 1,
-        ...).
+        ...). Of a reading of some components alone they are those of its part of the noise.
     """
 
     sensor: Sensor
@@ -41,22 +51,25 @@ class Whitened:
         """None where the noise has no inverse, or readings have errors in common."""
         if sensor.exact or sensor.cross:
             return None
-        noise = distinct(sensor.family.noise)
+        noise, taken = distinct(sensor.family.noise), sensor.taken
+        size: int | Integers = noise.shape[-1]
+        if taken is not None and (taken.any(axis=-1) != taken.all(axis=-1)).any():
+            noise, size = independent(noise, taken), taken.sum(axis=-1)
         lower = roots.root(noise)
         if not roots.is_proper(lower) or roots.determined(lower).any():
             return None
         white = roots.solve_lower(lower, np.broadcast_to(np.eye(noise.shape[-1]), noise.shape))
-        size = noise.shape[-1]
         return cls(sensor, reference, white, -0.5 * (roots.log_determinant(lower) + size * LOG_2PI))
 
     def likelihood(self) -> Likelihood:
         """What all readings of each step say, (T+1, runs, ...)."""
 
         def said(rows: slice, counts: Integers) -> tuple[Array, Array]:
-            matrix = multiply(self._white(rows), self.sensor.family.matrix[rows])
-            residual = self._residual(rows, self.reference)
+            matrix = self.sensor.family.matrix[rows]
             if self.sensor.taken is not None:
-                matrix = np.where(self.sensor.taken[rows][..., None, None], matrix, 0.0)
+                matrix = np.where(self.sensor.taken[rows][..., None], matrix, 0.0)
+            matrix = multiply(self._white(rows), matrix)
+            residual = self._residual(rows, self.reference)
             alike = counts.size > 0 and bool((counts == counts[0]).all())
             if alike:
                 # The readings of a step as one: their sum is that of the product.
@@ -76,7 +89,7 @@ class Whitened:
             left = self._residual(rows, mean)
             scale = self.scale if len(self.scale) == 1 else self.scale[rows]
             if taken is not None:
-                scale = np.where(taken[rows], scale, 0.0)
+                scale = np.where(taken[rows].any(axis=-1), scale, 0.0)
             return (_added(scale - 0.5 * inner(left, left), counts),)
 
         return _by_step(self.sensor, density)[0]
@@ -89,10 +102,9 @@ class Whitened:
         sensor, family = self.sensor, self.sensor.family
         at = gather(mean, family.step[rows])[..., sensor.parents]
         left = sensor.moved[rows] - family.offset[rows] - apply(family.matrix[rows], at)
-        white = apply(self._white(rows), left)
-        return (
-            white if sensor.taken is None else np.where(sensor.taken[rows][..., None], white, 0.0)
-        )
+        if sensor.taken is not None:
+            left = np.where(sensor.taken[rows], left, 0.0)
+        return apply(self._white(rows), left)
 
 
 def distinct(array: Array) -> Array:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.evidence.continuous import BoundValues
 from pgm.inference.family import Family
@@ -16,6 +18,8 @@ from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
+
+Kind = TypeVar("Kind", np.float64, np.bool_)
 
 
 @dataclass(eq=False)
@@ -34,8 +38,11 @@ class Model:
     moved : list of ndarray or None
         The same, (CPDs, runs, d), with angles on the branch nearest the CPD's value at the point
         of linearisation.
+    taken : list of ndarray of bool or None
+        For each group the components of these that are not missing, (CPDs, runs or 1, d); None
+        where none is missing.
     shared : bool
-        Whether all runs have the same matrices and covariances.
+        Whether all runs have the same matrices and covariances, and the same components observed.
     frame : Frame
     """
 
@@ -44,6 +51,7 @@ class Model:
     families: list[Family]
     readings: list[Array | None]
     moved: list[Array | None]
+    taken: list[Mask | None]
     shared: bool
     frame: Frame
 
@@ -63,18 +71,22 @@ class Model:
         """
         families = [_family(group, bound, lineariser) for group in layout.groups]
         readings = [
-            _stacked([cpd.child for cpd in group.cpds], bound) if group.observed else None
+            _stacked([cpd.child for cpd in group.cpds], bound.values) if group.observed else None
             for group in layout.groups
         ]
+        taken = [_taken(group, bound) for group in layout.groups]
         for family in families:
             family.probe({})
-        shared = all(family.exact and family.own_noise.shape[1] == 1 for family in families)
+        alike = all(mask is None or mask.shape[1] == 1 for mask in taken)
+        shared = alike and all(
+            family.exact and family.own_noise.shape[1] == 1 for family in families
+        )
         if start is not None:
             for group, family in zip(layout.groups, families, strict=True):
                 at = start[:, group.parents].swapaxes(0, 1)
                 family.linearise(slice(None), at, np.zeros((*at.shape, at.shape[-1])))
         frame = prior_predictive(layout, families, bound.runs, shared=shared, start=start)
-        model = cls(layout, bound.lead, families, readings, [*readings], shared, frame)
+        model = cls(layout, bound.lead, families, readings, [*readings], taken, shared, frame)
         model._follow(frame.mean, None)
         return model
 
@@ -147,7 +159,7 @@ class Model:
 def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
     first = group.cpds[0]
     inputs = {
-        first.parents[k]: _stacked([cpd.parents[k] for cpd in group.cpds], bound)
+        first.parents[k]: _stacked([cpd.parents[k] for cpd in group.cpds], bound.values)
         for k, parent in enumerate(first.parents)
         if parent in bound.values
     }
@@ -156,8 +168,19 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
     return Family.make(first, group.hidden, step, inputs, lineariser, bound.lead, timed=timed)
 
 
-def _stacked(variables: Sequence[Variable], bound: BoundValues) -> Array:
-    """The values of some variables, (variables, runs or 1, d)."""
-    values = [bound.values[v] for v in variables]
+def _taken(group: Group, bound: BoundValues) -> Mask | None:
+    """Which components of a group's children were observed; None for all."""
+    children = [cpd.child for cpd in group.cpds]
+    if bound.taken.keys().isdisjoint(children):
+        return None
+    every = np.ones((1, group.height), dtype=bool)
+    return _stacked(children, {v: bound.taken.get(v, every) for v in children})
+
+
+def _stacked(
+    variables: Sequence[Variable], rows: Mapping[Variable, npt.NDArray[Kind]]
+) -> npt.NDArray[Kind]:
+    """The rows of some variables, (variables, runs or 1, d)."""
+    values = [rows[v] for v in variables]
     runs = max(value.shape[0] for value in values)
     return np.stack([np.broadcast_to(value, (runs, value.shape[1])) for value in values])

@@ -10,7 +10,7 @@ from pgm.cpds import ConditionalGaussian
 from pgm.errors import NumericalError
 from pgm.inference.gaussian.model import Model
 from pgm.kernels import roots
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, apply, transpose
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, independent, transpose
 from pgm.kernels.rows import NEGLIGIBLE, largest_first
 
 
@@ -82,6 +82,8 @@ class _Linearised:
         Which columns are of certain parents, (CPDs, w).
     size : ndarray
         Of the numbers that the residuals are sums of, (V, CPDs, d, N).
+    missing : ndarray of int
+        Components of evidence that are missing, and say nothing with unit variance, (V, CPDs).
     """
 
     cpds: list[ConditionalGaussian]
@@ -90,12 +92,13 @@ class _Linearised:
     noise: Array
     known: Mask
     size: Array
+    missing: Integers
 
     @classmethod
     def of(cls, model: Model, groups: range) -> _Linearised:
         """Of groups whose CPDs have one shape."""
         frame, runs = model.frame, 1 if model.shared else model.runs
-        matrices, residuals, noises, known, sizes = [], [], [], [], []
+        matrices, residuals, noises, known, sizes, missing = [], [], [], [], [], []
         cpds: list[ConditionalGaussian] = []
         for g in groups:
             group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
@@ -108,12 +111,20 @@ class _Linearised:
                 wide = np.broadcast_to(diagonal, (*own.shape[:3], group.height))
                 own = np.concatenate([wide, own], axis=-1)
             terms = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
-            sizes.append(np.maximum(terms, np.abs(child)))
+            size, noise = np.maximum(terms, np.abs(child)), family.noise[:, :runs]
+            residual, lost = child - value, np.zeros((len(group.cpds), runs), dtype=np.intp)
+            taken = model.taken[g]
+            if taken is not None:
+                own = np.where(taken[..., None], own, 0.0)
+                residual, size = np.where(taken, residual, 0.0), np.where(taken, size, 0.0)
+                noise, lost = independent(noise, taken), lost + (~taken).sum(axis=-1)
             certain = frame.certain[group.parents]
             known.append(np.pad(certain, [(0, 0), (own.shape[-1] - certain.shape[1], 0)]))
             matrices.append(own)
-            residuals.append(child - value)
-            noises.append(family.noise[:, :runs])
+            residuals.append(residual)
+            noises.append(noise)
+            sizes.append(size)
+            missing.append(lost)
             cpds += group.cpds
         return cls(
             cpds,
@@ -122,6 +133,7 @@ class _Linearised:
             np.concatenate(noises).swapaxes(0, 1),
             np.concatenate(known),
             by_run(np.concatenate(sizes), shared=model.shared),
+            np.concatenate(missing).T,
         )
 
 
@@ -163,7 +175,8 @@ def _factor(given: _Linearised) -> _Factor:
     right = -roots.solve_lower(lower, residual)
     fixed = roots.determined(lower)
     height = lower.shape[-1]
-    log_scale = -0.5 * ((height - fixed.sum(axis=-1)) * LOG_2PI + roots.log_determinant(lower))
+    dimension = height - fixed.sum(axis=-1) - given.missing
+    log_scale = -0.5 * (dimension * LOG_2PI + roots.log_determinant(lower))
     log_scale = log_scale - np.log(deviation).sum(axis=(-2, -1))
     log_scale = np.broadcast_to(log_scale[..., None], (*log_scale.shape, right.shape[-1]))
     if not fixed.any():

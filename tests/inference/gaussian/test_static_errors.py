@@ -62,9 +62,10 @@ EVIDENCE = [
         "three for two", {p: [1.0, 2.0, 3.0]}, "p", "(3,)", "('east', 'north')", variable=p
     ),
     evidence_row("runs of a scalar", {a: [1.0, 2.0]}, "a", "(2,)", "value[..., None]", variable=a),
-    evidence_row("NaN", {p: [1.0, np.nan]}, "p", "NaN", variable=p),
-    evidence_row("a whole row of NaN", {p: [[np.nan, np.nan], [0, 0]]}, "p", "NaN", variable=p),
+    evidence_row("NaN", {b: np.nan}, "b", "NaN", "c depends on it", variable=b),
+    evidence_row("NaN in a run", {b: [[np.nan], [0]]}, "b", "in all runs alike", variable=b),
     evidence_row("infinity", {a: np.inf}, "a", "infinite", variable=a),
+    evidence_row("infinity in a part", {p: [np.nan, np.inf]}, "p", "infinite", variable=p),
     evidence_row("a constant of NaN", {a: pgm.constant(np.nan)}, "a", "NaN", variable=a),
     evidence_row(
         "sightings", {a: pgm.sightings([[1.0]], step=[0])}, "a", "dynamic networks", variable=a
