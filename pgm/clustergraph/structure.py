@@ -79,7 +79,7 @@ class ClusterGraph(Immutable):
             """In the network's order, since sets have none of their own."""
             if not isinstance(members, Variable | Iterable):
                 raise GraphError(f"{where} is a set of variables, not {members!r}")
-            found = as_scope(members, where)
+            found = as_scope(members, where, ordered=False)
             for variable in found:
                 if variable not in place:
                     raise GraphError(

@@ -12,6 +12,7 @@ from pgm.cpds.base import CPD
 from pgm.errors import ModelError
 from pgm.factors.scope import names
 from pgm.kernels.arrays import Array, frozen
+from pgm.numeric import as_floats
 from pgm.variables import Discrete, Variable
 
 # How far an entry of a table with six decimals may be from the number that was rounded.
@@ -39,7 +40,8 @@ class TableCPD(CPD):
 
     Examples
     --------
-    >>> from pgm.variables import Discrete
+    >>> from pgm.numeric import as_floats
+    from pgm.variables import Discrete
     >>> cloudy = Discrete("cloudy", states=("no", "yes"))
     >>> rain = Discrete("rain", states=("no", "yes"))
     >>> TableCPD(rain, given=(cloudy,), table=[[0.8, 0.2], [0.2, 0.8]])
@@ -61,12 +63,7 @@ class TableCPD(CPD):
         self._set_scope(child, given)
         axes = (*self.given, self.child)
         due = tuple(len(v.states) for v in axes)
-        try:
-            array = np.array(table, dtype=float)
-        except (TypeError, ValueError):
-            raise ModelError(
-                f"{self!r}: the table must be numbers, in rows of equal length", cpd=self
-            ) from None
+        array = as_floats(table, f"{self!r}: the table", truths=True, cpd=self).copy()
         if array.shape != due:
             raise ModelError(
                 f"{self!r}: the table has shape {array.shape}; the axes {names(axes)} need {due}, "

@@ -80,7 +80,9 @@ def records(
 
 def _by_name(network: Any) -> dict[str, Variable]:
     """The variables as columns are named after them."""
-    variables = as_scope(getattr(network, "variables", network), "records: the network")
+    variables = as_scope(
+        getattr(network, "variables", network), "records: the network", ordered=False
+    )
     return {repr(variable): variable for variable in variables}
 
 

@@ -8,11 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import ModelError, NumericalError
+from pgm.factors.arrays import as_matrix, as_vector
 from pgm.factors.gaussian import Gaussian
 from pgm.factors.scope import Scope, as_scope, as_value, dimension, names, positions
 from pgm.immutable import Immutable
 from pgm.kernels import canonical as kernel
-from pgm.kernels.arrays import Array, apply, frozen, inner, transpose
+from pgm.kernels.arrays import Array, apply, frozen, inner
+from pgm.kernels.checks import is_symmetric
+from pgm.numeric import as_floats
 from pgm.variables import Variable
 
 
@@ -68,7 +71,9 @@ class CanonicalForm(Immutable):
     ) -> None:
         scope = as_scope(scope)
         size = dimension(scope)
-        K, h, g = (np.array(value, dtype=float) for value in (K, h, g))
+        what = f"canonical form over {names(scope)}:"
+        K, h = as_matrix(scope, K, f"{what} K"), as_vector(scope, h, f"{what} h")
+        g = as_floats(g, f"{what} g").copy()
         if K.shape[-2:] != (size, size) or h.shape[-1:] != (size,):
             raise ModelError(
                 f"canonical form over {names(scope)}: K has shape {K.shape} and h {h.shape}; "
@@ -76,7 +81,7 @@ class CanonicalForm(Immutable):
             )
         if not all(np.isfinite(part).all() for part in (K, h, g)):
             raise ModelError(f"canonical form over {names(scope)}: K, h and g must be finite")
-        if np.abs(K - transpose(K)).max(initial=0.0) > 1e-9 * np.abs(K).max(initial=0.0):
+        if not is_symmetric(K):
             raise ModelError(f"canonical form over {names(scope)}: K is not symmetric")
         self._put(scope, K, h, g)
 
@@ -118,7 +123,7 @@ class CanonicalForm(Immutable):
         NumericalError
             If P is singular: K does not exist.
         """
-        weight = np.asarray(log_weight, dtype=float)
+        weight = as_floats(log_weight, f"Gaussian over {names(gaussian.scope)}: the log-weight")
         K, h, g = kernel.from_moments(gaussian.mean, gaussian.cov, weight)
         if np.isnan(g).any():
             raise NumericalError(
@@ -149,7 +154,7 @@ class CanonicalForm(Immutable):
     rearrange = extend
 
     def _aligned(self, other: CanonicalForm) -> tuple[CanonicalForm, CanonicalForm]:
-        scope = self.scope + tuple(v for v in other.scope if v not in self.scope)
+        scope = as_scope((*self.scope, *(v for v in other.scope if v not in self.scope)))
         try:
             np.broadcast_shapes(self.g.shape, other.g.shape)
         except ValueError:
@@ -270,7 +275,7 @@ class CanonicalForm(Immutable):
 
     def log_value(self, x: npt.ArrayLike) -> Array:
         """The value ln C(x) at stacked values x, (..., n)."""
-        x = np.asarray(x, dtype=float)
+        x = as_vector(self.scope, x, f"canonical form over {names(self.scope)}: a value")
         return inner(self.h, x) - 0.5 * inner(apply(self.K, x), x) + self.g
 
     def __repr__(self) -> str:

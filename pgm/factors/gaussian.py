@@ -9,12 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, names, positions
+from pgm.factors.arrays import as_matrix, as_vector
+from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, labels, names, positions
 from pgm.immutable import Immutable
 from pgm.kernels import moments, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, apply, block, deviation, frozen
 from pgm.kernels.checks import covariance_fault
+from pgm.numeric import as_wholes
 from pgm.variables import Variable
 
 
@@ -84,10 +86,9 @@ class Gaussian(Immutable):
     ) -> None:
         scope = as_scope(scope)
         size = dimension(scope)
-        mean, cov = np.array(mean, dtype=float), np.array(cov, dtype=float)
-        if size == 1:
-            mean = mean[None] if mean.ndim == 0 else mean
-            cov = cov[None, None] if cov.ndim == 0 else cov
+        what = f"Gaussian over {names(scope)}: the"
+        mean = as_vector(scope, mean, f"{what} mean")
+        cov = as_matrix(scope, cov, f"{what} covariance")
         if mean.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
             raise ModelError(
                 f"Gaussian over {names(scope)}: the mean has shape {mean.shape} and the "
@@ -110,7 +111,7 @@ class Gaussian(Immutable):
             scope,
             np.broadcast_to(mean, (*lead, size)),
             np.broadcast_to(cov, (*lead, size, size)),
-            None if steps is None else np.array(steps, dtype=np.intp),
+            None if steps is None else _as_steps(scope, steps, lead),
         )
 
     def _put(self, scope: Scope, mean: Array, cov: Array, steps: Integers | None) -> None:
@@ -214,7 +215,7 @@ class Gaussian(Immutable):
         return self._exists(moments.kl(offset, self.cov, other.cov), "divergence")
 
     def _offset(self, x: npt.ArrayLike) -> Array:
-        values = np.asarray(x, dtype=float)
+        values = as_vector(self.scope, x, f"Gaussian over {names(self.scope)}: a value")
         if values.shape[-1:] != self.mean.shape[-1:]:
             raise ModelError(
                 f"values of shape {values.shape} for a Gaussian over {names(self.scope)}; the last "
@@ -241,20 +242,20 @@ class Gaussian(Immutable):
         components : pair of str, optional
             Which components, by name; the first two without.
         """
-        labels = [name for variable in self.scope for name in variable.components]
+        known = labels(self.scope)
         if not 0.0 < confidence < 1.0:
             raise ModelError(f"a confidence lies between 0 and 1; {confidence} does not")
-        if len(labels) < 2:
+        if len(known) < 2:
             raise ModelError(f"{names(self.scope)} has one component; an ellipse needs two")
-        pair = components or (labels[0], labels[1])
+        pair = components or known[:2]
         if len(pair) != 2:
             raise ModelError(f"an ellipse is of two components, not of {pair}")
         for label in pair:
-            if labels.count(label) != 1 or pair[0] == pair[1]:
+            if known.count(label) != 1 or pair[0] == pair[1]:
                 raise ModelError(
-                    f"{names(self.scope)} has no single component {label!r}; it has {labels}"
+                    f"{names(self.scope)} has no single component {label!r}; it has {known}"
                 )
-        i, j = (labels.index(label) for label in pair)
+        i, j = (known.index(label) for label in pair)
         variances, orientation = moments.principal_axes(self.cov[..., [[i], [j]], [i, j]])
         half_axes = np.sqrt(-2.0 * np.log1p(-confidence) * variances)
         return Ellipse(self.mean[..., [i, j]], half_axes, orientation)
@@ -262,3 +263,13 @@ class Gaussian(Immutable):
     def __repr__(self) -> str:
         lead = f", {self.mean.shape[:-1]} of them" if self.mean.ndim > 1 else ""
         return f"Gaussian{names(self.scope)}{lead}"
+
+
+def _as_steps(scope: Scope, steps: npt.ArrayLike, lead: tuple[int, ...]) -> Integers:
+    array = as_wholes(steps, f"Gaussian over {names(scope)}: its steps")
+    if array.shape != lead[-1:]:
+        raise ModelError(
+            f"Gaussian over {names(scope)}: the steps have shape {array.shape}; the last of the "
+            f"leading axes {lead} needs one step for each of its entries"
+        )
+    return array

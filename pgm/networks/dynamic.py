@@ -11,7 +11,7 @@ import numpy as np
 from pgm.cpds import CPD, ConditionalGaussian
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
-from pgm.factors.scope import Scope
+from pgm.factors.scope import Scope, one_name_each
 from pgm.immutable import Immutable
 from pgm.networks import checks, declaration
 from pgm.networks.ancestral import as_generator
@@ -89,7 +89,7 @@ class DynamicBayesianNetwork(Immutable):
         observation = declaration.as_gaussian(observation, "observation")
         everything = (*prior, *transition, *observation)
         declaration.check_templates(everything)
-        checks.one_name_each(v for cpd in everything for v in cpd.scope)
+        one_name_each(v for cpd in everything for v in cpd.scope)
         checks.one_cpd_each(prior)
         checks.one_cpd_each((*transition, *observation))
         states = {cpd.child for cpd in prior}

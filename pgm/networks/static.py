@@ -12,7 +12,7 @@ import numpy as np
 from pgm.cpds import CPD
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
-from pgm.factors.scope import Scope, as_scope, listed
+from pgm.factors.scope import Scope, as_scope, listed, one_name_each
 from pgm.factors.strangers import stranger
 from pgm.immutable import Immutable
 from pgm.networks import ancestral, checks
@@ -70,7 +70,7 @@ class BayesianNetwork(Immutable):
         found = checks.as_cpds(cpds, "a network")
         if not found:
             raise ModelError("a network needs at least one CPD")
-        checks.one_name_each(v for cpd in found for v in cpd.scope)
+        one_name_each(v for cpd in found for v in cpd.scope)
         checks.one_cpd_each(found)
         kinds = {cpd.discrete for cpd in found}
         if len(kinds) > 1:
@@ -233,7 +233,10 @@ class BayesianNetwork(Immutable):
         (True, False)
         """
         members = {"a": a, "b": b, "given": given}
-        sets = [set(as_scope(found, f"d_separated: {name}")) for name, found in members.items()]
+        sets = [
+            set(as_scope(found, f"d_separated: {name}", ordered=False))
+            for name, found in members.items()
+        ]
         for variable in set().union(*sets).difference(self.variables):
             why = stranger(variable, self.variables)
             raise ModelError(f"d_separated of {variable!r}, {why}", variable=variable)

@@ -82,7 +82,7 @@ def run(
 
 
 def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
-    kept = as_scope(keep, "keep")
+    kept = as_scope(keep, "keep", ordered=False)
     for variable in kept:
         if variable not in layout.slice:
             raise EvidenceError(
