@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from numbers import Real
 from typing import Any, TypeGuard
 
@@ -14,16 +14,15 @@ from pgm.kernels.arrays import Array, Integers
 
 _FLOAT = np.dtype(np.float64)
 # Types that NumPy turns into floats without a loss; lists of anything else are read one by one.
-_PLAIN = {int, float, np.float64, np.float32, np.int64, np.int32}
+_PLAIN = {bool, int, float, np.float64, np.float32, np.int64, np.int32}
 _DEEPEST = 64  # axes of an array
 _KINDS = {
-    "b": "truth values; write 1.0 and 0.0 where they are meant as numbers",
     "c": "complex ones; take .real, if the imaginary part is to be lost",
     "M": "dates; take (dates - dates[0]) / np.timedelta64(1, 's') for seconds",
     "m": "durations without a unit; take durations / np.timedelta64(1, 's') for seconds",
-    "S": "texts",
-    "T": "texts",
-    "U": "texts",
+    "S": "texts (bytes)",
+    "T": "texts (str)",
+    "U": "texts (str)",
     "V": "records",
 }
 
@@ -55,11 +54,10 @@ def as_floats(
     *,
     labels: Sequence[str] = (),
     missing: bool = False,
-    truths: bool = False,
     verb: str = "be",
     **about: Any,
 ) -> Array:
-    """What a user gives as an array of floats, which may be the user's own.
+    """What a user gives as an array of floats, which may be the user's own; truth is one.
 
     Parameters
     ----------
@@ -74,15 +72,13 @@ def as_floats(
         columns have no names is taken as it stands.
     missing : bool
         Whether an entry may be missing: masked ones, None and pandas' NA are then NaN.
-    truths : bool
-        Whether truth values are taken, as zeros and ones.
     verb : str
         What it must do: be numbers, or return them.
     """
     if type(value) is np.ndarray and value.dtype == _FLOAT:
         return value
     try:
-        return _read(value, labels, missing, truths)
+        return _read(value, labels, missing)
     except _Unfit as fault:
         raise error(f"{what} must {verb} numbers, not {fault}", **about) from fault.__cause__
 
@@ -90,7 +86,7 @@ def as_floats(
 def as_wholes(value: Any, what: str, error: type[PgmError] = ModelError, **about: Any) -> Integers:
     """What a user gives as an array of whole numbers; an empty one may be of any numbers."""
     try:
-        numbers = _read(value, (), False, False)
+        numbers = _read(value, (), False)
     except _Unfit as fault:
         raise error(f"{what} must be whole numbers, not {fault}", **about) from fault.__cause__
     given = value if isinstance(value, np.ndarray) else np.asarray(value)
@@ -103,16 +99,27 @@ def as_wholes(value: Any, what: str, error: type[PgmError] = ModelError, **about
     return numbers.astype(np.intp)
 
 
-def _read(value: Any, labels: Sequence[str], missing: bool, truths: bool) -> Array:
+def masked_whole(value: Any) -> Any:
+    """What a user gives, nested lists that hold masked arrays being one masked array."""
+    if isinstance(value, list | tuple):
+        try:
+            if any(issubclass(kind, np.ma.MaskedArray) for kind in _leaves(value)):
+                return np.ma.array(value)
+        except (_Unfit, ValueError):  # which are refused as what they are
+            pass
+    return value
+
+
+def _read(value: Any, labels: Sequence[str], missing: bool) -> Array:
     names = _column_names(value, labels)
     if names is not None:
         _require_named(names, labels)
-        columns = [_read(value[name], (), missing, truths) for name in labels]
+        columns = [_read(value[name], (), missing) for name in labels]
         return np.stack(columns, axis=-1)
     if isinstance(value, list | tuple) and not _leaves(value) <= _PLAIN:
-        return _stacked([_read(part, labels, missing, truths) for part in value])
+        return _stacked([_read(part, labels, missing) for part in value])
     if isinstance(value, np.ma.MaskedArray):
-        return _unmasked(value, missing, truths)
+        return _unmasked(value, missing)
     try:
         array = np.asarray(value)
     except OverflowError as error:
@@ -123,20 +130,18 @@ def _read(value: Any, labels: Sequence[str], missing: bool, truths: bool) -> Arr
         raise _Unfit(f"{type(value).__name__}, which makes no array: {error}") from error
     if array.ndim == 0 and array.dtype == object:
         return np.asarray(_number(value, missing))
-    return _converted(array, missing, truths)
+    return _converted(array, missing)
 
 
-def _leaves(rows: Iterable[Any], depth: int = 0) -> set[type]:
+def _leaves(rows: Sequence[Any], depth: int = 0) -> set[type]:
     """The types of what stands in nested lists and tuples."""
     if depth > _DEEPEST:
         raise _Unfit(f"lists nested deeper than {_DEEPEST}")
     found = set(map(type, rows))
-    for kind in found & {list, tuple}:
-        found.remove(kind)
-        for row in rows:
-            if type(row) is kind:
-                found |= _leaves(row, depth + 1)
-    return found
+    if found.isdisjoint((list, tuple)):
+        return found
+    inner = [_leaves(row, depth + 1) for row in rows if type(row) in (list, tuple)]
+    return (found - {list, tuple}).union(*inner)
 
 
 def _stacked(parts: list[Array]) -> Array:
@@ -146,18 +151,18 @@ def _stacked(parts: list[Array]) -> Array:
         raise _Unfit("rows of unequal length") from error
 
 
-def _converted(array: npt.NDArray[Any], missing: bool, truths: bool) -> Array:
+def _converted(array: npt.NDArray[Any], missing: bool) -> Array:
     kind = array.dtype.kind
     if kind == "O":
         numbers = [_number(entry, missing) for entry in array.ravel()]
         return np.array(numbers, dtype=float).reshape(array.shape)
-    if kind in "fiu" or (kind == "b" and truths):
+    if kind in "fiub":
         with np.errstate(over="ignore"):  # of longer floats: infinities are refused, or not, as any
             return array.astype(_FLOAT)
     raise _Unfit(_KINDS[kind])
 
 
-def _unmasked(value: Any, missing: bool, truths: bool) -> Array:
+def _unmasked(value: Any, missing: bool) -> Array:
     """An array whose masked entries are NaN."""
     masked = np.ma.getmaskarray(value)
     array = np.array(np.ma.getdata(value))
@@ -169,7 +174,7 @@ def _unmasked(value: Any, missing: bool, truths: bool) -> Array:
             )
         if array.dtype == object:
             array[masked] = None
-    numbers = _converted(array, missing, truths)
+    numbers = _converted(array, missing)
     numbers[masked] = np.nan
     return numbers
 

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 import networkx as nx
-import numpy as np
 
 from pgm.clustergraph.assignment import assign, spanning_tree
 from pgm.clustergraph.checks import (
@@ -24,6 +23,7 @@ from pgm.errors import GraphError
 from pgm.factors.scope import Scope, as_scope
 from pgm.immutable import Immutable
 from pgm.networks import BayesianNetwork
+from pgm.numeric import is_whole
 from pgm.variables import Variable
 
 T = TypeVar("T")
@@ -187,7 +187,7 @@ class ClusterGraph(Immutable):
             If there is none of the index, or the cluster is another graph's.
         """
         found = cluster.index if isinstance(cluster, Cluster) else cluster
-        if not isinstance(found, int | np.integer) or not 0 <= found < len(self.clusters):
+        if not is_whole(found) or not 0 <= found < len(self.clusters):
             raise GraphError(
                 f"there is no cluster {cluster!r}; clusters are 0..{len(self.clusters) - 1}",
                 cluster=cluster,
@@ -260,7 +260,7 @@ class ClusterGraph(Immutable):
 def _edge(edge: Any, count: int) -> Edge:
     """A pair of different clusters, lower index first."""
     ends = tuple(edge) if isinstance(edge, Iterable) else ()
-    if len(ends) != 2 or not all(isinstance(end, int | np.integer) for end in ends):
+    if len(ends) != 2 or not all(map(is_whole, ends)):
         raise GraphError(f"sepsets map pairs of clusters to variables; {edge!r} is none")
     i, j = sorted(map(int, ends))
     if i == j or not (i >= 0 and j < count):

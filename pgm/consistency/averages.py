@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pgm.consistency.checks import check_count, check_innovations, numbers
+from pgm.consistency.checks import check_count, check_innovations
 from pgm.consistency.errors import places
 from pgm.consistency.normalised import nees
 from pgm.consistency.quantiles import chi_squared, tails
@@ -16,6 +16,7 @@ from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations
 from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.numeric import as_floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +110,8 @@ def average(
     Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
     section 5.4.2.
     """
-    values, each = numbers("normalised errors", squares), numbers("degrees of freedom", dof)
+    values = as_floats(squares, "normalised errors")
+    each = as_floats(dof, "degrees of freedom")
     try:
         each = np.broadcast_to(each, values.shape)
     except ValueError:

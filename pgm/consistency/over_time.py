@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pgm.consistency.checks import numbers
 from pgm.consistency.errors import size
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.kernels.arrays import Array, Integers
+from pgm.numeric import as_floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def over_time(
     ModelError
         If the sizes are not over those steps or some are NaN, or the percentiles no such pair.
     """
-    values = numbers("a size", sizes)
+    values = as_floats(sizes, "a size")
     if steps is None or values.shape[-1:] != steps.shape:
         raise ModelError(
             f"sizes of shape {values.shape} over the steps {steps}; a belief over time is needed, "
@@ -66,7 +66,7 @@ def over_time(
     flat = values.reshape(-1, values.shape[-1])
     if lost := int(np.isnan(flat).sum()):
         raise ModelError(f"{lost} of the {flat.size} sizes are NaN; leave out their runs or steps")
-    pair = numbers("a percentile", percentiles)
+    pair = as_floats(percentiles, "a percentile")
     if pair.shape != (2,) or not 0.0 <= pair[0] < pair[1] <= 100.0:
         raise ModelError(f"percentiles are a lower and an upper one in percent, not {percentiles}")
     below, median, above = np.percentile(flat, (pair[0], 50.0, pair[1]), axis=0)

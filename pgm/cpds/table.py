@@ -40,8 +40,7 @@ class TableCPD(CPD):
 
     Examples
     --------
-    >>> from pgm.numeric import as_floats
-    from pgm.variables import Discrete
+    >>> from pgm.variables import Discrete
     >>> cloudy = Discrete("cloudy", states=("no", "yes"))
     >>> rain = Discrete("rain", states=("no", "yes"))
     >>> TableCPD(rain, given=(cloudy,), table=[[0.8, 0.2], [0.2, 0.8]])
@@ -63,7 +62,7 @@ class TableCPD(CPD):
         self._set_scope(child, given)
         axes = (*self.given, self.child)
         due = tuple(len(v.states) for v in axes)
-        array = as_floats(table, f"{self!r}: the table", truths=True, cpd=self).copy()
+        array = as_floats(table, f"{self!r}: the table", cpd=self).copy()
         if array.shape != due:
             raise ModelError(
                 f"{self!r}: the table has shape {array.shape}; the axes {names(axes)} need {due}, "

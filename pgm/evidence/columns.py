@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
+from pgm.numeric import masked_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,13 +23,14 @@ class Column:
     ----------
     name : str
     cells : ndarray
-        (records, ...); of a categorical column the codes of the categories, −1 for none.
+        (records, ...); of a categorical column the codes of the categories, −1 for none; a frame
+        of columns with names as it is.
     categories : ndarray or None
         Of a categorical column.
     """
 
     name: str
-    cells: npt.NDArray[Any]
+    cells: Any
     categories: npt.NDArray[Any] | None = None
 
 
@@ -90,13 +92,16 @@ def _column(name: str, values: Any) -> Column:
     codes, categories = (getattr(categorical, a, None) for a in ("codes", "categories"))
     if codes is not None and categories is not None:
         return Column(name, np.asarray(codes), np.asarray(categories))
+    values = masked_whole(values)
     if isinstance(values, np.ma.MaskedArray):
         masked = np.ma.getmaskarray(values)
         values = np.asarray(values).astype(object)
         values[masked] = None
+    if hasattr(values, "columns") and hasattr(values, "__getitem__"):
+        return Column(name, values)
     cells = values
     if not hasattr(values, "__array__"):
-        if isinstance(values, str) or not isinstance(values, Iterable):
+        if isinstance(values, str | set | frozenset) or not isinstance(values, Iterable):
             raise EvidenceError(f"column {name!r} is {values!r}, not a row of cells")
         cells = _array(list(values))
     array = np.asarray(cells)

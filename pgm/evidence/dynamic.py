@@ -16,6 +16,7 @@ from pgm.evidence.runs import common_runs
 from pgm.evidence.values import Constant, Evidence, Sightings
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
+from pgm.numeric import is_whole
 from pgm.variables import Variable
 
 WHOLE = "only a sensor's reading may be missing, as a whole row of NaN"
@@ -120,7 +121,7 @@ class _Binder:
                 raise unknown(variable, known)
 
     def _length(self, steps: int | None) -> int:
-        if steps is not None and (not isinstance(steps, int | np.integer) or steps < 0):
+        if steps is not None and (not is_whole(steps) or steps < 0):
             raise EvidenceError(f"steps must be a whole number, 0 or more, not {steps!r}")
         lengths = {variable: array.shape[-2] for variable, array in self.arrays.items()}
         if len(set(lengths.values())) > 1:

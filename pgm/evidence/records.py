@@ -12,6 +12,7 @@ from pgm.evidence.columns import Column, columns_of
 from pgm.evidence.names import as_states
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array, Integers
+from pgm.numeric import as_floats
 from pgm.variables import Discrete, Variable
 
 
@@ -106,14 +107,15 @@ def _values(variable: Variable, column: Column) -> Integers | Array:
 
 def _numbers(variable: Variable, column: Column) -> Array:
     """The values of a continuous variable, (records, d)."""
-    try:
-        if column.categories is not None or np.iscomplexobj(column.cells):
-            raise TypeError
-        array = np.asarray(column.cells, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise EvidenceError(
-            f"column {variable!r} must be numbers, none of them missing", variable=variable
-        ) from None
+    cells = column.cells if column.categories is None else column.categories.astype(str)
+    array = as_floats(
+        cells,
+        f"column {variable!r}",
+        EvidenceError,
+        labels=variable.components,
+        missing=True,
+        variable=variable,
+    )
     if array.ndim == 1 and variable.dimension == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[1] != variable.dimension:

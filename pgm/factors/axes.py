@@ -63,7 +63,7 @@ def as_entries(
 ) -> tuple[Array, Array]:
     """The values and log-scale of tables as arrays; refuses what no table can have."""
     what = f"table over {names(scope)}"
-    entries = as_floats(values, f"{what}: the values", truths=True).copy()
+    entries = as_floats(values, f"{what}: the values").copy()
     scale = as_floats(log_scale, f"{what}: log_scale").copy()
     due = sizes(scope)
     if entries.ndim < len(due) or entries.shape[entries.ndim - len(due) :] != due:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import as_matrix, as_vector
+from pgm.factors.arrays import as_matrix, as_points, as_vector, require_broadcast
 from pgm.factors.gaussian import Gaussian
 from pgm.factors.scope import Scope, as_scope, as_value, dimension, names, positions
 from pgm.immutable import Immutable
@@ -123,7 +123,11 @@ class CanonicalForm(Immutable):
         NumericalError
             If P is singular: K does not exist.
         """
-        weight = as_floats(log_weight, f"Gaussian over {names(gaussian.scope)}: the log-weight")
+        what = f"the log-weight of the Gaussian over {names(gaussian.scope)}"
+        weight = as_floats(log_weight, what)
+        if not np.isfinite(weight).all():
+            raise ModelError(f"{what} must be finite")
+        require_broadcast(weight.shape, gaussian.mean.shape[:-1], what)
         K, h, g = kernel.from_moments(gaussian.mean, gaussian.cov, weight)
         if np.isnan(g).any():
             raise NumericalError(
@@ -275,7 +279,8 @@ class CanonicalForm(Immutable):
 
     def log_value(self, x: npt.ArrayLike) -> Array:
         """The value ln C(x) at stacked values x, (..., n)."""
-        x = as_vector(self.scope, x, f"canonical form over {names(self.scope)}: a value")
+        what = f"a point of the canonical form over {names(self.scope)}"
+        x = as_points(self.scope, x, self.g.shape, what)
         return inner(self.h, x) - 0.5 * inner(apply(self.K, x), x) + self.g
 
     def __repr__(self) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import as_matrix, as_vector
+from pgm.factors.arrays import as_matrix, as_points, as_vector
 from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, labels, names, positions
 from pgm.immutable import Immutable
 from pgm.kernels import moments, roots
@@ -215,12 +215,8 @@ class Gaussian(Immutable):
         return self._exists(moments.kl(offset, self.cov, other.cov), "divergence")
 
     def _offset(self, x: npt.ArrayLike) -> Array:
-        values = as_vector(self.scope, x, f"Gaussian over {names(self.scope)}: a value")
-        if values.shape[-1:] != self.mean.shape[-1:]:
-            raise ModelError(
-                f"values of shape {values.shape} for a Gaussian over {names(self.scope)}; the last "
-                f"axis must hold its {self.mean.shape[-1]} components"
-            )
+        what = f"a point of the Gaussian over {names(self.scope)}"
+        values = as_points(self.scope, x, self.mean.shape[:-1], what)
         return difference(values, self.mean, self.angles)
 
     def _exists(self, value: Array, what: str) -> Array:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pgm.errors import ModelError
-from pgm.inference.checks import is_number, require_count
+from pgm.inference.checks import require_count
+from pgm.numeric import is_number
 
 
 @dataclass(frozen=True)

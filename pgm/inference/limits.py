@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Real
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.size import amount
 from pgm.errors import GraphError
 from pgm.factors.axes import AXES
 from pgm.factors.scope import names
+from pgm.numeric import is_number
 from pgm.variables import Discrete
 
 # Entries of all tables, or covariances, of a graph, or of one answer over all runs: a gibibyte.
@@ -54,7 +54,7 @@ class Room:
         """
         if memory is None:
             return cls(BATCH, KEPT)
-        if isinstance(memory, bool) or not isinstance(memory, Real) or not 0 < memory < math.inf:
+        if not is_number(memory) or not 0 < memory < math.inf:
             raise GraphError(f"memory= is a number of bytes, such as 2**30, not {memory!r}")
         room = cls(int(memory * BATCH / MEMORY), int(memory * KEPT / MEMORY))
         least = sum(graph.sizes)

@@ -16,6 +16,7 @@ from pgm.io.controls import ControlReport, Kind, controls
 from pgm.io.readings import ReadingReport, readings
 from pgm.io.stamped import Stamped, as_stamps, clock, sealed
 from pgm.kernels.arrays import Array
+from pgm.numeric import is_number
 from pgm.variables import Variable
 
 
@@ -142,7 +143,7 @@ def timeline(
                  1 dropped: after the last state, by 5 s (row 2)
     """
     states = _as_times(times)
-    if tolerance is not None and not tolerance >= 0.0:
+    if tolerance is not None and not (is_number(tolerance) and tolerance >= 0.0):
         raise EvidenceError(f"tolerance must be 0 or more seconds, not {tolerance!r}")
     groups = {"odometry": odometry or {}, "velocities": velocities or {}, "sensors": sensors or {}}
     _check_variables(groups)

@@ -16,6 +16,7 @@ from pgm.factors.scope import Scope, angle_mask, dimension, positions
 from pgm.kernels import differences
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Index, Integers, Mask, laid_out_as
+from pgm.numeric import as_floats
 from pgm.variables import Variable
 
 Function = Callable[..., Any]
@@ -238,12 +239,12 @@ class BoundFunction:
         return arguments, shape
 
     def _checked(self, value: Any, shape: tuple[int, ...], what: str) -> Array:
-        if np.iscomplexobj(value):
-            raise ModelError(
-                f"the {what} of the CPD of {self.name} returned complex numbers",
-                variable=self.template.child,
-            )
-        array = np.asarray(value, dtype=float)
+        array = as_floats(
+            value,
+            f"the {what} of the CPD of {self.name}",
+            verb="return",
+            variable=self.template.child,
+        )
         if array.shape != shape:
             raise ModelError(
                 f"the {what} of the CPD of {self.name} returned shape {array.shape} where "

@@ -11,6 +11,7 @@ from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers
 from pgm.linearisers import draws
 from pgm.linearisers.regression import Points, StatisticalRegression
+from pgm.numeric import is_whole
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,7 @@ class SampledRule(StatisticalRegression):
 
     def __post_init__(self) -> None:
         for what, value, least in (("samples", self.samples, 1), ("seed", self.seed, 0)):
-            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-            if not whole or not least <= value < 2**63:
+            if not is_whole(value) or not least <= value < 2**63:
                 raise LinearisationError(
                     f"{type(self).__name__}({what}={value!r}): {what} must be a whole number from "
                     f"{least} to 2⁶³ − 1"

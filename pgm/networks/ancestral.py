@@ -17,6 +17,7 @@ from pgm.evidence.keys import unknown
 from pgm.factors.scope import listed
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, apply
+from pgm.numeric import as_floats, is_whole
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -73,8 +74,7 @@ def as_generator(rng: Any) -> np.random.Generator:
     """What draws: a generator, or one of a seed; refuses None, since draws must be repeatable."""
     if isinstance(rng, np.random.Generator):
         return rng
-    whole = isinstance(rng, int | np.integer) and not isinstance(rng, bool)
-    if not whole or rng < 0:
+    if not is_whole(rng) or rng < 0:
         raise ModelError(
             "rng is a numpy.random.Generator or a seed, a whole number from 0, so that draws can "
             f"be repeated; not {rng!r}"
@@ -87,8 +87,7 @@ def _as_shape(n: Any) -> tuple[int, ...]:
         return ()
     shape = n if isinstance(n, tuple) else (n,)
     for length in shape:
-        whole = isinstance(length, int | np.integer) and not isinstance(length, bool)
-        if not whole or length < 1:
+        if not is_whole(length) or length < 1:
             raise ModelError(f"n is the number of draws, 1 or more, or a tuple of such; not {n!r}")
     return shape
 
@@ -116,7 +115,13 @@ def gaussian(
     wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in values.items()}
     due = (*shape, cpd.child.dimension)
     if isinstance(cpd, NonlinearGaussianCPD):
-        mean = np.asarray(cpd.function(*(wide[v] for v in cpd.given)), dtype=float)
+        mean = as_floats(
+            cpd.function(*(wide[v] for v in cpd.given)),
+            f"the function of {cpd!r}",
+            verb="return",
+            variable=cpd.child,
+            cpd=cpd,
+        )
     elif isinstance(cpd, AffineCPD):
         mean = cpd._affine((), wide)[1]
         mean = np.broadcast_to(mean if cpd.given else _by_run(mean, lead, 1), due)

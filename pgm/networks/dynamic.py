@@ -17,6 +17,7 @@ from pgm.networks import checks, declaration
 from pgm.networks.ancestral import as_generator
 from pgm.networks.dynamic_sampling import Sample, draw
 from pgm.networks.static import BayesianNetwork, density
+from pgm.numeric import is_whole
 
 
 class DynamicBayesianNetwork(Immutable):
@@ -200,8 +201,7 @@ class DynamicBayesianNetwork(Immutable):
         >>> model.unroll(2)
         BayesianNetwork(p(x[0])  p(x[1] | x[0])  p(x[2] | x[1]))
         """
-        whole = isinstance(steps, int | np.integer) and not isinstance(steps, bool)
-        if not whole or steps < 0:
+        if not is_whole(steps) or steps < 0:
             raise ModelError(
                 f"a dynamic network is unrolled to slices 0..T; give T, 0 or more, not {steps!r}"
             )

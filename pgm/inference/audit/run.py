@@ -16,6 +16,7 @@ from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
 from pgm.networks.ancestral import as_generator
+from pgm.numeric import is_whole
 
 # Numbers drawn at once: what stays near the processor.
 BATCH = 2**18
@@ -80,8 +81,7 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
     True
     """
     draws: ChainDraws | TreeDraws
-    whole = isinstance(samples, int | np.integer) and not isinstance(samples, bool)
-    if not whole or samples < 2:
+    if not is_whole(samples) or samples < 2:
         raise ModelError(f"samples is the number of draws, 2 or more; not {samples!r}")
     generator = as_generator(rng)
     if isinstance(posterior, ChainPosterior):

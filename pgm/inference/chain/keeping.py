@@ -21,6 +21,7 @@ from pgm.inference.start import Start
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
+from pgm.numeric import is_whole
 from pgm.variables import Variable
 
 Keep = Variable | Iterable[Variable]
@@ -46,7 +47,7 @@ def run(
     threads : int
         How many threads share the parts.
     """
-    if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or threads < 1:
+    if not is_whole(threads) or threads < 1:
         raise ModelError(f"threads must be a whole number, 1 or more, not {threads!r}")
     kept = None if keep is None else _hidden(graph.layout, keep)
     if kept is None and threads == 1:
