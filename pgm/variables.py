@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.errors import ModelError
-from pgm.numeric import is_whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class Variable:
                 variable=self,
             )
         for field, value in (("step", self.step), ("lag", self.lag)):
-            if value is None:
+            if value is None and field == "step":
                 continue
             if not is_whole(value):
                 raise ModelError(
@@ -212,14 +212,15 @@ class Discrete(Variable):
 def _names(variable: Variable, field: str, value: object) -> tuple[str, ...]:
     """Names that a variable is given, in their order."""
     advice = ", or their number" if field == "states" else ""
-    if isinstance(value, set | frozenset) and len(value) > 1 and field != "angles":
+    if is_unordered(value) and field != "angles":
         raise ModelError(
             f"variable {variable.name}: {field} must be a tuple of names{advice}; {value!r} is a "
             "set, which has no order",
             variable=variable,
         )
-    found = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else None
-    if found is None or not all(isinstance(name, str) for name in found):
+    found = as_tuple(value)
+    empty = field == "states"  # a state may be called "", a component may not
+    if found is None or not all(isinstance(name, str) and (name or empty) for name in found):
         shown = value if found is None else found
         raise ModelError(
             f"variable {variable.name}: {field} must be a tuple of names{advice}, not {shown!r}",
@@ -244,9 +245,10 @@ def variables(names: str | Iterable[str]) -> tuple[Variable, ...]:
     """
     if isinstance(names, str):
         names = names.replace(",", " ").split()
-    if not isinstance(names, Iterable):
-        raise ModelError(f"variables takes names, in a text or one by one, not {names!r}")
-    names = tuple(names)
-    if len(set(names)) < len(names):
-        raise ModelError(f"the names {names} repeat; each variable needs one of its own")
-    return tuple(Variable(name) for name in names)
+    found = None if is_unordered(names) else as_tuple(names)
+    if found is None:
+        raise ModelError(f"variables takes names in order, in a text or one by one, not {names!r}")
+    made = tuple(Variable(name) for name in found)
+    if len(set(found)) < len(found):
+        raise ModelError(f"the names {found} repeat; each variable needs one of its own")
+    return made

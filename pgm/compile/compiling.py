@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol, overload
 
+from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.balanced import Balanced, BalancedGraph
 from pgm.compile.dynamic import DynamicGraph
@@ -11,7 +12,6 @@ from pgm.compile.junction import JunctionTree
 from pgm.compile.slices import SliceGraph
 from pgm.errors import GraphError, ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
-from pgm.numeric import is_whole
 
 
 class Method(Protocol):

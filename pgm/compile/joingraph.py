@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
+from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.checks import Edge
 from pgm.clustergraph.size import amount, is_discrete, size
@@ -13,7 +14,6 @@ from pgm.compile.orders import MinFill, Order, places
 from pgm.errors import GraphError
 from pgm.factors.scope import listed
 from pgm.networks import BayesianNetwork
-from pgm.numeric import is_whole
 from pgm.variables import Variable
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph.size import extent
 from pgm.compile.dissection import dissect
 from pgm.compile.elimination import min_fill, moral
@@ -13,7 +14,6 @@ from pgm.compile.search import cheapest
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed
 from pgm.networks import BayesianNetwork
-from pgm.numeric import is_whole
 from pgm.variables import Variable
 
 
@@ -151,12 +151,12 @@ def places(order: Order | Iterable[Variable], network: BayesianNetwork) -> list[
         If it is not of the variables of the network, each once.
     """
     given = order(network) if callable(order) else order
-    if not isinstance(given, Iterable) or isinstance(given, str):
+    found = None if is_unordered(given) else as_tuple(given)
+    if found is None:
         raise GraphError(
             f"the elimination order {order!r} returned {given!r} where the network's variables "
             "were due, each once"
         )
-    found = list(given)
     place = {variable: k for k, variable in enumerate(network.variables)}
     strangers = [v for v in found if not isinstance(v, Variable) or v not in place]
     if strangers:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats
 from pgm.consistency.checks import check_count, check_innovations
 from pgm.consistency.errors import places
 from pgm.consistency.normalised import nees
@@ -16,7 +17,6 @@ from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.numeric import as_floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy.typing as npt
 
+from pgm.boundary import as_floats, is_whole
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations
 from pgm.kernels.arrays import Array
-from pgm.numeric import as_floats, is_whole
 
 
 def check_gaussian(belief: Any) -> Gaussian:

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats, as_tuple
 from pgm.consistency.checks import check_gaussian
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels, names
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers
-from pgm.numeric import as_floats
 
 
 def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
@@ -79,8 +79,10 @@ def place(belief: Gaussian, index: tuple[int, ...]) -> str:
 def places(belief: Gaussian, components: Sequence[str]) -> Integers:
     """Where the components named stand in the stacked vector; all of them, where none is named."""
     known = labels(check_gaussian(belief).scope)
-    if isinstance(components, str):
+    named = as_tuple(components)
+    if named is None:
         raise ModelError(f"components are a tuple of names, not {components!r} alone")
+    components = named
     if lost := [label for label in components if known.count(label) != 1]:
         raise ModelError(f"the belief has components {list(known)}, not {lost}")
     if len(set(components)) < len(components):

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats
 from pgm.consistency.errors import size
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.kernels.arrays import Array, Integers
-from pgm.numeric import as_floats
 
 
 @dataclass(frozen=True, eq=False)

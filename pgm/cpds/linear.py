@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats
 from pgm.cpds.base import ConditionalGaussian
 from pgm.cpds.noise import Noise
 from pgm.errors import ModelError
 from pgm.factors.scope import as_value
 from pgm.kernels.arrays import Array, apply, frozen
-from pgm.numeric import as_floats
 from pgm.variables import Variable
 
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats
 from pgm.errors import ModelError
 from pgm.factors.arrays import as_matrix
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.checks import covariance_fault, symmetrised
-from pgm.numeric import as_floats
 from pgm.variables import Variable
 
 

@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats
 from pgm.cpds.base import CPD
 from pgm.errors import ModelError
 from pgm.factors.scope import names
 from pgm.kernels.arrays import Array, frozen
-from pgm.numeric import as_floats
 from pgm.variables import Discrete, Variable
 
 # How far an entry of a table with six decimals may be from the number that was rounded.

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import as_floats, as_wholes
 from pgm.errors import EvidenceError
 from pgm.evidence.values import Soft
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.numeric import as_floats, as_wholes
 from pgm.variables import Variable
 
 

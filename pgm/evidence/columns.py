@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_tuple, masked_whole
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
-from pgm.numeric import masked_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +65,9 @@ def columns_of(table: Any, wanted: Iterable[str] | None) -> dict[str, Column]:
     if wanted is not None:
         if isinstance(wanted, str):
             raise EvidenceError(f"columns= takes several names, [{wanted!r}], not a text")
-        if not isinstance(wanted, Iterable):
+        asked = as_tuple(wanted)
+        if asked is None:
             raise EvidenceError(f"columns= takes names, such as {names[:1]}, not {wanted!r}")
-        asked = list(wanted)
         missing = [name for name in asked if name not in names]
         if missing:
             raise EvidenceError(f"the table has no column {missing[0]!r}; it has ({listed(names)})")
@@ -101,7 +101,7 @@ def _column(name: str, values: Any) -> Column:
         return Column(name, values)
     cells = values
     if not hasattr(values, "__array__"):
-        if isinstance(values, str | set | frozenset) or not isinstance(values, Iterable):
+        if isinstance(values, str | bytes | set | frozenset) or not isinstance(values, Iterable):
             raise EvidenceError(f"column {name!r} is {values!r}, not a row of cells")
         cells = _array(list(values))
     array = np.asarray(cells)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
 from pgm.evidence.indices import as_indices, in_run
 from pgm.evidence.keys import unknown
@@ -16,7 +17,6 @@ from pgm.evidence.runs import common_runs, flat
 from pgm.evidence.values import Constant, Sightings, Soft
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
-from pgm.numeric import as_floats
 from pgm.variables import Discrete, Variable
 
 

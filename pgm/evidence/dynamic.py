@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import is_whole
 from pgm.cpds import ConditionalGaussian
 from pgm.errors import EvidenceError
 from pgm.evidence.arrays import as_rows, as_steps, require_finite, taken_readings
@@ -16,7 +17,6 @@ from pgm.evidence.runs import common_runs
 from pgm.evidence.values import Constant, Evidence, Sightings
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
-from pgm.numeric import is_whole
 from pgm.variables import Variable
 
 WHOLE = "only a sensor's reading may be missing, as a whole row of NaN"

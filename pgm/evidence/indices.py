@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import is_whole, masked_whole
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers, Mask
-from pgm.numeric import is_whole, masked_whole
 from pgm.variables import Discrete
 
 # What stands for "not observed in this run".

@@ -7,12 +7,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
 from pgm.evidence.columns import Column, columns_of
 from pgm.evidence.names import as_states
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array, Integers
-from pgm.numeric import as_floats
 from pgm.variables import Discrete, Variable
 
 

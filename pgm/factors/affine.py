@@ -7,15 +7,15 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.canonical import CanonicalForm
-from pgm.factors.gaussian import Gaussian
-from pgm.factors.scope import as_scope, dimension, names
+from pgm.factors.gaussian import Gaussian, as_gaussian
+from pgm.factors.scope import as_scope, dimension, names, one_name_each
 from pgm.immutable import Immutable
 from pgm.kernels import canonical, moments
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.checks import is_symmetric, symmetrised
-from pgm.numeric import as_floats
 from pgm.variables import Variable
 
 
@@ -67,9 +67,11 @@ class AffineGaussian(Immutable):
 
     def forward(self, x: Gaussian, child: Variable) -> Gaussian:
         """The child's marginal: mean F μ + b and covariance F P Fᵀ + Σ."""
-        self._fits((child,), x.scope)
+        child_scope, given = as_scope(child), as_gaussian(x).scope
+        one_name_each((*child_scope, *given))
+        self._fits(child_scope, given)
         mean, cov = moments.push(x.mean, x.cov, moments.Conditional(self.F, self.b, self.cov))
-        return Gaussian._make((child,), mean, cov)
+        return Gaussian._make(child_scope, mean, cov)
 
     def backward(self, message: CanonicalForm, given: Iterable[Variable]) -> CanonicalForm:
         """∫ N(y; F x + b, Σ) C(y; K, h, g) dy over the parents x.
@@ -82,7 +84,10 @@ class AffineGaussian(Immutable):
         NumericalError
             If the integral diverges, which only an indefinite K can bring about.
         """
+        if not isinstance(message, CanonicalForm):
+            raise ModelError(f"a message is a CanonicalForm, not {type(message).__name__}")
         given = as_scope(given)
+        one_name_each((*message.scope, *given))
         self._fits(message.scope, given)
         parts = canonical.backward(self.F, self.b, self.cov, message.K, message.h, message.g)
         if np.isnan(parts[2]).any():

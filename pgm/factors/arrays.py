@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import as_floats
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, dimension, labels
 from pgm.kernels.arrays import Array
 from pgm.kernels.checks import symmetrised
-from pgm.numeric import as_floats
 
 
 def as_vector(scope: Scope, value: Any, what: str) -> Array:

@@ -8,10 +8,10 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats, is_whole
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, as_scope, names
 from pgm.kernels.arrays import Array
-from pgm.numeric import as_floats, is_whole
 from pgm.variables import Discrete, Variable
 
 States = tuple[Discrete, ...]

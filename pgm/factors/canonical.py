@@ -7,15 +7,15 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats, as_mapping
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.arrays import as_matrix, as_points, as_vector, require_broadcast
-from pgm.factors.gaussian import Gaussian
+from pgm.factors.gaussian import Gaussian, as_gaussian
 from pgm.factors.scope import Scope, as_scope, as_value, dimension, names, positions
 from pgm.immutable import Immutable
 from pgm.kernels import canonical as kernel
 from pgm.kernels.arrays import Array, apply, frozen, inner
 from pgm.kernels.checks import is_symmetric
-from pgm.numeric import as_floats
 from pgm.variables import Variable
 
 
@@ -123,6 +123,7 @@ class CanonicalForm(Immutable):
         NumericalError
             If P is singular: K does not exist.
         """
+        gaussian = as_gaussian(gaussian)
         what = f"the log-weight of the Gaussian over {names(gaussian.scope)}"
         weight = as_floats(log_weight, what)
         if not np.isfinite(weight).all():
@@ -192,7 +193,7 @@ class CanonicalForm(Immutable):
         NumericalError
             If K_yy is not positive definite, so that the integral diverges.
         """
-        out = positions(self.scope, drop)
+        out = positions(self.scope, as_scope(drop))
         keep = tuple(variable for variable in self.scope if variable not in drop)
         if not drop:
             return self
@@ -206,7 +207,7 @@ class CanonicalForm(Immutable):
 
     def marginal(self, *keep: Variable) -> CanonicalForm:
         """Integrate all but some variables out; the result is in the order asked for."""
-        positions(self.scope, keep)
+        positions(self.scope, as_scope(keep))
         dropped = (variable for variable in self.scope if variable not in keep)
         return self.marginalise(*dropped).rearrange(keep)
 
@@ -215,6 +216,7 @@ class CanonicalForm(Immutable):
 
         K' = K_xx, h' = h_x − K_xy Y and g' = g + h_yᵀY − ½ Yᵀ K_yy Y.
         """
+        evidence = as_mapping(evidence, "the evidence of a factor", ModelError)
         if not evidence:
             return self
         fixed = positions(self.scope, evidence)
@@ -259,6 +261,7 @@ class CanonicalForm(Immutable):
         NumericalError
             If the product has no integral, which only an indefinite K can bring about.
         """
+        gaussian = as_gaussian(gaussian)
         if set(gaussian.scope) != set(self.scope):
             raise ModelError(
                 f"combine takes a Gaussian over {names(self.scope)}, not {names(gaussian.scope)}"

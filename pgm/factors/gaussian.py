@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_generator, as_tuple, as_wholes, is_number, is_unordered, is_whole
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.arrays import as_matrix, as_points, as_vector
 from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, labels, names, positions
@@ -16,7 +17,6 @@ from pgm.kernels import moments, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, apply, block, deviation, frozen
 from pgm.kernels.checks import covariance_fault
-from pgm.numeric import as_wholes
 from pgm.variables import Variable
 
 
@@ -157,6 +157,8 @@ class Gaussian(Immutable):
     def run(self, *index: int) -> Gaussian:
         """One run of several: the leading axes of runs, or the first of them, indexed."""
         lead = self.mean.ndim - 1 - (self.steps is not None)
+        if not all(map(is_whole, index)):
+            raise ModelError(f"a run of {self!r} is given by whole numbers, not by {index}")
         if len(index) > lead:
             raise ModelError(f"{self!r} has {lead} axes of runs, not {len(index)}")
         return self._make(self.scope, self.mean[index], self.cov[index], self.steps)
@@ -177,8 +179,12 @@ class Gaussian(Immutable):
         rng : numpy.random.Generator or int
             What draws, or the seed of one.
         """
-        size = (size,) if isinstance(size, int) else size
-        noise = np.random.default_rng(rng).standard_normal((*size, *self.mean.shape))
+        shape = (size,) if is_whole(size) else as_tuple(size)
+        if shape is None or not all(is_whole(length) and length >= 0 for length in shape):
+            raise ModelError(
+                f"size is how many draws of each Gaussian, or a tuple of such; not {size!r}"
+            )
+        noise = as_generator(rng).standard_normal((*shape, *self.mean.shape))
         return self.mean + apply(roots.root(self.cov), noise)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
@@ -206,7 +212,7 @@ class Gaussian(Immutable):
         NumericalError
             If a covariance is singular.
         """
-        if other.scope != self.scope:
+        if as_gaussian(other).scope != self.scope:
             raise ModelError(
                 f"KL compares Gaussians of one scope, not {names(self.scope)} with "
                 f"{names(other.scope)}; take marginals first"
@@ -239,13 +245,13 @@ class Gaussian(Immutable):
             Which components, by name; the first two without.
         """
         known = labels(self.scope)
-        if not 0.0 < confidence < 1.0:
-            raise ModelError(f"a confidence lies between 0 and 1; {confidence} does not")
+        if not is_number(confidence) or not 0.0 < confidence < 1.0:
+            raise ModelError(f"a confidence lies between 0 and 1; {confidence!r} does not")
         if len(known) < 2:
             raise ModelError(f"{names(self.scope)} has one component; an ellipse needs two")
-        pair = components or known[:2]
-        if len(pair) != 2:
-            raise ModelError(f"an ellipse is of two components, not of {pair}")
+        pair = known[:2] if components is None else as_tuple(components)
+        if pair is None or len(pair) != 2 or is_unordered(components):
+            raise ModelError(f"an ellipse is of two components, not of {components!r}")
         for label in pair:
             if known.count(label) != 1 or pair[0] == pair[1]:
                 raise ModelError(
@@ -259,6 +265,13 @@ class Gaussian(Immutable):
     def __repr__(self) -> str:
         lead = f", {self.mean.shape[:-1]} of them" if self.mean.ndim > 1 else ""
         return f"Gaussian{names(self.scope)}{lead}"
+
+
+def as_gaussian(value: object) -> Gaussian:
+    """A Gaussian; refuses anything else."""
+    if not isinstance(value, Gaussian):
+        raise ModelError(f"a Gaussian was due, like posterior[x], not {type(value).__name__}")
+    return value
 
 
 def _as_steps(scope: Scope, steps: npt.ArrayLike, lead: tuple[int, ...]) -> Integers:

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from pgm.boundary import as_floats, as_tuple, is_unordered
 from pgm.errors import ModelError
 from pgm.kernels.arrays import Array, Index, Mask, as_index
-from pgm.numeric import as_floats
 from pgm.variables import Discrete, Variable
 
 Scope = tuple[Variable, ...]
@@ -25,10 +25,9 @@ def as_scope(
     Refuses what is no variable, repeats, two different variables of one name, and, where their
     order says which axis is whose, several in a set.
     """
-    if isinstance(scope, Variable | str) or not isinstance(scope, Iterable):
-        scope = (scope,)
-    result = tuple(scope)
-    if ordered and isinstance(scope, set | frozenset) and len(result) > 1:
+    items = as_tuple(scope)
+    result: Scope = (scope,) if items is None else items
+    if ordered and is_unordered(scope):
         raise ModelError(
             f"{what} is a set, which has no order; give a tuple, since the order of the variables "
             "says which entries belong to which"
@@ -104,7 +103,7 @@ def positions(scope: Sequence[Variable], wanted: Iterable[Variable]) -> Index:
     starts = dict(zip(scope, np.cumsum([0, *(v.dimension for v in scope)]), strict=False))
     places: list[int] = []
     for variable in wanted:
-        if variable not in starts:
+        if not isinstance(variable, Variable) or variable not in starts:
             raise ModelError(
                 f"{variable!r} is not in the scope ({listed(scope)})", variable=variable
             )

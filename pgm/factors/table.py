@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_mapping
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.axes import (
     States,
@@ -233,6 +234,7 @@ class Table(Immutable):
 
     def reduce(self, evidence: Mapping[Discrete, str | int]) -> Table:
         """Put in the states of some variables, by name or index; entries stay as they are."""
+        evidence = as_mapping(evidence, "the evidence of a table", ModelError)
         axes_of(self.scope, evidence)
         index = [v.index(evidence[v]) if v in evidence else slice(None) for v in self.scope]
         values = self.values[(..., *index)]

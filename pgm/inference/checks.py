@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from pgm.boundary import is_number, is_whole
 from pgm.errors import ModelError
-from pgm.numeric import is_number, is_whole
 
 
 def require_count(owner: object, name: str, value: object) -> None:

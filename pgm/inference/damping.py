@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pgm.boundary import is_number
 from pgm.errors import ModelError
 from pgm.inference.checks import require_count
-from pgm.numeric import is_number
 
 
 @dataclass(frozen=True)

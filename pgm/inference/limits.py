@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from pgm.boundary import is_number
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.size import amount
 from pgm.errors import GraphError
 from pgm.factors.axes import AXES
 from pgm.factors.scope import names
-from pgm.numeric import is_number
 from pgm.variables import Discrete
 
 # Entries of all tables, or covariances, of a graph, or of one answer over all runs: a gibibyte.
@@ -60,7 +60,7 @@ class Room:
         least = sum(graph.sizes)
         if room.batch < least:
             raise GraphError(
-                f"memory={memory:g} is less than {MEMORY // BATCH * least:,} bytes, which a "
+                f"memory={float(memory):g} is less than {MEMORY // BATCH * least:,} bytes, which a "
                 f"single run may take: the tables of {graph!r} have {least:,} entries; give more, "
                 "or ask pgm.query for what is wanted"
             )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pgm.boundary import is_number
 from pgm.errors import ModelError
 from pgm.inference.checks import require_count, require_tolerance
 from pgm.inference.damping import Damping, require_damping
-from pgm.numeric import is_number
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats, as_mapping
 from pgm.errors import EvidenceError
 from pgm.evidence import Constant
 from pgm.kernels.arrays import Array, Integers
-from pgm.numeric import as_floats
 from pgm.variables import Variable
 
 # Stamps less than this apart [s] are of one moment: decimals of a log and sums of time steps
@@ -61,7 +61,7 @@ def stamped(
     >>> m = Variable("m", components=("east", "north"))
     >>> log = stamped([0.1, 0.2], [5.1, 4.9], {m: [[0.0, 5.0], [3.0, 4.0]]})
     """
-    return Stamped(stamps, values, MappingProxyType(dict(given or {})))
+    return Stamped(stamps, values, MappingProxyType(dict(as_mapping(given, "stamped: given"))))
 
 
 def sealed(array: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import is_number
 from pgm.errors import EvidenceError
 from pgm.immutable import Immutable
 from pgm.io.controls import ControlReport, Kind, controls
 from pgm.io.readings import ReadingReport, readings
 from pgm.io.stamped import Stamped, as_stamps, clock, sealed
 from pgm.kernels.arrays import Array
-from pgm.numeric import is_number
 from pgm.variables import Variable
 
 
@@ -145,7 +145,10 @@ def timeline(
     states = _as_times(times)
     if tolerance is not None and not (is_number(tolerance) and tolerance >= 0.0):
         raise EvidenceError(f"tolerance must be 0 or more seconds, not {tolerance!r}")
-    groups = {"odometry": odometry or {}, "velocities": velocities or {}, "sensors": sensors or {}}
+    groups: dict[str, Mapping[Variable, Any]] = {
+        name: {} if logs is None else logs
+        for name, logs in (("odometry", odometry), ("velocities", velocities), ("sensors", sensors))
+    }
     _check_variables(groups)
     kinds: dict[Variable, Kind] = {
         **dict.fromkeys(groups["odometry"], "odometry"),

@@ -10,13 +10,13 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from pgm.boundary import as_floats
 from pgm.errors import ModelError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
 from pgm.kernels import differences
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Index, Integers, Mask, laid_out_as
-from pgm.numeric import as_floats
 from pgm.variables import Variable
 
 Function = Callable[..., Any]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
+from pgm.boundary import is_number, is_whole
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.linearisers.regression import Points, StatisticalRegression
-from pgm.numeric import is_number, is_whole
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Unscented(StatisticalRegression):
         for name, value in (("alpha", self.alpha), ("beta", self.beta), ("kappa", self.kappa)):
             if name == "alpha" and value is None:
                 continue
-            if not is_number(value) or not np.isfinite(value):
+            if not is_number(value) or not math.isfinite(value):
                 raise LinearisationError(
                     f"Unscented({name}={value!r}): {name} must be a finite number"
                 )

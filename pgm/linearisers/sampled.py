@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.boundary import is_whole
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers
 from pgm.linearisers import draws
 from pgm.linearisers.regression import Points, StatisticalRegression
-from pgm.numeric import is_whole
 
 
 @dataclass(frozen=True)

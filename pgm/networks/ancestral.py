@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats, is_whole
 from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD, TableCPD
 from pgm.cpds.noise import evaluate
 from pgm.errors import EvidenceError, LinearisationError, ModelError
@@ -17,7 +18,6 @@ from pgm.evidence.keys import unknown
 from pgm.factors.scope import listed
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, apply
-from pgm.numeric import as_floats, is_whole
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -68,18 +68,6 @@ def draw(
         values[cpd.child] = child
         drawn[cpd.child] = child.reshape((*lead, *child.shape[1:]))
     return drawn
-
-
-def as_generator(rng: Any) -> np.random.Generator:
-    """What draws: a generator, or one of a seed; refuses None, since draws must be repeatable."""
-    if isinstance(rng, np.random.Generator):
-        return rng
-    if not is_whole(rng) or rng < 0:
-        raise ModelError(
-            "rng is a numpy.random.Generator or a seed, a whole number from 0, so that draws can "
-            f"be repeated; not {rng!r}"
-        )
-    return np.random.default_rng(int(rng))
 
 
 def _as_shape(n: Any) -> tuple[int, ...]:

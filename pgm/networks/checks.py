@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from pgm.boundary import as_tuple
 from pgm.cpds import CPD, GaussianCPD
 from pgm.errors import ModelError
 from pgm.evidence.runs import clash
@@ -19,9 +20,9 @@ C = TypeVar("C", bound=CPD)
 
 def as_cpds(cpds: CPD | Iterable[CPD], where: str) -> tuple[CPD, ...]:
     """CPDs as a tuple; refuses anything else."""
-    if not isinstance(cpds, CPD | Iterable):
+    result = (cpds,) if isinstance(cpds, CPD) else as_tuple(cpds)
+    if result is None:
         raise ModelError(f"{where} is a sequence of CPDs, not {cpds!r}")
-    result = (cpds,) if isinstance(cpds, CPD) else tuple(cpds)
     for cpd in result:
         if not isinstance(cpd, CPD):
             raise ModelError(f"{where} holds CPDs, not {cpd!r}")

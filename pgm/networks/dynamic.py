@@ -8,16 +8,15 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
+from pgm.boundary import as_generator, as_mapping, is_whole
 from pgm.cpds import CPD, ConditionalGaussian
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, one_name_each
 from pgm.immutable import Immutable
 from pgm.networks import checks, declaration
-from pgm.networks.ancestral import as_generator
 from pgm.networks.dynamic_sampling import Sample, draw
 from pgm.networks.static import BayesianNetwork, density
-from pgm.numeric import is_whole
 
 
 class DynamicBayesianNetwork(Immutable):
@@ -170,7 +169,7 @@ class DynamicBayesianNetwork(Immutable):
             ``sample.evidence`` are the inputs and the readings, ready for `infer`.
         """
         shape = (runs,) if isinstance(runs, int) else tuple(runs)
-        return draw(self, inputs or {}, steps, shape, as_generator(rng))
+        return draw(self, as_mapping(inputs, "inputs"), steps, shape, as_generator(rng))
 
     def unroll(self, steps: int) -> BayesianNetwork:
         """The network without time whose variables are those of the slices 0..steps.

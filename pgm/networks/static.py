@@ -9,6 +9,7 @@ from types import MappingProxyType
 import networkx as nx
 import numpy as np
 
+from pgm.boundary import as_generator, as_mapping
 from pgm.cpds import CPD
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
@@ -116,7 +117,7 @@ class BayesianNetwork(Immutable):
         ModelError
             If the network does not have the variable, or it is an input.
         """
-        if variable not in self._by_child:
+        if not isinstance(variable, Variable) or variable not in self._by_child:
             if variable in self.inputs:
                 why = "since it is an input, which no CPD explains"
             else:
@@ -180,7 +181,7 @@ class BayesianNetwork(Immutable):
         >>> net.sample(4, rng=0)[coin]
         array([1, 1, 1, 1])
         """
-        return ancestral.draw(self, n, inputs or {}, ancestral.as_generator(rng))
+        return ancestral.draw(self, n, as_mapping(inputs, "inputs"), as_generator(rng))
 
     def to_networkx(self) -> nx.DiGraph:
         """The network as a graph, for pictures and questions of structure.

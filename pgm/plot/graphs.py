@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import networkx as nx
 
+from pgm.boundary import is_whole
 from pgm.errors import EvidenceError, ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
-from pgm.numeric import is_whole
 from pgm.variables import Variable
 
 Network = BayesianNetwork | DynamicBayesianNetwork

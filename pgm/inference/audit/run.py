@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
 from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.result import Audit
@@ -15,8 +16,6 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
-from pgm.networks.ancestral import as_generator
-from pgm.numeric import is_whole
 
 # Numbers drawn at once: what stays near the processor.
 BATCH = 2**18

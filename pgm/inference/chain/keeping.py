@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from pgm.boundary import is_whole
 from pgm.compile import DynamicGraph, SliceLayout
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
@@ -21,7 +22,6 @@ from pgm.inference.start import Start
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
-from pgm.numeric import is_whole
 from pgm.variables import Variable
 
 Keep = Variable | Iterable[Variable]

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
 from pgm.evidence import Sightings
 from pgm.immutable import set_writeable
 from pgm.kernels.arrays import Array
-from pgm.numeric import as_floats
 from pgm.variables import Variable
 
 _ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)

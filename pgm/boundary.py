@@ -1,15 +1,15 @@
-"""Numbers that users give: arrays of floats, or words that say what was found instead."""
+"""Checks of what users give: numbers, arrays of them, sequences; in words where they are none."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from typing import Any, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
 
-from pgm.errors import ModelError, PgmError
+from pgm.errors import EvidenceError, ModelError, PgmError
 from pgm.kernels.arrays import Array, Integers
 
 _FLOAT = np.dtype(np.float64)
@@ -45,6 +45,41 @@ def is_number(value: object) -> TypeGuard[float]:
     except OverflowError:
         return False
     return True
+
+
+def as_tuple(value: object) -> tuple[Any, ...] | None:
+    """The items of a sequence or the like, a generator's too; None of a text, or one item."""
+    if isinstance(value, str | bytes) or not isinstance(value, Iterable):
+        return None
+    if isinstance(value, np.ndarray) and not value.ndim:
+        return None
+    return tuple(value)
+
+
+def is_unordered(value: object) -> bool:
+    """Whether a value is a set of several items, which stand in no order."""
+    return isinstance(value, set | frozenset) and len(value) > 1
+
+
+def as_mapping(value: Any, what: str, error: type[PgmError] = EvidenceError) -> Mapping[Any, Any]:
+    """A mapping, the empty one in place of None."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise error(f"{what} is a mapping of variables to values, not {type(value).__name__}")
+    return value
+
+
+def as_generator(rng: Any) -> np.random.Generator:
+    """What draws: a generator, or one of a seed; refuses None, since draws must be repeatable."""
+    if isinstance(rng, np.random.Generator):
+        return rng
+    if not is_whole(rng) or rng < 0:
+        raise ModelError(
+            "rng is a numpy.random.Generator or a seed, a whole number from 0, so that draws can "
+            f"be repeated; not {rng!r}"
+        )
+    return np.random.default_rng(int(rng))
 
 
 def as_floats(
@@ -104,7 +139,7 @@ def masked_whole(value: Any) -> Any:
     if isinstance(value, list | tuple):
         try:
             if any(issubclass(kind, np.ma.MaskedArray) for kind in _leaves(value)):
-                return np.ma.array(value)
+                return np.ma.stack([np.ma.asarray(masked_whole(part)) for part in value])
         except (_Unfit, ValueError):  # which are refused as what they are
             pass
     return value
