@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.errors import ModelError
 
 
@@ -53,16 +54,7 @@ class Variable:
             raise ModelError(f"a variable's name must be a non-empty string, not {self.name!r}")
         for field in ("components", "angles"):
             value = getattr(self, field)
-            if (
-                isinstance(value, str)
-                or not isinstance(value, Iterable)
-                or not all(isinstance(name, str) for name in value)
-            ):
-                raise ModelError(
-                    f"variable {self.name}: {field} must be a tuple of names, not {value!r}",
-                    variable=self,
-                )
-            object.__setattr__(self, field, tuple(value))
+            object.__setattr__(self, field, _names(self, field, value))
         if not self.components:
             object.__setattr__(self, "components", (self.name,))
         if len(set(self.components)) < len(self.components):
@@ -79,9 +71,9 @@ class Variable:
                 variable=self,
             )
         for field, value in (("step", self.step), ("lag", self.lag)):
-            if value is None:
+            if value is None and field == "step":
                 continue
-            if not isinstance(value, int | np.integer):
+            if not is_whole(value):
                 raise ModelError(
                     f"variable {self.name}: {field} must be a whole number, not {value!r}",
                     variable=self,
@@ -119,7 +111,7 @@ class Variable:
 
     def at(self, step: int) -> Variable:
         """The copy at a step; for a template with a lag, that many steps before it."""
-        if not isinstance(step, int | np.integer):
+        if not is_whole(step):
             raise ModelError(f"{self!r}.at({step!r}): a step is a whole number", variable=self)
         return self._moved(int(step) - self.lag, 0)
 
@@ -177,12 +169,9 @@ class Discrete(Variable):
         object.__setattr__(self, "components", ())
         object.__setattr__(self, "angles", ())
         Variable.__post_init__(self)
-        found: tuple[str, ...] = ()
-        if isinstance(states, int | np.integer) and not isinstance(states, bool):
-            found = tuple(map(str, range(states)))
-        elif isinstance(states, Iterable) and not isinstance(states, str):
-            found = tuple(states)
-        if not found or not all(isinstance(state, str) for state in found):
+        names = map(str, range(states)) if is_whole(states) else states
+        found = _names(self, "states", names)
+        if not found:
             raise ModelError(
                 f"variable {name}: states must be a tuple of one or more names, or their number, "
                 f"not {states!r}",
@@ -213,12 +202,31 @@ class Discrete(Variable):
         """
         if isinstance(state, str) and state in self.states:
             return self.states.index(state)
-        whole = isinstance(state, int | np.integer) and not isinstance(state, bool)
-        if whole and 0 <= int(state) < self.size:
+        if is_whole(state) and 0 <= int(state) < self.size:
             return int(state)
         raise ModelError(
             f"{self!r} has no state {state!r}; its states are {self.states}", variable=self
         )
+
+
+def _names(variable: Variable, field: str, value: object) -> tuple[str, ...]:
+    """Names that a variable is given, in their order."""
+    advice = ", or their number" if field == "states" else ""
+    if is_unordered(value) and field != "angles":
+        raise ModelError(
+            f"variable {variable.name}: {field} must be a tuple of names{advice}; {value!r} is a "
+            "set, which has no order",
+            variable=variable,
+        )
+    found = as_tuple(value)
+    empty = field == "states"  # a state may be called "", a component may not
+    if found is None or not all(isinstance(name, str) and (name or empty) for name in found):
+        shown = value if found is None else found
+        raise ModelError(
+            f"variable {variable.name}: {field} must be a tuple of names{advice}, not {shown!r}",
+            variable=variable,
+        )
+    return found
 
 
 def variables(names: str | Iterable[str]) -> tuple[Variable, ...]:
@@ -237,7 +245,10 @@ def variables(names: str | Iterable[str]) -> tuple[Variable, ...]:
     """
     if isinstance(names, str):
         names = names.replace(",", " ").split()
-    names = tuple(names)
-    if len(set(names)) < len(names):
-        raise ModelError(f"the names {names} repeat; each variable needs one of its own")
-    return tuple(Variable(name) for name in names)
+    found = None if is_unordered(names) else as_tuple(names)
+    if found is None:
+        raise ModelError(f"variables takes names in order, in a text or one by one, not {names!r}")
+    made = tuple(Variable(name) for name in found)
+    if len(set(found)) < len(found):
+        raise ModelError(f"the names {found} repeat; each variable needs one of its own")
+    return made

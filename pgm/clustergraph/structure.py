@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 import networkx as nx
-import numpy as np
 
+from pgm.boundary import as_tuple, is_whole
 from pgm.clustergraph.assignment import assign, spanning_tree
 from pgm.clustergraph.checks import (
     Edge,
@@ -77,9 +77,10 @@ class ClusterGraph(Immutable):
 
         def scope(members: Iterable[Variable], where: str) -> Scope:
             """In the network's order, since sets have none of their own."""
-            if not isinstance(members, Variable | Iterable):
+            items = (members,) if isinstance(members, Variable | str) else as_tuple(members)
+            if items is None:
                 raise GraphError(f"{where} is a set of variables, not {members!r}")
-            found = as_scope(members, where)
+            found = as_scope(items, where)
             for variable in found:
                 if variable not in place:
                     raise GraphError(
@@ -88,9 +89,10 @@ class ClusterGraph(Immutable):
                     )
             return tuple(sorted(found, key=place.__getitem__))
 
-        if not isinstance(clusters, Iterable):
+        given = as_tuple(clusters)
+        if given is None:
             raise GraphError(f"clusters is a sequence of sets of variables, not {clusters!r}")
-        scopes = [scope(members, f"cluster {k}") for k, members in enumerate(clusters)]
+        scopes = [scope(members, f"cluster {k}") for k, members in enumerate(given)]
         if () in scopes:
             empty = scopes.index(())
             raise GraphError(f"cluster {empty} is empty; leave it out", cluster=empty)
@@ -187,7 +189,7 @@ class ClusterGraph(Immutable):
             If there is none of the index, or the cluster is another graph's.
         """
         found = cluster.index if isinstance(cluster, Cluster) else cluster
-        if not isinstance(found, int | np.integer) or not 0 <= found < len(self.clusters):
+        if not is_whole(found) or not 0 <= found < len(self.clusters):
             raise GraphError(
                 f"there is no cluster {cluster!r}; clusters are 0..{len(self.clusters) - 1}",
                 cluster=cluster,
@@ -259,8 +261,8 @@ class ClusterGraph(Immutable):
 
 def _edge(edge: Any, count: int) -> Edge:
     """A pair of different clusters, lower index first."""
-    ends = tuple(edge) if isinstance(edge, Iterable) else ()
-    if len(ends) != 2 or not all(isinstance(end, int | np.integer) for end in ends):
+    ends = as_tuple(edge) or ()
+    if len(ends) != 2 or not all(map(is_whole, ends)):
         raise GraphError(f"sepsets map pairs of clusters to variables; {edge!r} is none")
     i, j = sorted(map(int, ends))
     if i == j or not (i >= 0 and j < count):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol, overload
 
-import numpy as np
-
+from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.balanced import Balanced, BalancedGraph
 from pgm.compile.dynamic import DynamicGraph
@@ -115,8 +114,7 @@ def _dynamic(model: DynamicBayesianNetwork, steps: Any, method: Any) -> DynamicG
             f"a dynamic network is compiled to a chain of slices, or by pgm.Balanced() to a tree, "
             f"not by {method!r}; leave out the method, or compile model.unroll(steps)"
         )
-    whole = isinstance(steps, int | np.integer) and not isinstance(steps, bool)
-    if not whole or steps < 0:
+    if not is_whole(steps) or steps < 0:
         raise GraphError(
             f"a dynamic network is compiled for steps 0..T; give steps=T, 0 or more, not {steps!r}"
         )

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
+from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.checks import Edge
 from pgm.clustergraph.size import amount, is_discrete, size
@@ -58,8 +57,7 @@ class JoinGraph:
     order: Order | Iterable[Variable] = field(default_factory=MinFill)
 
     def __post_init__(self) -> None:
-        whole = isinstance(self.max_size, int | np.integer) and not isinstance(self.max_size, bool)
-        if not whole or self.max_size < 1:
+        if not is_whole(self.max_size) or self.max_size < 1:
             raise GraphError(
                 "JoinGraph makes clusters of at most `max_size` table entries or components, a "
                 f"whole number, 1 or more, not {self.max_size!r}"

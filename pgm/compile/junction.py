@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from pgm.boundary import as_tuple, is_unordered
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.elimination import clique_tree, moral
 from pgm.compile.orders import Order, StochasticMinFill, places
@@ -47,14 +48,14 @@ class JunctionTree:
 
     def __post_init__(self) -> None:
         order = self.order
-        orders = callable(order) or (isinstance(order, Iterable) and not isinstance(order, str))
-        if isinstance(order, type) or not orders:
+        listed = None if callable(order) or is_unordered(order) else as_tuple(order)
+        if isinstance(order, type) or (listed is None and not callable(order)):
             raise GraphError(
                 f"{order!r} is no elimination order; give a value like pgm.MinFill() or "
                 "pgm.WeightedMinFill(), or the network's variables"
             )
-        if not callable(order):
-            object.__setattr__(self, "order", tuple(order))
+        if listed is not None:
+            object.__setattr__(self, "order", listed)
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
         """Compile a network.

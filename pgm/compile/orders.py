@@ -6,8 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
+from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph.size import extent
 from pgm.compile.dissection import dissect
 from pgm.compile.elimination import min_fill, moral
@@ -91,7 +90,7 @@ class StochasticMinFill:
 
     def __post_init__(self) -> None:
         for name, given in (("tries", self.tries), ("seed", self.seed)):
-            if not _is_whole(given) or given < 0:
+            if not is_whole(given) or given < 0:
                 raise GraphError(
                     f"StochasticMinFill takes a whole number of {name}, 0 or more, not {given!r}"
                 )
@@ -131,7 +130,7 @@ class NestedDissection:
     small: int = 8
 
     def __post_init__(self) -> None:
-        if not _is_whole(self.small) or self.small < 1:
+        if not is_whole(self.small) or self.small < 1:
             raise GraphError(
                 f"NestedDissection divides parts of more than `small` variables, a whole number, "
                 f"1 or more, not {self.small!r}"
@@ -152,12 +151,12 @@ def places(order: Order | Iterable[Variable], network: BayesianNetwork) -> list[
         If it is not of the variables of the network, each once.
     """
     given = order(network) if callable(order) else order
-    if not isinstance(given, Iterable) or isinstance(given, str):
+    found = None if is_unordered(given) else as_tuple(given)
+    if found is None:
         raise GraphError(
             f"the elimination order {order!r} returned {given!r} where the network's variables "
             "were due, each once"
         )
-    found = list(given)
     place = {variable: k for k, variable in enumerate(network.variables)}
     strangers = [v for v in found if not isinstance(v, Variable) or v not in place]
     if strangers:
@@ -177,10 +176,6 @@ def places(order: Order | Iterable[Variable], network: BayesianNetwork) -> list[
         twice = next(variable for variable in found if found.count(variable) > 1)
         raise GraphError(f"the elimination order names {twice!r} twice", variable=twice)
     return order_
-
-
-def _is_whole(number: object) -> bool:
-    return isinstance(number, int | np.integer) and not isinstance(number, bool)
 
 
 def _named(network: BayesianNetwork, order: Iterable[int]) -> Scope:

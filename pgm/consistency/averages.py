@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pgm.consistency.checks import check_count, check_innovations, numbers
+from pgm.boundary import as_floats
+from pgm.consistency.checks import check_count, check_innovations
 from pgm.consistency.normalised import nees_and_dof
 from pgm.consistency.quantiles import chi_squared, tails
 from pgm.errors import ModelError
@@ -108,7 +109,8 @@ def average(
     Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
     section 5.4.2.
     """
-    values, each = numbers("normalised errors", squares), numbers("degrees of freedom", dof)
+    values = as_floats(squares, "normalised errors")
+    each = as_floats(dof, "degrees of freedom")
     try:
         each = np.broadcast_to(each, values.shape)
     except ValueError:

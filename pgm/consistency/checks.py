@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats, is_whole
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations
@@ -32,7 +32,7 @@ def check_innovations(innovations: Any) -> Innovations:
 
 def check_confidence(confidence: npt.ArrayLike) -> Array:
     """Confidences, (...); refuses what is no probability strictly between 0 and 1."""
-    values = numbers("a confidence", confidence)
+    values = as_floats(confidence, "a confidence")
     if not ((values > 0.0) & (values < 1.0)).all():
         raise ModelError(f"a confidence lies between 0 and 1; {confidence!r} does not")
     return values
@@ -40,19 +40,8 @@ def check_confidence(confidence: npt.ArrayLike) -> Array:
 
 def check_count(what: str, value: Any) -> None:
     """Refuse what is no whole number, 1 or more."""
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or value < 1:
+    if not is_whole(value) or value < 1:
         raise ModelError(f"{what} = {value!r}; a whole number, 1 or more, was due")
-
-
-def numbers(what: str, values: Any) -> Array:
-    """An array of floats; refuses what makes none."""
-    try:
-        return np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(
-            f"{what} is made of numbers; this {_kind(values)} makes no array of them"
-        ) from None
 
 
 def _kind(value: object) -> str:

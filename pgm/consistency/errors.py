@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from pgm.consistency.checks import check_gaussian, numbers
+from pgm.boundary import as_floats, as_tuple
+from pgm.consistency.checks import check_gaussian
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.factors.scope import names
+from pgm.factors.scope import labels, names
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers
 
@@ -35,7 +36,7 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
         If the belief is no Gaussian, the axes do not fit, or a value is infinite.
     """
     shape = check_gaussian(belief).mean.shape
-    values = numbers("a truth", truth)
+    values = as_floats(truth, "a truth", labels=labels(belief.scope))
     what = (
         f"a truth of shape {values.shape} for the belief over {names(belief.scope)} with means of "
         f"shape {shape}"
@@ -58,15 +59,10 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
         *at, component = np.argwhere(np.isinf(spread))[0]
         raise ModelError(
             f"{what} has infinite values ({lost} of {values.size}), the first of "
-            f"{labels(belief)[component]}{place(belief, tuple(at))}; a truth that is not known is "
-            "NaN"
+            f"{labels(belief.scope)[component]}{place(belief, tuple(at))}; a truth that is not "
+            "known is NaN"
         )
     return difference(belief.mean, spread, belief.angles)
-
-
-def labels(belief: Gaussian) -> list[str]:
-    """The names of the components of the stacked vector."""
-    return [label for variable in belief.scope for label in variable.components]
 
 
 def place(belief: Gaussian, index: tuple[int, ...]) -> str:
@@ -82,11 +78,13 @@ def place(belief: Gaussian, index: tuple[int, ...]) -> str:
 
 def places(belief: Gaussian, components: Sequence[str]) -> Integers:
     """Where the components named stand in the stacked vector; all of them, where none is named."""
-    known = labels(check_gaussian(belief))
-    if isinstance(components, str):
+    known = labels(check_gaussian(belief).scope)
+    named = as_tuple(components)
+    if named is None:
         raise ModelError(f"components are a tuple of names, not {components!r} alone")
+    components = named
     if lost := [label for label in components if known.count(label) != 1]:
-        raise ModelError(f"the belief has components {known}, not {lost}")
+        raise ModelError(f"the belief has components {list(known)}, not {lost}")
     if len(set(components)) < len(components):
         raise ModelError(f"components are {tuple(components)}; name each of them once")
     found = [known.index(label) for label in components] if components else range(len(known))
@@ -131,7 +129,7 @@ def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
 
 def nothing_known(belief: Gaussian, components: Sequence[str]) -> ModelError:
     """The error of a truth that is NaN wherever it is needed."""
-    wanted = ", ".join(components or labels(belief))
+    wanted = ", ".join(components or labels(belief.scope))
     return ModelError(
         f"no truth of {names(belief.scope)} is known, at any run or step, in ({wanted}); name "
         "components that are, with components=(...)"

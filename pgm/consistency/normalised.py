@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.consistency.checks import check_innovations
-from pgm.consistency.errors import error, labels, place, places
+from pgm.consistency.errors import error, place, places
 from pgm.errors import NumericalError
 from pgm.factors import Gaussian
-from pgm.factors.scope import names
+from pgm.factors.scope import labels, names
 from pgm.inference import Innovations
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner
@@ -57,7 +57,7 @@ def nees_and_dof(
     # A root that does not exist is NaN.
     faulty = ~(np.diagonal(lower, axis1=-2, axis2=-1) > 0.0)
     if faulty.any():
-        raise _no_scale(belief, [labels(belief)[k] for k in chosen], faulty)
+        raise _no_scale(belief, [labels(belief.scope)[k] for k in chosen], faulty)
     white = roots.whiten(lower, np.where(known, errors, 0.0))
     dof = known.sum(axis=-1)
     return np.where(dof > 0, inner(white, white), np.nan), dof

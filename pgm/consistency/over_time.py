@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pgm.consistency.checks import numbers
+from pgm.boundary import as_floats
 from pgm.consistency.errors import size
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
@@ -60,7 +60,7 @@ def over_time(
     ModelError
         If the sizes are not over those steps or some are NaN, or the percentiles no such pair.
     """
-    values = numbers("a size", sizes)
+    values = as_floats(sizes, "a size")
     steps = _steps_of(values, steps)
     if lost := int(np.isnan(values).sum()):
         raise ModelError(
@@ -80,7 +80,7 @@ def _steps_of(values: Array, steps: Integers | None) -> Integers:
 
 def _over_runs(values: Array, steps: Integers, percentiles: tuple[float, float]) -> OverTime:
     """Of sizes (*runs, T+1), those of NaN left out."""
-    pair = numbers("a percentile", percentiles)
+    pair = as_floats(percentiles, "a percentile")
     if pair.shape != (2,) or not 0.0 <= pair[0] < pair[1] <= 100.0:
         raise ModelError(f"percentiles are a lower and an upper one in percent, not {percentiles}")
     flat = values.reshape(-1, values.shape[-1])

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pgm.cpds.noise import Noise, as_covariance
 from pgm.errors import ModelError
-from pgm.factors.scope import Scope, as_scope, listed
+from pgm.factors.scope import Scope, as_scope, listed, one_name_each
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
@@ -34,7 +34,9 @@ class CPD(Immutable):
     discrete: ClassVar[bool] = False
     _origin: CPD | None = None
 
-    def _set_scope(self, child: Variable, given: Variable | Iterable[Variable]) -> None:
+    def _set_scope(
+        self, child: Variable, given: Variable | Iterable[Variable], noise_given: Scope = ()
+    ) -> None:
         if not isinstance(child, Variable):
             raise ModelError(f"a CPD's child is a variable, not {child!r}")
         if child.lag:
@@ -48,7 +50,14 @@ class CPD(Immutable):
                 f"{child!r} is given as its own parent; did you mean {child.name}.previous?",
                 variable=child,
             )
-        for variable in (child, *given):
+        if child in noise_given:
+            raise ModelError(
+                f"the noise of the CPD of {child!r} depends on {child!r} itself; it can depend on "
+                "observed parents alone",
+                variable=child,
+            )
+        one_name_each((child, *given, *noise_given))
+        for variable in (child, *given, *noise_given):
             if isinstance(variable, Discrete) != self.discrete:
                 found = "continuous" if self.discrete else "discrete"
                 advice = "a Gaussian CPD" if self.discrete else "a TableCPD"
@@ -114,7 +123,7 @@ class ConditionalGaussian(CPD):
         *,
         lead: bool = False,
     ) -> None:
-        self._set_scope(child, given)
+        self._set_scope(child, given, cov.given if isinstance(cov, Noise) else ())
         self._set(cov=cov if isinstance(cov, Noise) else as_covariance(child, cov, lead=lead))
 
     @property

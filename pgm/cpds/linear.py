@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats
 from pgm.cpds.base import ConditionalGaussian
 from pgm.cpds.noise import Noise
 from pgm.errors import ModelError
@@ -147,7 +148,9 @@ class LinearGaussianCPD(AffineCPD):
             )
         self._set_family(child, given, cov)
         matrices = {parent: _matrix(child, parent, value) for parent, value in given.items()}
-        shift = _numbers(child, offset, "offset")
+        shift = as_floats(
+            offset, f"the offset of {child!r}", labels=child.components, variable=child
+        ).copy()
         shift = np.full(child.dimension, shift) if shift.ndim == 0 else shift
         if shift.shape != (child.dimension,):
             raise ModelError(
@@ -155,23 +158,12 @@ class LinearGaussianCPD(AffineCPD):
                 f"({child.dimension},) was due",
                 variable=child,
             )
-        self._set(
-            matrices=MappingProxyType(matrices), offset=_finite(child, shift.copy(), "offset")
-        )
-
-
-def _numbers(child: Variable, value: npt.ArrayLike, what: str) -> Array:
-    try:
-        return np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(
-            f"LinearGaussianCPD of {child!r}: the {what} must be numbers, not {value!r}",
-            variable=child,
-        ) from None
+        self._set(matrices=MappingProxyType(matrices), offset=_finite(child, shift, "offset"))
 
 
 def _matrix(child: Variable, parent: Variable, value: npt.ArrayLike) -> Array:
-    matrix = _numbers(child, value, f"matrix of {parent!r}")
+    what = f"LinearGaussianCPD of {child!r}: the matrix of {parent!r}"
+    matrix = as_floats(value, what, variable=parent).copy()
     due = (child.dimension, parent.dimension)
     if matrix.ndim == 0 and due[0] == due[1]:
         matrix = matrix * np.eye(due[0])

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats
 from pgm.errors import ModelError
+from pgm.factors.arrays import as_matrix
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array, frozen
-from pgm.kernels.checks import covariance_fault
+from pgm.kernels.checks import covariance_fault, symmetrised
 from pgm.variables import Variable
 
 
@@ -64,13 +66,15 @@ def evaluate(
     """
     arguments = [np.broadcast_to(known[v], (*shape, v.dimension)) for v in cov.given]
     try:
-        value = np.asarray(cov.function(*arguments), dtype=float)
+        found = cov.function(*arguments)
     except Exception as error:
         raise ModelError(
             f"the noise of the CPD of {child!r} failed on arrays of leading axes {shape}: "
             f"{type(error).__name__}: {error}",
             variable=child,
         ) from error
+    what = f"the noise of the CPD of {child!r}"
+    value = as_floats(found, what, verb="return", variable=child)
     due = (*shape, child.dimension, child.dimension)
     if value.shape != due:
         raise ModelError(
@@ -78,6 +82,7 @@ def evaluate(
             "it is called with arrays that have leading axes",
             variable=child,
         )
+    value = symmetrised(value)
     if covariance_fault(value):
         for index in np.ndindex(shape):
             if fault := covariance_fault(value[index]):
@@ -96,16 +101,8 @@ def as_covariance(child: Variable, cov: npt.ArrayLike, *, lead: bool = False) ->
 
     With `lead`, leading axes of runs are taken too.
     """
-    try:
-        array = np.array(cov, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(
-            f"the covariance of {child!r} must be numbers or pgm.noise(...), not {cov!r}",
-            variable=child,
-        ) from None
+    array = as_matrix((child,), cov, f"the covariance of {child!r}", variable=child)
     size = child.dimension
-    if array.ndim == 0 and size == 1:
-        array = array[None, None]
     if array.shape[-2:] != (size, size) or (array.ndim > 2 and not lead):
         raise ModelError(
             f"the covariance of {child!r} has shape {array.shape}; its {size} components "

@@ -85,11 +85,13 @@ class NonlinearGaussianCPD(ConditionalGaussian):
                 "cannot be called",
                 cpd=self,
             )
+        if not isinstance(grouped, bool):
+            raise ModelError(f"{self!r}: grouped is True or False, not {grouped!r}", cpd=self)
         self._set(
             function=function,
             jacobian=MappingProxyType(derivatives),
             lineariser=lineariser,
-            grouped=bool(grouped),
+            grouped=grouped,
         )
 
     def _placed(self, step: int) -> dict[str, Any]:

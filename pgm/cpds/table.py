@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats
 from pgm.cpds.base import CPD
 from pgm.errors import ModelError
 from pgm.factors.scope import names
@@ -61,12 +62,7 @@ class TableCPD(CPD):
         self._set_scope(child, given)
         axes = (*self.given, self.child)
         due = tuple(len(v.states) for v in axes)
-        try:
-            array = np.array(table, dtype=float)
-        except (TypeError, ValueError):
-            raise ModelError(
-                f"{self!r}: the table must be numbers, in rows of equal length", cpd=self
-            ) from None
+        array = as_floats(table, f"{self!r}: the table", cpd=self).copy()
         if array.shape != due:
             raise ModelError(
                 f"{self!r}: the table has shape {array.shape}; the axes {names(axes)} need {due}, "

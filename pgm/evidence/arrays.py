@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import as_floats, as_wholes
 from pgm.errors import EvidenceError
 from pgm.evidence.values import Soft
 from pgm.factors.scope import listed
@@ -22,15 +23,14 @@ def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
             f"LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, cov=...)",
             variable=variable,
         )
-    try:
-        if np.iscomplexobj(value):
-            raise TypeError
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise EvidenceError(
-            f"evidence for {variable!r} must be numbers, not {type(value).__name__}",
-            variable=variable,
-        ) from None
+    array = as_floats(
+        value,
+        f"evidence for {variable!r}",
+        EvidenceError,
+        labels=variable.components,
+        missing=True,
+        variable=variable,
+    )
     if axis == "M" and array.shape == (0,):
         array = np.empty((0, variable.dimension))  # no readings, written as []
     if axis is None and array.ndim == 0 and variable.dimension == 1:
@@ -60,7 +60,7 @@ def require_finite(
         variable,
         ~finite.all(axis=-1),
         step,
-        "entries that are NaN or infinite",
+        "entries that are NaN, masked or infinite",
         advice,
     )
     return array
@@ -109,18 +109,11 @@ def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Int
             f"sightings of {variable!r} have no steps; give step=, one for each reading",
             variable=variable,
         )
-    try:
-        array = np.asarray(step)
-    except ValueError:
+    array = as_wholes(step, f"sightings of {variable!r}: step", EvidenceError, variable=variable)
+    if array.ndim != 1:
         raise EvidenceError(
-            f"sightings of {variable!r}: step must be a row of whole numbers", variable=variable
-        ) from None
-    if array.size == 0:
-        array = array.astype(np.intp)
-    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
-        raise EvidenceError(
-            f"sightings of {variable!r}: step must be a row of whole numbers, not an array of "
-            f"shape {array.shape} and type {array.dtype}",
+            f"sightings of {variable!r}: step must be a row of whole numbers, not of shape "
+            f"{array.shape}",
             variable=variable,
         )
     if count is not None and array.shape != (count,):
@@ -136,4 +129,4 @@ def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Int
             variable=variable,
             step=int(outside[0]),
         )
-    return array.astype(np.intp)
+    return array

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_tuple, masked_whole
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 
@@ -22,13 +23,14 @@ class Column:
     ----------
     name : str
     cells : ndarray
-        (records, ...); of a categorical column the codes of the categories, −1 for none.
+        (records, ...); of a categorical column the codes of the categories, −1 for none; a frame
+        of columns with names as it is.
     categories : ndarray or None
         Of a categorical column.
     """
 
     name: str
-    cells: npt.NDArray[Any]
+    cells: Any
     categories: npt.NDArray[Any] | None = None
 
 
@@ -63,9 +65,9 @@ def columns_of(table: Any, wanted: Iterable[str] | None) -> dict[str, Column]:
     if wanted is not None:
         if isinstance(wanted, str):
             raise EvidenceError(f"columns= takes several names, [{wanted!r}], not a text")
-        if not isinstance(wanted, Iterable):
+        asked = as_tuple(wanted)
+        if asked is None:
             raise EvidenceError(f"columns= takes names, such as {names[:1]}, not {wanted!r}")
-        asked = list(wanted)
         missing = [name for name in asked if name not in names]
         if missing:
             raise EvidenceError(f"the table has no column {missing[0]!r}; it has ({listed(names)})")
@@ -90,13 +92,16 @@ def _column(name: str, values: Any) -> Column:
     codes, categories = (getattr(categorical, a, None) for a in ("codes", "categories"))
     if codes is not None and categories is not None:
         return Column(name, np.asarray(codes), np.asarray(categories))
+    values = masked_whole(values)
     if isinstance(values, np.ma.MaskedArray):
         masked = np.ma.getmaskarray(values)
         values = np.asarray(values).astype(object)
         values[masked] = None
+    if hasattr(values, "columns") and hasattr(values, "__getitem__"):
+        return Column(name, values)
     cells = values
     if not hasattr(values, "__array__"):
-        if isinstance(values, str) or not isinstance(values, Iterable):
+        if isinstance(values, str | bytes | set | frozenset) or not isinstance(values, Iterable):
             raise EvidenceError(f"column {name!r} is {values!r}, not a row of cells")
         cells = _array(list(values))
     array = np.asarray(cells)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
 from pgm.evidence.indices import as_indices, in_run
 from pgm.evidence.keys import unknown
@@ -112,14 +113,13 @@ def _as_weights(variable: Discrete, value: Soft) -> Array:
             f"{states}",
             variable=variable,
         )
-    try:
-        array = np.array(value.weights, dtype=float)
-    except (TypeError, ValueError):
-        raise EvidenceError(
-            f"{what}: the weights must be numbers, one for each of the states {states}, not "
-            f"{value.weights!r}",
-            variable=variable,
-        ) from None
+    array = as_floats(
+        value.weights,
+        f"{what}: the weights, one for each of the states {states},",
+        EvidenceError,
+        labels=variable.states,
+        variable=variable,
+    ).copy()
     if array.shape[-1:] != (variable.size,):
         raise EvidenceError(
             f"{what}: the weights have shape {array.shape}; the last axis must hold one for each "

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import is_whole
 from pgm.cpds import ConditionalGaussian
 from pgm.errors import EvidenceError
 from pgm.evidence.arrays import as_rows, as_steps, require_finite, taken_readings
@@ -120,7 +121,7 @@ class _Binder:
                 raise unknown(variable, known)
 
     def _length(self, steps: int | None) -> int:
-        if steps is not None and (not isinstance(steps, int | np.integer) or steps < 0):
+        if steps is not None and (not is_whole(steps) or steps < 0):
             raise EvidenceError(f"steps must be a whole number, 0 or more, not {steps!r}")
         lengths = {variable: array.shape[-2] for variable, array in self.arrays.items()}
         if len(set(lengths.values())) > 1:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import is_whole, masked_whole
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers, Mask
@@ -19,6 +20,14 @@ STRANGER = -2
 
 def as_indices(variable: Discrete, value: Any) -> Integers:
     """Names or indices of states as an array of indices (...); −1 is "not observed"."""
+    if hasattr(value, "columns"):
+        raise _malformed(variable, "a data frame, of which pgm.records makes evidence")
+    value = masked_whole(value)
+    if isinstance(value, np.ma.MaskedArray):
+        masked = np.ma.getmaskarray(value)
+        array = np.array(np.ma.getdata(value), dtype=object)
+        array[masked] = MISSING
+        return as_indices(variable, array)
     try:
         array = np.asarray(value)
     except ValueError:
@@ -48,7 +57,7 @@ def _looked_up(variable: Discrete, array: Any) -> Integers:
 
 
 def _whole(variable: Discrete, value: Any) -> int:
-    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+    if not is_whole(value):
         raise _malformed(variable, repr(value))
     return int(value) if MISSING <= value < variable.size else STRANGER
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import is_number
 from pgm.errors import EvidenceError
 from pgm.evidence.columns import Column
 from pgm.evidence.indices import MISSING, STRANGER
@@ -66,7 +67,7 @@ def _indices(variable: Discrete, cells: npt.NDArray[Any]) -> Integers:
     try:
         found = map(place.get, listing, repeat(STRANGER))
         indices = np.fromiter(found, dtype=np.intp, count=len(listing))
-    except TypeError:  # a list, for instance, is no key
+    except (TypeError, ValueError):  # a list, for instance, is no key
         known = (place[c] if isinstance(c, str) and c in place else STRANGER for c in listing)
         indices = np.fromiter(known, dtype=np.intp, count=len(listing))
     # Texts are done. Among the rest may be numbers, and what stands for a missing one.
@@ -87,10 +88,7 @@ def _number(cell: Any) -> float:
     """A cell as a number: NaN where one is missing, a half where it is none, or no index."""
     if cell is None or type(cell).__name__ in ("NAType", "NaTType"):
         return math.nan
-    if isinstance(cell, int | float | np.integer | np.floating) and not isinstance(cell, bool):
-        with suppress(OverflowError):
-            return float(cell)
-    return 0.5
+    return float(cell) if is_number(cell) else 0.5
 
 
 def _whole(variable: Discrete, cells: npt.NDArray[Any]) -> Integers:

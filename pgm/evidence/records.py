@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
 from pgm.evidence.columns import Column, columns_of
 from pgm.evidence.names import as_states
@@ -80,7 +81,9 @@ def records(
 
 def _by_name(network: Any) -> dict[str, Variable]:
     """The variables as columns are named after them."""
-    variables = as_scope(getattr(network, "variables", network), "records: the network")
+    variables = as_scope(
+        getattr(network, "variables", network), "records: the network", ordered=False
+    )
     return {repr(variable): variable for variable in variables}
 
 
@@ -104,12 +107,15 @@ def _values(variable: Variable, column: Column) -> Integers | Array:
 
 def _numbers(variable: Variable, column: Column) -> Array:
     """The values of a continuous variable, (records, d)."""
-    try:
-        if column.categories is not None or np.iscomplexobj(column.cells):
-            raise TypeError
-        array = np.asarray(column.cells, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise EvidenceError(f"column {variable!r} must be numbers", variable=variable) from None
+    cells = column.cells if column.categories is None else column.categories.astype(str)
+    array = as_floats(
+        cells,
+        f"column {variable!r}",
+        EvidenceError,
+        labels=variable.components,
+        missing=True,
+        variable=variable,
+    )
     if array.ndim == 1 and variable.dimension == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[1] != variable.dimension:

@@ -7,13 +7,15 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.canonical import CanonicalForm
-from pgm.factors.gaussian import Gaussian
-from pgm.factors.scope import as_scope, dimension, names
+from pgm.factors.gaussian import Gaussian, as_gaussian
+from pgm.factors.scope import as_scope, dimension, names, one_name_each
 from pgm.immutable import Immutable
 from pgm.kernels import canonical, moments
 from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.checks import is_symmetric, symmetrised
 from pgm.variables import Variable
 
 
@@ -43,7 +45,9 @@ class AffineGaussian(Immutable):
     cov: Array
 
     def __init__(self, F: npt.ArrayLike, b: npt.ArrayLike, cov: npt.ArrayLike) -> None:
-        F, b, cov = (np.array(value, dtype=float) for value in (F, b, cov))
+        F = as_floats(F, "affine Gaussian: F").copy()
+        b = as_floats(b, "affine Gaussian: b").copy()
+        cov = as_floats(cov, "affine Gaussian: cov").copy()
         size = F.shape[-2] if F.ndim >= 2 else -1
         if b.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
             raise ModelError(
@@ -57,13 +61,17 @@ class AffineGaussian(Immutable):
                 f"affine Gaussian: the leading axes of F {F.shape}, b {b.shape} and cov "
                 f"{cov.shape} do not broadcast"
             ) from None
-        self._set(F=frozen(F), b=frozen(b), cov=frozen(cov))
+        # Whether they are finite and symmetric is asked where they are used: an engine names the
+        # CPD and the step, and what rounding leaves of an approximation error has no symmetry.
+        self._set(F=frozen(F), b=frozen(b), cov=frozen(symmetrised(cov)))
 
     def forward(self, x: Gaussian, child: Variable) -> Gaussian:
         """The child's marginal: mean F μ + b and covariance F P Fᵀ + Σ."""
-        self._fits((child,), x.scope)
+        child_scope, given = as_scope(child), as_gaussian(x).scope
+        one_name_each((*child_scope, *given))
+        self._fits(child_scope, given)
         mean, cov = moments.push(x.mean, x.cov, moments.Conditional(self.F, self.b, self.cov))
-        return Gaussian._make((child,), mean, cov)
+        return Gaussian._make(child_scope, mean, cov)
 
     def backward(self, message: CanonicalForm, given: Iterable[Variable]) -> CanonicalForm:
         """∫ N(y; F x + b, Σ) C(y; K, h, g) dy over the parents x.
@@ -76,7 +84,10 @@ class AffineGaussian(Immutable):
         NumericalError
             If the integral diverges, which only an indefinite K can bring about.
         """
+        if not isinstance(message, CanonicalForm):
+            raise ModelError(f"a message is a CanonicalForm, not {type(message).__name__}")
         given = as_scope(given)
+        one_name_each((*message.scope, *given))
         self._fits(message.scope, given)
         parts = canonical.backward(self.F, self.b, self.cov, message.K, message.h, message.g)
         if np.isnan(parts[2]).any():
@@ -99,6 +110,7 @@ class AffineGaussian(Immutable):
             If Σ is singular: the factor has no canonical form.
         """
         child, given = as_scope(child), as_scope(given)
+        scope = as_scope((*child, *given), "the scope of the factor")
         self._fits(child, given)
         K, h, g = canonical.from_affine(self.F, self.b, self.cov)
         if np.isnan(g).any():
@@ -106,13 +118,17 @@ class AffineGaussian(Immutable):
                 f"the CPD of {names(child)} has no canonical form: its noise is singular",
                 variable=child[0],
             )
-        return CanonicalForm._make(child + given, K, h, g)
+        return CanonicalForm._make(scope, K, h, g)
 
     def _fits(self, child: tuple[Variable, ...], given: tuple[Variable, ...]) -> None:
         if (dimension(child), dimension(given)) != self.F.shape[-2:]:
             raise ModelError(
                 f"an F of shape {self.F.shape} does not map {names(given)} to {names(child)}"
             )
+        if not all(np.isfinite(part).all() for part in (self.F, self.b, self.cov)):
+            raise ModelError(f"affine Gaussian of {names(child)}: F, b and cov must be finite")
+        if not is_symmetric(self.cov):
+            raise ModelError(f"affine Gaussian of {names(child)}: cov is not symmetric")
 
     def __repr__(self) -> str:
         return f"AffineGaussian({self.F.shape[-1]} -> {self.F.shape[-2]})"

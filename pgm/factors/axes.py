@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats, is_whole
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, as_scope, names
 from pgm.kernels.arrays import Array
@@ -45,23 +46,38 @@ def sizes(scope: States) -> tuple[int, ...]:
     return tuple(variable.size for variable in scope)
 
 
+def as_lead(scope: States, lead: int | tuple[int, ...]) -> tuple[int, ...]:
+    """The leading axes that a user asks for, as a tuple."""
+    axes = lead if isinstance(lead, tuple) else (lead,)
+    for length in axes:
+        if not is_whole(length) or length < 0:
+            raise ModelError(
+                f"table over {names(scope)}: lead is how many tables there are, a whole number or "
+                f"a tuple of such, not {lead!r}"
+            )
+    return tuple(map(int, axes))
+
+
 def as_entries(
-    scope: States, values: npt.ArrayLike, log_scale: npt.ArrayLike
+    scope: States, values: npt.ArrayLike, log_scale: npt.ArrayLike, lead: tuple[int, ...]
 ) -> tuple[Array, Array]:
-    """The values and log-scale of a table as arrays; refuses what no table can have."""
+    """The values and log-scale of tables as arrays; refuses what no table can have."""
     what = f"table over {names(scope)}"
-    try:
-        entries, scale = (np.array(part, dtype=float) for part in (values, log_scale))
-    except (TypeError, ValueError):
-        raise ModelError(
-            f"{what}: values and log_scale must be numbers, in rows of equal length"
-        ) from None
+    entries = as_floats(values, f"{what}: the values").copy()
+    scale = as_floats(log_scale, f"{what}: log_scale").copy()
     due = sizes(scope)
     if entries.ndim < len(due) or entries.shape[entries.ndim - len(due) :] != due:
         raise ModelError(
             f"{what}: the values have shape {entries.shape}; it must end in {due}, the numbers of "
             "states"
         )
+    leads = {"values": entries.shape[: entries.ndim - len(due)], "log_scale": scale.shape}
+    for part, own in leads.items():
+        if not _is_within(own, lead):
+            raise ModelError(
+                f"{what}: {part} has leading axes {own}, which do not broadcast to lead={lead}; "
+                f"a table has shape {due}, and where several are meant, lead= says how many"
+            )
     if not np.isfinite(entries).all() or (entries < 0.0).any():
         raise ModelError(f"{what}: the values have entries that are negative, NaN or infinite")
     if np.isnan(scale).any() or (scale == np.inf).any():
@@ -69,10 +85,18 @@ def as_entries(
     return entries, scale
 
 
+def _is_within(own: tuple[int, ...], lead: tuple[int, ...]) -> bool:
+    """Whether axes broadcast to others."""
+    try:
+        return np.broadcast_shapes(own, lead) == lead
+    except ValueError:
+        return False
+
+
 def axes_of(scope: States, wanted: Iterable[Variable]) -> tuple[int, ...]:
     """The axes of some variables, counted from the last."""
     place: dict[Variable, int] = {v: k for k, v in enumerate(scope, -len(scope))}
-    wanted = as_scope(wanted)
+    wanted = as_scope(wanted, ordered=False)
     for variable in wanted:
         if variable not in place:
             raise ModelError(f"{variable!r} is not in the scope {names(scope)}", variable=variable)

@@ -7,12 +7,15 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats, as_mapping
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.gaussian import Gaussian
+from pgm.factors.arrays import as_matrix, as_points, as_vector, require_broadcast
+from pgm.factors.gaussian import Gaussian, as_gaussian
 from pgm.factors.scope import Scope, as_scope, as_value, dimension, names, positions
 from pgm.immutable import Immutable
 from pgm.kernels import canonical as kernel
-from pgm.kernels.arrays import Array, apply, frozen, inner, transpose
+from pgm.kernels.arrays import Array, apply, frozen, inner
+from pgm.kernels.checks import is_symmetric
 from pgm.variables import Variable
 
 
@@ -68,7 +71,9 @@ class CanonicalForm(Immutable):
     ) -> None:
         scope = as_scope(scope)
         size = dimension(scope)
-        K, h, g = (np.array(value, dtype=float) for value in (K, h, g))
+        what = f"canonical form over {names(scope)}:"
+        K, h = as_matrix(scope, K, f"{what} K"), as_vector(scope, h, f"{what} h")
+        g = as_floats(g, f"{what} g").copy()
         if K.shape[-2:] != (size, size) or h.shape[-1:] != (size,):
             raise ModelError(
                 f"canonical form over {names(scope)}: K has shape {K.shape} and h {h.shape}; "
@@ -76,7 +81,7 @@ class CanonicalForm(Immutable):
             )
         if not all(np.isfinite(part).all() for part in (K, h, g)):
             raise ModelError(f"canonical form over {names(scope)}: K, h and g must be finite")
-        if np.abs(K - transpose(K)).max(initial=0.0) > 1e-9 * np.abs(K).max(initial=0.0):
+        if not is_symmetric(K):
             raise ModelError(f"canonical form over {names(scope)}: K is not symmetric")
         self._put(scope, K, h, g)
 
@@ -118,7 +123,12 @@ class CanonicalForm(Immutable):
         NumericalError
             If P is singular: K does not exist.
         """
-        weight = np.asarray(log_weight, dtype=float)
+        gaussian = as_gaussian(gaussian)
+        what = f"the log-weight of the Gaussian over {names(gaussian.scope)}"
+        weight = as_floats(log_weight, what)
+        if not np.isfinite(weight).all():
+            raise ModelError(f"{what} must be finite")
+        require_broadcast(weight.shape, gaussian.mean.shape[:-1], what)
         K, h, g = kernel.from_moments(gaussian.mean, gaussian.cov, weight)
         if np.isnan(g).any():
             raise NumericalError(
@@ -149,7 +159,7 @@ class CanonicalForm(Immutable):
     rearrange = extend
 
     def _aligned(self, other: CanonicalForm) -> tuple[CanonicalForm, CanonicalForm]:
-        scope = self.scope + tuple(v for v in other.scope if v not in self.scope)
+        scope = as_scope((*self.scope, *(v for v in other.scope if v not in self.scope)))
         try:
             np.broadcast_shapes(self.g.shape, other.g.shape)
         except ValueError:
@@ -183,7 +193,7 @@ class CanonicalForm(Immutable):
         NumericalError
             If K_yy is not positive definite, so that the integral diverges.
         """
-        out = positions(self.scope, drop)
+        out = positions(self.scope, as_scope(drop))
         keep = tuple(variable for variable in self.scope if variable not in drop)
         if not drop:
             return self
@@ -197,7 +207,7 @@ class CanonicalForm(Immutable):
 
     def marginal(self, *keep: Variable) -> CanonicalForm:
         """Integrate all but some variables out; the result is in the order asked for."""
-        positions(self.scope, keep)
+        positions(self.scope, as_scope(keep))
         dropped = (variable for variable in self.scope if variable not in keep)
         return self.marginalise(*dropped).rearrange(keep)
 
@@ -206,6 +216,7 @@ class CanonicalForm(Immutable):
 
         K' = K_xx, h' = h_x − K_xy Y and g' = g + h_yᵀY − ½ Yᵀ K_yy Y.
         """
+        evidence = as_mapping(evidence, "the evidence of a factor", ModelError)
         if not evidence:
             return self
         fixed = positions(self.scope, evidence)
@@ -250,6 +261,7 @@ class CanonicalForm(Immutable):
         NumericalError
             If the product has no integral, which only an indefinite K can bring about.
         """
+        gaussian = as_gaussian(gaussian)
         if set(gaussian.scope) != set(self.scope):
             raise ModelError(
                 f"combine takes a Gaussian over {names(self.scope)}, not {names(gaussian.scope)}"
@@ -270,7 +282,8 @@ class CanonicalForm(Immutable):
 
     def log_value(self, x: npt.ArrayLike) -> Array:
         """The value ln C(x) at stacked values x, (..., n)."""
-        x = np.asarray(x, dtype=float)
+        what = f"a point of the canonical form over {names(self.scope)}"
+        x = as_points(self.scope, x, self.g.shape, what)
         return inner(self.h, x) - 0.5 * inner(apply(self.K, x), x) + self.g
 
     def __repr__(self) -> str:

@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_generator, as_tuple, as_wholes, is_number, is_unordered, is_whole
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, names, positions
+from pgm.factors.arrays import as_matrix, as_points, as_vector
+from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, labels, names, positions
 from pgm.factors.stacking import lead_index
 from pgm.immutable import Immutable
 from pgm.kernels import moments, roots
@@ -85,10 +87,9 @@ class Gaussian(Immutable):
     ) -> None:
         scope = as_scope(scope)
         size = dimension(scope)
-        mean, cov = np.array(mean, dtype=float), np.array(cov, dtype=float)
-        if size == 1:
-            mean = mean[None] if mean.ndim == 0 else mean
-            cov = cov[None, None] if cov.ndim == 0 else cov
+        what = f"Gaussian over {names(scope)}: the"
+        mean = as_vector(scope, mean, f"{what} mean")
+        cov = as_matrix(scope, cov, f"{what} covariance")
         if mean.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
             raise ModelError(
                 f"Gaussian over {names(scope)}: the mean has shape {mean.shape} and the "
@@ -111,7 +112,7 @@ class Gaussian(Immutable):
             scope,
             np.broadcast_to(mean, (*lead, size)),
             np.broadcast_to(cov, (*lead, size, size)),
-            None if steps is None else np.array(steps, dtype=np.intp),
+            None if steps is None else _as_steps(scope, steps, lead),
         )
 
     def _put(self, scope: Scope, mean: Array, cov: Array, steps: Integers | None) -> None:
@@ -187,6 +188,8 @@ class Gaussian(Immutable):
     def run(self, *index: int) -> Gaussian:
         """One run of several: the leading axes of runs, or the first of them, indexed."""
         lead = self.mean.ndim - 1 - (self.steps is not None)
+        if not all(map(is_whole, index)):
+            raise ModelError(f"a run of {self!r} is given by whole numbers, not by {index}")
         if len(index) > lead:
             raise ModelError(f"{self!r} has {lead} axes of runs, not {len(index)}")
         return self._make(self.scope, self.mean[index], self.cov[index], self.steps)
@@ -207,8 +210,12 @@ class Gaussian(Immutable):
         rng : numpy.random.Generator or int
             What draws, or the seed of one.
         """
-        size = (size,) if isinstance(size, int) else size
-        noise = np.random.default_rng(rng).standard_normal((*size, *self.mean.shape))
+        shape = (size,) if is_whole(size) else as_tuple(size)
+        if shape is None or not all(is_whole(length) and length >= 0 for length in shape):
+            raise ModelError(
+                f"size is how many draws of each Gaussian, or a tuple of such; not {size!r}"
+            )
+        noise = as_generator(rng).standard_normal((*shape, *self.mean.shape))
         return self.mean + apply(roots.root(self.cov), noise)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
@@ -236,7 +243,7 @@ class Gaussian(Immutable):
         NumericalError
             If a covariance is singular.
         """
-        if other.scope != self.scope:
+        if as_gaussian(other).scope != self.scope:
             raise ModelError(
                 f"KL compares Gaussians of one scope, not {names(self.scope)} with "
                 f"{names(other.scope)}; take marginals first"
@@ -245,12 +252,8 @@ class Gaussian(Immutable):
         return self._exists(moments.kl(offset, self.cov, other.cov), "divergence")
 
     def _offset(self, x: npt.ArrayLike) -> Array:
-        values = np.asarray(x, dtype=float)
-        if values.shape[-1:] != self.mean.shape[-1:]:
-            raise ModelError(
-                f"values of shape {values.shape} for a Gaussian over {names(self.scope)}; the last "
-                f"axis must hold its {self.mean.shape[-1]} components"
-            )
+        what = f"a point of the Gaussian over {names(self.scope)}"
+        values = as_points(self.scope, x, self.mean.shape[:-1], what)
         return difference(values, self.mean, self.angles)
 
     def _exists(self, value: Array, what: str) -> Array:
@@ -272,20 +275,20 @@ class Gaussian(Immutable):
         components : pair of str, optional
             Which components, by name; the first two without.
         """
-        labels = [name for variable in self.scope for name in variable.components]
-        if not 0.0 < confidence < 1.0:
-            raise ModelError(f"a confidence lies between 0 and 1; {confidence} does not")
-        if len(labels) < 2:
+        known = labels(self.scope)
+        if not is_number(confidence) or not 0.0 < confidence < 1.0:
+            raise ModelError(f"a confidence lies between 0 and 1; {confidence!r} does not")
+        if len(known) < 2:
             raise ModelError(f"{names(self.scope)} has one component; an ellipse needs two")
-        pair = components or (labels[0], labels[1])
-        if len(pair) != 2:
-            raise ModelError(f"an ellipse is of two components, not of {pair}")
+        pair = known[:2] if components is None else as_tuple(components)
+        if pair is None or len(pair) != 2 or is_unordered(components):
+            raise ModelError(f"an ellipse is of two components, not of {components!r}")
         for label in pair:
-            if labels.count(label) != 1 or pair[0] == pair[1]:
+            if known.count(label) != 1 or pair[0] == pair[1]:
                 raise ModelError(
-                    f"{names(self.scope)} has no single component {label!r}; it has {labels}"
+                    f"{names(self.scope)} has no single component {label!r}; it has {known}"
                 )
-        i, j = (labels.index(label) for label in pair)
+        i, j = (known.index(label) for label in pair)
         variances, orientation = moments.principal_axes(self.cov[..., [[i], [j]], [i, j]])
         half_axes = np.sqrt(-2.0 * np.log1p(-confidence) * variances)
         return Ellipse(self.mean[..., [i, j]], half_axes, orientation)
@@ -293,3 +296,20 @@ class Gaussian(Immutable):
     def __repr__(self) -> str:
         lead = f", {self.mean.shape[:-1]} of them" if self.mean.ndim > 1 else ""
         return f"Gaussian{names(self.scope)}{lead}"
+
+
+def as_gaussian(value: object) -> Gaussian:
+    """A Gaussian; refuses anything else."""
+    if not isinstance(value, Gaussian):
+        raise ModelError(f"a Gaussian was due, like posterior[x], not {type(value).__name__}")
+    return value
+
+
+def _as_steps(scope: Scope, steps: npt.ArrayLike, lead: tuple[int, ...]) -> Integers:
+    array = as_wholes(steps, f"Gaussian over {names(scope)}: its steps")
+    if array.shape != lead[-1:]:
+        raise ModelError(
+            f"Gaussian over {names(scope)}: the steps have shape {array.shape}; the last of the "
+            f"leading axes {lead} needs one step for each of its entries"
+        )
+    return array

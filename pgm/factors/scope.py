@@ -6,9 +6,10 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from pgm.boundary import as_floats, as_tuple, is_unordered
 from pgm.errors import ModelError
 from pgm.kernels.arrays import Array, Index, Mask, as_index
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 Scope = tuple[Variable, ...]
 
@@ -16,18 +17,56 @@ Scope = tuple[Variable, ...]
 MOST = 8
 
 
-def as_scope(scope: Variable | Iterable[Variable], what: str = "a scope") -> Scope:
-    """A variable or several, as a tuple; refuses what is no variable, and repeats."""
-    if isinstance(scope, Variable | str) or not isinstance(scope, Iterable):
-        scope = (scope,)
-    result = tuple(scope)
+def as_scope(
+    scope: Variable | Iterable[Variable], what: str = "a scope", *, ordered: bool = True
+) -> Scope:
+    """A variable or several, as a tuple.
+
+    Refuses what is no variable, repeats, two different variables of one name, and, where their
+    order says which axis is whose, several in a set.
+    """
+    items = as_tuple(scope)
+    result: Scope = (scope,) if items is None else items
+    if ordered and is_unordered(scope):
+        raise ModelError(
+            f"{what} is a set, which has no order; give a tuple, since the order of the variables "
+            "says which entries belong to which"
+        )
     for variable in result:
         if not isinstance(variable, Variable):
             raise ModelError(f"{what} holds variables, not {variable!r}; give the variable itself")
     if len(set(result)) < len(result):
         twice = next(v for v in result if result.count(v) > 1)
         raise ModelError(f"{what} holds {twice!r} twice; name each variable once", variable=twice)
+    if len(result) > 1:
+        one_name_each(result)
     return result
+
+
+def one_name_each(variables: Iterable[Variable]) -> None:
+    """Refuse two different variables of one name; copies of one at several steps are none."""
+    seen: dict[str, Variable] = {}
+    for variable in variables:
+        first = seen.setdefault(variable.name, variable)
+        if first is not variable and kind(first) != kind(variable):
+            raise ModelError(
+                f"two different variables are called {variable.name!r}: one with "
+                f"{described(first)}, one with {described(variable)}; rename one",
+                variable=variable.template,
+            )
+
+
+def kind(variable: Variable) -> tuple[object, ...]:
+    """What all copies of a variable share beside its name."""
+    states = variable.states if isinstance(variable, Discrete) else None
+    return variable.components, variable.angles, states
+
+
+def described(variable: Variable) -> str:
+    """A variable's kind in words."""
+    if isinstance(variable, Discrete):
+        return f"states ({listed(variable.states)})"
+    return f"components ({listed(variable.components)}), angles ({listed(variable.angles)})"
 
 
 def names(scope: Iterable[Variable]) -> str:
@@ -47,6 +86,11 @@ def dimension(scope: Iterable[Variable]) -> int:
     return sum(variable.dimension for variable in scope)
 
 
+def labels(scope: Iterable[Variable]) -> tuple[str, ...]:
+    """The names of the components of the stacked vector."""
+    return tuple(name for variable in scope for name in variable.components)
+
+
 def angle_mask(scope: Sequence[Variable]) -> Mask:
     """Which components of the stacked vector are angles."""
     if not scope:
@@ -59,7 +103,7 @@ def positions(scope: Sequence[Variable], wanted: Iterable[Variable]) -> Index:
     starts = dict(zip(scope, np.cumsum([0, *(v.dimension for v in scope)]), strict=False))
     places: list[int] = []
     for variable in wanted:
-        if variable not in starts:
+        if not isinstance(variable, Variable) or variable not in starts:
             raise ModelError(
                 f"{variable!r} is not in the scope ({listed(scope)})", variable=variable
             )
@@ -69,12 +113,9 @@ def positions(scope: Sequence[Variable], wanted: Iterable[Variable]) -> Index:
 
 def as_value(variable: Variable, value: object, what: str = "value") -> Array:
     """A value of a variable as an array (..., dimension); a scalar may be a Python number."""
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(
-            f"{variable!r}: the {what} must be numbers, not {value!r}", variable=variable
-        ) from None
+    array = as_floats(
+        value, f"{variable!r}: the {what}", labels=variable.components, variable=variable
+    )
     if array.ndim == 0 and variable.dimension == 1:
         array = array[None]
     if array.ndim == 0 or array.shape[-1] != variable.dimension:

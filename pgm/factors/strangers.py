@@ -4,21 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
-from pgm.factors.scope import listed
-from pgm.variables import Discrete, Variable
-
-
-def kind(variable: Variable) -> tuple[object, ...]:
-    """What all copies of a variable share beside its name."""
-    states = variable.states if isinstance(variable, Discrete) else None
-    return variable.components, variable.angles, states
-
-
-def described(variable: Variable) -> str:
-    """A variable's kind in words."""
-    if isinstance(variable, Discrete):
-        return f"states ({listed(variable.states)})"
-    return f"components ({listed(variable.components)}), angles ({listed(variable.angles)})"
+from pgm.factors.scope import described, kind, listed
+from pgm.variables import Variable
 
 
 def stranger(key: object, known: Collection[Variable], where: str = "the network") -> str:

@@ -9,10 +9,12 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_mapping
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.axes import (
     States,
     as_entries,
+    as_lead,
     as_states,
     at,
     axes_of,
@@ -50,6 +52,9 @@ class Table(Immutable):
     scope : Discrete or sequence of Discrete
     values, log_scale : array_like
         A log-scale of −∞ says that the table is all zero.
+    lead : int or tuple of int
+        The leading axes, of several tables; without, the values are those of one, so that a table
+        of a wrong shape is not taken for a stack of others.
 
     Raises
     ------
@@ -85,20 +90,18 @@ class Table(Immutable):
         scope: Variable | Iterable[Variable],
         values: npt.ArrayLike,
         log_scale: npt.ArrayLike = 0.0,
+        *,
+        lead: int | tuple[int, ...] = (),
     ) -> None:
         scope = as_states(scope)
-        self._put(scope, *as_entries(scope, values, log_scale))
+        lead = as_lead(scope, lead)
+        entries, scale = as_entries(scope, values, log_scale, lead)
+        self._put(scope, entries, np.broadcast_to(scale, lead))
 
     def _put(self, scope: States, values: Array, log_scale: Array) -> None:
         lead = own = values.shape[: values.ndim - len(scope)]
         if log_scale.ndim:
-            try:
-                lead = np.broadcast_shapes(own, log_scale.shape)
-            except ValueError:
-                raise ModelError(
-                    f"table over {names(scope)}: the leading axes of values {own} and log_scale "
-                    f"{log_scale.shape} do not broadcast"
-                ) from None
+            lead = np.broadcast_shapes(own, log_scale.shape)
         # A log-scale of −∞ is put into the values, so that log-scales always add and subtract.
         if log_scale.min(initial=0.0) == -np.inf:
             gone = log_scale == -np.inf
@@ -167,7 +170,7 @@ class Table(Immutable):
 
     def _aligned(self, other: Table) -> tuple[States, Array, Array]:
         """The common scope, and over it the values of both."""
-        scope = self.scope + without(other.scope, self.scope)
+        scope = as_states((*self.scope, *without(other.scope, self.scope)))
         try:
             np.broadcast_shapes(self.log_scale.shape, other.log_scale.shape)
         except ValueError:
@@ -231,6 +234,7 @@ class Table(Immutable):
 
     def reduce(self, evidence: Mapping[Discrete, str | int]) -> Table:
         """Put in the states of some variables, by name or index; entries stay as they are."""
+        evidence = as_mapping(evidence, "the evidence of a table", ModelError)
         axes_of(self.scope, evidence)
         index = [v.index(evidence[v]) if v in evidence else slice(None) for v in self.scope]
         values = self.values[(..., *index)]

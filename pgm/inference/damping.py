@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pgm.boundary import is_number
 from pgm.errors import ModelError
-from pgm.inference.checks import is_number, require_count
+from pgm.inference.checks import require_count
 
 
 @dataclass(frozen=True)

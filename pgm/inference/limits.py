@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Real
 
+from pgm.boundary import is_number
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.size import amount
 from pgm.errors import GraphError
@@ -54,13 +54,13 @@ class Room:
         """
         if memory is None:
             return cls(BATCH, KEPT)
-        if isinstance(memory, bool) or not isinstance(memory, Real) or not 0 < memory < math.inf:
+        if not is_number(memory) or not 0 < memory < math.inf:
             raise GraphError(f"memory= is a number of bytes, such as 2**30, not {memory!r}")
         room = cls(int(memory * BATCH / MEMORY), int(memory * KEPT / MEMORY))
         least = sum(graph.sizes)
         if room.batch < least:
             raise GraphError(
-                f"memory={memory:g} is less than {MEMORY // BATCH * least:,} bytes, which a "
+                f"memory={float(memory):g} is less than {MEMORY // BATCH * least:,} bytes, which a "
                 f"single run may take: the tables of {graph!r} have {least:,} entries; give more, "
                 "or ask pgm.query for what is wanted"
             )

@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.recfunctions import structured_to_unstructured
 
+from pgm.boundary import as_floats, as_mapping
 from pgm.errors import EvidenceError
 from pgm.evidence import Constant
 from pgm.kernels.arrays import Array, Integers
@@ -19,6 +19,12 @@ from pgm.variables import Variable
 # Stamps less than this apart [s] are of one moment: decimals of a log and sums of time steps
 # differ by rounding, which for seconds since 1970 is 0.2 µs.
 SAME = 1e-6
+YEAR = 31_556_952.0
+# Seconds later than this, and whole numbers that are farther apart, are no seconds but of a finer
+# unit: since 1970, milliseconds are 1e12, microseconds 1e15 and nanoseconds 1e18.
+LATEST, WIDEST = 1e11, 1e5
+EPOCH = 1e8
+UNITS = (("nanoseconds", 1e9), ("microseconds", 1e6), ("milliseconds", 1e3))
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
@@ -41,11 +47,11 @@ def stamped(
     Parameters
     ----------
     stamps : array_like
-        (n,), seconds, in any order.
+        (n,), seconds, in any order; nanoseconds are refused, and so are dates.
     values : array_like
-        (n, d), one row a stamp; (n,) where d = 1; or columns of a structured array or table, in
-        order, such as ``log[["distance", "turn"]]``. NaN is a component that a
-        sensor has not taken.
+        (n, d), one row a stamp; (n,) where d = 1; or columns of a structured array or data frame
+        called like the variable's components, such as ``log[["distance", "turn"]]``. NaN, or a
+        masked value, is a component that a sensor has not taken.
     given : mapping of Variable to array_like, optional
         A sensor's observed parents, such as the landmark sighted: (n, d) each, (n,) where d = 1,
         or ``pgm.constant(value)`` where it is the same in all rows.
@@ -55,7 +61,7 @@ def stamped(
     >>> m = Variable("m", components=("east", "north"))
     >>> log = stamped([0.1, 0.2], [5.1, 4.9], {m: [[0.0, 5.0], [3.0, 4.0]]})
     """
-    return Stamped(stamps, values, MappingProxyType(dict(given or {})))
+    return Stamped(stamps, values, MappingProxyType(dict(as_mapping(given, "stamped: given"))))
 
 
 def sealed(array: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
@@ -82,20 +88,33 @@ def require_stamped(variable: Variable, value: Any) -> Stamped:
 
 def as_stamps(what: str, value: Any, variable: Variable | None = None) -> Array:
     """A copy of stamps, (n,), finite."""
-    kind = np.asarray(value).dtype
-    if kind.kind in "mM":
-        raise EvidenceError(
-            f"{what} are dates ({kind}); seconds were due: "
-            "(dates - dates[0]) / np.timedelta64(1, 's')",
-            variable=variable,
-        )
-    array = _as_numbers(what, value, variable)
+    array = as_floats(value, what, EvidenceError, variable=variable).copy()
     if array.ndim != 1:
         raise EvidenceError(
             f"{what} have shape {array.shape}; a row of seconds, (n,), was due", variable=variable
         )
     _refuse_rows(what, np.flatnonzero(~np.isfinite(array)), "not a finite time", variable)
+    _require_seconds(what, array, np.asarray(value).dtype.kind in "iu", variable)
     return array
+
+
+def _require_seconds(what: str, stamps: Array, whole: bool, variable: Variable | None) -> None:
+    """Refuse stamps of another unit, as far as numbers tell."""
+    last = np.abs(stamps).max(initial=0.0)
+    if last > LATEST:
+        unit, share = next(found for found in UNITS if last >= found[1] * EPOCH)
+        raise EvidenceError(
+            f"{what} go to {last:.3g} s, {last / YEAR:.0f} years; they seem to be {unit}: divide "
+            f"them by {share:.0e}",
+            variable=variable,
+        )
+    gap = float(np.median(np.abs(np.diff(stamps)))) if stamps.size > 1 else 0.0
+    if whole and gap >= WIDEST:
+        raise EvidenceError(
+            f"{what} are whole numbers {gap:.3g} apart (median), as nanoseconds are; seconds were "
+            "due: divide them by 1e9; if they are seconds, say so by stamps.astype(float)",
+            variable=variable,
+        )
 
 
 def as_table(
@@ -107,7 +126,9 @@ def as_table(
     hint: str = "",
 ) -> Array:
     """A copy of one row of values for each stamp, (rows, columns)."""
-    array = _as_numbers(what, value, variable)
+    array = as_floats(
+        value, what, EvidenceError, labels=columns, missing=True, variable=variable
+    ).copy()
     if array.ndim == 1 and len(columns) == 1:
         array = array[:, None]
     if array.shape == (0,) and rows == 0:
@@ -141,17 +162,6 @@ def rows_text(rows: Integers) -> str:
 def clock(stamp: float) -> str:
     """A stamp in words, to the microsecond."""
     return f"{stamp:.6f}".rstrip("0").rstrip(".") + " s"
-
-
-def _as_numbers(what: str, value: Any, variable: Variable | None) -> Array:
-    try:
-        if getattr(getattr(value, "dtype", None), "names", None):  # columns picked by name
-            return np.array(structured_to_unstructured(value), dtype=float)
-        return np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise EvidenceError(
-            f"{what} must be an array of numbers, not {type(value).__name__}", variable=variable
-        ) from None
 
 
 def _refuse_rows(what: str, rows: Integers, why: str, variable: Variable | None) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import is_number
 from pgm.errors import EvidenceError
 from pgm.immutable import Immutable
 from pgm.io.controls import ControlReport, Kind, controls
@@ -142,9 +143,12 @@ def timeline(
                  1 dropped: after the last state, by 5 s (row 2)
     """
     states = _as_times(times)
-    if tolerance is not None and not tolerance >= 0.0:
+    if tolerance is not None and not (is_number(tolerance) and tolerance >= 0.0):
         raise EvidenceError(f"tolerance must be 0 or more seconds, not {tolerance!r}")
-    groups = {"odometry": odometry or {}, "velocities": velocities or {}, "sensors": sensors or {}}
+    groups: dict[str, Mapping[Variable, Any]] = {
+        name: {} if logs is None else logs
+        for name, logs in (("odometry", odometry), ("velocities", velocities), ("sensors", sensors))
+    }
     _check_variables(groups)
     kinds: dict[Variable, Kind] = {
         **dict.fromkeys(groups["odometry"], "odometry"),

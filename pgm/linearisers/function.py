@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from pgm.boundary import as_floats
 from pgm.errors import ModelError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
@@ -238,12 +239,12 @@ class BoundFunction:
         return arguments, shape
 
     def _checked(self, value: Any, shape: tuple[int, ...], what: str) -> Array:
-        if np.iscomplexobj(value):
-            raise ModelError(
-                f"the {what} of the CPD of {self.name} returned complex numbers",
-                variable=self.template.child,
-            )
-        array = np.asarray(value, dtype=float)
+        array = as_floats(
+            value,
+            f"the {what} of the CPD of {self.name}",
+            verb="return",
+            variable=self.template.child,
+        )
         if array.shape != shape:
             raise ModelError(
                 f"the {what} of the CPD of {self.name} returned shape {array.shape} where "

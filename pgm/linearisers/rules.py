@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
+from pgm.boundary import is_number, is_whole
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.linearisers.regression import Points, StatisticalRegression
@@ -39,6 +41,13 @@ class Unscented(StatisticalRegression):
     kappa: float = 0.0
 
     def __post_init__(self) -> None:
+        for name, value in (("alpha", self.alpha), ("beta", self.beta), ("kappa", self.kappa)):
+            if name == "alpha" and value is None:
+                continue
+            if not is_number(value) or not math.isfinite(value):
+                raise LinearisationError(
+                    f"Unscented({name}={value!r}): {name} must be a finite number"
+                )
         if self.alpha is None and self.kappa != 0.0:
             raise LinearisationError(
                 f"Unscented(alpha=None, kappa={self.kappa}): without alpha λ is n − 1, and kappa "
@@ -117,7 +126,7 @@ class GaussHermite(StatisticalRegression):
     order: int = 3
 
     def __post_init__(self) -> None:
-        if not isinstance(self.order, int | np.integer) or not 2 <= self.order <= 100:
+        if not is_whole(self.order) or not 2 <= self.order <= 100:
             raise LinearisationError(
                 f"GaussHermite(order={self.order!r}): order, the number of points for each "
                 "component, must be a whole number from 2 to 100"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.boundary import is_whole
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers
 from pgm.linearisers import draws
@@ -37,8 +38,7 @@ class SampledRule(StatisticalRegression):
 
     def __post_init__(self) -> None:
         for what, value, least in (("samples", self.samples, 1), ("seed", self.seed, 0)):
-            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-            if not whole or not least <= value < 2**63:
+            if not is_whole(value) or not least <= value < 2**63:
                 raise LinearisationError(
                     f"{type(self).__name__}({what}={value!r}): {what} must be a whole number from "
                     f"{least} to 2⁶³ − 1"

@@ -154,7 +154,7 @@ def checked(value: Any, due: tuple[int, ...]) -> Array:
     """What a user's function returned; what is not as it should be is left to the general way."""
     if type(value) is np.ndarray and value.dtype is _FLOAT and value.shape == due:
         return value
-    array = np.asarray(value)
-    if array.shape != due or array.dtype.kind not in "fiub":
+    array = np.asanyarray(value)
+    if type(array) is not np.ndarray or array.shape != due or array.dtype.kind not in "fiub":
         raise Special
     return array.astype(np.float64)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats, is_whole
 from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD, TableCPD
 from pgm.cpds.noise import evaluate
 from pgm.errors import EvidenceError, LinearisationError, ModelError
@@ -69,26 +70,12 @@ def draw(
     return drawn
 
 
-def as_generator(rng: Any) -> np.random.Generator:
-    """What draws: a generator, or one of a seed; refuses None, since draws must be repeatable."""
-    if isinstance(rng, np.random.Generator):
-        return rng
-    whole = isinstance(rng, int | np.integer) and not isinstance(rng, bool)
-    if not whole or rng < 0:
-        raise ModelError(
-            "rng is a numpy.random.Generator or a seed, a whole number from 0, so that draws can "
-            f"be repeated; not {rng!r}"
-        )
-    return np.random.default_rng(int(rng))
-
-
 def _as_shape(n: Any) -> tuple[int, ...]:
     if n is None:
         return ()
     shape = n if isinstance(n, tuple) else (n,)
     for length in shape:
-        whole = isinstance(length, int | np.integer) and not isinstance(length, bool)
-        if not whole or length < 1:
+        if not is_whole(length) or length < 1:
             raise ModelError(f"n is the number of draws, 1 or more, or a tuple of such; not {n!r}")
     return shape
 
@@ -116,7 +103,13 @@ def gaussian(
     wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in values.items()}
     due = (*shape, cpd.child.dimension)
     if isinstance(cpd, NonlinearGaussianCPD):
-        mean = np.asarray(cpd.function(*(wide[v] for v in cpd.given)), dtype=float)
+        mean = as_floats(
+            cpd.function(*(wide[v] for v in cpd.given)),
+            f"the function of {cpd!r}",
+            verb="return",
+            variable=cpd.child,
+            cpd=cpd,
+        )
     elif isinstance(cpd, AffineCPD):
         mean = cpd._affine((), wide)[1]
         mean = np.broadcast_to(mean if cpd.given else _by_run(mean, lead, 1), due)

@@ -8,11 +8,11 @@ from typing import TypeVar
 
 import numpy as np
 
+from pgm.boundary import as_tuple
 from pgm.cpds import CPD, GaussianCPD
 from pgm.errors import ModelError
 from pgm.evidence.runs import clash
 from pgm.factors.scope import MOST, Scope
-from pgm.factors.strangers import described, kind
 from pgm.variables import Variable
 
 C = TypeVar("C", bound=CPD)
@@ -20,26 +20,13 @@ C = TypeVar("C", bound=CPD)
 
 def as_cpds(cpds: CPD | Iterable[CPD], where: str) -> tuple[CPD, ...]:
     """CPDs as a tuple; refuses anything else."""
-    if not isinstance(cpds, CPD | Iterable):
+    result = (cpds,) if isinstance(cpds, CPD) else as_tuple(cpds)
+    if result is None:
         raise ModelError(f"{where} is a sequence of CPDs, not {cpds!r}")
-    result = (cpds,) if isinstance(cpds, CPD) else tuple(cpds)
     for cpd in result:
         if not isinstance(cpd, CPD):
             raise ModelError(f"{where} holds CPDs, not {cpd!r}")
     return result
-
-
-def one_name_each(variables: Iterable[Variable]) -> None:
-    """Refuse two different variables of one name; copies of one at several steps are none."""
-    seen: dict[str, Variable] = {}
-    for variable in variables:
-        first = seen.setdefault(variable.name, variable)
-        if first is not variable and kind(first) != kind(variable):
-            raise ModelError(
-                f"two different variables are called {variable.name!r}: one with "
-                f"{described(first)}, one with {described(variable)}; rename one",
-                variable=variable.template,
-            )
 
 
 def one_cpd_each(cpds: Iterable[CPD]) -> None:

@@ -8,13 +8,13 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
+from pgm.boundary import as_generator, as_mapping, is_whole
 from pgm.cpds import CPD, ConditionalGaussian
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
-from pgm.factors.scope import Scope
+from pgm.factors.scope import Scope, one_name_each
 from pgm.immutable import Immutable
 from pgm.networks import checks, declaration
-from pgm.networks.ancestral import as_generator
 from pgm.networks.dynamic_sampling import Sample, draw
 from pgm.networks.static import BayesianNetwork, density
 
@@ -89,7 +89,7 @@ class DynamicBayesianNetwork(Immutable):
         observation = declaration.as_gaussian(observation, "observation")
         everything = (*prior, *transition, *observation)
         declaration.check_templates(everything)
-        checks.one_name_each(v for cpd in everything for v in cpd.scope)
+        one_name_each(v for cpd in everything for v in cpd.scope)
         checks.one_cpd_each(prior)
         checks.one_cpd_each((*transition, *observation))
         states = {cpd.child for cpd in prior}
@@ -169,7 +169,7 @@ class DynamicBayesianNetwork(Immutable):
             ``sample.evidence`` are the inputs and the readings, ready for `infer`.
         """
         shape = (runs,) if isinstance(runs, int) else tuple(runs)
-        return draw(self, inputs or {}, steps, shape, as_generator(rng))
+        return draw(self, as_mapping(inputs, "inputs"), steps, shape, as_generator(rng))
 
     def unroll(self, steps: int) -> BayesianNetwork:
         """The network without time whose variables are those of the slices 0..steps.
@@ -200,8 +200,7 @@ class DynamicBayesianNetwork(Immutable):
         >>> model.unroll(2)
         BayesianNetwork(p(x[0])  p(x[1] | x[0])  p(x[2] | x[1]))
         """
-        whole = isinstance(steps, int | np.integer) and not isinstance(steps, bool)
-        if not whole or steps < 0:
+        if not is_whole(steps) or steps < 0:
             raise ModelError(
                 f"a dynamic network is unrolled to slices 0..T; give T, 0 or more, not {steps!r}"
             )

@@ -9,10 +9,11 @@ from types import MappingProxyType
 import networkx as nx
 import numpy as np
 
+from pgm.boundary import as_generator, as_mapping
 from pgm.cpds import CPD
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
-from pgm.factors.scope import Scope, as_scope, listed
+from pgm.factors.scope import Scope, as_scope, listed, one_name_each
 from pgm.factors.strangers import stranger
 from pgm.immutable import Immutable
 from pgm.networks import ancestral, checks
@@ -70,7 +71,7 @@ class BayesianNetwork(Immutable):
         found = checks.as_cpds(cpds, "a network")
         if not found:
             raise ModelError("a network needs at least one CPD")
-        checks.one_name_each(v for cpd in found for v in cpd.scope)
+        one_name_each(v for cpd in found for v in cpd.scope)
         checks.one_cpd_each(found)
         kinds = {cpd.discrete for cpd in found}
         if len(kinds) > 1:
@@ -116,7 +117,7 @@ class BayesianNetwork(Immutable):
         ModelError
             If the network does not have the variable, or it is an input.
         """
-        if variable not in self._by_child:
+        if not isinstance(variable, Variable) or variable not in self._by_child:
             if variable in self.inputs:
                 why = "since it is an input, which no CPD explains"
             else:
@@ -180,7 +181,7 @@ class BayesianNetwork(Immutable):
         >>> net.sample(4, rng=0)[coin]
         array([1, 1, 1, 1])
         """
-        return ancestral.draw(self, n, inputs or {}, ancestral.as_generator(rng))
+        return ancestral.draw(self, n, as_mapping(inputs, "inputs"), as_generator(rng))
 
     def to_networkx(self) -> nx.DiGraph:
         """The network as a graph, for pictures and questions of structure.
@@ -233,7 +234,10 @@ class BayesianNetwork(Immutable):
         (True, False)
         """
         members = {"a": a, "b": b, "given": given}
-        sets = [set(as_scope(found, f"d_separated: {name}")) for name, found in members.items()]
+        sets = [
+            set(as_scope(found, f"d_separated: {name}", ordered=False))
+            for name, found in members.items()
+        ]
         for variable in set().union(*sets).difference(self.variables):
             why = stranger(variable, self.variables)
             raise ModelError(f"d_separated of {variable!r}, {why}", variable=variable)

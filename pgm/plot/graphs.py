@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import networkx as nx
-import numpy as np
 
+from pgm.boundary import is_whole
 from pgm.errors import EvidenceError, ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -76,6 +76,6 @@ def in_slices(graph: nx.DiGraph) -> bool:
 def _last(steps: int | None) -> int:
     if steps is None:
         return 1
-    if not isinstance(steps, int | np.integer) or isinstance(steps, bool) or steps < 0:
+    if not is_whole(steps) or steps < 0:
         raise ModelError(f"steps must be the last slice to draw, 0 or more, not {steps!r}")
     return int(steps)

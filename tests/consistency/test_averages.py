@@ -118,7 +118,7 @@ def test_refusals():
     for none in (0, -2, np.nan, np.inf, [1, 0]):
         with pytest.raises(pgm.ModelError, match="degrees of freedom above 0"):
             consistency.average([1.0, 2.0], none)
-    with pytest.raises(pgm.ModelError, match="normalised errors is made of numbers"):
+    with pytest.raises(pgm.ModelError, match="normalised errors must be numbers"):
         consistency.average("much", 1)
     with pytest.raises(pgm.ModelError, match=r"posterior.innovations\[z\]"):
         consistency.anis(np.zeros(3))

@@ -200,5 +200,5 @@ def test_sizes_over_time_are_numbers():
         consistency.over_time(sizes, np.arange(5))
     with pytest.raises(pgm.ModelError, match="over the steps"):
         consistency.over_time(np.ones((5, 4)), np.arange(5))
-    with pytest.raises(pgm.ModelError, match="a size is made of numbers"):
+    with pytest.raises(pgm.ModelError, match="a size must be numbers"):
         consistency.over_time("sizes", np.arange(5))

@@ -64,7 +64,7 @@ def test_refusals():
     for confidence in (0.0, 1.0, 95, [0.5, np.nan]):
         with pytest.raises(pgm.ModelError, match="between 0 and 1"):
             consistency.coverage(belief, np.zeros(3), confidence)
-    with pytest.raises(pgm.ModelError, match="a confidence is made of numbers"):
+    with pytest.raises(pgm.ModelError, match="a confidence must be numbers"):
         consistency.coverage(belief, np.zeros(3), "much")
     with pytest.raises(pgm.NumericalError, match="singular"):
         consistency.coverage(pgm.Gaussian(x, np.zeros(3), np.zeros((3, 3))), np.zeros(3))

@@ -110,8 +110,8 @@ def test_a_table_whose_first_axis_is_the_child_is_refused():
         ([np.nan, 0.5, 0.5], "NaN"),
         ([np.inf, 0.0, 0.0], "infinite"),
         (["many", "few", "none"], "must be numbers"),
-        ([[0.5, 0.5], [1.0]], "must be numbers, in rows of equal length"),
-        (None, r"shape \(\)"),
+        ([[0.5, 0.5], [1.0]], "must be numbers, not rows of unequal length"),
+        (None, "must be numbers, not NoneType"),
     ],
 )
 def test_malformed_tables_are_refused(table, words):

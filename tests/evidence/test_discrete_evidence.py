@@ -242,10 +242,10 @@ def test_what_is_no_state_is_refused(value, words):
         ([[1, 1, 1], [1, np.inf, 1]], r"infinite \(first in run 1\)"),
         ([0.0, 0.0, 0.0], "all zero; "),
         ([[[1, 0, 0], [0, 0, 0]]], r"all zero \(first in run \(0, 1\)\)"),
-        ("calm", "must be numbers, .*, not 'calm'"),
+        ("calm", "one for each of the states .*, must be numbers, not texts"),
         ({"calm": 1, "fresh": 0, "storm": 1}, r"in the order of the states \('calm', 'fresh'"),
         ([[1, 1, 1], [1]], "must be numbers"),
-        (None, "shape"),
+        (None, "must be numbers, not NoneType"),
     ],
 )
 def test_malformed_weights_are_refused(weights, words):

@@ -270,7 +270,7 @@ def test_small_products_keep_entries_that_numbers_do_not_hold():
     assert_allclose(product.log_values, np.log(10) * np.array([-90, -350]), rtol=1e-14)
     quotient = Table(A, [1e-90, 1e-250]) / Table(A, [1.0, 1e100])
     assert_allclose(quotient.log_values, np.log(10) * np.array([-90, -350]), rtol=1e-14)
-    runs = Table(A, [[1e-60, 1e-200], [1.0, 0.5]]) * Table(A, [1e-30, 1e-150])
+    runs = Table(A, [[1e-60, 1e-200], [1.0, 0.5]], lead=2) * Table(A, [1e-30, 1e-150])
     assert_array_equal(runs.values[0], product.values)
     assert_array_equal(runs.values[1], [1e-30, 0.5e-150])
     assert runs.log_scale[1] == 0.0
@@ -311,7 +311,7 @@ def test_entries_far_below_the_largest_keep_their_ratio():
 
 
 def test_only_the_run_in_need_is_rescued():
-    f = Table(B, [[1.0, 1e-200, 0.0], [0.5, 0.25, 0.25], [1.0, 0.0, 0.0]])
+    f = Table(B, [[1.0, 1e-200, 0.0], [0.5, 0.25, 0.25], [1.0, 0.0, 0.0]], lead=3)
     product = f * Table(B, [0.0, 1e-200, 1.0])
     assert_allclose(product.log_total[0], 2 * np.log(1e-200))
     assert_allclose(product.log_total[1], np.log(0.25))
@@ -351,16 +351,16 @@ def test_an_all_zero_table_is_legal(zero):
 
 def test_the_run_without_a_total_is_named():
     with pytest.raises(pgm.NumericalError, match=r"over \(a\) is all zero \(first in run 2\)"):
-        Table(A, [[1, 0], [0, 1], [0, 0], [0, 0]]).normalised()
+        Table(A, [[1, 0], [0, 1], [0, 0], [0, 0]], lead=4).normalised()
     with pytest.raises(pgm.NumericalError, match=r"first in run \(0, 1\)"):
-        Table(A, [[[1, 0], [0, 0]]]).argmax()
+        Table(A, [[[1, 0], [0, 0]]], lead=(1, 2)).argmax()
 
 
 def test_dividing_by_zero_names_the_states():
     with pytest.raises(pgm.NumericalError, match=r"where a='yes', b='low', the divisor is zero"):
         Table((A, B), [[0, 1, 1], [1, 1, 1]]) / Table(B, [0, 1, 1])
     with pytest.raises(pgm.NumericalError, match="where b='high'"):
-        Table(B, np.ones((4, 3))) / Table(B, [1, 1, 0])
+        Table(B, np.ones((4, 3)), lead=4) / Table(B, [1, 1, 0])
 
 
 @pytest.mark.parametrize("lead", [(5,), (2, 3), (1,)])
@@ -371,7 +371,7 @@ def test_a_batch_is_its_singles(lead):
         values = rng.uniform(size=(*lead, *shape(scope))) * 10.0 ** rng.integers(
             -9, 9, (*lead, 1, 1)
         )
-        return Table(scope, values, rng.normal(scale=300.0, size=lead))
+        return Table(scope, values, rng.normal(scale=300.0, size=lead), lead=lead)
 
     def results(f, g):
         product = f * g
@@ -399,23 +399,23 @@ def test_a_batch_is_its_singles(lead):
 
 
 def test_leading_axes_broadcast():
-    f = Table(A, np.ones((4, 1, 2)), np.zeros(3))
+    f = Table(A, np.ones((4, 1, 2)), np.zeros(3), lead=(4, 3))
     assert f.values.shape == (4, 3, 2)
     assert f.log_scale.shape == (4, 3)
-    g = Table((B, A), np.arange(18.0).reshape(3, 3, 2) + 1)
+    g = Table((B, A), np.arange(18.0).reshape(3, 3, 2) + 1, lead=3)
     for product in (f * g, g * f, g / f):
         assert product.log_scale.shape == (4, 3)
         assert product.values.shape[:2] == (4, 3)
         assert_allclose(dense(product.rearrange((B, A)))[2, 1], g.values[1], rtol=1e-14)
     assert (Table.vacuous((A, B)) * g).log_total.shape == (3,)
     with pytest.raises(pgm.ModelError, match="do not broadcast"):
-        Table(A, np.ones((2, 2))) * Table(A, np.ones((3, 2)))
+        Table(A, np.ones((2, 2)), lead=2) * Table(A, np.ones((3, 2)), lead=3)
     with pytest.raises(pgm.ModelError, match="do not broadcast"):
-        Table(A, np.ones((2, 2)), np.zeros(3))
+        Table(A, np.ones((2, 2)), np.zeros(3), lead=2)
 
 
 def test_no_run_is_no_trouble():
-    none = Table((A, B), np.ones((0, 2, 3)))
+    none = Table((A, B), np.ones((0, 2, 3)), lead=0)
     assert none.argmax()[B].shape == (0,)
     assert (none * Table.vacuous((B, C))).marginal(C).values.shape == (0, 4)
     assert none.normalised().log_total.shape == (0,)
@@ -441,7 +441,7 @@ def test_reading_entries():
     assert g["yes",] == 0.75
     assert isinstance(g["yes"], float)
     assert f"{g['yes']:.2f}" == "0.75"
-    runs = Table(A, [[0.25, 0.75], [0.5, 0.5]], log_scale=[0.0, 1.0])
+    runs = Table(A, [[0.25, 0.75], [0.5, 0.5]], log_scale=[0.0, 1.0], lead=2)
     assert_allclose(runs["no"], [0.25, 0.5 * np.e])
     assert Table((), 3.0)[()] == 3.0
 
@@ -571,16 +571,16 @@ def test_tables_are_copied_and_pickled(way):
             "  a yes, b: low 3, middle 4, high 5",
         ),
         (
-            Table((B, A), np.ones((2, 3, 2)), [np.log(2.0), -90.0]).reduce({B: "low"}),
+            Table((B, A), np.ones((2, 3, 2)), [np.log(2.0), -90.0], lead=2).reduce({B: "low"}),
             "Table(a), (2,) of them\n  [0] a: no 2, yes 2\n  [1] a: no 1, yes 1; times exp(-90)",
         ),
         (
-            Table((A, B), np.ones((2, 1, 2, 3))).reduce({B: "low"}),
+            Table((A, B), np.ones((2, 1, 2, 3)), lead=(2, 1)).reduce({B: "low"}),
             "Table(a), (2, 1) of them\n  [0, 0] a: no 1, yes 1\n  [1, 0] a: no 1, yes 1",
         ),
         (Table.vacuous((B, C, A)), "Table(b, c, a) of (3, 4, 2) states"),
-        (Table(A, np.ones((9, 2))), "Table(a), (9,) of them"),
-        (Table(A, np.ones((0, 2))), "Table(a), (0,) of them"),
+        (Table(A, np.ones((9, 2)), lead=9), "Table(a), (9,) of them"),
+        (Table(A, np.ones((0, 2)), lead=0), "Table(a), (0,) of them"),
         (Table.vacuous(()), "Table()"),
     ],
 )

@@ -77,7 +77,7 @@ SHAPES = [
     row("controls without time", {u: [1.0, 0.1]}, "u", "(2,)", "T, 2)", variable=u),
     row("a number for controls", {u: 1.0}, "u", "()", "T, 2)", variable=u),
     row("words for controls", {u: "fast"}, "u", "numbers", "str", variable=u),
-    row("ragged controls", {u: [[1, 2], [3]]}, "u", "numbers", "list", variable=u),
+    row("ragged controls", {u: [[1, 2], [3]]}, "u", "numbers", "unequal length", variable=u),
     row("no controls", {u: None}, "u", variable=u),
     row(
         "a scalar without its axis",

@@ -442,7 +442,7 @@ BAD = {
     "times are not numbers": (
         {"times": ["a", "b"]},
         None,
-        r"times must be an array of numbers, not list",
+        r"times must be numbers, not texts",
     ),
     "times have two axes": ({"times": np.ones((3, 1))}, None, r"times have shape \(3, 1\)"),
     "one state": ({"times": [1.0]}, None, r"times has 1 states; a timeline needs two"),
@@ -456,7 +456,7 @@ BAD = {
     "times are dates": (
         {"times": np.array(["2020-01-01", "2020-01-02"], dtype="datetime64[s]")},
         None,
-        r"times are dates .*seconds were due",
+        r"times must be numbers, not dates; take .*timedelta64\(1, 's'\) for seconds",
     ),
     "tolerance is negative": ({"tolerance": -1.0}, None, r"tolerance must be 0 or more seconds"),
     "tolerance is NaN": ({"tolerance": np.nan}, None, r"tolerance must be 0 or more seconds"),

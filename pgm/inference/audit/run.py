@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
 from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.result import Audit
@@ -15,7 +16,6 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
-from pgm.networks.ancestral import as_generator
 
 # Numbers drawn at once: what stays near the processor.
 BATCH = 2**18
@@ -80,8 +80,7 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
     True
     """
     draws: ChainDraws | TreeDraws
-    whole = isinstance(samples, int | np.integer) and not isinstance(samples, bool)
-    if not whole or samples < 2:
+    if not is_whole(samples) or samples < 2:
         raise ModelError(f"samples is the number of draws, 2 or more; not {samples!r}")
     generator = as_generator(rng)
     if isinstance(posterior, ChainPosterior):

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pgm.errors import EvidenceError
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import Sensor
+from pgm.inference.posterior import require_variable
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, sandwich
 from pgm.variables import Variable
@@ -54,7 +55,7 @@ class BySensor(Mapping[Variable, Innovations]):
         self._innovations = dict(innovations)
 
     def __getitem__(self, variable: Variable) -> Innovations:
-        if variable not in self._innovations:
+        if require_variable(variable) not in self._innovations:
             raise EvidenceError(
                 f"there are no innovations of {variable!r}; readings were given of {list(self)}",
                 variable=variable,

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from pgm.boundary import is_whole
 from pgm.compile import DynamicGraph, SliceLayout
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
@@ -46,7 +47,7 @@ def run(
     threads : int
         How many threads share the parts.
     """
-    if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or threads < 1:
+    if not is_whole(threads) or threads < 1:
         raise ModelError(f"threads must be a whole number, 1 or more, not {threads!r}")
     kept = None if keep is None else _hidden(graph.layout, keep)
     if kept is None and threads == 1:
@@ -82,7 +83,7 @@ def run(
 
 
 def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
-    kept = as_scope(keep, "keep")
+    kept = as_scope(keep, "keep", ordered=False)
     for variable in kept:
         if variable not in layout.slice:
             raise EvidenceError(

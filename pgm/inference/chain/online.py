@@ -212,8 +212,10 @@ class OnlineFilter(Immutable):
                 f"sightings of {variable!r} online belong to the belief's step; leave step= out",
                 variable=variable,
             )
-        count = np.shape(value.values)[-2] if np.ndim(value.values) > 1 else 0
-        return Sightings(value.values, np.zeros(count, dtype=np.intp), value.given)
+        if value.values is None:
+            return Sightings(None, np.zeros(0, dtype=np.intp), value.given)
+        rows = as_rows(variable, value.values, "M")
+        return Sightings(rows, np.zeros(rows.shape[-2], dtype=np.intp), value.given)
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import as_floats
+from pgm.errors import EvidenceError
 from pgm.evidence import Sightings
 from pgm.immutable import set_writeable
 from pgm.kernels.arrays import Array
@@ -53,7 +55,7 @@ def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
 def _view(value: Any, axes: int) -> Array | None:
     """A view that functions of users may see, (d,) or (M, d), of an array of floats or the like."""
     if type(value) is not _ARRAY or value.dtype is not _FLOAT:
-        value = _numbers(value)
+        value = _numbers(value) if isinstance(value, _ARRAY | list | tuple) else None
     if value is None or value.ndim != axes:
         return None
     view: Array = value[0] if axes == 2 and len(value) == 1 else value.view()
@@ -62,13 +64,10 @@ def _view(value: Any, axes: int) -> Array | None:
 
 
 def _numbers(value: Any) -> Array | None:
-    if not isinstance(value, np.ndarray | list | tuple):
-        return None
     try:
-        array = np.asarray(value)
-    except ValueError:
+        return as_floats(value, "a value", EvidenceError)
+    except EvidenceError:  # which the general way words
         return None
-    return array.astype(np.float64) if array.dtype.kind in "fiu" else None
 
 
 def places(values: Mapping[Variable, Any]) -> dict[tuple[Variable | None, Variable], int]:

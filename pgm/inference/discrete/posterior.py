@@ -55,8 +55,8 @@ class DiscretePosterior(Posterior):
         return self._beliefs.table((wanted,), self._beliefs.marginal(wanted))
 
     def _require_hidden(self, variable: Variable) -> Discrete:
+        require_variable(variable)
         if variable not in self._beliefs.storage.homes:
-            require_variable(variable)
             raise EvidenceError(
                 f"{variable!r} is not in the network; its variables are "
                 f"{list(self.graph.network.variables)}",

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.boundary import as_tuple, is_unordered
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, GraphError, ModelError
@@ -137,8 +138,8 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
 
 def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -> States:
     """The variables that are asked for, none of which may be observed in all runs."""
-    several = isinstance(variables, Iterable) and not isinstance(variables, str)
-    found = tuple(variables) if several else (variables,)
+    several = None if is_unordered(variables) else as_tuple(variables)
+    found = (variables,) if several is None else several
     for variable in found:
         if not isinstance(variable, Variable) or variable not in known:
             raise EvidenceError(

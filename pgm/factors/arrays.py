@@ -1,0 +1,53 @@
+"""The vectors and matrices of a factor as arrays; a factor over one component takes numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pgm.boundary import as_floats
+from pgm.errors import ModelError
+from pgm.factors.scope import Scope, dimension, labels
+from pgm.kernels.arrays import Array
+from pgm.kernels.checks import symmetrised
+
+
+def as_vector(scope: Scope, value: Any, what: str) -> Array:
+    """A copy of a vector over a scope, (..., n)."""
+    array = as_floats(value, what, labels=labels(scope)).copy()
+    return array[None] if array.ndim == 0 and dimension(scope) == 1 else array
+
+
+def as_matrix(scope: Scope, value: Any, what: str, **about: Any) -> Array:
+    """A copy of a matrix over a scope, (..., n, n), made symmetric if it all but is."""
+    array = as_floats(value, what, **about).copy()
+    if array.ndim == 0 and dimension(scope) == 1:
+        array = array[None, None]
+    square = array.ndim >= 2 and array.shape[-1] == array.shape[-2]
+    return symmetrised(array) if square else array
+
+
+def as_points(scope: Scope, value: Any, lead: tuple[int, ...], what: str) -> Array:
+    """Finite values of the variables of a scope, (..., n), at each of some factors."""
+    array = as_vector(scope, value, what)
+    if array.shape[-1:] != (dimension(scope),):
+        raise ModelError(
+            f"{what} must be values of its {dimension(scope)} components along the last axis, not "
+            f"of shape {array.shape}"
+        )
+    if not np.isfinite(array).all():
+        raise ModelError(f"{what} has entries that are NaN or infinite")
+    require_broadcast(array.shape[:-1], lead, what)
+    return array
+
+
+def require_broadcast(own: tuple[int, ...], lead: tuple[int, ...], what: str) -> None:
+    """Refuse leading axes that do not broadcast to those of some factors."""
+    try:
+        np.broadcast_shapes(own, lead)
+    except ValueError:
+        raise ModelError(
+            f"{what} has leading axes {own}, which do not broadcast with those of the factors, "
+            f"{lead}"
+        ) from None
