@@ -9,6 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import ModelError
+from pgm.sizes import require_memory
+
+# Numbers of memory that the name of a state takes.
+_STATE = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +162,7 @@ class Discrete(Variable):
     Raises
     ------
     ModelError
-        If there is no state, or names repeat.
+        If there is no state, names repeat, or their number would not fit into memory.
 
     Examples
     --------
@@ -179,6 +183,12 @@ class Discrete(Variable):
         Variable.__post_init__(self)
         found: tuple[str, ...] = ()
         if isinstance(states, int | np.integer) and not isinstance(states, bool):
+            require_memory(
+                int(states) * _STATE,
+                f"the names of {name}'s {states} states",
+                "make cells of several values each",
+                variable=self,
+            )
             found = tuple(map(str, range(states)))
         elif isinstance(states, Iterable) and not isinstance(states, str):
             found = tuple(states)

@@ -9,7 +9,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "pgm"
 LAYERS = [
-    {"errors", "immutable", "variables", "kernels"},
+    {"errors", "immutable", "sizes", "variables", "kernels"},
     {"factors"},
     {"linearisers"},
     {"cpds"},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from pgm.kernels import moments, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, apply, block, deviation, frozen
 from pgm.kernels.checks import covariance_fault
+from pgm.sizes import require_memory
 from pgm.variables import Variable
 
 
@@ -175,8 +177,18 @@ class Gaussian(Immutable):
             How many draws of each Gaussian.
         rng : numpy.random.Generator or int
             What draws, or the seed of one.
+
+        Raises
+        ------
+        ModelError
+            If the draws would not fit into memory.
         """
         size = (size,) if isinstance(size, int) else size
+        require_memory(
+            math.prod(map(int, size)) * self.mean.size,
+            f"{size} draws of {self!r}",
+            "draw fewer at a time",
+        )
         noise = np.random.default_rng(rng).standard_normal((*size, *self.mean.shape))
         return self.mean + apply(roots.root(self.cov), noise)
 

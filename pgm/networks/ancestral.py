@@ -17,6 +17,7 @@ from pgm.evidence.keys import unknown
 from pgm.factors.scope import listed
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, apply
+from pgm.sizes import require_memory
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -34,6 +35,11 @@ def draw(
 ) -> dict[Variable, Draws]:
     """Draw each variable of a network without time after its parents."""
     shape = _as_shape(n)
+    require_memory(
+        math.prod(shape) * sum(cpd.child.dimension or 1 for cpd in network.cpds),
+        f"{n} draws of {len(network.cpds)} variables",
+        "draw fewer at a time",
+    )
     for variable in inputs:
         if variable not in network.variables:
             raise unknown(variable, network.variables)
@@ -90,7 +96,7 @@ def _as_shape(n: Any) -> tuple[int, ...]:
         whole = isinstance(length, int | np.integer) and not isinstance(length, bool)
         if not whole or length < 1:
             raise ModelError(f"n is the number of draws, 1 or more, or a tuple of such; not {n!r}")
-    return shape
+    return tuple(map(int, shape))
 
 
 def gaussian(
