@@ -70,9 +70,9 @@ def compile(
     ModelError
         If the model is no network.
     GraphError
-        If the number of steps of a dynamic network is missing, negative or too large, steps are given for a
-        network without time, the method is none or not for this kind of network, or its graph is
-        of another network.
+        If the number of steps of a dynamic network is missing, negative or too large, steps are
+        given for a network without time, the method is none or not for this kind of network, or
+        its graph is of another network.
 
     Examples
     --------

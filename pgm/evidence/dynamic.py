@@ -143,7 +143,7 @@ class _Binder:
                     variable=variable,
                 )
         if steps is None:
-            return next(iter(lengths.values()))
+            return int(next(iter(lengths.values())))
         require_memory(
             int(steps) * sum(variable.dimension for variable in self.hidden),
             f"the means at {steps} steps",

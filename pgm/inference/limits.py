@@ -151,8 +151,7 @@ def require_runs(entries: int, runs: int, what: str) -> None:
         fit = LIMIT // entries
         raise GraphError(
             f"{what} would take {gibibytes(entries * runs)}{many}, where "
-            f"{gibibytes(LIMIT)} is the limit; {advice}"
-            + (f", {fit} at the most" if fit else "")
+            f"{gibibytes(LIMIT)} is the limit; {advice}" + (f", {fit} at the most" if fit else "")
         )
 
 

@@ -17,6 +17,7 @@ from pgm.evidence.keys import unknown
 from pgm.factors.scope import listed
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, apply
+from pgm.linearisers.calls import Call
 from pgm.sizes import require_memory
 from pgm.variables import Variable
 
@@ -119,32 +120,21 @@ def gaussian(
     step : array_like of int or None
         The step of each, which broadcasts to the shape; for messages.
     """
+    steps = None if step is None else np.asarray(step)
     wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in values.items()}
     due = (*shape, cpd.child.dimension)
+    call = Call(cpd.child, "function", shape, steps, 0, cpd)
     if isinstance(cpd, NonlinearGaussianCPD):
-        mean = np.asarray(cpd.function(*(wide[v] for v in cpd.given)), dtype=float)
+        with np.errstate(all="ignore"):  # non-finite values are refused below
+            mean = call(cpd.function, [wide[v] for v in cpd.given], due)
     elif isinstance(cpd, AffineCPD):
         mean = cpd._affine((), wide)[1]
         mean = np.broadcast_to(mean if cpd.given else _by_run(mean, lead, 1), due)
-    if mean.shape != due:
-        raise ModelError(
-            f"the function of {cpd!r} returned shape {mean.shape} where {due} was due; it is "
-            "called with arrays that have leading axes",
-            variable=cpd.child,
-            cpd=cpd,
-        )
     if not np.isfinite(mean).all():
-        where = np.argwhere(~np.isfinite(mean))[0]
-        at = None if step is None else int(np.broadcast_to(step, shape)[tuple(where[:-1])])
-        raise LinearisationError(
-            f"the function of {cpd!r} has values that are NaN or infinite"
-            f"{'' if at is None else f' at step {at}'}",
-            variable=cpd.child,
-            cpd=cpd,
-            step=at,
-        )
+        index = tuple(int(k) for k in np.argwhere(~np.isfinite(mean))[0, :-1])
+        raise call.error("has values that are NaN or infinite", index, kind=LinearisationError)
     if isinstance(cpd.cov, Noise):
-        cov = evaluate(cpd.cov, cpd.child, wide, shape, step)
+        cov = evaluate(cpd, wide, shape, steps)
     else:
         cov = _by_run(cpd.cov, lead, 2)
     return mean + apply(roots.root(cov), rng.standard_normal(due))

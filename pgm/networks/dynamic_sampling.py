@@ -70,8 +70,7 @@ def draw(
     count = bound.runs
     _require_memory(bound.lead, bound.steps + 1, width)
     path: dict[Variable, Array] = {
-        v: np.full((bound.steps + 1, count, v.dimension), np.nan)
-        for v in hidden
+        v: np.full((bound.steps + 1, count, v.dimension), np.nan) for v in hidden
     }
     for cpd in model.prior:
         now = {v: path[v][0] for v in cpd.given}

@@ -74,8 +74,8 @@ def joint_moments(
 
 def _gain(reverse: Reverse, step: int) -> Array:
     """The regression of the slice at a step on the slice after it."""
-    states, slices = reverse.states, reverse.slices
-    return states.matrix[step] if slices is None else slices.matrix[step] @ states.matrix[step]
+    gain: Array = reverse.states.matrix[step]
+    return gain if reverse.slices is None else reverse.slices.matrix[step] @ gain
 
 
 def _mirror(cov: Array) -> None:

@@ -18,8 +18,8 @@ from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.information import backward_messages
 from pgm.inference.chain.innovations import BySensor, Innovations, innovations
-from pgm.inference.chain.many import Filtered
 from pgm.inference.chain.joints import joint_moments
+from pgm.inference.chain.many import Filtered
 from pgm.inference.chain.marginals import Marginals, located
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.limits import require_runs
@@ -145,9 +145,7 @@ class ChainPosterior(Posterior):
         size = sum(variable.dimension for variable in variables)
         what = f"the joint of {len(variables)} variables, {size} components in all,"
         require_runs(size * size, self._planned.runs, what)
-        mean, cov = joint_moments(
-            self._reverse, self._beliefs, self.graph.layout, variables
-        )
+        mean, cov = joint_moments(self._reverse, self._beliefs, self.graph.layout, variables)
         shape = self._plan.lead
         return Gaussian._make(
             tuple(variables),

@@ -16,6 +16,7 @@ from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.joints import joint_moments
 from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.tree import Calibrated, TreePlan
+from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Integers, apply, frozen, transpose
