@@ -16,6 +16,7 @@ from benchmarks.rows import ROWS
 from benchmarks.timing import medians
 from benchmarks.verdicts import verdicts
 from experiments.record import folder, note, table, versions
+from pgm.io.whole import whole
 
 OUT = Path("results") / "bench"
 PEERS = ("filterpy", "stonesoup", "dynamax", "jax", "cuthbert", "gtsam", "pyagrum", "pgmpy")
@@ -62,7 +63,8 @@ def main(arguments: list[str] | None = None) -> None:
     if summary["curves"]:
         figure.draw(summary["curves"], out / "cost_against_size.png")
     tell(summary)
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    with whole(out / "summary.json") as path:
+        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
 
 
 def everything(quick: bool) -> list[str]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
+import os
+import sys
+
 import matplotlib as mpl
 import typer
 
 from experiments.catalogue import EXPERIMENTS, summary_line
-from experiments.record import FolderError, note
+from experiments.record import note, refusal
 from experiments.report import report
-from pgm import PgmError
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -29,12 +32,29 @@ app.command("report")(report)
 
 
 def main() -> None:
-    """Run the command line; a refusal, pgm's or of the folder, is told in a line."""
+    """Run the command line; a refusal, pgm's or of the machine, is told in a line."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # of letters that a terminal does not have
     try:
         app()
-    except (PgmError, FolderError) as error:
-        note(f"{type(error).__name__}: {error}", style="red")
+        sys.stdout.flush()
+    except Exception as error:
+        told = refusal(error)
+        if not told:
+            raise
+        _tell(told)
         raise SystemExit(1) from error
+
+
+def _tell(told: str) -> None:
+    """Print a refusal, elsewhere where it is the standard output that cannot be written."""
+    try:
+        note(told, style="red")
+        sys.stdout.flush()
+    except OSError:
+        sys.stderr.write(f"{told}\n")
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to flush
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import json
 import platform
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -18,9 +19,13 @@ from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 
+from pgm.errors import PgmError
+from pgm.io.whole import whole
+
 Out = Annotated[Path | None, typer.Option(help="Folder for results; results/NAME without.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything that is drawn.")]
 
+SUMMARY = "summary.json"
 Item = TypeVar("Item")
 
 _console = Console()
@@ -30,6 +35,13 @@ _wide = Console(width=sys.maxsize)
 
 class FolderError(OSError):
     """A folder for results cannot be made, or nothing can be written there."""
+
+
+def refusal(error: BaseException) -> str:
+    """An error in a line; empty where it is none that a user can do something about."""
+    advice = "; ask for fewer runs or steps" if isinstance(error, MemoryError) else ""
+    foreseen = isinstance(error, PgmError | OSError | MemoryError)
+    return f"{type(error).__name__}: {error}{advice}".replace("\n", " ") if foreseen else ""
 
 
 class Record:
@@ -59,9 +71,26 @@ class Record:
     def figure(self, figure: Figure, name: str, caption: str = "") -> None:
         """Write a figure as PNG and PDF; the caption stands below it in the report."""
         for ending in ("png", "pdf"):
-            figure.savefig(self.folder / f"{name}.{ending}", dpi=150, bbox_inches="tight")
+            with self.file(f"{name}.{ending}") as path:
+                figure.savefig(path, dpi=150, bbox_inches="tight")
             figure.set_layout_engine("none")  # one layout is enough for both, and is slow to find
         self.picture(f"{name}.png", caption)
+
+    @contextmanager
+    def file(self, name: str) -> Iterator[Path]:
+        """Write a file into the folder, whole or not at all.
+
+        Before the first of them the summary of an earlier run goes, since it is of other files.
+
+        Raises
+        ------
+        FolderError
+            If it cannot be written.
+        """
+        with writing(self.folder), whole(self.folder / name) as path:
+            yield path
+            if name != SUMMARY:
+                (self.folder / SUMMARY).unlink(missing_ok=True)
 
     def picture(self, file: str, caption: str = "") -> None:
         """Show a file that was written into the folder, an animation for one, in the report."""
@@ -80,7 +109,6 @@ class Record:
 
     def summary(self, **values: Any) -> Path:
         """Write summary.json: settings, versions, all results, and the page for the report."""
-        path = self.folder / "summary.json"
         content = {
             "experiment": self.name,
             "settings": self.settings,
@@ -88,9 +116,11 @@ class Record:
             **values,
             "page": self._page,
         }
-        path.write_text(json.dumps(content, indent=2, default=_plain) + "\n")
+        text = json.dumps(content, indent=2, default=_plain) + "\n"
+        with self.file(SUMMARY) as path:
+            path.write_text(text, encoding="utf-8")
         note(f"{self.folder}/", style="dim")
-        return path
+        return self.folder / SUMMARY
 
 
 def folder(path: Path) -> Path:
@@ -101,13 +131,25 @@ def folder(path: Path) -> Path:
     FolderError
         If not.
     """
-    try:
+    with writing(path):
         path.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=path):
             return path
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Tell of a folder that files cannot be written into.
+
+    Raises
+    ------
+    FolderError
+    """
+    try:
+        yield
     except OSError as error:
         raise FolderError(
-            f"results cannot be written into {path} ({error.strerror}); "
+            f"results cannot be written into {path} ({error.strerror or error}); "
             "name another folder with --out"
         ) from error
 

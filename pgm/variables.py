@@ -10,6 +10,10 @@ import numpy.typing as npt
 
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.errors import ModelError
+from pgm.sizes import require_memory
+
+# Numbers of memory that the name of a state takes.
+_STATE = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +154,7 @@ class Discrete(Variable):
     Raises
     ------
     ModelError
-        If there is no state, or names repeat.
+        If there is no state, names repeat, or their number would not fit into memory.
 
     Examples
     --------
@@ -169,6 +173,13 @@ class Discrete(Variable):
         object.__setattr__(self, "components", ())
         object.__setattr__(self, "angles", ())
         Variable.__post_init__(self)
+        if is_whole(states):
+            require_memory(
+                int(states) * _STATE,
+                f"the names of {name}'s {states} states",
+                "make cells of several values each",
+                variable=self,
+            )
         names = map(str, range(states)) if is_whole(states) else states
         found = _names(self, "states", names)
         if not found:

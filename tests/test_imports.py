@@ -9,7 +9,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "pgm"
 LAYERS = [
-    {"boundary", "errors", "immutable", "variables", "kernels"},
+    {"boundary", "errors", "immutable", "sizes", "variables", "kernels"},
     {"factors"},
     {"linearisers"},
     {"cpds"},

@@ -37,7 +37,7 @@ from experiments.belief_propagation import cases, figures
 from experiments.belief_propagation.checks import difference
 from experiments.belief_propagation.comparison import compare_methods
 from experiments.belief_propagation.loops import Case, Numbers, titled
-from experiments.belief_propagation.repository import NAMES
+from experiments.belief_propagation.repository import NAMES, require_stored
 from experiments.record import Out, Record, Seed
 
 By = dict[str, dict[str, pgm.Posterior]]  # graph and schedule
@@ -87,6 +87,7 @@ def run(
         "gaussian": sorted(precisions or cases.PRECISIONS),
     }
     drawn = {"seed": seed, "side": side, "count": count, "draws": draws}
+    require_stored(known or ())
     names = known or NAMES
     record = Record(
         "belief_propagation",

@@ -159,7 +159,8 @@ def show(record: Record, solved: dict[str, dict[str, Solved]], drawn: str) -> di
     for name, each in solved[drawn].items():
         drive = each.drive()
         file = f"problem_{name}.gif"
-        counts[file], every = animate(drive, record.folder / file), EVERY[name]
+        with record.file(file) as path:
+            counts[file], every = animate(drive, path), EVERY[name]
         record.picture(
             file,
             f"{drive.problem.title}: truth, the filter's estimate, and its ellipse (95 %), by "

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.io import loadmat
 
 from models.networks import distance, landmark, travelled
-from pgm.errors import EvidenceError
+from pgm.errors import EvidenceError, FileError
 from pgm.io import Timeline, stamped, timeline
 
 Array = npt.NDArray[np.float64]
@@ -42,6 +42,8 @@ SETTINGS = {
     "plaza2": Setting("Plaza2_.mat", 1.0694, 0.020, np.pi, 0.02, 0.529),
 }
 POSITION_RATE = 0.05  # m after one second
+# Of each table: true poses, odometry, ranges heard, and places of beacons, by time or number.
+COLUMNS = {"GT": 4, "DR": 3, "TD": 4, "TL": 3}
 START_STD = (0.2, 0.2, 0.05)  # m, m, rad
 
 
@@ -75,12 +77,11 @@ def find(name: str) -> Path | None:
 
 def load(path: Path, setting: Setting) -> Log:
     """Read a recording, calibrate its ranges, and lay it on the times of the true positions."""
-    data = loadmat(path)
-    lost = [key for key in ("GT", "DR", "TL", "TD") if key not in data]
-    if lost:
-        raise EvidenceError(f"{path} has no tables {lost}; is it a Plaza recording?")
-    truth, moved, heard = (np.asarray(data[key], dtype=float) for key in ("GT", "DR", "TD"))
-    place = {int(beacon): (east, north) for beacon, east, north in data["TL"]}
+    truth, moved, heard, where = _tables(path)
+    place = {int(beacon): (east, north) for beacon, east, north in where}
+    strangers = sorted({int(beacon) for beacon in heard[:, 2]} - set(place))
+    if strangers:
+        raise EvidenceError(f"{path}: the beacons {strangers} in TD have no place in TL")
     ranges = (heard[:, 3] - setting.offset) / setting.scale
     beacons = np.array([place[int(beacon)] for beacon in heard[:, 2]])
     laid = timeline(
@@ -90,3 +91,26 @@ def load(path: Path, setting: Setting) -> Log:
     )
     poses = truth[:, 1:] + np.array([0.0, 0.0, setting.heading_shift])
     return Log(laid, poses, np.array(list(place.values())))
+
+
+def _tables(path: Path) -> list[Array]:
+    """The tables of a recording, checked."""
+    try:
+        data = loadmat(path)
+    except Exception as error:  # of many kinds, as the damage is
+        raise FileError(
+            f"{path} cannot be read as a .mat file ({type(error).__name__}: {error}); fetch it "
+            "again, or leave out --path",
+            path=str(path),
+        ) from error
+    lost = [key for key in COLUMNS if key not in data]
+    if lost:
+        raise EvidenceError(f"{path} has no tables {lost}; is it a Plaza recording?")
+    for key, width in COLUMNS.items():
+        table = data[key]
+        if table.dtype.kind not in "fiu" or table.ndim != 2 or table.shape[1] != width:
+            raise EvidenceError(
+                f"{path}: the table {key} has shape {table.shape} of {table.dtype}; numbers in "
+                f"{width} columns were due; is it a Plaza recording?"
+            )
+    return [np.asarray(data[key], dtype=float) for key in COLUMNS]

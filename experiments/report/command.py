@@ -11,9 +11,10 @@ from typing import Annotated, Any
 import typer
 
 from experiments.catalogue import EXPERIMENTS
-from experiments.record import Seed, folder, note, versions
+from experiments.record import Seed, folder, note, versions, writing
 from experiments.report.page import page, state
 from experiments.report.running import Outcome, run_all
+from pgm.io.whole import whole
 
 Folder = Annotated[Path, typer.Option(help="Folder for the page and all results.")]
 Only = Annotated[
@@ -70,7 +71,9 @@ def make_report(
         note(f"{outcome.name}: {outcome.seconds:.1f} s {state(outcome)}", style="bold")
     size = "quick settings" if quick else "full size"
     made = f"{datetime.now():%d %B %Y, %H:%M} · {size} · seed {seed} · {_took(begin)}"
-    path.write_text(page(outcomes, versions(), made, quick), encoding="utf-8")
+    text = page(outcomes, versions(), made, quick)
+    with writing(out), whole(path) as beside:
+        beside.write_text(text, encoding="utf-8")
     note(str(path))
     return outcomes
 

@@ -32,7 +32,7 @@ def page(outcomes: Sequence[Outcome], versions: Mapping[str, str], made: str, qu
     quick : bool
         Whether the settings were the quick ones.
     """
-    return Template(TEMPLATE.read_text()).substitute(
+    return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         made=escape(made),
         versions=settings(versions),
         warning=_QUICK if quick else "",

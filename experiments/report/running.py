@@ -18,8 +18,7 @@ import matplotlib.pyplot as plt
 import typer
 
 from experiments.catalogue import summary_line
-
-SUMMARY = "summary.json"
+from experiments.record import SUMMARY, refusal
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +40,7 @@ class Outcome:
     said : str
         What it printed.
     error : str
-        Its traceback; empty where it did not fail.
+        Its refusal in a line, or else its traceback; empty where it did not fail.
     """
 
     name: str
@@ -72,8 +71,8 @@ def run_all(
             with redirect_stdout(said):
                 experiment.run(**settings)
             summary = _summary(folder)
-        except Exception:
-            error = traceback.format_exc()
+        except Exception as failure:
+            error = refusal(failure) or traceback.format_exc()
         finally:
             plt.close("all")
         yield Outcome(
@@ -106,7 +105,7 @@ def _summary(folder: Path) -> Mapping[str, Any] | None:
     path = folder / SUMMARY
     if not path.exists():
         return None
-    found: Mapping[str, Any] = json.loads(path.read_text())
+    found: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     for entry in found["page"]:
         if "figure" in entry and not (folder / entry["figure"]).exists():
             raise FileNotFoundError(f"the page names {entry['figure']}, which was not written")

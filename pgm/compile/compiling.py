@@ -12,6 +12,7 @@ from pgm.compile.junction import JunctionTree
 from pgm.compile.slices import SliceGraph
 from pgm.errors import GraphError, ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
+from pgm.sizes import require_memory
 
 
 class Method(Protocol):
@@ -68,9 +69,9 @@ def compile(
     ModelError
         If the model is no network.
     GraphError
-        If the number of steps of a dynamic network is missing or negative, steps are given for a
-        network without time, the method is none or not for this kind of network, or its graph is
-        of another network.
+        If the number of steps of a dynamic network is missing, negative or too large, steps are
+        given for a network without time, the method is none or not for this kind of network, or
+        its graph is of another network.
 
     Examples
     --------
@@ -118,4 +119,10 @@ def _dynamic(model: DynamicBayesianNetwork, steps: Any, method: Any) -> DynamicG
         raise GraphError(
             f"a dynamic network is compiled for steps 0..T; give steps=T, 0 or more, not {steps!r}"
         )
+    require_memory(
+        int(steps) * sum(cpd.child.dimension for cpd in model.transition),
+        f"the means at {steps} steps",
+        "compile for fewer",
+        error=GraphError,
+    )
     return (SliceGraph if method is None else BalancedGraph)(model, int(steps))

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pgm.boundary import as_floats
 from pgm.errors import ModelError
 from pgm.factors.arrays import as_matrix
 from pgm.factors.scope import Scope, as_scope, listed
-from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.checks import covariance_fault, symmetrised
+from pgm.linearisers.calls import Call
 from pgm.variables import Variable
+
+if TYPE_CHECKING:
+    from pgm.cpds.base import ConditionalGaussian
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,51 +51,37 @@ def noise(function: Callable[..., Any], given: Variable | Iterable[Variable]) ->
 
 
 def evaluate(
-    cov: Noise, child: Variable, known: Mapping[Variable, Array], shape: tuple[int, ...], step: Any
+    cpd: ConditionalGaussian,
+    known: Mapping[Variable, Array],
+    shape: tuple[int, ...],
+    step: int | Integers | None,
+    first_run: int = 0,
 ) -> Array:
     """The covariance for given values of the parents, (*shape, n, n), checked.
 
     Parameters
     ----------
-    cov : Noise
-    child : Variable
-        Whose noise it is.
+    cpd : CPD
+        Of such noise.
     known : mapping of Variable to ndarray
         Values of the parents, which broadcast to (*shape, d).
     shape : tuple of int
-        The leading axes.
-    step : array_like of int or None
+        The leading axes, runs last.
+    step : int, ndarray of int or None
         The step of each, which broadcasts to the shape, for messages; None where there is no time.
+    first_run : int
+        The number of the first run, for messages.
     """
+    cov, child = cpd.cov, cpd.child
+    assert isinstance(cov, Noise)
     arguments = [np.broadcast_to(known[v], (*shape, v.dimension)) for v in cov.given]
-    try:
-        found = cov.function(*arguments)
-    except Exception as error:
-        raise ModelError(
-            f"the noise of the CPD of {child!r} failed on arrays of leading axes {shape}: "
-            f"{type(error).__name__}: {error}",
-            variable=child,
-        ) from error
-    what = f"the noise of the CPD of {child!r}"
-    value = as_floats(found, what, verb="return", variable=child)
-    due = (*shape, child.dimension, child.dimension)
-    if value.shape != due:
-        raise ModelError(
-            f"the noise of the CPD of {child!r} returned shape {value.shape} where {due} was due; "
-            "it is called with arrays that have leading axes",
-            variable=child,
-        )
+    call = Call(child, "noise", shape, step, first_run, cpd)
+    value = call(cov.function, arguments, (*shape, child.dimension, child.dimension))
     value = symmetrised(value)
     if covariance_fault(value):
         for index in np.ndindex(shape):
             if fault := covariance_fault(value[index]):
-                at = None if step is None else int(np.broadcast_to(step, shape)[index])
-                where = "" if at is None else f" at step {at}"
-                raise ModelError(
-                    f"the noise of the CPD of {child!r}{where} {fault}",
-                    variable=child,
-                    step=at,
-                )
+                raise call.error(fault, index)
     return value
 
 

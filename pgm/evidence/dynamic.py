@@ -17,6 +17,7 @@ from pgm.evidence.runs import common_runs
 from pgm.evidence.values import Constant, Evidence, Sightings
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
+from pgm.sizes import require_memory
 from pgm.variables import Variable
 
 WHOLE = "only a sensor's reading may be missing, or components of it, as NaN"
@@ -51,7 +52,8 @@ def bind(
     Raises
     ------
     EvidenceError
-        If evidence is missing, unknown, of a wrong shape, or disagrees about T or the runs.
+        If evidence is missing, unknown, of a wrong shape, disagrees about T or the runs, or has
+        more steps than memory.
     """
     binder = _Binder(transition, observation, evidence, steps, lead, drawing)
     return binder.bind(transition if transition_inputs else ())
@@ -141,7 +143,15 @@ class _Binder:
                     f"evidence for {variable!r} has {length} steps where there are {steps}",
                     variable=variable,
                 )
-        return int(next(iter(lengths.values()))) if steps is None else steps
+        if steps is None:
+            return int(next(iter(lengths.values())))
+        require_memory(
+            int(steps) * sum(variable.dimension for variable in self.hidden),
+            f"the means at {steps} steps",
+            "take fewer steps",
+            error=EvidenceError,
+        )
+        return int(steps)
 
     def _check_inputs(self) -> None:
         for variable, value in self.evidence.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from pgm.kernels import moments, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, apply, block, deviation, frozen
 from pgm.kernels.checks import covariance_fault
+from pgm.sizes import require_memory
 from pgm.variables import Variable
 
 
@@ -209,12 +211,22 @@ class Gaussian(Immutable):
             How many draws of each Gaussian.
         rng : numpy.random.Generator or int
             What draws, or the seed of one.
+
+        Raises
+        ------
+        ModelError
+            If the draws would not fit into memory.
         """
         shape = (size,) if is_whole(size) else as_tuple(size)
         if shape is None or not all(is_whole(length) and length >= 0 for length in shape):
             raise ModelError(
                 f"size is how many draws of each Gaussian, or a tuple of such; not {size!r}"
             )
+        require_memory(
+            math.prod(map(int, shape)) * self.mean.size,
+            f"{size} draws of {self!r}",
+            "draw fewer at a time",
+        )
         noise = as_generator(rng).standard_normal((*shape, *self.mean.shape))
         return self.mean + apply(roots.root(self.cov), noise)
 

@@ -80,18 +80,20 @@ class Family:
         *,
         timed: bool = True,
         template: FunctionTemplate | None = None,
+        first_run: int = 0,
     ) -> Family:
         """Lay out a CPD; an affine one is ready for use. A template at hand need not be made."""
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
-        own_noise = _own_noise(cpd, step if timed else None, rows, inputs, lead)
+        own_noise = _own_noise(cpd, step if timed else None, rows, inputs, lead, first_run)
         noise = np.broadcast_to(own_noise, (rows, runs, height, height))
         if isinstance(cpd, NonlinearGaussianCPD):
             template = template or cpd._template(hidden)
             lineariser = cpd.lineariser or lineariser
         elif not isinstance(cpd, AffineCPD):
             raise ModelError(f"{cpd!r} is of no kind that inference knows", cpd=cpd)
-        made = cls(cpd, hidden, step, inputs, lineariser, template, noise, own_noise, timed)
+        known = (cpd, hidden, step, inputs, lineariser, template, noise, own_noise, timed)
+        made = cls(*known, first_run=first_run)
         if isinstance(cpd, AffineCPD):
             constant, shift = cpd._affine(hidden, inputs)
             if not cpd.given and shift.ndim > 1:
@@ -213,7 +215,20 @@ class Family:
             self.inputs[parent][rows] if place is None else None
             for parent, place in zip(self.template.given, self.template.places, strict=True)
         )
-        return BoundFunction(self.template, known, lead, step)
+        return self.function(known, lead, step)
+
+    def function(
+        self,
+        known: tuple[Array | None, ...],
+        lead: int,
+        step: int | Integers,
+        group: int | None = None,
+    ) -> BoundFunction:
+        """The CPD's function with evidence bound."""
+        assert self.template is not None
+        return BoundFunction(
+            self.template, known, lead, step, group, self.timed, self.first_run, self.cpd
+        )
 
     def value(self, rows: Rows, mean: Array) -> Array:
         """F mean + b of some rows."""
@@ -245,16 +260,32 @@ class Family:
                     found = self.lineariser.affine(function, mean, cov)
                 else:
                     found = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
+            affine = found if isinstance(found, Affine) else self._arrays(found, function, mean)
         except PgmError as error:
             error.cpd = error.cpd or self.cpd
             error.variable = error.variable or self.cpd.child
             if self.timed and error.step is None and isinstance(function.step, int):
                 error.step = function.step
             raise
-        affine = found if isinstance(found, Affine) else self._arrays(found, function, mean)
+        except Exception as error:
+            step = function.step if self.timed and isinstance(function.step, int) else None
+            raise ModelError(
+                f"the lineariser {self.lineariser!r} failed for {self.cpd!r}"
+                f"{'' if step is None else f' at step {step}'}{self._runs(mean)}: "
+                f"{type(error).__name__}: {error}",
+                variable=self.cpd.child,
+                cpd=self.cpd,
+                step=step,
+            ) from error
         if finite and not np.isfinite(_total(affine)):
             self._refuse_non_finite(function, mean, affine)
         return affine
+
+    def _runs(self, mean: Array) -> str:
+        """The runs of a belief, for messages."""
+        first = self.first_run
+        last = first + (mean.shape[-2] if mean.ndim > 1 else 1) - 1
+        return f", run {first}" if first == last else f", in a call for runs {first} to {last}"
 
     def _arrays(self, affine: Any, function: BoundFunction, mean: Array) -> Affine:
         """What a lineariser that works on Gaussians has returned, its shapes checked."""
@@ -317,22 +348,11 @@ class Family:
             else None
             for parent, place in zip(self.template.given, self.template.places, strict=True)
         )
-        function = BoundFunction(self.template, known, 2, None)
+        function = BoundFunction(self.template, known, 2, first_run=None, cpd=self.cpd)
         with np.errstate(all="ignore"):
-            try:
-                function(x)
-                if len(self.template.numerical) < self.template.size:
-                    function.jacobian(x)
-            except PgmError as error:
-                error.cpd = self.cpd
-                raise
-            except Exception as error:
-                raise ModelError(
-                    f"{self.cpd!r}: its function failed on a trial call with arrays of leading "
-                    f"axes {axes}: {type(error).__name__}: {error}",
-                    variable=self.cpd.child,
-                    cpd=self.cpd,
-                ) from error
+            function(x)
+            if len(self.template.numerical) < self.template.size:
+                function.jacobian(x)
 
 
 def _total(affine: Affine) -> float:
@@ -347,6 +367,7 @@ def _own_noise(
     rows: int,
     inputs: Mapping[Variable, Array],
     lead: tuple[int, ...],
+    first_run: int,
 ) -> Array:
     """The CPD's own noise covariance, (rows or 1, runs or 1, d, d)."""
     size = cpd.child.dimension
@@ -358,8 +379,5 @@ def _own_noise(
         return np.zeros((1, 1, size, size))
     known = {parent: inputs[parent] for parent in cpd.cov.given}
     shape = np.broadcast_shapes((rows, 1), *(array.shape[:2] for array in known.values()))
-    try:
-        return evaluate(cpd.cov, cpd.child, known, shape, None if step is None else step[:, None])
-    except ModelError as error:
-        error.cpd = cpd
-        raise
+    steps = None if step is None else step[:, None]
+    return evaluate(cpd, known, shape, steps, first_run)

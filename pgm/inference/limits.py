@@ -12,6 +12,7 @@ from pgm.clustergraph.size import amount
 from pgm.errors import GraphError
 from pgm.factors.axes import AXES
 from pgm.factors.scope import names
+from pgm.sizes import gibibytes
 from pgm.variables import Discrete
 
 # Entries of all tables, or covariances, of a graph, or of one answer over all runs: a gibibyte.
@@ -65,11 +66,6 @@ class Room:
                 "or ask pgm.query for what is wanted"
             )
         return room
-
-
-def gibibytes(entries: int) -> str:
-    """What numbers of double precision take, for messages."""
-    return f"{entries / 2**27:.3g} GiB"
 
 
 def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
@@ -150,11 +146,12 @@ def require_runs(entries: int, runs: int, what: str) -> None:
         Naming the size, and how many runs would fit.
     """
     if entries * runs > LIMIT:
+        many = f" for {runs} runs" if runs > 1 else ""
+        advice = "ask with fewer runs at once" if runs > 1 else "ask for less at once"
         fit = LIMIT // entries
         raise GraphError(
-            f"{what} would take {gibibytes(entries * runs)} for {runs} runs, where "
-            f"{gibibytes(LIMIT)} is the limit; ask with fewer runs at once"
-            + (f", {fit} at the most" if fit else "")
+            f"{what} would take {gibibytes(entries * runs)}{many}, where "
+            f"{gibibytes(LIMIT)} is the limit; {advice}" + (f", {fit} at the most" if fit else "")
         )
 
 

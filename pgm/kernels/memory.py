@@ -1,11 +1,15 @@
-"""What the C library's allocator does with memory that is freed between steps."""
+"""The memory of the machine, and the allocator's use of it between steps."""
 
 from __future__ import annotations
+
+import os
 
 import numpy as np
 
 # Just below the largest size by which glibc raises its thresholds, 32 MiB.
 _SIZE = 31 * 2**20
+# Where the system does not tell.
+_UNKNOWN = 64 * 2**30
 
 
 def retain() -> None:
@@ -18,3 +22,15 @@ def retain() -> None:
     other systems it does nothing.
     """
     np.empty(_SIZE, dtype=np.uint8)
+
+
+def most() -> int:
+    """Bytes that arrays may take at the most: the machine's memory, or the process's share."""
+    try:
+        found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        import resource  # here, since not every system has it
+
+        share, _ = resource.getrlimit(resource.RLIMIT_AS)
+        return min(found, share) if share != resource.RLIM_INFINITY else found
+    except (AttributeError, ImportError, OSError, ValueError):
+        return _UNKNOWN

@@ -10,13 +10,12 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from pgm.boundary import as_floats
-from pgm.errors import ModelError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
 from pgm.kernels import differences
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Index, Integers, Mask, laid_out_as
+from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
 Function = Callable[..., Any]
@@ -140,6 +139,12 @@ class BoundFunction:
         The step, or an array over the leading axes where one call covers many.
     group : int, optional
         How many readings one value stacks; their axis is then the last but one of the inputs.
+    timed : bool
+        Whether the step is one in time, for messages.
+    first_run : int or None
+        The number of the first run in messages; None in a trial call.
+    cpd : CPD, optional
+        For programs that handle an error.
     """
 
     template: FunctionTemplate
@@ -147,6 +152,9 @@ class BoundFunction:
     lead: int
     step: int | Integers | None = None
     group: int | None = None
+    timed: bool = True
+    first_run: int | None = 0
+    cpd: Any = None
 
     @property
     def name(self) -> str:
@@ -176,8 +184,9 @@ class BoundFunction:
     def __call__(self, x: Array) -> Array:
         """The value, (..., d), at stacked hidden parents x, (..., n)."""
         arguments, shape = self._arguments(x)
-        value = self._checked(
-            self.template.function(*arguments), (*shape, self.template.child.dimension), "function"
+        template = self.template
+        value = self._call("function", x)(
+            template.function, arguments, (*shape, template.child.dimension)
         )
         if self.group is not None:
             return value.reshape(*x.shape[:-1], -1)
@@ -210,10 +219,8 @@ class BoundFunction:
             if derivative is None:
                 parts.append(numerical[..., place])
                 continue
-            part = self._checked(
-                derivative(*arguments),
-                (*shape, height, parent.dimension),
-                f"jacobian by {parent!r}",
+            part = self._call(f"jacobian by {parent!r}", x)(
+                derivative, arguments, (*shape, height, parent.dimension)
             )
             if self.group is not None:
                 part = part.reshape(*x.shape[:-1], -1, parent.dimension)
@@ -238,18 +245,7 @@ class BoundFunction:
             arguments.append(argument)
         return arguments, shape
 
-    def _checked(self, value: Any, shape: tuple[int, ...], what: str) -> Array:
-        array = as_floats(
-            value,
-            f"the {what} of the CPD of {self.name}",
-            verb="return",
-            variable=self.template.child,
-        )
-        if array.shape != shape:
-            raise ModelError(
-                f"the {what} of the CPD of {self.name} returned shape {array.shape} where "
-                f"{shape} was due; it is called with arrays that have leading axes, so index "
-                "components as a[..., i] and stack results along the last axis",
-                variable=self.template.child,
-            )
-        return array
+    def _call(self, what: str, x: Array) -> Call:
+        step = self.step if self.timed else None
+        lead = x.shape[: self.lead]
+        return Call(self.template.child, what, lead, step, self.first_run, self.cpd)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.errors import NumericalError
+from pgm.errors import LinearisationError, NumericalError
 from pgm.kernels import roots
 from pgm.kernels.arrays import (
     Array,
@@ -22,6 +22,7 @@ from pgm.kernels.arrays import (
 )
 from pgm.kernels.regression import Line, line, range_inverse, regress, regress_along_runs
 from pgm.linearisers.function import Affine, ArrayLineariser, BoundFunction
+from pgm.sizes import require_memory
 
 # The regression on more points than this takes longer to prepare than it saves.
 FEW = 64
@@ -109,6 +110,14 @@ class StatisticalRegression(ArrayLineariser):
             step = np.broadcast_to(0 if step is None else step, mean.shape[:-1])
         points = self.points(mean.shape[-1], function.name, step)
         s, mean_weights, cov_weights, centred = points
+        if s.shape[-2] > FEW:
+            require_memory(
+                mean.size * s.shape[-2],
+                f"{s.shape[-2]} points of {self!r} for the CPD of {function.name} at each of "
+                f"{mean.size // mean.shape[-1]} beliefs",
+                "use a rule with fewer points, or give fewer runs to a call",
+                error=LinearisationError,
+            )
         offset, value = self._values(function, mean, cov, times_transposed(s, lower), centred)
         if self._along_runs(s, offset, lower):
             slope, centre, noise = regress_along_runs(points.line, offset)

@@ -12,6 +12,7 @@ from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers
 from pgm.linearisers import draws
 from pgm.linearisers.regression import Points, StatisticalRegression
+from pgm.sizes import require_memory
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,18 @@ class SampledRule(StatisticalRegression):
         """Whether the moments are the sample's own: its weights are positive."""
         return not self.prior_moments
 
+    def _require_memory(self, dimension: int, name: str, step: int | Integers | None) -> None:
+        count = 1
+        if isinstance(step, np.ndarray) and step.size:
+            count = step.size if self.fresh_per_run else int(step.max() - step.min()) + 1
+        require_memory(
+            self.samples * dimension * count,
+            f"{type(self).__name__}(samples={self.samples}): the points for the CPD of {name}"
+            + (f" at {count} steps" if count > 1 else ""),
+            "ask for fewer",
+            error=LinearisationError,
+        )
+
     @abstractmethod
     def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
         """The points, (*axes of step, N, n)."""
@@ -66,6 +79,7 @@ class SampledRule(StatisticalRegression):
                 f"{type(self).__name__}(samples={self.samples}) is too few for the {dimension} "
                 f"hidden components of the CPD of {name}: ask for {2 * dimension + 2} or more"
             )
+        self._require_memory(dimension, name, step)
         weights = np.full(self.samples, 1.0 / self.samples)
         sample = self._sample(dimension, name, 0 if step is None else step)
         return Points(sample, weights, weights, False)
@@ -99,7 +113,8 @@ class MonteCarlo(SampledRule):
     Raises
     ------
     LinearisationError
-        If an argument is not what it should be: when made; if N is below 2n + 2: when used.
+        If an argument is not what it should be: when made; if N is below 2n + 2, or more than
+        memory holds: when used.
     """
 
     prior_moments: bool = False
@@ -144,7 +159,8 @@ class QuasiMonteCarlo(SampledRule):
     Raises
     ------
     LinearisationError
-        If an argument is not what it should be: when made; if N is below 2n + 2: when used.
+        If an argument is not what it should be: when made; if N is below 2n + 2, or more than
+        memory holds: when used.
 
     References
     ----------

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.boundary import as_floats, is_whole
+from pgm.boundary import is_whole
 from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD, TableCPD
 from pgm.cpds.noise import evaluate
 from pgm.errors import EvidenceError, LinearisationError, ModelError
@@ -18,6 +18,8 @@ from pgm.evidence.keys import unknown
 from pgm.factors.scope import listed
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, apply
+from pgm.linearisers.calls import Call
+from pgm.sizes import require_memory
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -35,6 +37,11 @@ def draw(
 ) -> dict[Variable, Draws]:
     """Draw each variable of a network without time after its parents."""
     shape = _as_shape(n)
+    require_memory(
+        math.prod(shape) * sum(cpd.child.dimension or 1 for cpd in network.cpds),
+        f"{n} draws of {len(network.cpds)} variables",
+        "draw fewer at a time",
+    )
     for variable in inputs:
         if variable not in network.variables:
             raise unknown(variable, network.variables)
@@ -77,7 +84,7 @@ def _as_shape(n: Any) -> tuple[int, ...]:
     for length in shape:
         if not is_whole(length) or length < 1:
             raise ModelError(f"n is the number of draws, 1 or more, or a tuple of such; not {n!r}")
-    return shape
+    return tuple(map(int, shape))
 
 
 def gaussian(
@@ -100,38 +107,21 @@ def gaussian(
     step : array_like of int or None
         The step of each, which broadcasts to the shape; for messages.
     """
+    steps = None if step is None else np.asarray(step)
     wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in values.items()}
     due = (*shape, cpd.child.dimension)
+    call = Call(cpd.child, "function", shape, steps, 0, cpd)
     if isinstance(cpd, NonlinearGaussianCPD):
-        mean = as_floats(
-            cpd.function(*(wide[v] for v in cpd.given)),
-            f"the function of {cpd!r}",
-            verb="return",
-            variable=cpd.child,
-            cpd=cpd,
-        )
+        with np.errstate(all="ignore"):  # non-finite values are refused below
+            mean = call(cpd.function, [wide[v] for v in cpd.given], due)
     elif isinstance(cpd, AffineCPD):
         mean = cpd._affine((), wide)[1]
         mean = np.broadcast_to(mean if cpd.given else _by_run(mean, lead, 1), due)
-    if mean.shape != due:
-        raise ModelError(
-            f"the function of {cpd!r} returned shape {mean.shape} where {due} was due; it is "
-            "called with arrays that have leading axes",
-            variable=cpd.child,
-            cpd=cpd,
-        )
     if not np.isfinite(mean).all():
-        where = np.argwhere(~np.isfinite(mean))[0]
-        at = None if step is None else int(np.broadcast_to(step, shape)[tuple(where[:-1])])
-        raise LinearisationError(
-            f"the function of {cpd!r} has values that are NaN or infinite"
-            f"{'' if at is None else f' at step {at}'}",
-            variable=cpd.child,
-            cpd=cpd,
-            step=at,
-        )
+        index = tuple(int(k) for k in np.argwhere(~np.isfinite(mean))[0, :-1])
+        raise call.error("has values that are NaN or infinite", index, kind=LinearisationError)
     if isinstance(cpd.cov, Noise):
-        cov = evaluate(cpd.cov, cpd.child, wide, shape, step)
+        cov = evaluate(cpd, wide, shape, steps)
     else:
         cov = _by_run(cpd.cov, lead, 2)
     return mean + apply(roots.root(cov), rng.standard_normal(due))

@@ -17,6 +17,10 @@ from pgm.immutable import Immutable
 from pgm.networks import checks, declaration
 from pgm.networks.dynamic_sampling import Sample, draw
 from pgm.networks.static import BayesianNetwork, density
+from pgm.sizes import require_memory
+
+# Numbers of memory that a copy of a CPD at a step takes in a network, at the least.
+_COPY = 100
 
 
 class DynamicBayesianNetwork(Immutable):
@@ -167,6 +171,13 @@ class DynamicBayesianNetwork(Immutable):
         Sample
             ``sample[x]`` is (*runs, T+1, d) for a state, (*runs, T, d) for a control;
             ``sample.evidence`` are the inputs and the readings, ready for `infer`.
+
+        Raises
+        ------
+        ModelError
+            If the draws would not fit into memory, or `rng` is neither a generator nor a seed.
+        EvidenceError
+            If the inputs are not those of the model.
         """
         shape = (runs,) if isinstance(runs, int) else tuple(runs)
         return draw(self, as_mapping(inputs, "inputs"), steps, shape, as_generator(rng))
@@ -187,7 +198,7 @@ class DynamicBayesianNetwork(Immutable):
         Raises
         ------
         ModelError
-            If the number of steps is no such number.
+            If the number of steps is no such number, or the network would not fit into memory.
 
         Examples
         --------
@@ -204,6 +215,7 @@ class DynamicBayesianNetwork(Immutable):
             raise ModelError(
                 f"a dynamic network is unrolled to slices 0..T; give T, 0 or more, not {steps!r}"
             )
+        self._require_memory(int(steps))
         slices = range(int(steps) + 1)
         return BayesianNetwork(cpd.at(step) for step in slices for cpd in self.cpds_at(step))
 
@@ -219,6 +231,7 @@ class DynamicBayesianNetwork(Immutable):
             **dict.fromkeys(self.sensors, "sensor"),
             **dict.fromkeys(self.inputs, "input"),
         }
+        self._require_memory(int(steps))
         graph = nx.DiGraph()
         for step in range(steps + 1):
             for cpd in self.cpds_at(step):
@@ -227,6 +240,14 @@ class DynamicBayesianNetwork(Immutable):
                     graph.add_node(node, kind=kinds[variable.template], step=node.step)
                 graph.add_edges_from((p.at(step), cpd.child.at(step)) for p in cpd.parents)
         return graph
+
+    def _require_memory(self, steps: int) -> None:
+        """Refuse more copies of the CPDs than memory holds."""
+        require_memory(
+            steps * len((*self.transition, *self.observation)) * _COPY,
+            f"the CPDs of the slices 0..{steps}",
+            "take fewer steps; pgm.filter and pgm.smooth hold one copy of each",
+        )
 
     def cpds_at(self, step: int) -> tuple[ConditionalGaussian, ...]:
         """The CPDs that hold at a step, as templates."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -15,6 +16,7 @@ from pgm.factors.strangers import stranger
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
 from pgm.networks import ancestral
+from pgm.sizes import require_memory
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -54,6 +56,9 @@ def draw(
     rng: np.random.Generator,
 ) -> Sample:
     """Draw states forward in time, then the readings."""
+    hidden = (*model.states, *model.controls)
+    width = sum(variable.dimension for variable in hidden)
+    _require_memory(runs, 1, width)
     bound = bind(
         model.transition,
         model.observation,
@@ -63,9 +68,9 @@ def draw(
         drawing=True,
     )
     count = bound.runs
+    _require_memory(bound.lead, bound.steps + 1, width)
     path: dict[Variable, Array] = {
-        v: np.full((bound.steps + 1, count, v.dimension), np.nan)
-        for v in (*model.states, *model.controls)
+        v: np.full((bound.steps + 1, count, v.dimension), np.nan) for v in hidden
     }
     for cpd in model.prior:
         now = {v: path[v][0] for v in cpd.given}
@@ -91,6 +96,14 @@ def draw(
             else values[child]
         )
     return Sample(MappingProxyType(values), MappingProxyType(evidence))
+
+
+def _require_memory(runs: tuple[int, ...], steps: int, width: int) -> None:
+    require_memory(
+        math.prod(runs) * steps * width,
+        f"draws of {width} components at {steps} steps in {math.prod(runs)} runs",
+        "draw fewer runs at a time, or fewer steps",
+    )
 
 
 def _draw_reading(

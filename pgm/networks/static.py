@@ -168,8 +168,8 @@ class BayesianNetwork(Immutable):
         Raises
         ------
         ModelError
-            If `n` is no number of draws or does not broadcast with the model's runs, or `rng` is
-            neither a generator nor a seed.
+            If `n` is no number of draws, does not broadcast with the model's runs or would not fit
+            into memory, or `rng` is neither a generator nor a seed.
         EvidenceError
             If the inputs are not those of the network.
 

@@ -24,12 +24,17 @@ def given_or_new(ax: Axes | None) -> Axes:
     return check_axes(ax)
 
 
+def plain(name: str) -> str:
+    """A name as matplotlib shows it word for word: dollar signs begin no formula."""
+    return name.replace("$", r"\$")
+
+
 def name_axes(ax: Axes, x: str, y: str) -> None:
-    """Label the axes that have no label yet."""
+    """Label the axes that have no label yet, with names word for word."""
     if not ax.get_xlabel():
-        ax.set_xlabel(x)
+        ax.set_xlabel(plain(x))
     if not ax.get_ylabel():
-        ax.set_ylabel(y)
+        ax.set_ylabel(plain(y))
 
 
 def equal_aspect(ax: Axes) -> None:

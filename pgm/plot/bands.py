@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgba
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.kernels.angles import difference
-from pgm.plot.axes import check_axes, useful_legend
+from pgm.plot.axes import check_axes, name_axes, useful_legend
 from pgm.plot.colours import INK, next_colour
 from pgm.plot.components import component_names, component_places, one_run, truth_columns
 
@@ -107,10 +107,7 @@ def errors(
             marker=marker,
             label="error" if label is None else label,
         )
-        if not ax.get_ylabel():
-            ax.set_ylabel(f"{chosen[k]} error")
-    if not columns[-1].get_xlabel():
-        columns[-1].set_xlabel(name)
+        name_axes(ax, name if ax is columns[-1] else "", f"{chosen[k]} error")
     useful_legend(columns[0], above=True)
     return columns
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.plot.axes import equal_aspect, given_or_new, name_axes, useful_legend
+from pgm.plot.axes import equal_aspect, given_or_new, name_axes, plain, useful_legend
 from pgm.plot.colours import INK, next_colour
 from pgm.plot.components import component_names, component_places, one_run, truth_columns
 from pgm.plot.confidence import ellipses
@@ -103,7 +103,7 @@ def trajectory(
         marker="o" if len(belief.mean) == 1 else None,
         markersize=5,
         zorder=2.3,
-        label=f"estimate of {belief.scope[0]!r}" if label is None else label,
+        label=plain(f"estimate of {belief.scope[0]!r}") if label is None else label,
     )
     name_axes(ax, pair[0], pair[1])
     equal_aspect(ax)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -211,21 +210,3 @@ def pairs(beliefs: Beliefs, reverse: Reverse, steps: slice | int) -> Beliefs:
             axis=-2,
         ),
     )
-
-
-def backwards(
-    reverse: Reverse, step: int, mean: Array, cov: Array
-) -> Iterator[tuple[int, Array, Array, Array]]:
-    """From a slice back to the start: step, mean, covariance, and a factor C.
-
-    The covariance of the slice at a step with the one that was begun from is C times the covariance
-    of the latter.
-    """
-    factor = np.broadcast_to(np.eye(mean.shape[-1]), cov.shape)
-    yield step, mean, cov, factor
-    for earlier in range(step - 1, -1, -1):
-        mean, cov = reverse.step_back(earlier, mean, cov)
-        factor = reverse.states.matrix[earlier] @ factor
-        if reverse.slices is not None:
-            factor = reverse.slices.matrix[earlier] @ factor
-        yield earlier, mean, cov, factor

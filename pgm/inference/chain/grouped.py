@@ -6,7 +6,6 @@ import numpy as np
 
 from pgm.inference.chain.plan import Sensor
 from pgm.kernels.arrays import Array, Integers, Mask, block
-from pgm.linearisers import BoundFunction
 
 
 def linearise(
@@ -37,7 +36,7 @@ def linearise(
     at = mean[..., parents]
     numbers = family.step[rows[:, 0]]
     step = int(numbers[0]) if numbers.size == 1 else np.broadcast_to(numbers[:, None], at.shape[:2])
-    function = BoundFunction(template, known, 2, step, group=count)
+    function = family.function(known, 2, step, count)
     affine = family.call(function, at, block(cov, parents, parents))
     groups, runs, height = len(steps), at.shape[1], template.child.dimension
     full = (groups, runs, count, height)

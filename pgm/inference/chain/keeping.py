@@ -8,7 +8,7 @@ import numpy as np
 
 from pgm.boundary import is_whole
 from pgm.compile import DynamicGraph, SliceLayout
-from pgm.errors import EvidenceError, ModelError
+from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, as_scope, listed
@@ -17,11 +17,12 @@ from pgm.inference.chain.kept import KeptPosterior
 from pgm.inference.chain.parts import Part, each, split
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run as run_chain
-from pgm.inference.schedule import Schedule
+from pgm.inference.schedule import Filtering, Schedule
 from pgm.inference.start import Start
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
+from pgm.sizes import require_memory
 from pgm.variables import Variable
 
 Keep = Variable | Iterable[Variable]
@@ -50,6 +51,7 @@ def run(
     if not is_whole(threads) or threads < 1:
         raise ModelError(f"threads must be a whole number, 1 or more, not {threads!r}")
     kept = None if keep is None else _hidden(graph.layout, keep)
+    _require_memory(graph.layout, bound, schedule, kept)
     if kept is None and threads == 1:
         return run_chain(graph, bound, schedule, lineariser, start)
 
@@ -79,6 +81,21 @@ def run(
         _gaussians(room, bound),
         frozen(log_evidence.reshape(bound.lead)),
         kinds[0] if len(set(kinds)) == 1 else "linearised",  # a fixed point is one of all runs
+    )
+
+
+def _require_memory(
+    layout: SliceLayout, bound: BoundEvidence, schedule: Schedule | None, kept: Scope | None
+) -> None:
+    """Refuse beliefs that would not fit: a smoother has those before and after each reading too."""
+    sizes = [layout.slice_size] if kept is None else [v.dimension for v in kept]
+    sets = 4 if kept is None and not isinstance(schedule, Filtering) else 1
+    require_memory(
+        sets * (bound.steps + 1) * bound.runs * sum(size * (size + 1) for size in sizes),
+        f"the beliefs at {bound.steps + 1} steps in {bound.runs} runs",
+        "give fewer runs or steps to a call"
+        + ("" if kept is not None else "; keep=[x] keeps the marginals of x alone"),
+        error=GraphError,
     )
 
 

@@ -91,7 +91,10 @@ class Prepared:
     def _line(self, row: int, mean: Array, cov: Array) -> Linearised | None:
         if self.lineariser is None:
             return None
-        return self.lineariser(row, self.steps[row], mean, cov)
+        try:
+            return self.lineariser(row, self.steps[row], mean, cov)
+        except Exception:
+            raise Unusual from None  # the general sweep tells which run fails
 
     def settle(self, *, lost: bool) -> None:
         """Have no room for errors that there are not."""

@@ -14,7 +14,6 @@ from pgm.cpds.noise import evaluate
 from pgm.inference.chain.single_motion import Affinity
 from pgm.inference.family import Family
 from pgm.kernels.arrays import Array
-from pgm.linearisers import BoundFunction
 from pgm.linearisers.single import Line
 from pgm.linearisers.single_rules import prepare
 from pgm.variables import Variable
@@ -103,8 +102,7 @@ class Law:
 
     def _noise(self, step: int, rows: list[Array]) -> Array:
         """The CPD's own noise where it depends on inputs."""
-        assert isinstance(self.cpd.cov, Noise)
-        blocks = evaluate(self.cpd.cov, self.cpd.child, self._inputs(rows), (self.count, 1), step)
+        blocks = evaluate(self.cpd, self._inputs(rows), (self.count, 1), step)
         return _diagonal(blocks)
 
     def _generally(self, step: int, rows: list[Array], mean: Array, cov: Array) -> Line:
@@ -116,7 +114,7 @@ class Law:
         if self.grouped:
             lead, own = (1, 1), (count,)
         known = tuple(None if k is None else rows[k].reshape(*lead, *own, -1) for k in self.given)
-        function = BoundFunction(template, known, len(lead), step, group=own[0] if own else None)
+        function = self.family.function(known, len(lead), step, own[0] if own else None)
         at, spread = (np.broadcast_to(each, (*lead, *each.shape)) for each in (mean, cov))
         found = self.family.call(function, at, spread)
         height, width = self.height * (count if self.grouped else 1), mean.size

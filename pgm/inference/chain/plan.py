@@ -264,11 +264,16 @@ class ChainPlan:
         layout, lead = graph.layout, bound.lead
 
         def family(cpd: Any, place: Place, step: Integers, inputs: Inputs) -> Family:
-            made = Family.make(
-                cpd, place.hidden, step, inputs, lineariser, lead, template=place.template
+            return Family.make(
+                cpd,
+                place.hidden,
+                step,
+                inputs,
+                lineariser,
+                lead,
+                template=place.template,
+                first_run=bound.first_run,
             )
-            made.first_run = bound.first_run
-            return made
 
         def link(cpd: Any, scope: Scope, step: Integers, inputs: Inputs) -> Link:
             place = layout.place(cpd, scope)

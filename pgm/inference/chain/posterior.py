@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -13,20 +12,22 @@ from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import Scope, as_scope, names, positions
+from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference.chain import adjoint, backward
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Careful
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.information import backward_messages
 from pgm.inference.chain.innovations import BySensor, Innovations, innovations
+from pgm.inference.chain.joints import joint_moments
 from pgm.inference.chain.many import Filtered
-from pgm.inference.chain.marginals import Marginals
+from pgm.inference.chain.marginals import Marginals, located
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
 from pgm.kernels import canonical
-from pgm.kernels.arrays import Array, Index, block
+from pgm.kernels.arrays import Array, block
 from pgm.variables import Variable
 
 
@@ -128,6 +129,11 @@ class ChainPosterior(Posterior):
         ----------
         *variables : Variable
             Concrete ones, ``x.at(3)``, in the order of the result.
+
+        Raises
+        ------
+        GraphError
+            If the covariance of all runs would not fit.
         """
         if not variables:
             raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
@@ -137,37 +143,13 @@ class ChainPosterior(Posterior):
                     f"a joint is of variables at steps; write {variable.name}.at(3)",
                     variable=variable,
                 )
-            self[variable]
-        slice_ = self.graph.layout.slice
-        runs = self._plan.runs
-        steps = [variable.step for variable in variables if variable.step is not None]
-        places = [positions(slice_, [variable.template]) for variable in variables]
-        starts = np.cumsum([0, *(variable.dimension for variable in variables)])
-        rows = [slice(int(a), int(b)) for a, b in pairwise(starts)]
-        mean = np.empty((runs, starts[-1]))
-        cov = np.empty((runs, starts[-1], starts[-1]))
+            located(self.graph.layout, variable, self.graph.steps)
+        size = sum(variable.dimension for variable in variables)
+        what = f"the joint of {len(variables)} variables, {size} components in all,"
+        require_runs(size * size, self._planned.runs, what)
         if self._careful is not None:
-            return self._careful_joint(self._careful, tuple(variables), places)
-        # Going back from each wanted step in turn gives its covariance with all earlier ones.
-        beliefs = self._beliefs
-        latest = max(steps)
-        at: dict[int, tuple[Array, Array]] = {}
-        walk = backward.backwards(self._reverse, latest, beliefs.mean[latest], beliefs.cov[latest])
-        for step, slice_mean, slice_cov, _ in walk:
-            at[step] = slice_mean, slice_cov
-            if step == min(steps):
-                break
-        for i, later in enumerate(steps):
-            mean[:, rows[i]] = at[later][0][:, places[i]]
-            for step, _, _, factor in backward.backwards(self._reverse, later, *at[later]):
-                cross = factor @ at[later][1]
-                for j, earlier in enumerate(steps):
-                    if earlier == step:
-                        part = block(cross, places[j], places[i])
-                        cov[:, rows[j], rows[i]] = part
-                        cov[:, rows[i], rows[j]] = part.swapaxes(-1, -2)
-                if step == min(steps):
-                    break
+            return self._careful_joint(self._careful, tuple(variables))
+        mean, cov = joint_moments(self._reverse, self._beliefs, self.graph.layout, variables)
         shape = self._plan.lead
         return Gaussian._make(
             tuple(variables),
@@ -175,16 +157,16 @@ class ChainPosterior(Posterior):
             cov.reshape(*shape, *cov.shape[1:]),
         )
 
-    def _careful_joint(self, careful: Careful, variables: Scope, places: list[Index]) -> Gaussian:
+    def _careful_joint(self, careful: Careful, variables: Scope) -> Gaussian:
         steps = [variable.step for variable in variables if variable.step is not None]
         distinct = sorted(set(steps))
         last = self.graph.steps if self._smoothed is not None else distinct[-1]
         mean, cov = adjoint.joint(careful, distinct, adjoint.smoothed(careful, last))
-        size = self.graph.layout.slice_size
+        layout, size = self.graph.layout, self.graph.layout.slice_size
         wanted = np.concatenate(
             [
-                distinct.index(step) * size + np.arange(size)[place]
-                for step, place in zip(steps, places, strict=True)
+                distinct.index(step) * size + np.arange(size)[layout.places[variable.template]]
+                for step, variable in zip(steps, variables, strict=True)
             ]
         )
         shape = self._plan.lead

@@ -14,6 +14,7 @@ from pgm.inference import limits
 from pgm.inference.discrete.storage import Storage, sepset_to_parent
 from pgm.inference.forest import Forest
 from pgm.kernels.arrays import Array
+from pgm.sizes import gibibytes
 from pgm.variables import Discrete
 
 # A factor: its axes, then that of the runs, if any.
@@ -95,8 +96,8 @@ def _product(a: Factor, b: Factor) -> Factor:
     if entries > limits.LIMIT or len(scope) > AXES:
         raise GraphError(
             f"the joint needs a table over {names(scope)}, {len(scope)} variables and "
-            f"{limits.gibibytes(entries)}, where {AXES} variables and "
-            f"{limits.gibibytes(limits.LIMIT)} are the limit; ask for fewer variables at once, "
+            f"{gibibytes(entries)}, where {AXES} variables and "
+            f"{gibibytes(limits.LIMIT)} are the limit; ask for fewer variables at once, "
             "with fewer runs, or pgm.query, which may need less"
         )
     return scope, _arranged(a, scope) * _arranged(b, scope)

@@ -16,6 +16,7 @@ from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.joints import joint_moments
 from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.tree import Calibrated, TreePlan
+from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Integers, apply, frozen, transpose
@@ -109,7 +110,7 @@ class GaussianPosterior(Posterior):
         Raises
         ------
         GraphError
-            If no cluster of a graph with loops holds them all.
+            If no cluster of a graph with loops holds them all, or the covariance would not fit.
         """
         scope = as_scope(variables)
         if not scope:
@@ -130,6 +131,8 @@ class GaussianPosterior(Posterior):
                 f"no cluster holds all of {names(scope)}, and on a graph with loops only "
                 "variables of one cluster have a joint; compile a junction tree"
             )
+        runs = self._beliefs.cov.shape[0]
+        require_runs(wanted.size**2, runs, f"the joint of {len(scope)} variables")
         mean, cov = joint_moments(self._plan, self._beliefs, wanted)
         return self._gaussian(scope, mean, cov)
 

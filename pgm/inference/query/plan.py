@@ -13,6 +13,7 @@ from pgm.factors.axes import States
 from pgm.factors.scope import listed
 from pgm.inference import limits
 from pgm.inference.query.requisite import Requisite
+from pgm.sizes import gibibytes
 
 # Orders are compared where tables are as large as this: finding one more takes less time then.
 LARGE = 2**16
@@ -148,9 +149,9 @@ class EliminationPlan:
         largest = max(range(len(sizes)), key=sizes.__getitem__)
         scope = [self.order[k] for k in self.steps[largest].scope]
         raise GraphError(
-            f"the query needs tables that are too large: {limits.gibibytes(self.peak)} at a time, "
-            f"where {limits.gibibytes(limits.LIMIT)} is the limit, the largest over "
-            f"({listed(scope)}), {limits.gibibytes(sizes[largest])}. Ask for fewer variables at "
+            f"the query needs tables that are too large: {gibibytes(self.peak)} at a time, "
+            f"where {gibibytes(limits.LIMIT)} is the limit, the largest over "
+            f"({listed(scope)}), {gibibytes(sizes[largest])}. Ask for fewer variables at "
             "once, or give evidence that parts the network; a loopy graph has small tables, "
             "pgm.infer(pgm.compile(network, method=pgm.Bethe()), evidence, "
             "schedule=pgm.Flooding()), but its beliefs are approximate",

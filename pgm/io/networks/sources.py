@@ -7,10 +7,10 @@ import io
 import os
 import zlib
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import IO, Any, TypeAlias
 
 from pgm.errors import FileError
+from pgm.io.whole import whole
 
 Source: TypeAlias = str | os.PathLike[str] | IO[Any]
 
@@ -115,7 +115,8 @@ def write(target: Source, text: str) -> None:
         data = text.encode()
         if os.fspath(target).endswith(".gz"):
             data = gzip.compress(data, mtime=0)  # no time: equal networks make equal files
-        Path(target).write_bytes(data)
+        with whole(target) as path:
+            path.write_bytes(data)
         return
     if not callable(getattr(target, "write", None)):
         raise FileError(f"a target is a path or an open file, not {type(target).__name__}")

@@ -1,0 +1,127 @@
+"""Calls of the functions that users write: failures name the CPD, the step and the run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pgm.boundary import as_floats
+from pgm.errors import ModelError, PgmError
+from pgm.kernels.arrays import Array, Integers
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A function of a CPD, and the rows it is called for.
+
+    Parameters
+    ----------
+    child : Variable
+        The CPD's.
+    what : str
+        The function's role: ``function``, ``noise``, ...
+    lead : tuple of int
+        The leading axes of belief that arguments have, runs last.
+    step : int, ndarray of int or None
+        The step, which broadcasts to these axes; None where there is no time.
+    first_run : int or None
+        The number of the first run in messages; None in a trial call, which is of no run.
+    cpd : CPD, optional
+        For programs that handle the error.
+    """
+
+    child: Variable
+    what: str
+    lead: tuple[int, ...]
+    step: int | Integers | None
+    first_run: int | None
+    cpd: Any = None
+
+    def __call__(
+        self, function: Callable[..., Any], arguments: Sequence[Array], due: tuple[int, ...]
+    ) -> Array:
+        """The function's value as an array of the shape that is due.
+
+        Raises
+        ------
+        ModelError
+            If the function raises, its own error being the cause, or returns anything else.
+        """
+        try:
+            value = function(*arguments)
+        except Exception as error:
+            raise self._failure(function, arguments, error) from error
+        if type(value) is np.ndarray and value.dtype == np.float64 and value.shape == due:
+            return value
+        what = f"the {self.what} of the CPD of {self.child.name}"
+        array = as_floats(value, what, verb="return", variable=self.child, cpd=self.cpd)
+        if array.shape != due:
+            raise self.error(
+                f"returned shape {array.shape} where {due} was due; it is called with arrays that "
+                "have leading axes, so index components as a[..., i] and stack results along the "
+                "last axis"
+            )
+        return array
+
+    def _failure(
+        self, function: Callable[..., Any], arguments: Sequence[Array], error: Exception
+    ) -> PgmError:
+        said = f"{type(error).__name__}: {error}"
+        if self.first_run is None:
+            return self.error(
+                f"failed on a trial call with arrays of leading axes {self.lead}: {said}"
+            )
+        return self.error(f"failed: {said}", _first_failure(function, arguments, self.lead))
+
+    def error(
+        self,
+        fault: str,
+        index: tuple[int, ...] | None = None,
+        kind: type[PgmError] = ModelError,
+    ) -> PgmError:
+        """The error of a call, or of the row of it with an index."""
+        step, run = None, ""
+        if self.step is not None and index is not None:
+            step = int(np.broadcast_to(self.step, self.lead)[index])
+        elif self.step is not None and np.size(self.step) == 1:
+            step = int(np.reshape(self.step, ()))
+        if index and self.first_run is not None:
+            run = f", run {self.first_run + index[-1]},"
+        at = "" if step is None else f" at step {step}"
+        return kind(
+            f"the {self.what} of the CPD of {self.child.name}{at}{run} {fault}",
+            variable=self.child,
+            cpd=self.cpd,
+            step=step,
+        )
+
+
+def _first_failure(
+    function: Callable[..., Any], arguments: Sequence[Array], lead: tuple[int, ...]
+) -> tuple[int, ...] | None:
+    """The index of a row at which a function fails, by bisection; None where none fails alone."""
+    count, own = math.prod(lead), len(lead)
+    flat = [argument.reshape(count, *argument.shape[own:]) for argument in arguments]
+    low, high = 0, count
+    while high - low > 1:
+        middle = (low + high) // 2
+        if _fails(function, [argument[low:middle] for argument in flat]):
+            high = middle
+        elif _fails(function, [argument[middle:high] for argument in flat]):
+            low = middle
+        else:
+            return None
+    return tuple(int(k) for k in np.unravel_index(low, lead)) if count else None
+
+
+def _fails(function: Callable[..., Any], arguments: Sequence[Array]) -> bool:
+    try:
+        function(*arguments)
+    except Exception:
+        return True
+    return False
