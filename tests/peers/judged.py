@@ -108,7 +108,7 @@ def faults(chain, due, count, settled=0):
     moments("predicted", found.predicted[x], due.predicted, settled)
     moments("filtered", found.filtered[x], due.filtered, settled)
     units = moments("smoothed", found[x], due.smoothed, 0)
-    for t in sorted({0, count // 2, count - 2}):
+    for t in sorted({0, count // 2, count - 2} & set(range(count - 1))):
         joint = found.joint(x.at(first + t), x.at(first + t + 1)).cov
         difference = np.abs(joint[size:, :size] - due.neighbours[t])
         note(f"neighbours {t}, {t + 1}", difference / np.outer(units[t + 1], units[t]))

@@ -34,11 +34,11 @@ if FOLDER:
     FilterResults.update_filter = record
 
 
-def replayed(path):
-    """The model of a file."""
+def replayed(path, count=None):
+    """The model of a file, with all or the first of its observations."""
     with np.load(path) as file:
         arrays = dict(file)
-    rows = arrays["endog"].astype(float)
+    rows = arrays["endog"].astype(float)[:, :count]
     diffuse, mean, cov = (arrays[k] for k in ("diffuse", "initial_state", "initial_state_cov"))
     ssm = KalmanSmoother(len(rows), mean.size, arrays["selection"].shape[1])
     ssm.bind(np.ascontiguousarray(rows.T))
