@@ -77,6 +77,13 @@ class Readings:
         added = self.likelihood.K + precision[..., None] * np.eye(h.shape[-1])
         return Likelihood(added, h)
 
+    def sharpness(self, predicted: Array) -> float:
+        """The largest tr(Hᵀ R⁻¹ H P⁻) of a step, for predicted covariances (T+1, runs, n, n).
+
+        About by how much a step's readings shrink a predicted variance.
+        """
+        return float(inner(self.likelihood.K, predicted).sum(axis=-1).max())
+
     def log_density(self, known: Array, predicted: Moments) -> Array:
         """The log-density of each step's readings, (T+1, runs), but for `Known.evidence`.
 

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pgm.errors import NumericalError
 from pgm.factors.scope import angle_mask
 from pgm.inference.chain import (
     backward,
@@ -20,7 +21,6 @@ from pgm.inference.chain import (
     relations,
 )
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
-from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Point, iterate
 from pgm.inference.chain.likelihoods import Readings
 from pgm.inference.chain.newton import Means
@@ -73,12 +73,20 @@ class Smoothed:
         return Smoothed(self.forward, reverse, Beliefs(mean, self.beliefs.cov), self.paired)
 
 
+# Steps from which on, and components of all runs together up to which, rounds beat a sweep.
+_MANY_STEPS = 64
+_FEW_NUMBERS = 200
+# Rounds lose as many digits as this has where a step's readings are so much sharper than predicted.
+_SHARPEST = 1e5
+
 # The forward pass of a plan, given the means at which it was linearised, and an anchor.
 Pass = Callable[[ChainPlan, Array, Anchor | None], Ahead]
 
 
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
-    """Run a smoothing schedule, going forward step by step.
+    """Run a smoothing schedule, first of all going forward step by step.
+
+    Later linearisations, which are given, may be solved for in rounds over all steps.
 
     Parameters
     ----------
@@ -89,7 +97,7 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         filter.
     """
     cost.require_cost(schedule, plan.families, first=start is None)
-    chain = _Chain(plan, _swept)
+    chain = _Chain(plan, _in_rounds if _is_long(plan) and schedule.iterations > 1 else _swept)
     if start is None:
         return _iterated(chain, schedule, Smoothed.of(plan, forward.run(plan, ONCE)[0]), None)
     at = _start(plan, start)
@@ -145,8 +153,29 @@ def _newton(chain: _Chain, means: Means, schedule: Smoothing, at: Point) -> tupl
     return Smoothed.of(chain.plan, ahead), status
 
 
-def _swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Forward:
+def _swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Ahead:
     return forward.sweep(plan, anchor)
+
+
+def _is_long(plan: ChainPlan) -> bool:
+    """Whether rounds over all steps beat a sweep: many steps of few numbers."""
+    return plan.steps >= _MANY_STEPS and plan.runs * plan.layout.slice_size <= _FEW_NUMBERS
+
+
+def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Ahead:
+    """The forward pass in rounds, or step by step where rounds do not exist or cost digits."""
+    readings = Readings.of(plan, reference)
+    if readings.stacks:
+        return forward.sweep(plan, anchor)
+    try:
+        with np.errstate(all="ignore"):  # elements that are not finite are refused
+            ahead = parallel.filtered(plan, reference, anchor, readings)
+    except NumericalError:
+        return forward.sweep(plan, anchor)
+    # What an anchor holds is judged by its cost alone.
+    if anchor is None and not readings.sharpness(ahead.predicted_cov) <= _SHARPEST:
+        return forward.sweep(plan)
+    return ahead
 
 
 @dataclass(eq=False)
