@@ -10,7 +10,7 @@ from pgm.inference.chain import forward, parallel, smoother
 
 SIGHT = SENSORS["range_bearing"]
 LM = pgm.LevenbergMarquardt()
-STEPS = 80
+STEPS = 64
 z, s = pgm.Variable("z"), pgm.Variable("s")
 
 
@@ -35,7 +35,7 @@ def drive():
     rng = np.random.default_rng(11)
     commands = controls(rng, STEPS)
     states = drive_along(commands, rng)
-    step = np.sort(rng.integers(0, STEPS + 1, 150))
+    step = np.sort(rng.integers(0, STEPS + 1, 100))
     which = rng.integers(0, 3, step.size)
     values = SIGHT.draw(states[step], LANDMARKS[which], rng)
     many = values + rng.normal(0.0, 0.05, (3, *values.shape))
@@ -44,9 +44,16 @@ def drive():
     return {u: commands, SIGHT.z: pgm.sightings(many, step, {m: LANDMARKS[which]})}, start
 
 
-@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()], ids=str)
-@pytest.mark.parametrize("damping", [0.0, 0.3, LM], ids=["plain", "a share", "LM"])
-@pytest.mark.parametrize("started", [False, True], ids=["from the filter", "from a start"])
+@pytest.mark.parametrize(
+    ("rule", "damping", "started"),
+    [
+        (pgm.Taylor(), 0.0, False),
+        (pgm.Taylor(), LM, True),
+        (pgm.Unscented(), 0.1, True),
+        (pgm.GaussHermite(3), LM, False),
+    ],
+    ids=str,
+)
 def test_rounds_give_what_the_sweep_gives(drive, rule, damping, started, monkeypatch):
     seen, start = drive
     asked = {"lineariser": rule, "damping": damping, "start": start if started else None}
@@ -100,25 +107,24 @@ def test_sharp_and_exact_readings_go_step_by_step(monkeypatch):
 
 
 def test_what_has_no_elements_goes_step_by_step(monkeypatch):
-    """A motion that explodes where nothing is read: no segment of it has finite numbers."""
-    sweeps = calls(monkeypatch, forward, "sweep")
-    model = pgm.DynamicBayesianNetwork(
-        [pgm.GaussianCPD(s, 1.0, 0.01)],
-        [pgm.NonlinearGaussianCPD(s, (s.previous,), lambda s: 1e4 * s, cov=1.0)],
-        [pgm.NonlinearGaussianCPD(z, (s,), lambda s: 1e-300 * s + 0.1, cov=1.0)],
-    )
-    found = pgm.smooth(model, {z: np.full((68, 1), 0.1)}, steps=68, iterations=2)
-    assert sweeps
-    assert np.isfinite(found[s].mean).all()
+    def refuse(*args, **named):
+        raise pgm.NumericalError("indefinite")
+
+    seen = {z: np.ones((STEPS, 1))}
+    monkeypatch.setattr(parallel, "filtered", refuse)
+    found = pgm.smooth(follow(0.1), seen, iterations=3)
+    stepwise(monkeypatch)
+    due = pgm.smooth(follow(0.1), seen, iterations=3)
+    np.testing.assert_array_equal(found[s].mean, due[s].mean)
 
 
 @pytest.mark.parametrize("damping", [0.0, LM], ids=["plain", "LM"])
 def test_smooth_takes_a_balanced_tree(drive, damping):
     seen, start = drive
-    asked = {"iterations": 60, "tolerance": 1e-8, "damping": damping, "start": start}
+    asked = {"iterations": 20, "tolerance": 1e-8, "damping": damping, "start": start}
     tree = pgm.smooth(network(SIGHT.cpd()), seen, method=pgm.Balanced(), **asked)
     chain = pgm.smooth(network(SIGHT.cpd()), seen, **asked)
-    assert tree.graph.depth == 7
+    assert tree.graph.depth == 6
     assert_same(tree[x], chain[x], 1e-7)
     kept = pgm.smooth(network(SIGHT.cpd()), seen, method=pgm.Balanced(), keep=[x], **asked)
     assert_same(kept[x], tree[x], 1e-9)
