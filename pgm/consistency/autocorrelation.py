@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +11,8 @@ from pgm.consistency.checks import check_count, check_innovations
 from pgm.consistency.quantiles import chi_squared, normal
 from pgm.errors import ModelError
 from pgm.inference import Innovations
-from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers, independent, inner
+from pgm.inference.chain.innovations import autocorrelation, whitened
+from pgm.kernels.arrays import Array, Integers
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +87,7 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
     Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
     section 5.4.2; Box & Pierce, Distribution of residual autocorrelations, 1970.
     """
-    white = _by_step(check_innovations(innovations))
+    white = whitened(check_innovations(innovations))
     check_count("lags", lags)
     if lags >= len(white):
         raise ModelError(
@@ -97,7 +96,7 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
         )
     z = normal(confidence)
     correlation, deviation = np.array(
-        [_correlation(white[:-lag], white[lag:]) for lag in range(1, lags + 1)]
+        [autocorrelation(white[:-lag], white[lag:]) for lag in range(1, lags + 1)]
     ).T
     known = deviation > 0.0
     statistic = float(np.sum((correlation[known] / deviation[known]) ** 2))
@@ -106,35 +105,3 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
         raise ModelError(f"no run was read at two steps {lags} or fewer readings apart")
     limit = float(chi_squared(confidence, dof))
     return Whiteness(np.arange(1, lags + 1), correlation, z * deviation, statistic, dof, limit)
-
-
-def _by_step(innovations: Innovations) -> Array:
-    """Whitened innovations, (steps with readings, runs, readings, d), 0 where not taken."""
-    shape = innovations.residual.shape
-    runs = math.prod(shape[:-2])
-    residual = innovations.residual.reshape(runs, *shape[-2:])
-    cov = innovations.cov.reshape(*residual.shape, shape[-1])
-    taken = ~np.isnan(residual)
-    white = roots.whiten(roots.root(independent(cov, taken)), np.where(taken, residual, 0.0))
-
-    order = np.argsort(innovations.step, kind="stable")
-    _, first, step, counts = np.unique(
-        innovations.step[order], return_index=True, return_inverse=True, return_counts=True
-    )
-    result = np.zeros((counts.size, runs, max(counts, default=0), shape[-1]))
-    result[step, :, np.arange(order.size) - first[step]] = white[:, order].swapaxes(0, 1)
-    return result[np.any(result, axis=(1, 2, 3))]
-
-
-def _correlation(now: Array, later: Array) -> tuple[float, float]:
-    """The autocorrelation between rows, and its standard deviation if they are white."""
-    met = inner(now, now) * inner(later, later) > 0.0
-    now, later = now[met], later[met]
-    scale = np.sqrt(np.sum(now**2) * np.sum(later**2))
-    if scale == 0.0:
-        return np.nan, np.nan
-    product = np.zeros(met.shape)
-    product[met] = inner(now, later)
-    # The readings of a step are no independent ones: their products are one term.
-    terms = product.sum(axis=-1)
-    return float(terms.sum() / scale), float(np.sqrt(np.sum(terms**2)) / scale)

@@ -51,6 +51,7 @@ def test_an_audit_is_a_value():
     found = pgm.audit(posterior(), samples=100, rng=1)
     assert isinstance(found, pgm.Audit)
     assert repr(found).startswith("Audit(100 samples, effective ")
+    assert list(pickle.loads(pickle.dumps(found)).innovations) == [z]
     with pytest.raises(AttributeError, match="immutable"):
         found.divergence = 0.0
     with pytest.raises(ValueError, match="read-only"):
@@ -267,3 +268,76 @@ def test_a_reading_not_taken_needs_no_value_of_its_function():
     )
     found = pgm.audit(pgm.smooth(model, {z: [[np.nan], [np.nan]]}), rng=0)
     np.testing.assert_allclose(found.log_weights, 0.0, atol=1e-12)
+
+
+def tracked(rng, outliers=0.0, drift=0.0):
+    """A random walk read with noise, of which a share is 15 times too large, or which drifts."""
+    states = np.cumsum(rng.normal(drift, 0.5, 300))
+    noise = rng.normal(0.0, 0.3, 300) * np.where(rng.uniform(size=300) < outliers, 15.0, 1.0)
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(a, 0.0, 0.5)],
+        transition=[pgm.LinearGaussianCPD(a, {a.previous: 1.0}, cov=0.25)],
+        observation=[pgm.LinearGaussianCPD(z, {a: 1.0}, cov=0.09)],
+    )
+    values = states + noise
+    return pgm.audit(pgm.smooth(model, {z: values[:, None]}), rng=0), values
+
+
+def kalman(values):
+    """Normalised innovations of the same walk, from the textbook."""
+    mean, cov, out = 0.0, 0.5, []
+    for value in values:
+        cov += 0.25
+        out.append((value - mean) / np.sqrt(cov + 0.09))
+        gain = cov / (cov + 0.09)
+        mean, cov = mean + gain * (value - mean), (1 - gain) * cov
+    return np.array(out)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "fits"), [({}, True), ({"outliers": 0.1}, False), ({"drift": 0.6}, False)], ids=str
+)
+def test_a_wrong_model_is_seen_by_its_innovations(wrong, fits):
+    """Of a linear model the Gaussian answer is exact, be the model right or wrong."""
+    found, values = tracked(np.random.default_rng(5), **wrong)
+    assert found.effective_sample_size == pytest.approx(1000.0)
+    assert found.divergence < 1e-9
+    white, seen = kalman(values), found.innovations[z]
+    assert seen.nis == pytest.approx((white**2).mean())
+    assert seen.overall == pytest.approx((white**2).mean())
+    lagged = white[:-1] @ white[1:] / np.sqrt((white[:-1] ** 2).sum() * (white[1:] ** 2).sum())
+    assert seen.autocorrelation == pytest.approx(lagged)
+    assert seen.band == pytest.approx(2.576 * np.sqrt(2 / 300), rel=1e-3)
+    assert seen.fits == fits
+    told = repr(found)
+    assert ("speaks against the model" in told) != fits
+    assert f"z NIS {seen.overall:.3g} a component (right: 1 ± {seen.band:.2g})" in told
+    if "drift" in wrong:
+        assert abs(seen.autocorrelation) > seen.autocorrelation_band
+
+
+def test_the_summary_bounds_nothing_and_says_against_what():
+    found = pgm.audit(posterior((2, 3)), samples=50, rng=7)
+    told = repr(found)
+    assert "or less" not in told
+    assert "or more" not in told
+    assert f"effective {found.effective_sample_size.min():.4g} in the worst run" in told
+    assert f"Pareto shape {found.pareto_k.max():.2g} (to be below 0.7)" in told
+    assert f"estimated divergence {found.divergence.max():.3g} nats" in told
+    assert "the Gaussian answer against the exact posterior of the same model" in told
+
+
+def test_estimates_of_a_heavy_tail_are_not_to_be_trusted():
+    heavy = pgm.Audit(-2.0 * np.log(np.random.default_rng(0).uniform(size=1000)), np.array(0.0))
+    light = pgm.Audit(-0.2 * np.log(np.random.default_rng(0).uniform(size=1000)), np.array(0.0))
+    assert "these estimates are not to be trusted" in repr(heavy)
+    assert "not to be trusted" not in repr(light)
+    assert repr(light).endswith("The model against its data: not seen by this audit)")
+
+
+def test_runs_that_are_not_read_have_no_nis():
+    values = np.array([[0.3, 0.4], [np.nan, np.nan]])[..., None]
+    found = pgm.audit(pgm.smooth(chain(), {z: values}), samples=50, rng=0)
+    assert np.isnan(found.innovations[z].nis).tolist() == [False, True]
+    blank = pgm.audit(pgm.smooth(chain(), {z: values[1]}), samples=50, rng=0)
+    assert not blank.innovations

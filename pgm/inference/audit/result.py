@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.immutable import Immutable
+from pgm.inference.audit.innovations import InnovationCheck
 from pgm.inference.audit.tail import pareto_shape
 from pgm.kernels.arrays import Array
+from pgm.variables import Variable
+
+# Above this shape of the weights' tail no estimate made of them is to be trusted.
+UNTRUSTED = 0.7
 
 
 class Audit(Immutable):
@@ -38,6 +46,10 @@ class Audit(Immutable):
         weights are equal, NaN for fewer than 25 draws.
     log_weights : ndarray
         (..., S): ln w.
+    innovations : mapping of Variable to InnovationCheck
+        Of each sensor that a chain has read, whether its innovations fit the model; empty for
+        networks without time. All the numbers above are about the model as declared, and right
+        for a wrong one: these see the model itself.
 
     References
     ----------
@@ -52,8 +64,14 @@ class Audit(Immutable):
     divergence: Array
     pareto_k: Array
     log_weights: Array
+    innovations: Mapping[Variable, InnovationCheck]
 
-    def __init__(self, log_weights: Array, gaussian_log_evidence: Array) -> None:
+    def __init__(
+        self,
+        log_weights: Array,
+        gaussian_log_evidence: Array,
+        innovations: Mapping[Variable, InnovationCheck] = MappingProxyType({}),
+    ) -> None:
         lead, samples = log_weights.shape[:-1], log_weights.shape[-1]
         largest = log_weights.max(axis=-1)
         if not np.isfinite(largest).all():
@@ -78,7 +96,7 @@ class Audit(Immutable):
         found = {name: np.asarray(value) for name, value in found.items()}
         for value in found.values():
             value.flags.writeable = False
-        self._set(**found)
+        self._set(**found, innovations=MappingProxyType(dict(innovations)))
 
     @property
     def samples(self) -> int:
@@ -92,8 +110,14 @@ class Audit(Immutable):
 
     def __repr__(self) -> str:
         lead = self.log_evidence.shape
+        worst = " in the worst run" if lead else ""
+        k = float(self.pareto_k.max())
+        trust = ": these estimates are not to be trusted" if not k <= UNTRUSTED else ""
+        seen = "; ".join(map(str, self.innovations.values())) or "not seen by this audit"
         return (
             f"Audit({self.samples} samples{f', runs {lead}' if lead else ''}, effective "
-            f"{self.effective_sample_size.min():.4g} or more, divergence "
-            f"{self.divergence.max():.3g} nats or less)"
+            f"{self.effective_sample_size.min():.4g}{worst}, Pareto shape {k:.2g} (to be below "
+            f"{UNTRUSTED}), estimated divergence {self.divergence.max():.3g} nats{trust}; this is "
+            "the Gaussian answer against the exact posterior of the same model. The model against "
+            f"its data: {seen})"
         )

@@ -9,6 +9,7 @@ import numpy as np
 from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
 from pgm.inference.audit.chain import ChainDraws
+from pgm.inference.audit.innovations import checks
 from pgm.inference.audit.result import Audit
 from pgm.inference.audit.tree import TreeDraws
 from pgm.inference.chain.kept import KeptPosterior
@@ -23,6 +24,9 @@ BATCH = 2**18
 
 def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator | int) -> Audit:
     """Say how far a Gaussian answer is from the exact one, by importance sampling.
+
+    Exact is the posterior of the model as declared: of a wrong model, too. Whether the model fits
+    its data the innovations of a chain tell, which the result sums up beside (`innovations`).
 
     Trajectories x_s are drawn from the smoothed joint Gaussian q of the linearised model and
     weighed with the model as it was declared,
@@ -97,7 +101,8 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
         count = min(size, samples - first)
         with np.errstate(over="ignore"):  # a residual too large to be squared has no weight
             weights[:, first : first + count] = draws.log_weights(count, generator)
-    return Audit(weights.reshape(*lead, samples), known)
+    seen = checks(posterior.innovations) if isinstance(posterior, ChainPosterior) else {}
+    return Audit(weights.reshape(*lead, samples), known, seen)
 
 
 def _advice(posterior: Any) -> str:

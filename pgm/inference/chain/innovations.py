@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -134,3 +135,35 @@ def _by_step(
         dof[steps] = seen.sum(axis=-1)
         nis[steps] = np.where(dof[steps] > 0, inner(white, white), np.nan)
     return nis, dof
+
+
+def whitened(innovations: Innovations) -> Array:
+    """Whitened innovations, (steps with readings, runs, readings, d), 0 where none was taken."""
+    shape = innovations.residual.shape
+    runs = math.prod(shape[:-2])
+    residual = innovations.residual.reshape(runs, *shape[-2:])
+    cov = innovations.cov.reshape(*residual.shape, shape[-1])
+    taken = ~np.isnan(residual)
+    white = roots.whiten(roots.root(independent(cov, taken)), np.where(taken, residual, 0.0))
+
+    order = np.argsort(innovations.step, kind="stable")
+    _, first, step, counts = np.unique(
+        innovations.step[order], return_index=True, return_inverse=True, return_counts=True
+    )
+    result = np.zeros((counts.size, runs, max(counts, default=0), shape[-1]))
+    result[step, :, np.arange(order.size) - first[step]] = white[:, order].swapaxes(0, 1)
+    return result[np.any(result, axis=(1, 2, 3))]
+
+
+def autocorrelation(now: Array, later: Array) -> tuple[float, float]:
+    """The autocorrelation between rows, and its standard deviation if they are white."""
+    met = inner(now, now) * inner(later, later) > 0.0
+    now, later = now[met], later[met]
+    scale = np.sqrt(np.sum(now**2) * np.sum(later**2))
+    if scale == 0.0:
+        return np.nan, np.nan
+    product = np.zeros(met.shape)
+    product[met] = inner(now, later)
+    # The readings of a step are no independent ones: their products are one term.
+    terms = product.sum(axis=-1)
+    return float(terms.sum() / scale), float(np.sqrt(np.sum(terms**2)) / scale)

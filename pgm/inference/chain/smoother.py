@@ -9,6 +9,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from pgm.errors import NumericalError
 from pgm.factors.scope import angle_mask
 from pgm.inference.chain import (
     backward,
@@ -77,9 +78,15 @@ class Smoothed:
 
 Either = TypeVar("Either", Smoothed, CarefulSmoothed)
 
+# Steps from which on, and components of all runs together up to which, rounds beat a sweep.
+_MANY_STEPS = 64
+_FEW_NUMBERS = 200
+
 
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
-    """Run a smoothing schedule, going forward step by step.
+    """Run a smoothing schedule, first of all going forward step by step.
+
+    Later linearisations, which are given, may be solved for in rounds over all steps.
 
     Parameters
     ----------
@@ -90,7 +97,7 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         filter.
     """
     cost.require_cost(schedule, plan.families, first=start is None)
-    chain = _Chain(plan, _swept)
+    chain = _Chain(plan, _in_rounds if _is_long(plan) and schedule.iterations > 1 else _swept)
     if start is None:
         return _iterated(chain, schedule, Smoothed.of(plan, forward.run(plan, ONCE)[0]), None)
     at = _start(plan, start)
@@ -176,6 +183,24 @@ def _scanned(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smooth
 
 def _careful(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> CarefulSmoothed:
     return CarefulSmoothed.of(plan, careful.sweep(plan, None, anchor)[0])
+
+
+def _is_long(plan: ChainPlan) -> bool:
+    """Whether rounds over all steps beat a sweep: many steps of few numbers."""
+    return plan.steps >= _MANY_STEPS and plan.runs * plan.layout.slice_size <= _FEW_NUMBERS
+
+
+def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
+    """In rounds, or step by step where rounds do not exist or cost digits."""
+    readings = Readings.of(plan, reference)
+    if readings.stacks:
+        return _swept(plan, reference, anchor)
+    try:
+        with np.errstate(all="ignore"):  # elements that are not finite are refused
+            ahead = parallel.filtered(plan, reference, anchor, readings)
+    except NumericalError:
+        return _swept(plan, reference, anchor)
+    return Smoothed.of(plan, ahead)
 
 
 @dataclass(eq=False)

@@ -1,0 +1,132 @@
+"""Iterated smoothing of a long chain: the later passes go in rounds, and nobody can tell."""
+
+import numpy as np
+import pytest
+from robots import LANDMARKS, SENSORS, controls, drive_along, m, network, u, x
+from textbooks import assert_log, assert_same
+
+import pgm
+from pgm.inference.chain import forward, parallel, smoother
+
+SIGHT = SENSORS["range_bearing"]
+LM = pgm.LevenbergMarquardt()
+STEPS = 64
+z, s = pgm.Variable("z"), pgm.Variable("s")
+
+
+def stepwise(monkeypatch):
+    monkeypatch.setattr(smoother, "_MANY_STEPS", np.inf)
+
+
+def calls(monkeypatch, module, name):
+    """How often a function is called from now on, in a list that grows."""
+    made, function = [], getattr(module, name)
+
+    def counted(*args, **named):
+        made.append(name)
+        return function(*args, **named)
+
+    monkeypatch.setattr(module, name, counted)
+    return made
+
+
+@pytest.fixture(scope="module")
+def drive():
+    rng = np.random.default_rng(11)
+    commands = controls(rng, STEPS)
+    states = drive_along(commands, rng)
+    step = np.sort(rng.integers(0, STEPS + 1, 100))
+    which = rng.integers(0, 3, step.size)
+    values = SIGHT.draw(states[step], LANDMARKS[which], rng)
+    many = values + rng.normal(0.0, 0.05, (3, *values.shape))
+    many[1, ::4] = np.nan
+    start = {x: states + rng.normal(0.0, 0.1, states.shape)}
+    return {u: commands, SIGHT.z: pgm.sightings(many, step, {m: LANDMARKS[which]})}, start
+
+
+@pytest.mark.parametrize(
+    ("rule", "damping", "started"),
+    [
+        (pgm.Taylor(), 0.0, False),
+        (pgm.Taylor(), LM, True),
+        (pgm.Unscented(), 0.1, True),
+        (pgm.GaussHermite(3), LM, False),
+    ],
+    ids=str,
+)
+def test_rounds_give_what_the_sweep_gives(drive, rule, damping, started, monkeypatch):
+    seen, start = drive
+    asked = {"lineariser": rule, "damping": damping, "start": start if started else None}
+    asked |= {"iterations": 60, "tolerance": 1e-8}
+    sweeps = calls(monkeypatch, forward, "sweep")
+    found = pgm.smooth(network(SIGHT.cpd()), seen, **asked)
+    assert not sweeps
+    stepwise(monkeypatch)
+    due = pgm.smooth(network(SIGHT.cpd()), seen, **asked)
+    assert sweeps
+    assert due.status.converged.all()
+    assert found.status.converged.all()
+    assert_same(found[x], due[x], 2e-8)
+    assert_log(found.log_evidence, due.log_evidence, 1e-7)
+    assert_same(found.filtered[x], due.filtered[x], 2e-8)
+
+
+def test_one_iteration_is_the_extended_smoother(drive, monkeypatch):
+    seen, _ = drive
+    rounds = calls(monkeypatch, parallel, "filtered")
+    once = pgm.smooth(network(SIGHT.cpd()), seen)
+    again = pgm.smooth(network(SIGHT.cpd()), seen, iterations=2)
+    assert len(rounds) == 1
+    stepwise(monkeypatch)
+    np.testing.assert_array_equal(pgm.smooth(network(SIGHT.cpd()), seen)[x].mean, once[x].mean)
+    assert_same(again[x], pgm.smooth(network(SIGHT.cpd()), seen, iterations=2)[x], 1e-9)
+
+
+def follow(cov, exact=()):
+    read = pgm.NonlinearGaussianCPD(z, (s,), lambda s: s + 0.01 * np.sin(s), cov=cov)
+    return pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(s, 0.0, 1.0)],
+        [pgm.LinearGaussianCPD(s, {s.previous: 1.0}, cov=1.0)],
+        [read, *exact],
+    )
+
+
+def test_sharp_and_exact_readings_go_step_by_step(monkeypatch):
+    """Rounds would cost these digits, or do not exist."""
+    rounds, sweeps = calls(monkeypatch, parallel, "filtered"), calls(monkeypatch, forward, "sweep")
+    y = pgm.Variable("y")
+    told = pgm.LinearGaussianCPD(y, {s: 1.0}, cov=0.0)
+    values = np.cumsum(np.random.default_rng(4).normal(size=(STEPS, 1)), axis=0)
+    exact = {z: values, y: pgm.sightings(values[[9]], [10])}
+    pgm.smooth(follow(0.1, exact=[told]), exact, iterations=2)
+    assert (len(rounds), len(sweeps)) == (0, 1)
+    pgm.smooth(follow(1e-14), {z: values}, iterations=2)
+    assert (len(rounds), len(sweeps)) == (1, 2)
+    pgm.smooth(follow(1e-2), {z: values}, iterations=2)
+    assert (len(rounds), len(sweeps)) == (2, 2)
+
+
+def test_what_has_no_elements_goes_step_by_step(monkeypatch):
+    def refuse(*args, **named):
+        raise pgm.NumericalError("indefinite")
+
+    seen = {z: np.ones((STEPS, 1))}
+    monkeypatch.setattr(parallel, "filtered", refuse)
+    found = pgm.smooth(follow(0.1), seen, iterations=3)
+    stepwise(monkeypatch)
+    due = pgm.smooth(follow(0.1), seen, iterations=3)
+    np.testing.assert_array_equal(found[s].mean, due[s].mean)
+
+
+@pytest.mark.parametrize("damping", [0.0, LM], ids=["plain", "LM"])
+def test_smooth_takes_a_balanced_tree(drive, damping):
+    seen, start = drive
+    asked = {"iterations": 20, "tolerance": 1e-8, "damping": damping, "start": start}
+    tree = pgm.smooth(network(SIGHT.cpd()), seen, method=pgm.Balanced(), **asked)
+    chain = pgm.smooth(network(SIGHT.cpd()), seen, **asked)
+    assert tree.graph.depth == 6
+    assert_same(tree[x], chain[x], 1e-7)
+    kept = pgm.smooth(network(SIGHT.cpd()), seen, method=pgm.Balanced(), keep=[x], **asked)
+    assert_same(kept[x], tree[x], 1e-9)
+    with pytest.raises(pgm.GraphError, match=r"compiled to a chain.*not by JunctionTree"):
+        pgm.smooth(network(SIGHT.cpd()), seen, method=pgm.JunctionTree())
