@@ -6,6 +6,7 @@ import copy
 from collections.abc import Iterable
 from typing import Any, ClassVar, Self
 
+import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds.noise import Noise, as_covariance
@@ -122,9 +123,21 @@ class ConditionalGaussian(CPD):
         cov: npt.ArrayLike | Noise,
         *,
         lead: bool = False,
+        flat: bool = False,
     ) -> None:
         self._set_scope(child, given, cov.given if isinstance(cov, Noise) else ())
-        self._set(cov=cov if isinstance(cov, Noise) else as_covariance(child, cov, lead=lead))
+        if not isinstance(cov, Noise):
+            cov = as_covariance(child, cov, lead=lead, flat=flat)
+        self._set(cov=cov)
+
+    def require_proper(self, what: str) -> None:
+        """Refuse an infinite variance where there is no use for it."""
+        if not isinstance(self.cov, Noise) and np.isinf(self.cov).any():
+            raise ModelError(
+                f"{self!r} has an infinite variance: {what}; give it a finite one",
+                variable=self.child,
+                cpd=self,
+            )
 
     @property
     def noise_given(self) -> Scope:

@@ -66,12 +66,17 @@ class GaussianCPD(AffineCPD):
     mean : array_like
         (..., d); leading axes are runs, each of which has a mean of its own.
     cov : array_like
-        (..., d, d), positive semidefinite; zero where the value is known exactly.
+        (..., d, d), positive semidefinite; zero where the value is known exactly. In the prior of a
+        `DynamicBayesianNetwork` variances may be infinite, of a component or, ``cov=np.inf``, of
+        all: nothing is known of them but what readings say, exactly (de Jong, The diffuse Kalman
+        filter, 1991). As long as these do not determine a component, its variance is infinite and
+        its mean has no meaning; the log-evidence is the limit of ln p + ½ ln κ, a variance κ of
+        each flat component that is determined growing without bound.
 
     Raises
     ------
     ModelError
-        If shapes do not fit, an entry is not finite, or `cov` is not a covariance.
+        If shapes do not fit, an entry is NaN or infinite, or `cov` is not a covariance.
 
     Examples
     --------
@@ -81,7 +86,7 @@ class GaussianCPD(AffineCPD):
     """
 
     def __init__(self, child: Variable, mean: npt.ArrayLike, cov: npt.ArrayLike) -> None:
-        self._set_family(child, (), cov, lead=True)
+        self._set_family(child, (), cov, lead=True, flat=True)
         offset = np.array(as_value(child, mean, "mean"))
         self._set(matrices=MappingProxyType({}), offset=frozen(offset))
         try:

@@ -85,19 +85,43 @@ def evaluate(
     return value
 
 
-def as_covariance(child: Variable, cov: npt.ArrayLike, *, lead: bool = False) -> Array:
+def as_covariance(
+    child: Variable, cov: npt.ArrayLike, *, lead: bool = False, flat: bool = False
+) -> Array:
     """A covariance of a variable as an array (n, n); a scalar's may be a Python number.
 
-    With `lead`, leading axes of runs are taken too.
+    With `lead`, leading axes of runs are taken too; with `flat`, infinite variances of components
+    that are independent of all others, and infinity for all components.
     """
     array = as_matrix((child,), cov, f"the covariance of {child!r}", variable=child)
     size = child.dimension
+    if flat and array.ndim == 0 and array == np.inf:
+        array = np.diag(np.full(size, np.inf))
     if array.shape[-2:] != (size, size) or (array.ndim > 2 and not lead):
         raise ModelError(
             f"the covariance of {child!r} has shape {array.shape}; its {size} components "
             f"({listed(child.components)}) need ({size}, {size})",
             variable=child,
         )
-    if fault := covariance_fault(array):
+    proper = array
+    if flat and array.ndim >= 2 and (array == np.inf).any():
+        variances = np.diagonal(array, axis1=-2, axis2=-1)
+        open_ = variances == np.inf
+        infinite = open_[..., None] & np.eye(size, dtype=bool)
+        met = (open_[..., None] | open_[..., None, :]) & ~infinite
+        if (array[met] != 0.0).any():
+            raise ModelError(
+                f"the covariance of {child!r}: a component of infinite variance has a covariance "
+                "with another one; it must be 0",
+                variable=child,
+            )
+        if not (open_ == open_.reshape(-1, size)[0]).all():
+            raise ModelError(
+                f"the covariance of {child!r} is infinite in other components in some runs than in "
+                "others; give all runs the same ones",
+                variable=child,
+            )
+        proper = np.where(infinite, 1.0, array)
+    if fault := covariance_fault(proper):
         raise ModelError(f"the covariance of {child!r} {fault}", variable=child)
     return frozen(array)

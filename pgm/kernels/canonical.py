@@ -42,7 +42,8 @@ def _invertible_root(cov: Array) -> Array:
     lower = strict_root(cov)
     variances = np.diagonal(cov, axis1=-2, axis2=-1)
     std = np.sqrt(np.where(variances > 0.0, variances, 1.0))
-    scaled = np.where(np.isnan(lower), 0.0, cov / (std[..., None] * std[..., None, :]))
+    with np.errstate(invalid="ignore"):  # an infinite variance has no root
+        scaled = np.where(np.isnan(lower), 0.0, cov / (std[..., None] * std[..., None, :]))
     singular = np.linalg.eigvalsh(scaled)[..., :1] < roots.NEGLIGIBLE
     return np.where(singular[..., None], np.nan, lower)
 

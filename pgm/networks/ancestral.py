@@ -107,6 +107,7 @@ def gaussian(
     step : array_like of int or None
         The step of each, which broadcasts to the shape; for messages.
     """
+    cpd.require_proper("there is no drawing from it")
     steps = None if step is None else np.asarray(step)
     wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in values.items()}
     due = (*shape, cpd.child.dimension)

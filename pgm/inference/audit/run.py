@@ -88,6 +88,8 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
         raise ModelError(f"samples is the number of draws, 2 or more; not {samples!r}")
     generator = as_generator(rng)
     if isinstance(posterior, ChainPosterior):
+        for cpd in posterior.graph.model.prior:
+            cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
         draws, lead = ChainDraws.make(posterior), posterior._plan.lead
     elif isinstance(posterior, GaussianPosterior):
         draws, lead = TreeDraws.make(posterior), posterior._buffer.model.lead

@@ -29,7 +29,8 @@ class Innovations:
     Attributes
     ----------
     residual : ndarray
-        (..., M, d): reading less prediction; NaN in components not taken.
+        (..., M, d): reading less prediction; NaN in components not taken, and where the
+        prediction still has an infinite variance.
     cov : ndarray
         (..., M, d, d): its predictive covariance, S = H P Hᵀ + noise; NaN in rows and columns of
         components not taken.
@@ -79,8 +80,11 @@ def innovations(sensor: Sensor, forward: Forward, lead: tuple[int, ...]) -> Inno
     mean = forward.predicted_mean[family.step][..., parents]
     residual = sensor.moved - family.value(slice(None), mean)
     spread = block(forward.predicted_cov[family.step], parents, parents)
-    cov = sandwich(family.matrix, spread) + family.noise
     taken = np.broadcast_to(True if sensor.taken is None else sensor.taken, residual.shape)
+    if (improper := np.isinf(spread)).any():
+        spread = np.where(improper, 0.0, spread)
+        taken = taken & ~np.any(improper, axis=(-2, -1), keepdims=True)[..., 0]
+    cov = sandwich(family.matrix, spread) + family.noise
     nis, dof = _by_step(sensor, forward, residual, taken)
     back = np.argsort(sensor.order)
 
@@ -122,6 +126,7 @@ def _by_step(
         matrix = stacked(family.matrix)
         r = stacked(residual) * seen
         spread = block(forward.predicted_cov[steps], parents, parents)
+        spread = np.where(np.isinf(spread), 0.0, spread)  # what is infinite is not seen
         cov = sandwich(matrix, spread)
         noise = np.moveaxis(family.noise[rows], 1, 2)
         for k in range(int(count)):

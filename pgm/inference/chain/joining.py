@@ -64,7 +64,18 @@ def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
         last = record[-1:].repeat(longest - len(record), axis=0)
         records.append(np.concatenate([record, last]))
     converged = np.concatenate([status.converged.reshape(-1) for status in every])
-    return Status.of(list(np.concatenate(records, axis=1)), converged, lead)
+    status = Status.of(list(np.concatenate(records, axis=1)), converged, lead)
+    if all(each.digits is None for each in every):
+        return status
+    digits = [_digits(each) for each in every]
+    return status.with_digits(np.concatenate(digits).reshape(lead))
+
+
+def _digits(status: Status) -> Array:
+    """The digits of runs; all that float64 has, where they were not measured."""
+    if status.digits is None:
+        return np.full(status.converged.size, -np.log10(np.finfo(np.float64).eps))
+    return status.digits.reshape(-1)
 
 
 def _family(whole: Family, parts: list[Family]) -> None:

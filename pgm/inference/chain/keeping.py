@@ -61,7 +61,12 @@ def run(
     parts = split(graph, bound, lineariser, start, threads)
     if kept is None:
         found = list(each(solve, parts, threads))
-        return found[0] if len(found) == 1 else joined(graph, bound, lineariser, found)
+        if len(found) == 1:
+            return found[0]
+        if any(each._careful is not None for each in found):
+            # Their joints need all that the careful passes leave.
+            return run_chain(graph, bound, schedule, lineariser, start)
+        return joined(graph, bound, lineariser, found)
     room = {variable: _room(graph.layout, bound, variable) for variable in kept}
     log_evidence = np.empty(bound.runs)
 

@@ -68,6 +68,8 @@ class OnlineFilter(Immutable):
             raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
         if not isinstance(schedule, Filtering):
             raise ModelError(f"a filter takes pgm.Filtering(...), not {schedule!r}")
+        for cpd in model.prior:
+            cpd.require_proper("an online filter begins at a belief, which has moments")
         self._set(model=model, lineariser=lineariser, schedule=schedule)
 
     @cached_property

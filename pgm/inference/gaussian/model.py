@@ -69,6 +69,9 @@ class Model:
         start : ndarray, optional
             (runs, size): means of all hidden parents.
         """
+        for group in layout.groups:
+            for cpd in group.cpds:
+                cpd.require_proper("only chains, of pgm.DynamicBayesianNetwork, take flat priors")
         families = [_family(group, bound, lineariser) for group in layout.groups]
         readings = [
             _stacked([cpd.child for cpd in group.cpds], bound.values) if group.observed else None
