@@ -16,6 +16,12 @@ from pgm.kernels.arrays import Array, Mask
 ENOUGH_DIGITS = 6.0
 
 
+def digits(error: Array, lead: tuple[int, ...]) -> Array:
+    """The decimal digits that errors (runs,) leave, (*lead); no more than float64 has."""
+    least = np.finfo(np.float64).eps
+    return np.asarray(-np.log10(np.maximum(error, least)).reshape(lead))
+
+
 class Status(Immutable):
     """How a schedule went.
 

@@ -160,6 +160,16 @@ def smallest_pivot(lower: Array) -> float:
     return float((pivots * pivots / np.where(total > 0.0, total, 1.0)).min(initial=1.0))
 
 
+def is_regular(cov: Array, least: float) -> bool:
+    """Whether no component of stacked covariances is determined to `least` by those before it.
+
+    Components without a variance do not count.
+    """
+    pivots = np.diagonal(root(cov), axis1=-2, axis2=-1)
+    variances = np.diagonal(cov, axis1=-2, axis2=-1)
+    return bool(((pivots * pivots > least * variances) | (variances == 0.0)).all())
+
+
 def is_proper(lower: Array) -> bool:
     """Whether every root of the stack exists (its matrix was semidefinite and finite)."""
     return not np.isnan(np.diagonal(lower, axis1=-2, axis2=-1).sum())

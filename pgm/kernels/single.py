@@ -11,6 +11,7 @@ from math import log
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
 
+from pgm.kernels import roots
 from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import LOG_2PI, Array, Index, symmetric
 from pgm.kernels.roots import NEGLIGIBLE
@@ -30,6 +31,17 @@ def root(cov: Array) -> Array | None:
             return None
     found: Array = lower
     return found
+
+
+def is_regular(cov: Array, least: float) -> bool:
+    """Whether no component is determined to `least` by those before it, if it has a variance."""
+    lower, fault = dpotrf(cov, 1)
+    if fault:
+        return roots.is_regular(cov, least)
+    for pivot, entry in zip(lower.diagonal().tolist(), cov.diagonal().tolist(), strict=True):
+        if not pivot * pivot > least * entry:
+            return False
+    return True
 
 
 def predict(cov: Array, matrix: Array, noise: Array) -> Array:

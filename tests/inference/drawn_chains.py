@@ -21,6 +21,8 @@ MEAN, COV, DETERMINED, EVIDENCE = 1e-6, 1e-6, 1e-9, (1e-6, 1e-9)
 # A variance that should be none may be rounding of its scale: the deviation, as a part of the
 # largest that the step ever had.
 DEVIATION = 3e-8
+# And one that should be less than this part of it: there digits are not counted.
+TOLD = 1e-9
 RANKS = ("right", "floor", "cried", "told", "refused", "miss", "foreign")
 
 
@@ -383,7 +385,8 @@ class Judge:
         if (variances < 0).any():
             return np.inf, np.inf
         std = np.sqrt(np.diagonal(due, axis1=-2, axis2=-1))
-        edge = np.where(std > 0, np.sqrt(2 * COV) * std, DEVIATION * spread)
+        edge = np.maximum(np.sqrt(2 * COV) * std, TOLD * spread)
+        edge = np.where(std > 0, edge, DEVIATION * spread)
         limit = edge[..., None, :] * edge[..., None]
         size = (np.abs(found - due) / limit).max(initial=0.0)
         return size, size

@@ -129,7 +129,7 @@ def sweep(
     steps: list[Step] = []
     record: list[Array] = []
     converged = np.ones(plan.runs, dtype=bool)
-    belief = _start(plan, linearise=schedule is not None)
+    belief = start(plan, linearise=schedule is not None)
     information = Twofold.zeros((plan.runs, *(belief.columns.shape[-1:] * 2)))
     unknown = solved(information)
     matrix: Twofold | None = None
@@ -138,14 +138,16 @@ def sweep(
     for step in range(plan.steps + 1):
         if step:
             if every is None:
-                _linearise_motion(plan, step, out.mean[step - 1], out.cov[step - 1])
-            moves = every or _transition(plan, slice(step - 1, step))
-            move = moves.at(step - 1 if len(moves.matrix.hi) > 1 else 0)
-            matrix, noise, belief = move.matrix, move.cov, _predict(belief, move)
+                move = moving(plan, step, out.mean[step - 1], out.cov[step - 1])
+            else:
+                move = every.at(step - 1 if len(every.matrix.hi) > 1 else 0)
+            matrix, noise, belief = move.matrix, move.cov, predict(belief, move)
         predicted = belief
         mean, cov = out.predicted_mean[step], out.predicted_cov[step]
         mean[...], cov[...] = moments(belief, unknown)
-        reading = _Reading(sensors_due(plan.sensors, step), step, mean, cov, belief, information)
+        reading = CarefulReading(
+            sensors_due(plan.sensors, step), step, mean, cov, belief, information
+        )
         if schedule is None:
             found = reading.solve(anchor)
         else:
@@ -161,7 +163,7 @@ def sweep(
 
 
 @dataclass(frozen=True, eq=False)
-class _Updated(Updated):
+class CarefulUpdate(Updated):
     """The belief that an update leaves."""
 
     taken: Taken
@@ -170,13 +172,15 @@ class _Updated(Updated):
 
     @property
     def components(self) -> list[Component]:
+        """In the order in which they were taken in."""
         return self.taken.components
 
     @property
     def belief(self) -> Belief:
+        """Given the readings."""
         return self.taken.belief
 
-    def at(self, mean: Array) -> _Updated:
+    def at(self, mean: Array) -> CarefulUpdate:
         """The same with the mean that a step control kept."""
         if np.array_equal(mean, self.mean):
             return self
@@ -185,21 +189,23 @@ class _Updated(Updated):
 
 
 @dataclass(frozen=True, eq=False)
-class _Reading(Reading[_Updated]):
+class CarefulReading(Reading[CarefulUpdate]):
     """The readings of a step, to be linearised anywhere and taken into the predicted belief."""
 
     belief: Belief
     information: Twofold
 
     def linearise(self, at: Point, active: Mask | None) -> None:
+        """Linearise each sensor, for the runs that are active."""
         for sensor, _ in self.due:
             cov = _proper(sensor.family, self.step, at.cov[0])
             linearise_sensor(sensor, self.step, at.mean[0], cov, active)
 
-    def solve(self, anchor: Anchor | None = None) -> _Updated:
+    def solve(self, anchor: Anchor | None = None) -> CarefulUpdate:
+        """The belief given the readings as they are linearised."""
         taken = Taken(self.belief, [], np.zeros(len(self.mean)))
         if self.due:
-            taken = update(self.due, self.belief, self.mean)
+            taken = update(self.due, self.step, self.belief, self.mean)
         if anchor is not None:
             taken = hold(anchor, self.step, taken)
         information = self.information
@@ -208,7 +214,9 @@ class _Reading(Reading[_Updated]):
             information = information + row.mT @ (row * component.weight[:, None, None])
         unknown = solved(information)
         log_density = taken.log_density + unknown.log_weight - solved(self.information).log_weight
-        return _Updated(*moments(taken.belief, unknown), log_density, taken, information, unknown)
+        return CarefulUpdate(
+            *moments(taken.belief, unknown), log_density, taken, information, unknown
+        )
 
 
 class Move(NamedTuple):
@@ -227,7 +235,7 @@ class Move(NamedTuple):
         return Move(*(part[row] for part in self))
 
 
-def _start(plan: ChainPlan, *, linearise: bool) -> Belief:
+def start(plan: ChainPlan, *, linearise: bool) -> Belief:
     """The slice at step 0 before its readings; there are no controls."""
     if linearise and not all(link.family.exact for link in plan.prior):
         forward.start(plan, linearise=True)
@@ -298,7 +306,8 @@ def _regular(noise: Array, flat: Mask) -> Twofold:
     return unit * pivots[..., None, :] @ unit.mT
 
 
-def _predict(belief: Belief, move: Move) -> Belief:
+def predict(belief: Belief, move: Move) -> Belief:
+    """The belief over the next slice, before its readings."""
     summed = np.abs(move.matrix.hi) @ np.abs(belief.columns.hi)
     columns = cancelled(move.matrix @ belief.columns, summed)
     columns[..., 0] = columns[..., 0] + move.offset
@@ -308,13 +317,14 @@ def _predict(belief: Belief, move: Move) -> Belief:
     return Belief(columns, cov, rounding).certain()
 
 
-def _linearise_motion(plan: ChainPlan, step: int, mean: Array, cov: Array) -> None:
-    if all(link.family.exact for link in plan.transition):
-        return
-    states = plan.layout.state_places
-    for link in plan.transition:
-        cov = _proper(link.family, step, cov)
-    forward.predict(plan, step - 1, mean[:, states], block(cov, states, states), linearise=True)
+def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
+    """The transition to a step, linearised at the belief before it."""
+    if not all(link.family.exact for link in plan.transition):
+        states = plan.layout.state_places
+        for link in plan.transition:
+            cov = _proper(link.family, step, cov)
+        forward.predict(plan, step - 1, mean[:, states], block(cov, states, states), linearise=True)
+    return _transition(plan, slice(step - 1, step)).at(0)
 
 
 def _proper(family: Family, step: int, cov: Array) -> Array:

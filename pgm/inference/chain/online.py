@@ -9,18 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pgm.compile import compile
-from pgm.errors import EvidenceError, ModelError
+from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
 from pgm.evidence.arrays import as_rows
 from pgm.immutable import Immutable
-from pgm.inference.chain import forward
+from pgm.inference.chain import forward, online_careful
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.online_belief import OnlineBelief
+from pgm.inference.chain.online_careful import CarefulBelief, is_regular
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.reading import MomentReading, take
+from pgm.inference.chain.reading import MomentReading, Taken, Updated, take
+from pgm.inference.chain.taking import variances
 from pgm.inference.chain.update import sensors_due
 from pgm.inference.schedule import ONCE, Filtering
-from pgm.inference.status import Status
+from pgm.inference.status import Status, digits
 from pgm.kernels.arrays import Array, block
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -99,7 +101,10 @@ class OnlineFilter(Immutable):
         mean, cov = forward.start(plan, linearise=True)
         slice_mean[:, states] = mean
         forward.put(slice_cov, states, cov)
-        return _belief(plan, 0, slice_mean, slice_cov, np.zeros(lead), _nothing_to_iterate(lead))
+        log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
+        if is_regular(slice_cov):
+            return _belief(plan, 0, slice_mean, slice_cov, log_evidence, status)
+        return _carried(plan, 0, online_careful.first(plan), log_evidence, status)
 
     def predict(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None = None
@@ -121,19 +126,23 @@ class OnlineFilter(Immutable):
         if type(inputs) is not dict:
             inputs = {} if inputs is None else _mapping(inputs, "predict", "inputs to values")
         single = self._single
-        if single is not None and not belief.lead:
+        if single is not None and not belief.lead and belief.careful is None:
             after = single.predict(belief, inputs)
             if after is not None:
                 return after
         plan = self._ahead(belief, inputs)
-        mean, cov = _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2)
-        states = plan.layout.state_places
-        mean, cov = forward.predict(
-            plan, 0, mean[:, states], block(cov, states, states), linearise=True
-        )
+        step, status = belief.step + 1, _nothing_to_iterate(plan.lead)
         log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
-        status = _nothing_to_iterate(plan.lead)
-        return _belief(plan, belief.step + 1, mean, cov, log_evidence, status)
+        if belief.careful is None:
+            mean, cov = _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2)
+            states = plan.layout.state_places
+            mean, cov = forward.predict(
+                plan, 0, mean[:, states], block(cov, states, states), linearise=True
+            )
+            if is_regular(cov):
+                return _belief(plan, step, mean, cov, log_evidence, status)
+        found = online_careful.predict(plan, _careful(belief, plan))
+        return _carried(plan, step, found, log_evidence, status)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of a prediction, its inputs checked."""
@@ -171,17 +180,32 @@ class OnlineFilter(Immutable):
         if type(readings) is not dict:
             readings = _mapping(readings, "update", "sensors to readings")
         single = self._single
-        if single is not None and not belief.lead:
+        if single is not None and not belief.lead and belief.careful is None:
             after = single.update(belief, readings)
             if after is not None:
                 return after
         plan = self._seen(belief, readings)
+        ordinary = self._update(belief, plan) if belief.careful is None else None
+        if ordinary is not None:
+            return ordinary
+        # A plan keeps what was linearised; one laid out anew begins at the belief.
+        plan = self._seen(belief, readings)
+        found, taken = online_careful.update(plan, _careful(belief, plan), self.schedule)
+        log_evidence, status = _told(belief, plan, taken)
+        return _carried(plan, belief.step, found, log_evidence, status)
+
+    def _update(self, belief: OnlineBelief, plan: ChainPlan) -> OnlineBelief | None:
+        """In float64; None where it has too few digits."""
         mean, cov = _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2)
-        taken = take(MomentReading(sensors_due(plan.sensors, 0), 0, mean, cov), self.schedule)
-        last = taken.solution
-        log_evidence = np.asarray(belief.log_evidence + last.log_density.reshape(plan.lead))
-        status = Status.of(taken.residuals, taken.converged, plan.lead)
-        return _belief(plan, belief.step, taken.mean, last.cov, log_evidence, status)
+        try:
+            taken = take(MomentReading(sensors_due(plan.sensors, 0), 0, mean, cov), self.schedule)
+        except NumericalError:
+            return None  # with twice the digits there may be an answer; if not, the same is refused
+        after = taken.solution.cov
+        if online_careful.fell(variances(cov), variances(after)) or not is_regular(after):
+            return None
+        log_evidence, status = _told(belief, plan, taken)
+        return _belief(plan, belief.step, taken.mean, after, log_evidence, status)
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its readings checked."""
@@ -243,10 +267,39 @@ def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
     return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)
 
 
+def _told(belief: OnlineBelief, plan: ChainPlan, taken: Taken[Updated]) -> tuple[Array, Status]:
+    """The log-evidence with readings that were taken, and how that went."""
+    log_evidence = belief.log_evidence + taken.solution.log_density.reshape(plan.lead)
+    return np.asarray(log_evidence), Status.of(taken.residuals, taken.converged, plan.lead)
+
+
+def _careful(belief: OnlineBelief, plan: ChainPlan) -> CarefulBelief:
+    """A belief in twice the digits, for the runs of a plan."""
+    if belief.careful is not None:
+        return belief.careful.over(belief.lead, plan.lead)
+    return online_careful.beginning(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
+
+
+def _carried(
+    plan: ChainPlan, step: int, found: CarefulBelief, log_evidence: Array, status: Status
+) -> OnlineBelief:
+    """A belief with the digits that it has, carried in twice those of float64 while it must be."""
+    mean, cov = found.moments
+    status = status.with_digits(digits(found.error, plan.lead))
+    kept = None if is_regular(cov) else found
+    return _belief(plan, step, mean, cov, log_evidence, status, kept)
+
+
 def _belief(
-    plan: ChainPlan, step: int, mean: Array, cov: Array, log_evidence: Array, status: Status
+    plan: ChainPlan,
+    step: int,
+    mean: Array,
+    cov: Array,
+    log_evidence: Array,
+    status: Status,
+    careful: CarefulBelief | None = None,
 ) -> OnlineBelief:
     """A belief with the runs as the user's axes."""
     lead, size = plan.lead, mean.shape[-1]
     mean, cov = mean.reshape(*lead, size), cov.reshape(*lead, size, size)
-    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status)
+    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status, careful)

@@ -6,6 +6,7 @@ from pgm.compile import SliceLayout
 from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
+from pgm.inference.chain.online_careful import CarefulBelief
 from pgm.inference.posterior import require_variable
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, block, symmetric
@@ -21,7 +22,8 @@ class OnlineBelief(Immutable):
     log_evidence : ndarray
         (...): ln p of all readings so far.
     status : Status
-        How the linearisations of the last update went.
+        How the linearisations of the last update went; with the digits that are left, where
+        deviations lie too far apart for float64 and steps are made in twice the digits.
     """
 
     step: int
@@ -31,6 +33,7 @@ class OnlineBelief(Immutable):
     cov: Array
     log_evidence: Array
     status: Status
+    careful: CarefulBelief | None
 
     def __init__(
         self,
@@ -41,6 +44,7 @@ class OnlineBelief(Immutable):
         cov: Array,
         log_evidence: Array,
         status: Status,
+        careful: CarefulBelief | None = None,
     ) -> None:
         set_writeable(mean, False)
         set_writeable(cov, False)
@@ -53,6 +57,7 @@ class OnlineBelief(Immutable):
         values["cov"] = cov
         values["log_evidence"] = log_evidence
         values["status"] = status
+        values["careful"] = careful
 
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a hidden variable at the belief's step."""

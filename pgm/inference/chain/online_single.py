@@ -14,11 +14,12 @@ import numpy as np
 
 from pgm.errors import PgmError
 from pgm.inference.chain.online_belief import OnlineBelief
+from pgm.inference.chain.online_careful import REGULAR
 from pgm.inference.chain.online_given import Key, ordinary, places
 from pgm.inference.chain.online_steps import Places, Predict, Update
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.status import Status
-from pgm.kernels import roots, single
+from pgm.kernels import single
 from pgm.kernels.arrays import Array
 from pgm.linearisers.single import Special
 from pgm.variables import Variable
@@ -88,7 +89,7 @@ class Single:
             mean, cov = predict.predict((step, rows), belief.mean, belief.cov)
         except (PgmError, Special):
             return None
-        if not _finite(mean, cov) or (predict.rough and not _proper(cov)):
+        if not _finite(mean, cov) or not single.is_regular(cov, REGULAR):
             return None
         return OnlineBelief(step, belief.layout, (), mean, cov, belief.log_evidence, _DONE)
 
@@ -113,6 +114,8 @@ class Single:
         if found is None or not isfinite(found[2]):
             return None
         mean, cov, gained = found
+        if not _keeps_digits(belief.cov, cov):
+            return None
         log_evidence = np.array(belief.log_evidence.item() + gained)
         status = _DONE if update.linear else _LINEARISED
         return OnlineBelief(step, belief.layout, (), mean, cov, log_evidence, status)
@@ -123,6 +126,9 @@ def _finite(mean: Array, cov: Array) -> bool:
     return isfinite(sum(mean.tolist()) + sum(cov.ravel().tolist()))
 
 
-def _proper(cov: Array) -> bool:
-    """Whether a covariance is not indefinite."""
-    return single.root(cov) is not None or bool(roots.is_proper(roots.root(cov)))
+def _keeps_digits(before: Array, after: Array) -> bool:
+    """Whether float64 has digits enough for an update, as `online_careful` has it."""
+    for variance, left in zip(before.diagonal().tolist(), after.diagonal().tolist(), strict=True):
+        if 0.0 != left < REGULAR * variance:
+            return False
+    return single.is_regular(after, REGULAR)

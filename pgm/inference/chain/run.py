@@ -20,7 +20,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
-from pgm.inference.status import Status
+from pgm.inference.status import Status, digits
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -86,19 +86,13 @@ def _carefully(
         if isinstance(graph, BalancedGraph):
             _refuse_nonlinear(graph, plan)
         swept, status = careful.sweep(plan, schedule)
-        status = status.with_digits(_digits(swept.error, plan))
+        status = status.with_digits(digits(swept.error, plan.lead))
         return kind(graph, status, plan, swept.forward, None, None, swept)
     result, status = smoother.carefully(
         plan, _smoothing(schedule), start, reckoned=isinstance(graph, BalancedGraph)
     )
-    status = status.with_digits(_digits(result.error, plan))
+    status = status.with_digits(digits(result.error, plan.lead))
     return kind(graph, status, plan, result.careful.forward, result.beliefs, None, result.careful)
-
-
-def _digits(error: Array, plan: ChainPlan) -> Array:
-    """The digits that an error leaves, no more than float64 has."""
-    least = np.finfo(np.float64).eps
-    return np.asarray(-np.log10(np.maximum(error, least)).reshape(plan.lead))
 
 
 def _kind(graph: DynamicGraph) -> type[ChainPosterior]:

@@ -17,6 +17,8 @@ from pgm.kernels.twofold import Twofold
 ROUNDING = 1e-31
 # The share of the largest deviation of a component below which deviations are not told apart.
 _TOLD = 1e-9
+# The part of a variance in float64 that rounding may change.
+_LAST_DIGIT = 4.0 * np.finfo(np.float64).eps
 # The part of what is summed up to an entry of D below which it is rounding.
 _CANCELLED = 1e-26
 # By so much a variance has to exceed what rounding may have made of a zero.
@@ -62,6 +64,13 @@ class Belief(NamedTuple):
     columns: Twofold
     cov: Twofold
     rounding: Array
+
+    @classmethod
+    def of(cls, mean: Array, cov: Array) -> Belief:
+        """Of moments in float64, (runs, n) and (runs, n, n), whose last digit is rounding."""
+        rounding = _LAST_DIGIT * variances(cov)
+        size = mean.shape[-1]
+        return cls(Twofold(mean[..., None]), Twofold(cov), rounding[..., None] * np.eye(size))
 
     @property
     def parts(self) -> Array:
@@ -143,9 +152,9 @@ class Taken(NamedTuple):
     log_density: Array
 
 
-def update(due: Due, belief: Belief, mean: Array) -> Taken:
+def update(due: Due, step: int, belief: Belief, mean: Array) -> Taken:
     """Take in the readings of a step; the rounded mean tells how large their numbers are."""
-    rows, noises, seen = _decorrelated(due, mean)
+    rows, noises, seen = _decorrelated(due, step, mean)
     components: list[Component] = []
     log_density = np.zeros(len(mean))
     left = np.zeros(seen.shape)
@@ -208,7 +217,7 @@ def _take(
     return after, component, predictive.hi, indefinite
 
 
-def _decorrelated(due: Due, mean: Array) -> tuple[Twofold, Twofold, Mask]:
+def _decorrelated(due: Due, step: int, mean: Array) -> tuple[Twofold, Twofold, Mask]:
     """The components of the readings of a step, each with an error of its own.
 
     Returns
@@ -221,15 +230,15 @@ def _decorrelated(due: Due, mean: Array) -> tuple[Twofold, Twofold, Mask]:
         (runs, D).
     """
     runs, width = mean.shape
-    parts = [(sensor, own, sensor.reading(own)) for sensor, own in due]
-    height = sum(seen.value.shape[0] * seen.value.shape[2] for *_, seen in parts)
+    parts = [(sensor, sensor.reading(own)) for sensor, own in due]
+    height = sum(seen.value.shape[0] * seen.value.shape[2] for _, seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))
     noise = np.zeros((runs, height, height))
     taken = np.ones((runs, height), dtype=bool)
     top = 0
-    for sensor, own, seen in parts:
+    for sensor, seen in parts:
         count, _, size = seen.value.shape
-        between = sensor.between(int(sensor.family.step[own.start]))
+        between = sensor.between(step)
         if between is not None:
             every = slice(top, top + count * size)
             noise[:, every, every] = between

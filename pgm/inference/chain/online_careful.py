@@ -1,0 +1,106 @@
+"""Steps of an online filter in twice the digits, where float64 has too few.
+
+A step in float64 leaves all the digits that are promised where its beliefs are regular: no
+component is determined to 10⁻⁸ of its variance by others, nor suddenly to that by a reading. Then
+neither what a transition nor what a reading sums up is smaller than 10⁻⁸ of its parts. Other
+steps are made in twice the digits, and the belief is carried in these until it is regular.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.inference.chain import careful
+from pgm.inference.chain.flat import moments, solved
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.reading import Taken, take
+from pgm.inference.chain.taking import Belief, variances
+from pgm.inference.chain.update import sensors_due
+from pgm.inference.schedule import Filtering
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array
+from pgm.kernels.twofold import Twofold
+
+# The share of its variance below which a component counts as determined.
+REGULAR = 1e-8
+
+
+class CarefulBelief(NamedTuple):
+    """A belief in twice the digits.
+
+    Attributes
+    ----------
+    belief : Belief
+    largest : ndarray
+        (runs, n): the largest variances since it is carried so.
+    """
+
+    belief: Belief
+    largest: Array
+
+    @property
+    def error(self) -> Array:
+        """Of the means, (runs,); see `Belief.error`."""
+        return self.belief.error(self.largest)
+
+    @property
+    def moments(self) -> tuple[Array, Array]:
+        """In float64."""
+        return moments(self.belief, solved(_nothing(self.belief)))
+
+    def over(self, before: tuple[int, ...], after: tuple[int, ...]) -> CarefulBelief:
+        """The same for runs on other axes, which those before broadcast to."""
+        if before == after:
+            return self
+
+        def wide(array: Array) -> Array:
+            own = array.shape[1:]
+            return np.broadcast_to(array.reshape(*before, *own), (*after, *own)).reshape(-1, *own)
+
+        columns, cov = (Twofold(wide(part.hi), wide(part.lo)) for part in self.belief[:2])
+        return CarefulBelief(Belief(columns, cov, wide(self.belief.rounding)), wide(self.largest))
+
+
+def first(plan: ChainPlan) -> CarefulBelief:
+    """The prior."""
+    belief = careful.start(plan, linearise=True)
+    return CarefulBelief(belief, variances(belief.cov.hi))
+
+
+def beginning(mean: Array, cov: Array) -> CarefulBelief:
+    """Of moments in float64, (runs, n) and (runs, n, n)."""
+    return CarefulBelief(Belief.of(mean, cov), variances(cov))
+
+
+def predict(plan: ChainPlan, known: CarefulBelief) -> CarefulBelief:
+    """A step later."""
+    move = careful.moving(plan, 1, *known.moments)
+    belief = careful.predict(known.belief, move)
+    return CarefulBelief(belief, np.maximum(known.largest, variances(belief.cov.hi)))
+
+
+def update(
+    plan: ChainPlan, known: CarefulBelief, schedule: Filtering
+) -> tuple[CarefulBelief, Taken[careful.CarefulUpdate]]:
+    """Given the readings of its step."""
+    due, (mean, cov) = sensors_due(plan.sensors, 0), known.moments
+    nothing = _nothing(known.belief)
+    taken = take(careful.CarefulReading(due, 0, mean, cov, known.belief, nothing), schedule)
+    return CarefulBelief(taken.solution.at(taken.mean).belief, known.largest), taken
+
+
+def is_regular(cov: Array) -> bool:
+    """Whether float64 has digits enough for covariances (..., n, n)."""
+    return roots.is_regular(cov, REGULAR)
+
+
+def fell(before: Array, after: Array) -> bool:
+    """Whether a reading leaves less of a variance, (..., n), than float64 tells."""
+    return bool(((after < REGULAR * before) & (after != 0.0)).any())
+
+
+def _nothing(belief: Belief) -> Twofold:
+    """No information about an unknown δ, which an online filter has not."""
+    return Twofold.zeros((len(belief.cov.hi), 1, 1))
