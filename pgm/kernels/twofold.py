@@ -126,7 +126,9 @@ def concatenate(parts: list[Twofold], axis: int) -> Twofold:
     )
 
 
-def eliminated(matrix: Array | Twofold, negligible: float) -> tuple[Twofold, Twofold]:
+def eliminated(
+    matrix: Array | Twofold, negligible: float, rounding: Array | None = None
+) -> tuple[Twofold, Twofold]:
     """The factors of symmetric A = U D Uᵀ, U lower with 1 on its diagonal, D diagonal.
 
     Parameters
@@ -136,6 +138,9 @@ def eliminated(matrix: Array | Twofold, negligible: float) -> tuple[Twofold, Two
     negligible : float
         The share of its diagonal entry below which a pivot is rounding: D and what is below it in U
         are zero there.
+    rounding : ndarray, optional
+        (..., n): what rounding may have changed diagonal entries by. Then shares are of it, and of
+        what elimination makes of it.
 
     Returns
     -------
@@ -144,7 +149,7 @@ def eliminated(matrix: Array | Twofold, negligible: float) -> tuple[Twofold, Two
     """
     left = _twofold(matrix).copy()
     size = left.shape[-1]
-    diagonal = np.abs(np.einsum("...ii->...i", left.hi))
+    diagonal = np.abs(np.einsum("...ii->...i", left.hi)) if rounding is None else rounding.copy()
     unit = Twofold(np.broadcast_to(np.eye(size), left.shape).copy())
     pivots = Twofold.zeros(left.shape[:-1])
     for j in range(size):
@@ -157,6 +162,8 @@ def eliminated(matrix: Array | Twofold, negligible: float) -> tuple[Twofold, Two
         divisor = where(proper, pivot, 1.0)
         factor = where(proper[..., None], below / divisor[..., None], 0.0)
         unit[..., j + 1 :, j] = factor
+        if rounding is not None:
+            diagonal[..., j + 1 :] += factor.hi**2 * diagonal[..., j, None]
         left[..., j + 1 :, j + 1 :] = (
             left[..., j + 1 :, j + 1 :] - factor[..., :, None] * below[..., None, :]
         )

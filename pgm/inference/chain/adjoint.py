@@ -31,36 +31,52 @@ from pgm.inference.chain.careful import Careful, Step
 from pgm.inference.chain.flat import moments
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.taking import ROUNDING, Belief, Component, variances
+from pgm.inference.chain.taking import CLEAR, ROUNDING, Belief, Component, reach, rounded, variances
 from pgm.kernels import twofold
-from pgm.kernels.arrays import Array, Mask, block, sandwich, stacked
+from pgm.kernels.arrays import Array, Mask, apply, block, sandwich, stacked
 from pgm.kernels.twofold import Twofold
 
 # A difference is found in another way where this part of it may be rounding.
 _CLOSE = 1e-12
-# The share of its diagonal entry below which a pivot of a predicted covariance is rounding.
-_SINGULAR = 1e-26
 
 
 class Later(NamedTuple):
-    """What readings say of a slice: r as a function of δ, (runs, n, 1 + q), and N, (runs, n, n)."""
+    """The message of later readings to a slice.
+
+    Attributes
+    ----------
+    vector, matrix : Twofold
+        r as a function of δ, (runs, n, 1 + q), and N, (runs, n, n).
+    rounding, drift : ndarray
+        (runs, n, n): bounds of what rounding has changed N and r by so far, as those of a `Belief`.
+    """
 
     vector: Twofold
     matrix: Twofold
+    rounding: Array
+    drift: Array
 
     def before(self, components: list[Component]) -> Later:
         """With the components read at the step too, for the belief before they are."""
-        vector, matrix = self
-        for row, gain, innovation, weight, _ in reversed(components):
+        vector, matrix, rounding, drift = self
+        for row, gain, innovation, weight, error, blur, moved in reversed(components):
             keep = np.eye(matrix.shape[-1]) - gain[..., None] * row[:, None, :]
             said = innovation * weight[:, None]
+            lost = (blur * np.abs(vector.hi[..., 0])).sum(-1) + np.abs(said.hi[:, 0]) * error
+            drift = drift + sandwich(matrix.hi, moved[..., None] ** 2 * np.eye(moved.shape[-1]))
+            drift = sandwich(keep.hi.mT, drift) + _outer(row.hi * lost[:, None])
+            own = (row * weight[:, None])[..., None] * row[:, None, :]
+            rounding = sandwich(keep.hi.mT, rounding) + rounded(keep.hi.mT, matrix.hi, own.hi)
             vector = keep.mT @ vector + row[..., None] * said[:, None, :]
-            matrix = keep.mT @ matrix @ keep + (row * weight[:, None])[..., None] * row[:, None, :]
-        return Later(vector, matrix)
+            matrix = keep.mT @ matrix @ keep + own
+        return Later(vector, matrix, rounding, drift)
 
     def back(self, matrix: Twofold) -> Later:
         """What it says of the slice before, through a transition."""
-        return Later(matrix.mT @ self.vector, matrix.mT @ self.matrix @ matrix)
+        slope, said = matrix.hi.mT, self.matrix
+        rounding = sandwich(slope, self.rounding) + rounded(slope, said.hi, np.zeros_like(slope))
+        drift = sandwich(slope, self.drift)
+        return Later(matrix.mT @ self.vector, matrix.mT @ said @ matrix, rounding, drift)
 
 
 class Back(NamedTuple):
@@ -166,8 +182,9 @@ class CarefulSmoothed:
 
 def smoothed(careful: Careful, last: int) -> list[Smooth]:
     """Every slice up to a last step, given the readings up to it."""
-    columns, cov, _ = careful.steps[last].known
-    later = Later(Twofold.zeros(columns.shape), Twofold.zeros(cov.shape))
+    columns, cov, *_ = careful.steps[last].known
+    nothing = np.zeros(cov.shape)
+    later = Later(Twofold.zeros(columns.shape), Twofold.zeros(cov.shape), nothing, nothing)
     blurred = np.zeros(columns.shape[0])
     out: list[Smooth] = []
     for step in range(last, -1, -1):
@@ -239,13 +256,17 @@ def _given(known: Belief, later: Later, blurred: Array) -> tuple[Belief, Array]:
 
     `blurred` is the largest part of an innovation's variance, after the step, that may be rounding.
     """
-    columns, cov, _ = known
+    columns, cov, own, drift = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
-    before = variances(cov.hi)
-    rounding = (ROUNDING + blurred)[:, None] * before
-    found = Belief(
-        columns + cov @ later.vector, left, rounding[..., None] * np.eye(before.shape[-1])
-    )
+    before, eye = variances(cov.hi), np.eye(cov.shape[-1])
+    changed = sandwich(cov.hi, later.rounding) + rounded(cov.hi, later.matrix.hi, cov.hi)
+    rounding = blurred[:, None] * before + variances(changed)
+    pull = later.vector.hi[..., 0]
+    size = np.abs(columns.hi[..., 0]) + apply(np.abs(cov.hi), np.abs(pull))
+    moved = reach(own, pull) + ROUNDING * size
+    drift = sandwich(eye - cov.hi @ later.matrix.hi, drift) + sandwich(cov.hi, later.drift)
+    drift = drift + moved[..., None] ** 2 * eye
+    found = Belief(columns + cov @ later.vector, left, rounding[..., None] * eye, drift)
     after = np.maximum(variances(left.hi), rounding)
     return found.certain(), rounding / np.where(after > 0.0, after, np.inf)
 
@@ -255,20 +276,39 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
 
     The covariance (1 − G A) P (1 − G A)ᵀ + G (Q + P′) Gᵀ subtracts nothing.
     """
-    belief = later.belief
-    columns, cov, _ = known
+    belief, predicted = later.belief, after.predicted
+    columns, cov, own, drift = known
     matrix, noise = after.matrix, after.noise
     assert matrix is not None
     assert noise is not None
-    unit, pivots = twofold.eliminated(after.predicted.cov, _SINGULAR)
-    gain = cov @ matrix.mT @ twofold.inverse(unit, pivots)
-    keep = np.eye(cov.shape[-1]) - gain @ matrix
-    left = keep @ cov @ keep.mT + gain @ (noise + belief.cov) @ gain.mT
-    rounding = sandwich(keep.hi, known.rounding) + sandwich(gain.hi, belief.rounding)
-    mean = columns + gain @ (belief.columns - after.predicted.columns)
+    floor = variances(predicted.rounding)
+    unit, pivots = twofold.eliminated(predicted.cov, CLEAR, floor)
+    inverse = twofold.inverse(unit, pivots)
+    gain = cov @ matrix.mT @ inverse
+    eye = np.eye(cov.shape[-1])
+    keep = eye - gain @ matrix
+    other = noise + belief.cov
+    left = keep @ cov @ keep.mT + gain @ other @ gain.mT
+    rounding = sandwich(keep.hi, own) + sandwich(gain.hi, belief.rounding + predicted.rounding)
+    rounding = rounding + rounded(keep.hi, cov.hi, cov.hi) + rounded(gain.hi, other.hi, cov.hi)
+    shift = belief.columns - predicted.columns
+    pull = (inverse @ shift).hi[..., 0]
+    through = sandwich(gain.hi, predicted.rounding)
+    along = variances(sandwich(pull[:, None, :], predicted.rounding))
+    moved = np.sqrt(np.maximum(variances(through) * along, 0.0))
+    moved = moved + reach(own, apply(matrix.hi.mT, pull))
+    size = np.abs(cov.hi) @ np.abs(matrix.hi.mT) @ np.abs(inverse.hi) @ np.abs(shift.hi)
+    moved = moved + ROUNDING * (size[..., 0] + np.abs(columns.hi[..., 0]))
+    drift = sandwich(keep.hi, drift) + sandwich(gain.hi, belief.drift)
+    drift = drift + moved[..., None] ** 2 * eye
     proper = np.where(pivots.hi > 0.0, pivots.hi, np.inf)
-    error = (variances(after.predicted.rounding) / proper).max(axis=-1) + later.parts.max(axis=-1)
-    return gain, Belief(mean, _symmetric(left), rounding).certain(), error
+    error = (floor / proper).max(axis=-1) + later.parts.max(axis=-1)
+    return gain, Belief(columns + gain @ shift, _symmetric(left), rounding, drift).certain(), error
+
+
+def _outer(vector: Array) -> Array:
+    """The product v vᵀ of vectors (..., n)."""
+    return vector[..., None] * vector[..., None, :]
 
 
 def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
@@ -277,6 +317,7 @@ def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
         twofold.where(mask, a.columns, b.columns),
         twofold.where(mask, a.cov, b.cov),
         np.where(mask, a.rounding, b.rounding),
+        np.where(mask, a.drift, b.drift),
     )
 
 

@@ -32,6 +32,7 @@ from pgm.inference.chain.iteration import Anchor, Point
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.reading import Reading, Updated, take
 from pgm.inference.chain.taking import (
+    ROUNDING,
     Belief,
     Component,
     Taken,
@@ -248,7 +249,9 @@ def start(plan: ChainPlan, *, linearise: bool) -> Belief:
     forward.put(cov.hi, states, np.broadcast_to(first.cov.hi, (plan.runs, *first.cov.shape[1:])))
     forward.put(cov.lo, states, np.broadcast_to(first.cov.lo, (plan.runs, *first.cov.shape[1:])))
     eye = np.eye(size)
-    return Belief(columns, cov, rounded(eye, cov.hi, np.zeros_like(cov.hi)))
+    drift = (ROUNDING * columns.hi[..., 0]) ** 2
+    rounding = rounded(eye, cov.hi, np.zeros_like(cov.hi))
+    return Belief(columns, cov, rounding, drift[..., None] * eye)
 
 
 def _transition(plan: ChainPlan, rows: slice) -> Move:
@@ -314,7 +317,9 @@ def predict(belief: Belief, move: Move) -> Belief:
     cov = move.matrix @ belief.cov @ move.matrix.mT + move.cov
     rounding = sandwich(move.matrix.hi, belief.rounding)
     rounding = rounding + rounded(move.matrix.hi, belief.cov.hi, move.cov.hi)
-    return Belief(columns, cov, rounding).certain()
+    own = ROUNDING * (summed[..., 0] + np.abs(move.offset.hi))
+    drift = sandwich(move.matrix.hi, belief.drift) + own[..., None] ** 2 * np.eye(own.shape[-1])
+    return Belief(columns, cov, rounding, drift).certain()
 
 
 def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:

@@ -25,22 +25,21 @@ from pgm.inference.chain.whitened import distinct
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, apply, sandwich
 
-ALWAYS = False
 # The largest ratio at which float64 leaves all the digits that are promised.
 _MODERATE = 1e8
 
 
 def is_flat(plan: ChainPlan) -> bool:
     """Whether the prior has an infinite variance."""
-    return ALWAYS or any(np.isinf(link.family.own_noise).any() for link in plan.prior)
+    return any(np.isinf(link.family.own_noise).any() for link in plan.prior)
 
 
-def suffices(plan: ChainPlan, swept: Forward | Filtered) -> bool:
-    """Whether a forward pass has kept its digits."""
-    return worst(plan, swept) < _MODERATE
+def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:
+    """Whether a forward pass, and the covariances that a smoother made of it, kept their digits."""
+    return worst(plan, swept, smoothed) < _MODERATE
 
 
-def worst(plan: ChainPlan, swept: Forward | Filtered) -> float:
+def worst(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> float:
     """The largest of the ratios."""
     if isinstance(swept, Filtered):
         known = _variances(swept.cov)
@@ -49,14 +48,15 @@ def worst(plan: ChainPlan, swept: Forward | Filtered) -> float:
     largest = np.maximum.accumulate(predicted, axis=0)
     return max(
         _fallen(largest, _variances(swept.cov)),
+        0.0 if smoothed is None else _fallen(largest, _variances(smoothed)),
         _read(plan, swept, largest),
         _moved(plan, predicted),
     )
 
 
 def _fallen(largest: Array, known: Array) -> float:
-    """Of components; those that are certain do not count."""
-    return _ratio(largest, np.where(known > 0.0, known, np.inf))
+    """Of components; those that are certain do not count, and a negative variance is rounding."""
+    return _ratio(largest, np.where(known == 0.0, np.inf, np.maximum(known, 0.0)))
 
 
 def _read(plan: ChainPlan, swept: Forward, largest: Array) -> float:

@@ -67,7 +67,7 @@ def solved(whole: Twofold) -> Solved:
 
 def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
     """Mean and covariance; the variance of a component of which nothing is known is infinite."""
-    columns, cov, _ = belief
+    columns, cov, *_ = belief
     mean = (columns @ unknown.weights).hi[..., 0]
     if not unknown.open.shape[-1]:
         return mean, cov.hi

@@ -60,7 +60,8 @@ class CarefulBelief(NamedTuple):
             return np.broadcast_to(array.reshape(*before, *own), (*after, *own)).reshape(-1, *own)
 
         columns, cov = (Twofold(wide(part.hi), wide(part.lo)) for part in self.belief[:2])
-        return CarefulBelief(Belief(columns, cov, wide(self.belief.rounding)), wide(self.largest))
+        rounding, drift = map(wide, self.belief[2:])
+        return CarefulBelief(Belief(columns, cov, rounding, drift), wide(self.largest))
 
 
 def first(plan: ChainPlan) -> CarefulBelief:
@@ -98,7 +99,7 @@ def is_regular(cov: Array) -> bool:
 
 def fell(before: Array, after: Array) -> bool:
     """Whether a reading leaves less of a variance, (..., n), than float64 tells."""
-    return bool(((after < REGULAR * before) & (after != 0.0)).any())
+    return bool((after < REGULAR * before).any())
 
 
 def _nothing(belief: Belief) -> Twofold:

@@ -129,6 +129,6 @@ def _finite(mean: Array, cov: Array) -> bool:
 def _keeps_digits(before: Array, after: Array) -> bool:
     """Whether float64 has digits enough for an update, as `online_careful` has it."""
     for variance, left in zip(before.diagonal().tolist(), after.diagonal().tolist(), strict=True):
-        if 0.0 != left < REGULAR * variance:
+        if left < REGULAR * variance:
             return False
     return single.is_regular(after, REGULAR)

@@ -55,7 +55,8 @@ def run(
     if not certificate.is_flat(plan):
         try:
             found = _solve(graph, plan, schedule, given)
-            if certificate.suffices(found._planned, found._swept):
+            smoothed = None if found._smoothed is None else found._smoothed.cov
+            if certificate.suffices(found._planned, found._swept, smoothed):
                 return found
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused

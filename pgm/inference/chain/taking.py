@@ -38,6 +38,8 @@ class Component(NamedTuple):
         (runs,): 1 / S, zero where nothing was learnt.
     error : ndarray
         (runs,): the part of S that rounding may have changed.
+    blur, drift : ndarray
+        (runs, n): what it may have changed G by, and through it the mean.
     """
 
     row: Twofold
@@ -45,6 +47,8 @@ class Component(NamedTuple):
     innovation: Twofold
     weight: Twofold
     error: Array
+    blur: Array
+    drift: Array
 
 
 class Belief(NamedTuple):
@@ -59,18 +63,21 @@ class Belief(NamedTuple):
     rounding : ndarray
         (runs, n, n): a bound, as a covariance, of what rounding has changed P by so far. It goes
         through transitions and readings as an error does.
+    drift : ndarray
+        (runs, n, n): the covariance, in that sense, of what rounding has changed m by.
     """
 
     columns: Twofold
     cov: Twofold
     rounding: Array
+    drift: Array
 
     @classmethod
     def of(cls, mean: Array, cov: Array) -> Belief:
         """Of moments in float64, (runs, n) and (runs, n, n), whose last digit is rounding."""
-        rounding = _LAST_DIGIT * variances(cov)
-        size = mean.shape[-1]
-        return cls(Twofold(mean[..., None]), Twofold(cov), rounding[..., None] * np.eye(size))
+        rounding, drift = _LAST_DIGIT * variances(cov), (_LAST_DIGIT * mean) ** 2
+        columns, eye = Twofold(mean[..., None]), np.eye(mean.shape[-1])
+        return cls(columns, Twofold(cov), rounding[..., None] * eye, drift[..., None] * eye)
 
     @property
     def parts(self) -> Array:
@@ -84,14 +91,14 @@ class Belief(NamedTuple):
 
         Counted from its deviation, or from 10⁻⁹ of the largest deviation that the component had,
         variance `largest` (runs, n), where that is more: float64 cannot tell less than 10⁻¹⁶ of it.
+        The parts of variances that rounding may have changed, (runs, n), count as much.
         """
-        if parts is None:
-            parts = self.parts
-        variance = variances(self.cov.hi)
-        least = _TOLD**2 * largest
-        with np.errstate(under="ignore"):
-            share = np.sqrt(variance / np.where(variance < least, least, np.inf))
-        found: Array = (parts * np.where(variance < least, share, 1.0)).max(axis=-1, initial=0.0)
+        variance = np.maximum(variances(self.cov.hi), 0.0)
+        unit = np.sqrt(np.maximum(variance, _TOLD**2 * largest))
+        changed = (self.parts if parts is None else parts) * np.sqrt(variance)
+        changed = np.maximum(changed, np.sqrt(np.maximum(variances(self.drift), 0.0)))
+        share = np.where(unit > 0.0, changed / np.where(unit > 0.0, unit, 1.0), 0.0)
+        found: Array = share.max(axis=-1, initial=0.0)
         return found
 
     def shifted(self, mean: Array) -> Belief:
@@ -133,6 +140,13 @@ def rounded(matrix: Array, cov: Array, noise: Array) -> Array:
 def variances(cov: Array) -> Array:
     """The diagonal of a covariance."""
     found: Array = np.einsum("...ii->...i", cov)
+    return found
+
+
+def reach(rounding: Array, vector: Array) -> Array:
+    """What a matrix changed within a bound, as a covariance, may change its product with v by."""
+    along = sandwich(vector[..., None, :], rounding)
+    found: Array = np.sqrt(np.maximum(variances(rounding) * variances(along), 0.0))
     return found
 
 
@@ -193,7 +207,7 @@ def _take(
     belief: Belief, row: Twofold, value: Twofold, noise: Twofold, seen: Mask
 ) -> tuple[Belief, Component, Array, bool]:
     """Take in a component; also its predictive variance, and whether that is indefinite."""
-    columns, cov, rounding = belief
+    columns, cov, rounding, _ = belief
     cross = (cov @ row[..., None])[..., 0]
     predictive = row.dot(cross) + noise
     floor = np.maximum(sandwich(row.hi[:, None, :], rounding), 0.0)
@@ -204,6 +218,12 @@ def _take(
     innovation = -(row[:, None, :] @ columns)[:, 0]
     innovation[:, 0] = innovation[:, 0] + value
     gain = cross * weight[:, None]
+    blur = (reach(rounding, row.hi) + np.abs(gain.hi) * floor[:, None]) * weight.hi[:, None]
+    size = (
+        np.abs(gain.hi)
+        * ((np.abs(row.hi) * np.abs(columns.hi[..., 0])).sum(-1) + np.abs(value.hi))[:, None]
+    )
+    moved = blur * np.abs(innovation.hi[:, :1]) + ROUNDING * (np.abs(columns.hi[..., 0]) + size)
     summed = np.abs(gain.hi)[..., None] * (np.abs(row.hi)[:, None, :] @ np.abs(columns.hi))
     columns = cancelled(columns + gain[..., None] * innovation[:, None, :], columns, summed)
     keep = np.eye(cov.shape[-1]) - gain[..., None] * row[:, None, :]
@@ -212,8 +232,9 @@ def _take(
     size = np.eye(cov.shape[-1]) + np.abs(gain.hi[..., None] * row.hi[:, None, :])
     again = ROUNDING * rounded(size, cov.hi, np.zeros_like(cov.hi))
     rounding = sandwich(keep.hi, rounding) + rounded(keep.hi, cov.hi, own.hi) + again
-    after = Belief(columns, keep @ cov @ keep.mT + own, rounding).certain()
-    component = Component(row, gain, innovation, weight, floor * weight.hi)
+    drift = sandwich(keep.hi, belief.drift) + moved[..., None] ** 2 * np.eye(cov.shape[-1])
+    after = Belief(columns, keep @ cov @ keep.mT + own, rounding, drift).certain()
+    component = Component(row, gain, innovation, weight, floor * weight.hi, blur, moved)
     return after, component, predictive.hi, indefinite
 
 
