@@ -289,14 +289,17 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     keep = eye - gain @ matrix
     other = noise + belief.cov
     left = keep @ cov @ keep.mT + gain @ other @ gain.mT
-    rounding = sandwich(keep.hi, own) + sandwich(gain.hi, belief.rounding + predicted.rounding)
+    # Changes E of P and E′ of Q change G (x − m) by (1 − G A) E Aᵀ y − G E′ y.
+    kept = sandwich(keep.hi, own)
+    summed = np.maximum(floor - variances(sandwich(matrix.hi, own)), 0.0)
+    rounding = kept + sandwich(gain.hi, belief.rounding + summed[..., None] * eye)
     rounding = rounding + rounded(keep.hi, cov.hi, cov.hi) + rounded(gain.hi, other.hi, cov.hi)
     shift = belief.columns - predicted.columns
     pull = (inverse @ shift).hi[..., 0]
-    through = sandwich(gain.hi, predicted.rounding)
-    along = variances(sandwich(pull[:, None, :], predicted.rounding))
-    moved = np.sqrt(np.maximum(variances(through) * along, 0.0))
-    moved = moved + reach(own, apply(matrix.hi.mT, pull))
+    along = sandwich(apply(matrix.hi.mT, pull)[:, None, :], own)[:, 0]
+    moved = np.sqrt(np.maximum(variances(kept) * along, 0.0))
+    across = apply(gain.hi**2, summed) * (pull**2 * summed).sum(axis=-1, keepdims=True)
+    moved = moved + np.sqrt(across)
     size = np.abs(cov.hi) @ np.abs(matrix.hi.mT) @ np.abs(inverse.hi) @ np.abs(shift.hi)
     moved = moved + ROUNDING * (size[..., 0] + np.abs(columns.hi[..., 0]))
     drift = sandwich(keep.hi, drift) + sandwich(gain.hi, belief.drift)

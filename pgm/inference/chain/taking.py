@@ -207,32 +207,36 @@ def _take(
     belief: Belief, row: Twofold, value: Twofold, noise: Twofold, seen: Mask
 ) -> tuple[Belief, Component, Array, bool]:
     """Take in a component; also its predictive variance, and whether that is indefinite."""
-    columns, cov, rounding, _ = belief
+    columns, cov, rounding, drift = belief
+    size = cov.shape[-1]
     cross = (cov @ row[..., None])[..., 0]
     predictive = row.dot(cross) + noise
-    floor = np.maximum(sandwich(row.hi[:, None, :], rounding), 0.0)
-    floor = (floor + rounded(row.hi[:, None, :], cov.hi, noise.hi[:, None, None]))[:, 0, 0]
+    line, mean = row.hi[:, None, :], np.abs(columns.hi[..., 0])
+    blurred = np.maximum(sandwich(line, rounding)[:, 0, 0], 0.0)
+    summed = rounded(line, cov.hi, noise.hi[:, None, None])[:, 0, 0]
+    floor = blurred + summed
     indefinite = not np.isfinite(floor).all() or bool((predictive.hi < -CLEAR * floor).any())
     read = seen & (predictive.hi > CLEAR * floor)
     weight = twofold.where(read, 1.0 / twofold.where(read, predictive, 1.0), 0.0)
     innovation = -(row[:, None, :] @ columns)[:, 0]
     innovation[:, 0] = innovation[:, 0] + value
     gain = cross * weight[:, None]
-    blur = (reach(rounding, row.hi) + np.abs(gain.hi) * floor[:, None]) * weight.hi[:, None]
-    size = (
-        np.abs(gain.hi)
-        * ((np.abs(row.hi) * np.abs(columns.hi[..., 0])).sum(-1) + np.abs(value.hi))[:, None]
-    )
-    moved = blur * np.abs(innovation.hi[:, :1]) + ROUNDING * (np.abs(columns.hi[..., 0]) + size)
-    summed = np.abs(gain.hi)[..., None] * (np.abs(row.hi)[:, None, :] @ np.abs(columns.hi))
-    columns = cancelled(columns + gain[..., None] * innovation[:, None, :], columns, summed)
-    keep = np.eye(cov.shape[-1]) - gain[..., None] * row[:, None, :]
+    keep = np.eye(size) - gain[..., None] * row[:, None, :]
     own = (gain * noise[:, None])[..., None] * gain[:, None, :]
+    # A change E of P changes G by (1 − G h) E hᵀ/S.
+    kept = sandwich(keep.hi, rounding)
+    blur = np.sqrt(np.maximum(variances(kept) * blurred[:, None], 0.0))
+    blur = (blur + np.abs(gain.hi) * summed[:, None]) * weight.hi[:, None]
+    added = (np.abs(row.hi) * mean).sum(axis=-1) + np.abs(value.hi)
+    moved = blur * np.abs(innovation.hi[:, :1])
+    moved = moved + ROUNDING * (mean + np.abs(gain.hi) * added[:, None])
+    terms = np.abs(gain.hi)[..., None] * (np.abs(line) @ np.abs(columns.hi))
+    columns = cancelled(columns + gain[..., None] * innovation[:, None, :], columns, terms)
     # What rounding has left of a zero in 1 − G h is squared.
-    size = np.eye(cov.shape[-1]) + np.abs(gain.hi[..., None] * row.hi[:, None, :])
-    again = ROUNDING * rounded(size, cov.hi, np.zeros_like(cov.hi))
-    rounding = sandwich(keep.hi, rounding) + rounded(keep.hi, cov.hi, own.hi) + again
-    drift = sandwich(keep.hi, belief.drift) + moved[..., None] ** 2 * np.eye(cov.shape[-1])
+    again = np.eye(size) + np.abs(gain.hi[..., None] * line)
+    again = ROUNDING * rounded(again, cov.hi, np.zeros_like(cov.hi))
+    rounding = kept + rounded(keep.hi, cov.hi, own.hi) + again
+    drift = sandwich(keep.hi, drift) + moved[..., None] ** 2 * np.eye(size)
     after = Belief(columns, keep @ cov @ keep.mT + own, rounding, drift).certain()
     component = Component(row, gain, innovation, weight, floor * weight.hi, blur, moved)
     return after, component, predictive.hi, indefinite
