@@ -60,6 +60,8 @@ class Update(NamedTuple):
     unit, pivots : ndarray
         (d, d, runs), (d, runs): S = U diag(pivots) Uᵀ with 1 on the diagonal of a lower U, of
         which only what is below the diagonal is there.
+    mild : bool
+        Whether no variance has fallen by more than a thousand.
     """
 
     mean: Array
@@ -67,6 +69,7 @@ class Update(NamedTuple):
     log_density: Array
     unit: Array
     pivots: Array
+    mild: bool
 
     @property
     def lower(self) -> Array:
@@ -148,7 +151,19 @@ def update(
     log_density += log_det
     log_density += height * LOG_2PI
     log_density *= -0.5
-    return Update(new_mean, new_cov, log_density, unit, pivots)
+    return Update(new_mean, new_cov, log_density, unit, pivots, mild)
+
+
+def open_share(cov: Array) -> float:
+    """The smallest share of a variance that the components before it leave open.
+
+    Of covariances (n, n, runs); components without a variance do not count.
+    """
+    cov = cov.copy()
+    variances = np.einsum("iir->ir", cov)
+    variances[variances == 0.0] = 1.0
+    whole = variances.copy()
+    return float((_eliminate(cov) / whole).min(initial=1.0))
 
 
 def _eliminate(matrix: Array, right: Array | None = None) -> Array:

@@ -28,6 +28,8 @@ Moments = tuple[Array, Array]
 MANY = 32
 # And so many at a time: what a step touches then stays in a cache of some megabytes.
 MOST = 10_000
+# Between readings that are mild, beliefs are looked at every so many steps.
+_EVERY = 8
 
 
 def suits(plan: ChainPlan) -> bool:
@@ -48,15 +50,16 @@ class Filtered:
     ----------
     mean, cov, log_density : ndarray
         As of a `Forward`.
-    sharpest : float
-        The largest Σ_j (HᵀR⁻¹H)_jj σ_j² of the readings looked at.
+    closest : float
+        The smallest share of a variance that the components before it leave open, of the beliefs
+        looked at: those after sharp readings, and of some steps between.
     """
 
     plan: ChainPlan
     mean: Array
     cov: Array
     log_density: Array
-    sharpest: float = 0.0
+    closest: float = 1.0
 
     @cached_property
     def whole(self) -> Forward:
@@ -72,7 +75,7 @@ def run(plan: ChainPlan) -> Forward | None:
     out = Forward.empty(plan)
     predicted = runs_last(out.predicted_mean), runs_last(out.predicted_cov)
     kept = runs_last(out.mean), runs_last(out.cov)
-    return out if _run(plan, predicted, kept, out.log_density, store=True) else None
+    return None if _run(plan, predicted, kept, out.log_density, store=True) is None else out
 
 
 def filtered(plan: ChainPlan) -> Filtered | None:
@@ -80,27 +83,31 @@ def filtered(plan: ChainPlan) -> Filtered | None:
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
     mean, cov = vacant(shape, (size,)), vacant(shape, (size, size))
     log_density = np.empty(shape)
-    parts = math.ceil(plan.runs / MOST)
+    parts, closest = math.ceil(plan.runs / MOST), 1.0
     edges = [part * plan.runs // parts for part in range(parts + 1)]
     for runs in map(slice, edges, edges[1:]):
         part = plan.of(runs) if parts > 1 else plan
         # One row serves all steps.
         predicted = np.empty((1, size, part.runs)), np.empty((1, size, size, part.runs))
         kept = runs_last(mean)[..., runs], runs_last(cov)[..., runs]
-        if not _run(part, predicted, kept, log_density[:, runs], store=False):
+        found = _run(part, predicted, kept, log_density[:, runs], store=False)
+        if found is None:
             return None
-    return Filtered(plan, mean, cov, log_density)
+        closest = min(closest, found)
+    return Filtered(plan, mean, cov, log_density, closest)
 
 
 def _run(
     plan: ChainPlan, predicted: Moments, kept: Moments, log_density: Array, *, store: bool
-) -> bool:
+) -> float | None:
+    """Sweep, and return how close components come; None where a number is not finite."""
+    closest = 1.0
     memory.retain()
     move = Move(plan.transition[0], store=store)
     reads = [Read(sensor, store=store) for sensor in plan.sensors]
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):  # see above
         try:
-            _sweep(plan, move, reads, predicted, kept, log_density)
+            closest = _sweep(plan, move, reads, predicted, kept, log_density)
             # A covariance that is not finite stays so from one step to the next.
             total = kept[0].sum() + kept[1][-1].sum() + log_density.sum()
             done = bool(np.isfinite(total))
@@ -108,7 +115,7 @@ def _run(
             done = False
     for prepared in (move, *reads):
         prepared.settle(lost=not done)
-    return done
+    return closest if done else None
 
 
 def _sweep(
@@ -118,7 +125,8 @@ def _sweep(
     predicted: Moments,
     kept: Moments,
     log_density: Array,
-) -> None:
+) -> float:
+    closest = 1.0
     first, spread = start(plan, linearise=True)
     predicted[0][0], predicted[1][0] = np.moveaxis(first, 0, -1), np.moveaxis(spread, 0, -1)
     for step in range(plan.steps + 1):
@@ -126,13 +134,17 @@ def _sweep(
         belief = predicted[0][row], predicted[1][row]
         if step:
             move.predict(step - 1, kept[0][step - 1], kept[1][step - 1], belief)
-        log_density[step] = _update(plan, reads, step, belief, (kept[0][step], kept[1][step]))
+        known = kept[0][step], kept[1][step]
+        log_density[step], mild = _update(plan, reads, step, belief, known)
+        if not (mild and step % _EVERY):
+            closest = min(closest, along_runs.open_share(known[1]))
+    return closest
 
 
 def _update(
     plan: ChainPlan, reads: list[Read], step: int, belief: Moments, kept: Moments
-) -> Array | float:
-    """Take the readings of a step into a belief; their log-density."""
+) -> tuple[Array | float, bool]:
+    """Take the readings of a step into a belief; their log-density, and whether they are mild."""
     mean, cov = belief
     parts = [
         read.read(step, row, mean, cov)
@@ -141,20 +153,20 @@ def _update(
     ]
     if not parts:
         kept[0][...], kept[1][...] = mean, cov
-        return 0.0
+        return 0.0, True
     if len(parts) == 1:
         [(matrix, residual, noise, sharp)], least = parts, NEGLIGIBLE
     else:
         (matrix, residual, noise), sharp, least = _stacked(parts), None, NEARLY_SINGULAR
     found = along_runs.update(mean, cov, matrix, residual, noise, kept, sharp=sharp, least=least)
     if found is not None:
-        return found.log_density
+        return found.log_density, found.mild
     if not all(read.store for read in reads):
         raise Unusual
     runs_first = np.moveaxis(mean, -1, 0), np.moveaxis(cov, -1, 0)
     new_mean, new_cov, log_density = update(sensors_due(plan.sensors, step), step, *runs_first)
     kept[0][...], kept[1][...] = np.moveaxis(new_mean, 0, -1), np.moveaxis(new_cov, 0, -1)
-    return log_density
+    return log_density, False
 
 
 def _stacked(parts: list[Reading]) -> tuple[Array, Array, Array]:
