@@ -410,8 +410,9 @@ NOISES = [
     function_row(
         "a noise that raises",
         ModelError,
-        ("x", "noise", "IndexError"),
+        ("x", "noise", "step 1", "IndexError"),
         robot(cov=noisy(lambda k: k[..., 7])),
+        step=1,
     ),
 ]
 
@@ -547,9 +548,9 @@ DURING = [
         step=3,
         options={"lineariser": Shrinking("z", 99.0, 3)},
     ),
-    lineariser_row("a lineariser that returns a tuple", ("x", "tuple", "AffineGaussian"), by_tuple),
-    lineariser_row("a lineariser of 2 rows", ("x", "(1, 2, 3)", "(3, 3)"), turned),
-    lineariser_row("a lineariser of 6 columns", ("x", "(1, 3, 6)", "(3, 3)"), too_wide),
+    lineariser_row("a lineariser that returns a tuple", ("x", "step 1", "tuple", "AffineG"), by_tuple, step=1),
+    lineariser_row("a lineariser of 2 rows", ("x", "step 1", "(1, 2, 3)", "(3, 3)"), turned, step=1),
+    lineariser_row("of 6 columns", ("x", "step 1", "(1, 3, 6)", "(3, 3)"), too_wide, step=1),
     lineariser_row("a lineariser of NaN", ("x", "step 1", "NaN"), blank, step=1),
     refusal(
         "too few samples",
