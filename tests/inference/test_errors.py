@@ -69,7 +69,17 @@ CPDS = [
     model_row("a number for a matrix", gaussian(1.0), "pair", "()", "(2, 2)", variable=pair),
     model_row("asymmetric", gaussian(NOT_SYMMETRIC), "pair", "not symmetric", variable=pair),
     model_row("indefinite", gaussian(INDEFINITE), "pair", "negative", "-1", variable=pair),
-    model_row("infinite", gaussian([[np.inf, 0], [0, 1]]), "pair", "infinite", variable=pair),
+    model_row("infinite", gaussian([[1, np.inf], [np.inf, 1]]), "pair", "infinite", variable=pair),
+    model_row(
+        "infinite in part", gaussian([[np.inf, 1], [1, 1]]), "pair", "must be 0", variable=pair
+    ),
+    model_row(
+        "an infinite noise",
+        lambda: pgm.LinearGaussianCPD(pair, {a: [[1], [1]]}, cov=[[np.inf, 0], [0, 1]]),
+        "pair",
+        "infinite",
+        variable=pair,
+    ),
     model_row(
         "a negative variance", lambda: pgm.GaussianCPD(a, 0.0, -0.5), "a", "-0.5", variable=a
     ),
