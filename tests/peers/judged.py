@@ -1,6 +1,7 @@
 """Beliefs of a chain beside those of statsmodels, or where these lose digits of 300 digits."""
 
 import warnings
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -76,13 +77,34 @@ def by_reference(chain, count):
     )
 
 
+def by_limit(chain, count):
+    """Of a flat prior, the limit of wide ones: what exceeds any bound is infinite."""
+    x, [prior] = chain.x, chain.model.prior
+    flat = np.isinf(prior.cov)
+
+    def widened(variance):
+        start = pgm.GaussianCPD(x, prior.mean, np.where(flat, variance, prior.cov))
+        return by_reference(replace(chain, model=chain.model.replace(prior=[start])), count)
+
+    found, wider = widened(1e60), widened(1e80)
+    # ½ ln κ is lost for every direction that the readings determine.
+    unit = 0.5 * np.log(1e20)
+    directions = round((found.log_evidence - wider.log_evidence) / unit)
+    found.log_evidence += directions * 3.0 * unit
+    for _, cov in (found.predicted, found.filtered, found.smoothed):
+        lost = np.diagonal(cov, 0, 1, 2) > 1e50
+        cov[lost[:, :, None] | lost[:, None, :]] = 0.0
+        cov[lost[:, :, None] & np.eye(x.dimension, dtype=bool)] = np.inf
+    return found
+
+
 def faults(chain, due, count, settled=0):
     """The differences that are too large, by what they are in.
 
     Means may be off by 1e-6 deviations (or 1e-9, of a large mean 1e-9 of it), covariances by 1e-6
     of the product of two; a deviation smaller than a thirtieth of the usual one of its component
-    counts as that. The first `settled` steps of predictions and the filter, which were diffuse, do
-    not count.
+    counts as that. The first `settled` steps of predictions, the filter and neighbours do not
+    count: they were diffuse, for which statsmodels has its own conventions (zeros, for neighbours).
     """
     found, x, first = chain.smooth(), chain.x, chain.first
     small = typical(due.predicted[1]) / 30.0
@@ -101,14 +123,17 @@ def faults(chain, due, count, settled=0):
         deviation = np.sqrt(np.maximum(np.diagonal(cov, 0, 1, 2), 0.0))
         unit = np.maximum(deviation, small)
         least = np.maximum(deviation, 1e-3 * np.maximum(1.0, np.abs(mean)))
+        open_, ours = np.isinf(cov), belief.cov[got]
+        note(f"{what} infinite", np.any(open_ != np.isinf(ours)))
         note(f"{what} mean", np.abs(belief.mean[got] - mean) / least)
-        note(f"{what} cov", np.abs(belief.cov[got] - cov) / (unit[:, None] * unit[..., None]))
+        difference = np.where(open_, 0.0, ours) - np.where(open_, 0.0, cov)
+        note(f"{what} cov", np.abs(difference) / (unit[:, None] * unit[..., None]))
         return unit
 
     moments("predicted", found.predicted[x], due.predicted, settled)
     moments("filtered", found.filtered[x], due.filtered, settled)
     units = moments("smoothed", found[x], due.smoothed, 0)
-    for t in sorted({0, count // 2, count - 2} & set(range(count - 1))):
+    for t in sorted({settled, count // 2, count - 2} & set(range(settled, count - 1))):
         joint = found.joint(x.at(first + t), x.at(first + t + 1)).cov
         difference = np.abs(joint[size:, :size] - due.neighbours[t])
         note(f"neighbours {t}, {t + 1}", difference / np.outer(units[t + 1], units[t]))

@@ -6,13 +6,11 @@ import warnings
 import numpy as np
 import pytest
 
-import pgm
-
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # statsmodels' own
     pytest.importorskip("statsmodels", reason="statsmodels comes with the extra bench")
     models = importlib.import_module("peers.statsmodels_models")
-from peers.judged import by_reference, by_statsmodels, faults, made
+from peers.judged import by_limit, by_reference, by_statsmodels, faults, made
 from peers.statsmodels_chain import statsmodels_chain
 
 
@@ -24,14 +22,30 @@ def test_models_equal_statsmodels(name):
     assert not faults(chain, due, ssm.nobs)
 
 
-@pytest.mark.parametrize("name", models.DIFFUSE)
+@pytest.mark.parametrize("name", sorted(models.DIFFUSE.keys() - models.LEFT_OPEN))
 def test_diffuse_models_equal_statsmodels(name):
     ssm, result = made(models.DIFFUSE[name])
-    try:
-        chain = statsmodels_chain(ssm)
-    except pgm.ModelError as error:
-        pytest.skip(f"no diffuse priors: {error}")
+    chain = statsmodels_chain(ssm)
     assert not faults(chain, by_statsmodels(result), ssm.nobs, result.nobs_diffuse)
+
+
+LONG = "SARIMA(0,1,1)(0,1,1,12)"  # 27 states
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(models.LEFT_OPEN - {LONG}),
+        pytest.param(LONG, marks=pytest.mark.slow),
+        "local linear trend",
+        "diffuse in part, gaps",
+    ],
+)
+def test_diffuse_models_equal_the_limit_of_wide_priors(name):
+    ssm, result = made(models.DIFFUSE[name])
+    chain = statsmodels_chain(ssm)
+    settled = result.nobs_diffuse if name == "seasonal of frequencies" else 0
+    assert not faults(chain, by_limit(chain, ssm.nobs), ssm.nobs, settled)
 
 
 @pytest.mark.parametrize(

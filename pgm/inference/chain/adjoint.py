@@ -80,14 +80,14 @@ class Smooth(NamedTuple):
         What is read from its step on.
     back : Back or None
         Where in some run the belief was found from that of the slice after it.
-    error : ndarray
-        (runs,): the part of a variance that rounding may have changed.
+    parts : ndarray
+        (runs, n): the parts of variances that rounding may have changed.
     """
 
     belief: Belief
     here: Later
     back: Back | None
-    error: Array
+    parts: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +122,12 @@ class CarefulSmoothed:
 
     @property
     def error(self) -> Array:
-        """The largest part of a variance that rounding may have changed, (runs,)."""
-        largest: Array = np.max([each.error for each in self.slices], axis=0)
+        """Of the means, (runs,); see `Belief.error`."""
+        errors = [
+            each.belief.error(variance, each.parts)
+            for each, variance in zip(self.slices, self.careful.largest, strict=True)
+        ]
+        largest: Array = np.max(errors, axis=0)
         return np.maximum(largest, self.careful.error)
 
     @property
@@ -168,13 +172,15 @@ def smoothed(careful: Careful, last: int) -> list[Smooth]:
     out: list[Smooth] = []
     for step in range(last, -1, -1):
         made = careful.steps[step]
-        belief, error, back = *_given(made.known, later, blurred), None
-        if out and (error > _CLOSE).any():
-            gain, other, its_error = _reversed(made.known, careful.steps[step + 1], out[-1])
-            back = Back(gain, (its_error < error)[:, None, None])
-            belief, error = _either(back.lost, other, belief), np.minimum(error, its_error)
+        belief, parts, back = *_given(made.known, later, blurred), None
+        if out and (parts > _CLOSE).any():
+            gain, other, error = _reversed(made.known, careful.steps[step + 1], out[-1])
+            lost = error < parts.max(axis=-1)
+            back = Back(gain, lost[:, None, None])
+            belief = _either(back.lost, other, belief)
+            parts = np.where(lost[:, None], error[:, None], parts)
         here = later.before(made.components)
-        out.append(Smooth(belief, here, back, error))
+        out.append(Smooth(belief, here, back, parts))
         for component in made.components:
             blurred = np.maximum(blurred, component.error)
         if made.matrix is not None:
@@ -229,7 +235,7 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
 
 
 def _given(known: Belief, later: Later, blurred: Array) -> tuple[Belief, Array]:
-    """A belief with what is read after its step, and the part of a variance that may be rounding.
+    """A belief with what is read after its step, and the parts of variances that may be rounding.
 
     `blurred` is the largest part of an innovation's variance, after the step, that may be rounding.
     """
@@ -241,8 +247,7 @@ def _given(known: Belief, later: Later, blurred: Array) -> tuple[Belief, Array]:
         columns + cov @ later.vector, left, rounding[..., None] * np.eye(before.shape[-1])
     )
     after = np.maximum(variances(left.hi), rounding)
-    error = (rounding / np.where(after > 0.0, after, np.inf)).max(axis=-1)
-    return found.certain(), error
+    return found.certain(), rounding / np.where(after > 0.0, after, np.inf)
 
 
 def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belief, Array]:
@@ -262,7 +267,7 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     rounding = sandwich(keep.hi, known.rounding) + sandwich(gain.hi, belief.rounding)
     mean = columns + gain @ (belief.columns - after.predicted.columns)
     proper = np.where(pivots.hi > 0.0, pivots.hi, np.inf)
-    error = (variances(after.predicted.rounding) / proper).max(axis=-1) + later.error
+    error = (variances(after.predicted.rounding) / proper).max(axis=-1) + later.parts.max(axis=-1)
     return gain, Belief(mean, _symmetric(left), rounding).certain(), error
 
 

@@ -19,6 +19,7 @@ Durbin & Koopman, Time series analysis by state space methods, 2012, sections 5.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,16 @@ from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Point
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.reading import Reading, Updated, take
-from pgm.inference.chain.taking import Belief, Component, Taken, hold, rounded, update
+from pgm.inference.chain.taking import (
+    Belief,
+    Component,
+    Taken,
+    cancelled,
+    hold,
+    rounded,
+    update,
+    variances,
+)
 from pgm.inference.chain.update import linearise_sensor, sensors_due
 from pgm.inference.chain.whitened import distinct
 from pgm.inference.family import Family
@@ -82,10 +92,19 @@ class Careful:
     steps: list[Step]
     unknown: Solved
 
+    @cached_property
+    def largest(self) -> Array:
+        """The largest predicted variances so far, (T+1, runs, n)."""
+        predicted = np.array([variances(step.predicted.cov.hi) for step in self.steps])
+        found: Array = np.maximum.accumulate(predicted, axis=0)
+        return found
+
     @property
     def error(self) -> Array:
-        """The largest part of a variance that rounding may have changed, (runs,)."""
-        largest: Array = np.max([step.known.error for step in self.steps], axis=0)
+        """Of the means, (runs,); see `Belief.error`."""
+        known = [step.known for step in self.steps]
+        errors = [belief.error(each) for belief, each in zip(known, self.largest, strict=True)]
+        largest: Array = np.max(errors, axis=0)
         return largest
 
     def to(self, step: int) -> Solved:
@@ -280,7 +299,8 @@ def _regular(noise: Array, flat: Mask) -> Twofold:
 
 
 def _predict(belief: Belief, move: Move) -> Belief:
-    columns = move.matrix @ belief.columns
+    summed = np.abs(move.matrix.hi) @ np.abs(belief.columns.hi)
+    columns = cancelled(move.matrix @ belief.columns, summed)
     columns[..., 0] = columns[..., 0] + move.offset
     cov = move.matrix @ belief.cov @ move.matrix.mT + move.cov
     rounding = sandwich(move.matrix.hi, belief.rounding)

@@ -41,7 +41,8 @@ class Solved(NamedTuple):
 def solved(whole: Twofold) -> Solved:
     """The estimate of δ from W = Σ [v V]ᵀ[v V] / S, (runs, 1 + q, 1 + q).
 
-    With M = Σ VᵀV / S and y = Σ Vᵀv / S it is δ = −M⁻¹y; its covariance M⁻¹.
+    With M = Σ VᵀV / S and y = Σ Vᵀv / S it is δ = −M⁻¹y; its covariance M⁻¹. Where M is singular,
+    its determinant is the product of the eigenvalues that are not zero: the limit of priors κ I.
     """
     runs, size = whole.shape[0], whole.shape[-1] - 1
     weights = Twofold(np.zeros((runs, size + 1, 1)))
@@ -57,6 +58,9 @@ def solved(whole: Twofold) -> Solved:
     weights[:, 1:] = mean
     level = -(whole[:, :1, 1:] @ mean).hi[:, 0, 0]
     log_det = np.log(np.where(known, pivots.hi, 1.0)).sum(axis=-1)
+    if not known.all():
+        spanned = np.where(known[:, None, :], unit.hi, 0.0)
+        log_det += np.linalg.slogdet(spanned.mT @ spanned + np.eye(size) * ~known[:, None, :])[1]
     open_ = np.where(known[:, None, :], 0.0, twofold.solve_unit(unit, one).mT.hi)
     return Solved(weights, cov, open_, 0.5 * (level - log_det))
 

@@ -15,6 +15,10 @@ from pgm.kernels.twofold import Twofold
 
 # The part of what is summed up to a variance that rounding may change.
 ROUNDING = 1e-31
+# The share of the largest deviation of a component below which deviations are not told apart.
+_TOLD = 1e-9
+# The part of what is summed up to an entry of D below which it is rounding.
+_CANCELLED = 1e-26
 # By so much a variance has to exceed what rounding may have made of a zero.
 CLEAR = 100.0
 
@@ -60,12 +64,26 @@ class Belief(NamedTuple):
     rounding: Array
 
     @property
-    def error(self) -> Array:
-        """The largest part of a variance that rounding may have changed, (runs,)."""
+    def parts(self) -> Array:
+        """The parts of variances that rounding may have changed, (runs, n)."""
         variance = variances(self.cov.hi)
-        part = variances(self.rounding) / np.where(variance > 0.0, variance, np.inf)
-        largest: Array = part.max(axis=-1)
-        return largest
+        found: Array = variances(self.rounding) / np.where(variance > 0.0, variance, np.inf)
+        return found
+
+    def error(self, largest: Array, parts: Array | None = None) -> Array:
+        """What rounding may have changed a mean by, (runs,).
+
+        Counted from its deviation, or from 10⁻⁹ of the largest deviation that the component had,
+        variance `largest` (runs, n), where that is more: float64 cannot tell less than 10⁻¹⁶ of it.
+        """
+        if parts is None:
+            parts = self.parts
+        variance = variances(self.cov.hi)
+        least = _TOLD**2 * largest
+        with np.errstate(under="ignore"):
+            share = np.sqrt(variance / np.where(variance < least, least, np.inf))
+        found: Array = (parts * np.where(variance < least, share, 1.0)).max(axis=-1, initial=0.0)
+        return found
 
     def shifted(self, mean: Array) -> Belief:
         """With another mean, by so much."""
@@ -83,6 +101,16 @@ class Belief(NamedTuple):
         return self._replace(
             cov=twofold.where(both, self.cov, 0.0), rounding=np.where(both, self.rounding, 0.0)
         )
+
+
+def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
+    """[m D] with zeros in D where all that is left of what was summed up may be rounding."""
+    if columns.shape[-1] == 1:
+        return columns
+    size = sum(np.abs(part.hi if isinstance(part, Twofold) else part) for part in summed)
+    nothing = np.abs(columns.hi) <= _CANCELLED * size
+    nothing[..., 0] = False
+    return twofold.where(nothing, 0.0, columns)
 
 
 def rounded(matrix: Array, cov: Array, noise: Array) -> Array:
@@ -167,7 +195,8 @@ def _take(
     innovation = -(row[:, None, :] @ columns)[:, 0]
     innovation[:, 0] = innovation[:, 0] + value
     gain = cross * weight[:, None]
-    columns = columns + gain[..., None] * innovation[:, None, :]
+    summed = np.abs(gain.hi)[..., None] * (np.abs(row.hi)[:, None, :] @ np.abs(columns.hi))
+    columns = cancelled(columns + gain[..., None] * innovation[:, None, :], columns, summed)
     keep = np.eye(cov.shape[-1]) - gain[..., None] * row[:, None, :]
     own = (gain * noise[:, None])[..., None] * gain[:, None, :]
     # What rounding has left of a zero in 1 − G h is squared.
