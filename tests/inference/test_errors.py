@@ -506,6 +506,13 @@ EXACT, EXACT_LOOK = exact_robot()
 STILL = pgm.DynamicBayesianNetwork([prior(a)], [walk(a, cov=0.0)], [linear(w, a, cov=0.0)])
 SEES_A = STILL.replace(observation=[pgm.LinearGaussianCPD(w, {a: 1.0}, cov=0.0)])
 
+# The predictive variance is positive, 9.1, though that of the reading's error is negative.
+ROUGH = pgm.DynamicBayesianNetwork(
+    [prior(a, 9.0)],
+    [walk(a, cov=0.1)],
+    [pgm.NonlinearGaussianCPD(w, a, np.sin, 0.01, lineariser=Shrinking("w", 0.9, 2))],
+)
+
 DURING = [
     function_row(
         "a motion that is infinite at step 3",
@@ -557,6 +564,20 @@ DURING = [
         2,
         step=3,
         options={"lineariser": Shrinking("z", 99.0, 3)},
+    ),
+    *(
+        refusal(
+            f"a belief made indefinite by the last reading, {way.__name__}",
+            lambda way=way: way(ROUGH, {w: pgm.sightings([[0.0]], [2])}, steps=2),
+            NumericalError,
+            "step 2",
+            "indefinite",
+            "Shrinking()",
+            variable=w,
+            step=2,
+            cpd=ROUGH.observation[0],
+        )
+        for way in (pgm.filter, pgm.smooth)
     ),
     lineariser_row("a lineariser that returns a tuple", ("x", "step 1", "tuple", "AffineG"), by_tuple, step=1),
     lineariser_row("a lineariser of 2 rows", ("x", "step 1", "(1, 2, 3)", "(3, 3)"), turned, step=1),

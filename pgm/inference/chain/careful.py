@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.errors import LinearisationError
+from pgm.errors import LinearisationError, NumericalError
 from pgm.inference.chain import forward
 from pgm.inference.chain.flat import Solved, moments, solved
 from pgm.inference.chain.forward import Forward
@@ -46,7 +46,7 @@ from pgm.inference.chain.whitened import distinct
 from pgm.inference.family import Family
 from pgm.inference.schedule import Filtering
 from pgm.inference.status import Status
-from pgm.kernels import twofold
+from pgm.kernels import roots, twofold
 from pgm.kernels.arrays import Array, Mask, block, sandwich
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
@@ -135,6 +135,7 @@ def sweep(
     matrix: Twofold | None = None
     noise: Twofold | None = None
     every = None if schedule is not None else _transition(plan, slice(None))
+    rough = forward.rough(plan)
     for step in range(plan.steps + 1):
         if step:
             if every is None:
@@ -157,6 +158,8 @@ def sweep(
         out.mean[step], out.cov[step] = found.mean, found.cov
         out.log_density[step] = found.log_density
         steps.append(Step(matrix, noise, predicted, belief, found.components, information))
+        if rough:
+            _require_proper(rough, step, predicted, belief)
     return Careful(out, steps, unknown), Status.of(record, converged, plan.lead)
 
 
@@ -306,6 +309,21 @@ def _predict(belief: Belief, move: Move) -> Belief:
     rounding = sandwich(move.matrix.hi, belief.rounding)
     rounding = rounding + rounded(move.matrix.hi, belief.cov.hi, move.cov.hi)
     return Belief(columns, cov, rounding).certain()
+
+
+def _require_proper(rough: list[Family], step: int, *beliefs: Belief) -> None:
+    """Refuse beliefs that a lineariser's error has made indefinite."""
+    if all(roots.is_proper(roots.root(belief.cov.hi)) for belief in beliefs):
+        return
+    blamed = next((family for family in rough if step in family.step), rough[0])
+    raise NumericalError(
+        f"the belief at step {step} has an indefinite covariance, by the error of "
+        f"{blamed.lineariser!r} for {blamed.cpd!r}; use a rule with positive weights or more "
+        "samples",
+        variable=blamed.cpd.child,
+        cpd=blamed.cpd,
+        step=step,
+    )
 
 
 def _linearise_motion(plan: ChainPlan, step: int, mean: Array, cov: Array) -> None:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.inference.chain.backward import transition
-from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.forward import Forward, rough
 from pgm.inference.chain.likelihoods import Readings
 from pgm.inference.chain.many import Filtered
 from pgm.inference.chain.plan import ChainPlan
@@ -36,8 +36,9 @@ def is_flat(plan: ChainPlan) -> bool:
 
 
 def suffices(plan: ChainPlan, swept: Forward | Filtered) -> bool:
-    """Whether a forward pass has kept its digits."""
-    return worst(plan, swept) < _MODERATE
+    """Whether a forward pass has kept its digits, and no lineariser has made it indefinite."""
+    proper = not rough(plan) or roots.is_proper(roots.root(swept.cov))
+    return proper and worst(plan, swept) < _MODERATE
 
 
 def worst(plan: ChainPlan, swept: Forward | Filtered) -> float:
