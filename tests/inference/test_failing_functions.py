@@ -215,7 +215,8 @@ ODD = {
 def test_a_function_that_returns_something_odd(way, runs, odd):
     function, told = ODD[odd]
     run = None if odd == "a shape" else RUN if runs else 0  # a shape is that of all rows at once
-    words = f"^the function of the CPD of x at step 4{'' if run is None else f', run {run},'} {told}"
+    which = "" if run is None else f", run {run},"
+    words = f"^the function of the CPD of x at step 4{which} {told}"
     with pytest.raises(pgm.ModelError, match=words) as e:
         way(model(returning(function)), evidence(runs))
     assert (e.value.step, e.value.run) == (STEP, run)

@@ -99,7 +99,7 @@ def follow(cov, exact=()):
 
 
 def solved(values, cov, at):
-    """Means and variances of `follow`, linearised at s₁ ... s_T, in 50 digits: a tridiagonal system."""
+    """Means and variances of `follow`, linearised at s₁ ... s_T: a tridiagonal system."""
     slopes = [1 + mp.cos(place) / 100 for place in at]
     seen = [
         z - place - mp.sin(place) / 100 + slope * place

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 import pgm
 
@@ -225,7 +226,7 @@ def test_hidden_controls_and_missing_exact_readings_are_projected_too():
 
 
 def test_a_relation_between_components_needs_both():
-    """Two readings with one error tell the difference of two places exactly, where both are seen."""
+    """Readings with one error tell the difference of two places exactly, where both are seen."""
     pair, both = (pgm.Variable(name, components=("east", "north")) for name in "pb")
     shared = np.full((2, 2), 0.5)
     model = pgm.DynamicBayesianNetwork(
@@ -282,3 +283,28 @@ def test_singular_nonlinear_noise_is_refused_from_a_start_too():
     assert pgm.smooth(model, seen, **asked).status.iterations == 1
     with pytest.raises(pgm.ModelError, match=r"s.* is nonlinear and its noise is singular"):
         pgm.smooth(model, seen, start={s: [[1.0], [0.8]]}, **asked)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_flat_prior_costs_nothing(exact):
+    """The optimum is that of all other terms, which scipy finds too."""
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(s, 0.0, np.inf)],
+        [pgm.LinearGaussianCPD(s, {s.previous: 1.0}, cov=0.1)],
+        [
+            pgm.NonlinearGaussianCPD(z, (s,), np.arctan, cov=0.01),
+            pgm.LinearGaussianCPD(y, {s: 1.0}, cov=0.0 if exact else 0.2),
+        ],
+    )
+    seen = {z: np.full((4, 1), 0.3), y: pgm.sightings([[1.0]], [2])}
+    start = {s: np.full((5, 1), 2.5)}
+    found = pgm.smooth(model, seen, start=start, iterations=50, tolerance=1e-10, damping=LM)[s]
+
+    def left(free):
+        place = np.insert(free, 2, 1.0) if exact else free
+        read = [] if exact else [(place[2] - 1.0) / 0.2**0.5]
+        return np.concatenate([np.diff(place) / 0.1**0.5, (np.arctan(place[1:]) - 0.3) / 0.1, read])
+
+    best = least_squares(left, np.ones(4 if exact else 5), xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+    expected = np.insert(best, 2, 1.0) if exact else best
+    np.testing.assert_allclose(found.mean[:, 0], expected, atol=1e-7)
