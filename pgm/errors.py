@@ -12,8 +12,8 @@ class PgmError(Exception):
     ----------
     message : str
         What was found and what to do about it.
-    variable, cpd, cluster, step : optional
-        The objects concerned, for programs that handle the error.
+    variable, cpd, cluster, step, run : optional
+        The objects concerned, for programs that handle the error; a run is counted from 0.
     """
 
     def __init__(
@@ -24,12 +24,14 @@ class PgmError(Exception):
         cpd: Any = None,
         cluster: Any = None,
         step: int | None = None,
+        run: int | None = None,
     ) -> None:
         super().__init__(message)
         self.variable = variable
         self.cpd = cpd
         self.cluster = cluster
         self.step = step
+        self.run = run
 
 
 class ModelError(PgmError, ValueError):

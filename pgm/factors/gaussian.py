@@ -191,7 +191,10 @@ class Gaussian(Immutable):
         """One run of several: the leading axes of runs, or the first of them, indexed."""
         lead = self.mean.ndim - 1 - (self.steps is not None)
         if not all(map(is_whole, index)):
-            raise ModelError(f"a run of {self!r} is given by whole numbers, not by {index}")
+            raise ModelError(
+                f"a run of {self!r} is given by whole numbers, not by {index}; several are taken "
+                "by belief[places]"
+            )
         if len(index) > lead:
             raise ModelError(f"{self!r} has {lead} axes of runs, not {len(index)}")
         return self._make(self.scope, self.mean[index], self.cov[index], self.steps)

@@ -260,58 +260,56 @@ class Family:
                     found = self.lineariser.affine(function, mean, cov)
                 else:
                     found = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
-            affine = found if isinstance(found, Affine) else self._arrays(found, function, mean)
-        except PgmError as error:
+        except Exception as error:
+            told = isinstance(self.lineariser, ArrayLineariser) or getattr(error, "cpd", None)
+            if not isinstance(error, PgmError) or not told:
+                said = f": {type(error).__name__}: {error}"
+                raise self._fault(function, mean, "failed", said, ModelError) from error
             error.cpd = error.cpd or self.cpd
             error.variable = error.variable or self.cpd.child
             if self.timed and error.step is None and isinstance(function.step, int):
                 error.step = function.step
             raise
-        except Exception as error:
-            step = function.step if self.timed and isinstance(function.step, int) else None
-            raise ModelError(
-                f"the lineariser {self.lineariser!r} failed for {self.cpd!r}"
-                f"{'' if step is None else f' at step {step}'}{self._runs(mean)}: "
-                f"{type(error).__name__}: {error}",
-                variable=self.cpd.child,
-                cpd=self.cpd,
-                step=step,
-            ) from error
+        affine = found if isinstance(found, Affine) else self._arrays(found, function, mean)
         if finite and not np.isfinite(_total(affine)):
             self._refuse_non_finite(function, mean, affine)
         return affine
 
-    def _runs(self, mean: Array) -> str:
-        """The runs of a belief, for messages."""
+    def _fault(
+        self,
+        function: BoundFunction,
+        mean: Array,
+        fault: str,
+        more: str,
+        kind: type[PgmError] = LinearisationError,
+    ) -> PgmError:
+        """The error of a lineariser, whose one call may be for many runs."""
+        step = function.step if self.timed and isinstance(function.step, int) else None
         first = self.first_run
         last = first + (mean.shape[-2] if mean.ndim > 1 else 1) - 1
-        return f", run {first}" if first == last else f", in a call for runs {first} to {last}"
+        at = "" if step is None else f" at step {step}"
+        runs = f", run {first}" if first == last else f", in a call for runs {first} to {last}"
+        return kind(
+            f"the lineariser {self.lineariser!r} {fault} for {self.cpd!r}{at}{runs}{more}",
+            variable=self.cpd.child,
+            cpd=self.cpd,
+            step=step,
+            run=first if first == last else None,
+        )
 
     def _arrays(self, affine: Any, function: BoundFunction, mean: Array) -> Affine:
         """What a lineariser that works on Gaussians has returned, its shapes checked."""
         if not isinstance(affine, AffineGaussian):
-            raise LinearisationError(
-                f"the lineariser {self.lineariser!r} returned {type(affine).__name__} for "
-                f"{self.cpd!r}; it must return a pgm.AffineGaussian",
-                variable=self.cpd.child,
-                cpd=self.cpd,
-            )
+            more = "; it must return a pgm.AffineGaussian"
+            raise self._fault(function, mean, f"returned {type(affine).__name__}", more)
         due = (function.angles.size, self.matrix.shape[-1])
         if affine.F.shape[-2:] != due:
-            raise LinearisationError(
-                f"the lineariser {self.lineariser!r} returned an F of shape {affine.F.shape} for "
-                f"{self.cpd!r}; it must end in {due}",
-                variable=self.cpd.child,
-                cpd=self.cpd,
-            )
+            found, more = f"returned an F of shape {affine.F.shape}", f"; it must end in {due}"
+            raise self._fault(function, mean, found, more)
         lead = np.broadcast_shapes(affine.F.shape[:-2], affine.b.shape[:-1], affine.cov.shape[:-2])
         if lead and lead != mean.shape[:-1]:
-            raise LinearisationError(
-                f"the lineariser {self.lineariser!r} returned the leading axes {lead} for "
-                f"{self.cpd!r}; those of the belief are {mean.shape[:-1]}",
-                variable=self.cpd.child,
-                cpd=self.cpd,
-            )
+            more = f"; those of the belief are {mean.shape[:-1]}"
+            raise self._fault(function, mean, f"returned the leading axes {lead}", more)
         return Affine(affine.F, affine.b, affine.cov)
 
     def _refuse_non_finite(self, function: BoundFunction, mean: Array, affine: Affine) -> None:
@@ -333,6 +331,7 @@ class Family:
             variable=self.cpd.child,
             cpd=self.cpd,
             step=step,
+            run=run,
         )
 
     def probe(self, means: Mapping[Variable, Array]) -> None:

@@ -162,7 +162,7 @@ def open_share(cov: Array) -> float:
     cov = cov.copy()
     variances = np.einsum("iir->ir", cov)
     variances[variances == 0.0] = 1.0
-    whole = variances.copy()
+    whole = np.abs(variances)
     return float((_eliminate(cov) / whole).min(initial=1.0))
 
 

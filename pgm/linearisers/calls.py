@@ -55,11 +55,17 @@ class Call:
         try:
             value = function(*arguments)
         except Exception as error:
-            raise self._failure(function, arguments, error) from error
+            said = f"{type(error).__name__}: {error}"
+            axes = f" on a trial call with arrays of leading axes {self.lead}"
+            fault = f"failed{axes if self.first_run is None else ''}: {said}"
+            raise self.error(fault, self._first(function, arguments)) from error
         if type(value) is np.ndarray and value.dtype == np.float64 and value.shape == due:
             return value
-        what = f"the {self.what} of the CPD of {self.child.name}"
-        array = as_floats(value, what, verb="return", variable=self.child, cpd=self.cpd)
+        try:
+            array = as_floats(value, "it", verb="return")
+        except ModelError as error:
+            fault = str(error).removeprefix("it ")
+            raise self.error(fault, self._first(function, arguments)) from error.__cause__
         if array.shape != due:
             raise self.error(
                 f"returned shape {array.shape} where {due} was due; it is called with arrays that "
@@ -68,15 +74,13 @@ class Call:
             )
         return array
 
-    def _failure(
-        self, function: Callable[..., Any], arguments: Sequence[Array], error: Exception
-    ) -> PgmError:
-        said = f"{type(error).__name__}: {error}"
+    def _first(
+        self, function: Callable[..., Any], arguments: Sequence[Array]
+    ) -> tuple[int, ...] | None:
+        """The index of a row to blame; None where none is, or in a trial call."""
         if self.first_run is None:
-            return self.error(
-                f"failed on a trial call with arrays of leading axes {self.lead}: {said}"
-            )
-        return self.error(f"failed: {said}", _first_failure(function, arguments, self.lead))
+            return None
+        return _first_failure(function, arguments, self.lead)
 
     def error(
         self,
@@ -85,19 +89,21 @@ class Call:
         kind: type[PgmError] = ModelError,
     ) -> PgmError:
         """The error of a call, or of the row of it with an index."""
-        step, run = None, ""
+        step = run = None
         if self.step is not None and index is not None:
             step = int(np.broadcast_to(self.step, self.lead)[index])
         elif self.step is not None and np.size(self.step) == 1:
             step = int(np.reshape(self.step, ()))
         if index and self.first_run is not None:
-            run = f", run {self.first_run + index[-1]},"
+            run = self.first_run + index[-1]
         at = "" if step is None else f" at step {step}"
+        which = "" if run is None else f", run {run},"
         return kind(
-            f"the {self.what} of the CPD of {self.child.name}{at}{run} {fault}",
+            f"the {self.what} of the CPD of {self.child.name}{at}{which} {fault}",
             variable=self.child,
             cpd=self.cpd,
             step=step,
+            run=run,
         )
 
 
@@ -120,8 +126,9 @@ def _first_failure(
 
 
 def _fails(function: Callable[..., Any], arguments: Sequence[Array]) -> bool:
+    """Whether a function raises, or returns no numbers."""
     try:
-        function(*arguments)
+        as_floats(function(*arguments), "it")
     except Exception:
         return True
     return False

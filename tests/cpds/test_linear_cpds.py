@@ -113,7 +113,11 @@ COVARIANCES = [
     (-np.eye(2), "negative"),
     ([[1.0, 0.2], [0.0, 1.0]], "not symmetric"),
     ([[np.nan, 0.0], [0.0, 1.0]], "NaN or infinite"),
-    ([[np.inf, 0.0], [0.0, 1.0]], "NaN or infinite"),
+    ([[-np.inf, 0.0], [0.0, 1.0]], "NaN or infinite"),
+    ([[1.0, np.inf], [np.inf, 1.0]], "NaN or infinite"),
+    ([[np.inf, 0.5], [0.5, 1.0]], "NaN or infinite|infinite variance has a covariance"),
+    ([[np.inf, np.nan], [np.nan, 1.0]], "NaN or infinite|infinite variance has a covariance"),
+    ([[np.inf, 0.0], [0.0, np.nan]], "NaN or infinite"),
     ("white", "must be numbers"),
     (None, "NaN or infinite|must be numbers|shape"),
 ]
@@ -133,6 +137,15 @@ def test_malformed_covariances_are_refused(make, cov, words):
         make(cov)
     assert caught.value.variable == X
     assert "x" in str(caught.value)
+
+
+@pytest.mark.parametrize("cov", [np.diag([np.inf, 1.0]), np.diag([np.inf, np.inf])])
+def test_only_a_prior_may_be_flat(cov):
+    assert_array_equal(GaussianCPD(X, [0, 0], cov).cov, cov)
+    with pytest.raises(pgm.ModelError, match="NaN or infinite"):
+        LinearGaussianCPD(X, {U: 1.0}, cov=cov)
+    with pytest.raises(pgm.ModelError, match="NaN or infinite"):
+        pgm.NonlinearGaussianCPD(X, U, np.sin, cov)
 
 
 @pytest.mark.parametrize("cov", [np.diag([1e6, -1e-5]), [[1e6, 2.0], [2.0, 1e-6]]])

@@ -194,7 +194,7 @@ def test_the_gain_is_a_paired_difference():
     without = []
     for run in range(12):  # the jackknife
         rest = [k for k in range(12) if k != run]
-        some = {name: belief.run(np.array(rest)) for name, belief in kinds.items()}
+        some = {name: belief[rest] for name, belief in kinds.items()}
         without.append(gain(some, drive.truth[rest])["smoother"][0])
     jackknife = np.sqrt(11 / 12 * np.sum((np.array(without) - np.mean(without)) ** 2))
     assert error == pytest.approx(jackknife, rel=0.3)

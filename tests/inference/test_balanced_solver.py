@@ -1,5 +1,7 @@
 """Solving in logarithmic rounds against solving step by step, from the same first linearisation."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from robots import DRIVE, SENSORS, T, drive_cpd, m, network, u, x
@@ -287,12 +289,42 @@ def test_a_nonlinear_filter_has_to_wait_for_its_beliefs():
         pgm.infer(graph, evidence, schedule=pgm.Filtering())
 
 
-def test_an_exact_sensor_of_a_static_state_has_no_element():
+@pytest.mark.parametrize("mean", [0, 3])
+@pytest.mark.parametrize("motion", [1, 2])
+@pytest.mark.parametrize("schedule", SCHEDULES, ids=str)
+def test_an_exact_sensor_of_a_motion_without_noise(motion, mean, schedule):
+    """It has no element, so that the tree goes step by step; in rational arithmetic it is 1-D."""
+    variance, seen, steps = Fraction(5, 2), Fraction(7, 4), 3
+    model, s, z = line(motion, cov=0.0, noise=0.0, mean=mean, prior=float(variance))
+    graph = pgm.compile(model, steps, method=pgm.Balanced())
+    found = pgm.infer(graph, {z: pgm.sightings([[float(seen)]], [2])}, schedule=schedule)
+    # s_t = motionᵗ s₀ for one Gaussian number s₀, which the reading s₂ tells exactly.
+    scale = [Fraction(motion) ** t for t in range(steps + 1)]
+    open_ = [(g * mean, g**2 * variance) for g in scale]
+    told = [(g * seen / scale[2], Fraction(0)) for g in scale]
+    due = {
+        found.predicted[s]: open_[:3] + told[3:],
+        found.filtered[s]: open_[:2] + told[2:],
+        found[s]: told if schedule == pgm.Smoothing() else open_[:2] + told[2:],
+    }
+    for belief, moments in due.items():
+        expected = np.array(moments, dtype=float)
+        np.testing.assert_allclose(belief.mean[:, 0], expected[:, 0], rtol=1e-15)
+        np.testing.assert_allclose(belief.cov[:, 0, 0], expected[:, 1], rtol=1e-15)
+    spread = scale[2] ** 2 * variance
+    level = (seen - scale[2] * mean) ** 2 / spread
+    assert_log(found.log_evidence, -0.5 * (float(level) + np.log(2 * np.pi * float(spread))), 1e-13)
+    joint = found.joint(s.at(0), s.at(3)) if schedule == pgm.Smoothing() else None
+    assert joint is None or not joint.cov.any()
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES, ids=str)
+def test_exact_readings_of_a_motion_without_noise_that_differ(schedule):
     model, _, z = line(cov=0.0, noise=0.0)
     graph = pgm.compile(model, 3, method=pgm.Balanced())
-    with pytest.raises(pgm.NumericalError, match=r"step 2 .*without pgm.Balanced") as caught:
-        pgm.infer(graph, {z: pgm.sightings([[1.0]], [2])})
-    assert caught.value.step == 2
+    with pytest.raises(pgm.NumericalError, match=r"step 3, run 0, contradicts an exact") as caught:
+        pgm.infer(graph, {z: pgm.sightings([[1.0], [1.5]], [2, 3])}, schedule=schedule)
+    assert (caught.value.step, caught.value.run) == (3, 0)
 
 
 def test_an_indefinite_noise_has_no_element():

@@ -69,7 +69,17 @@ CPDS = [
     model_row("a number for a matrix", gaussian(1.0), "pair", "()", "(2, 2)", variable=pair),
     model_row("asymmetric", gaussian(NOT_SYMMETRIC), "pair", "not symmetric", variable=pair),
     model_row("indefinite", gaussian(INDEFINITE), "pair", "negative", "-1", variable=pair),
-    model_row("infinite", gaussian([[np.inf, 0], [0, 1]]), "pair", "infinite", variable=pair),
+    model_row("infinite", gaussian([[1, np.inf], [np.inf, 1]]), "pair", "infinite", variable=pair),
+    model_row(
+        "infinite in part", gaussian([[np.inf, 1], [1, 1]]), "pair", "must be 0", variable=pair
+    ),
+    model_row(
+        "an infinite noise",
+        lambda: pgm.LinearGaussianCPD(pair, {a: [[1], [1]]}, cov=[[np.inf, 0], [0, 1]]),
+        "pair",
+        "infinite",
+        variable=pair,
+    ),
     model_row(
         "a negative variance", lambda: pgm.GaussianCPD(a, 0.0, -0.5), "a", "-0.5", variable=a
     ),
@@ -410,8 +420,9 @@ NOISES = [
     function_row(
         "a noise that raises",
         ModelError,
-        ("x", "noise", "IndexError"),
+        ("x", "noise", "step 1", "IndexError"),
         robot(cov=noisy(lambda k: k[..., 7])),
+        step=1,
     ),
 ]
 
@@ -495,6 +506,13 @@ EXACT, EXACT_LOOK = exact_robot()
 STILL = pgm.DynamicBayesianNetwork([prior(a)], [walk(a, cov=0.0)], [linear(w, a, cov=0.0)])
 SEES_A = STILL.replace(observation=[pgm.LinearGaussianCPD(w, {a: 1.0}, cov=0.0)])
 
+# The predictive variance is positive, 9.1, though that of the reading's error is negative.
+ROUGH = pgm.DynamicBayesianNetwork(
+    [prior(a, 9.0)],
+    [walk(a, cov=0.1)],
+    [pgm.NonlinearGaussianCPD(w, a, np.sin, 0.01, lineariser=Shrinking("w", 0.9, 2))],
+)
+
 DURING = [
     function_row(
         "a motion that is infinite at step 3",
@@ -547,9 +565,23 @@ DURING = [
         step=3,
         options={"lineariser": Shrinking("z", 99.0, 3)},
     ),
-    lineariser_row("a lineariser that returns a tuple", ("x", "tuple", "AffineGaussian"), by_tuple),
-    lineariser_row("a lineariser of 2 rows", ("x", "(1, 2, 3)", "(3, 3)"), turned),
-    lineariser_row("a lineariser of 6 columns", ("x", "(1, 3, 6)", "(3, 3)"), too_wide),
+    *(
+        refusal(
+            f"a belief made indefinite by the last reading, {way.__name__}",
+            lambda way=way: way(ROUGH, {w: pgm.sightings([[0.0]], [2])}, steps=2),
+            NumericalError,
+            "step 2",
+            "indefinite",
+            "Shrinking()",
+            variable=w,
+            step=2,
+            cpd=ROUGH.observation[0],
+        )
+        for way in (pgm.filter, pgm.smooth)
+    ),
+    lineariser_row("a lineariser of tuples", ("x", "step 1", "tuple", "AffineG"), by_tuple, step=1),
+    lineariser_row("one of 2 rows", ("x", "step 1", "(1, 2, 3)", "(3, 3)"), turned, step=1),
+    lineariser_row("one of 6 columns", ("x", "step 1", "(1, 3, 6)", "(3, 3)"), too_wide, step=1),
     lineariser_row("a lineariser of NaN", ("x", "step 1", "NaN"), blank, step=1),
     refusal(
         "too few samples",

@@ -3,6 +3,8 @@
 Each error names the CPD, the step and the run, and keeps the user's own as its cause.
 """
 
+import re
+
 import numpy as np
 import pytest
 
@@ -151,6 +153,7 @@ WAYS = [
 
 
 def refused(way, network, given, cause=Boom, kind=pgm.ModelError):
+    """The words of the error, the run of which is that of the words."""
     with pytest.raises(kind) as caught:
         way(network, given)
     error = caught.value
@@ -159,6 +162,8 @@ def refused(way, network, given, cause=Boom, kind=pgm.ModelError):
     assert error.step == STEP
     assert error.cpd.child.name == error.variable.name
     assert f"step {STEP}" in str(error)
+    told = re.search(r", run (\d+)", str(error))
+    assert error.run == (int(told[1]) if told else None)
     return str(error)
 
 
@@ -197,10 +202,10 @@ def test_a_noise_that_raises(way, runs):
 
 ODD = {
     "a shape": (lambda x: np.zeros((*x.shape, 2)), r"returned shape \(.*2\) where"),
-    "complex": (lambda x: x + 1j, "returned complex numbers"),
-    "words": (lambda x: "east", "returned str, which is no array of numbers"),
-    "rags": (lambda x: [[1.0], [1.0, 2.0]], "returned list, which is no array of numbers"),
-    "nothing": (lambda x: None, "returned shape"),
+    "complex": (lambda x: x + 1j, r"must return numbers, not complex ones; take \.real"),
+    "words": (lambda x: "east", r"must return numbers, not texts \(str\)"),
+    "rags": (lambda x: [[1.0], [1.0, 2.0]], "must return numbers, not rows of unequal length"),
+    "nothing": (lambda x: None, "must return numbers, not NoneType"),
 }
 
 
@@ -209,9 +214,12 @@ ODD = {
 @pytest.mark.parametrize("odd", ODD)
 def test_a_function_that_returns_something_odd(way, runs, odd):
     function, told = ODD[odd]
-    with pytest.raises(pgm.ModelError, match=rf"^the function of the CPD of x at st.* {told}") as e:
+    run = None if odd == "a shape" else RUN if runs else 0  # a shape is that of all rows at once
+    which = "" if run is None else f", run {run},"
+    words = f"^the function of the CPD of x at step 4{which} {told}"
+    with pytest.raises(pgm.ModelError, match=words) as e:
         way(model(returning(function)), evidence(runs))
-    assert e.value.step == STEP
+    assert (e.value.step, e.value.run) == (STEP, run)
     assert e.value.cpd.child.name == "x"
 
 
@@ -256,8 +264,11 @@ def test_a_lineariser_that_raises(way, runs):
 @pytest.mark.parametrize(
     ("what", "told"),
     [
-        (lambda function, at: None, "returned NoneType"),
-        (lambda function, at: pgm.AffineGaussian(np.eye(2), [0, 0], np.eye(2)), "an F of shape"),
+        (lambda function, at: None, "returned NoneType for .* at step 4, run 0; it must return a"),
+        (
+            lambda function, at: pgm.AffineGaussian(np.eye(2), [0, 0], np.eye(2)),
+            "an F of shape .* at step 4, run 0; it must end in",
+        ),
     ],
 )
 def test_a_lineariser_that_returns_something_odd(what, told):
@@ -265,6 +276,16 @@ def test_a_lineariser_that_returns_something_odd(what, told):
         pgm.filter(model(lineariser=Bare(what)), {u: np.zeros((T, 1))})
     assert caught.value.step == STEP
     assert caught.value.cpd.child == x
+
+
+def test_an_error_of_this_library_within_a_lineariser_is_the_user_s_too():
+    def indefinite(function, at):
+        return pgm.Gaussian(at.scope, at.mean, -at.cov)
+
+    with pytest.raises(pgm.ModelError, match=r"failed for .* at step 4, run 0: ModelError") as e:
+        pgm.filter(model(lineariser=Bare(indefinite)), {u: np.zeros((T, 1))})
+    assert "negative" in str(e.value.__cause__)
+    assert (e.value.step, e.value.run, e.value.variable) == (STEP, 0, x)
 
 
 @pytest.mark.parametrize("runs", [0, 3])

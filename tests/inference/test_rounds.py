@@ -1,12 +1,13 @@
 """Iterated smoothing of a long chain: the later passes go in rounds, and nobody can tell."""
 
+import mpmath as mp
 import numpy as np
 import pytest
 from robots import LANDMARKS, SENSORS, controls, drive_along, m, network, u, x
 from textbooks import assert_log, assert_same
 
 import pgm
-from pgm.inference.chain import forward, parallel, smoother
+from pgm.inference.chain import careful, forward, parallel, smoother
 
 SIGHT = SENSORS["range_bearing"]
 LM = pgm.LevenbergMarquardt()
@@ -83,7 +84,13 @@ def test_one_iteration_is_the_extended_smoother(drive, monkeypatch):
 
 
 def follow(cov, exact=()):
-    read = pgm.NonlinearGaussianCPD(z, (s,), lambda s: s + 0.01 * np.sin(s), cov=cov)
+    read = pgm.NonlinearGaussianCPD(
+        z,
+        (s,),
+        lambda s: s + 0.01 * np.sin(s),
+        cov=cov,
+        jacobian={s: lambda s: 1.0 + 0.01 * np.cos(s)[..., None]},
+    )
     return pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(s, 0.0, 1.0)],
         [pgm.LinearGaussianCPD(s, {s.previous: 1.0}, cov=1.0)],
@@ -91,19 +98,59 @@ def follow(cov, exact=()):
     )
 
 
+def solved(values, cov, at):
+    """Means and variances of `follow`, linearised at s₁ ... s_T: a tridiagonal system."""
+    slopes = [1 + mp.cos(place) / 100 for place in at]
+    seen = [
+        z - place - mp.sin(place) / 100 + slope * place
+        for z, place, slope in zip(values, at, slopes, strict=True)
+    ]
+    own = [mp.mpf(2), *(slope**2 / cov + 2 for slope in slopes)]
+    own[-1] -= 1  # no motion leads on from the last step
+    right = [mp.mpf(0), *(slope * z / cov for slope, z in zip(slopes, seen, strict=True))]
+    ahead, behind = list(zip(own, right, strict=True)), list(zip(own, right, strict=True))
+    for k in range(1, len(own)):
+        before, said = ahead[k - 1]
+        ahead[k] = own[k] - 1 / before, right[k] + said / before
+        later, told = behind[-k]
+        behind[-k - 1] = own[-k - 1] - 1 / later, right[-k - 1] + told / later
+    parts = zip(ahead, behind, own, right, strict=True)
+    precise = [(a + b - o, p + q - r) for (a, p), (b, q), o, r in parts]
+    return [said / precision for precision, said in precise], [1 / each for each, _ in precise]
+
+
+def twice(values, cov):
+    """The extended smoother, which a filter linearises, and what one more linearisation makes."""
+    mean, variance, at = mp.mpf(0), mp.mpf(1), []
+    for z in values:
+        at.append(mean)
+        variance, slope = variance + 1, 1 + mp.cos(mean) / 100
+        gain = variance * slope / (slope**2 * variance + cov)
+        mean += gain * (z - mean - mp.sin(mean) / 100)
+        variance *= 1 - gain * slope
+    return solved(values, cov, solved(values, cov, at)[0][1:])
+
+
 def test_sharp_and_exact_readings_go_step_by_step(monkeypatch):
     """Rounds would cost these digits, or do not exist."""
     rounds, sweeps = calls(monkeypatch, parallel, "filtered"), calls(monkeypatch, forward, "sweep")
+    fine = calls(monkeypatch, careful, "sweep")
     y = pgm.Variable("y")
     told = pgm.LinearGaussianCPD(y, {s: 1.0}, cov=0.0)
     values = np.cumsum(np.random.default_rng(4).normal(size=(STEPS, 1)), axis=0)
     exact = {z: values, y: pgm.sightings(values[[9]], [10])}
     pgm.smooth(follow(0.1, exact=[told]), exact, iterations=2)
-    assert (len(rounds), len(sweeps)) == (0, 1)
-    pgm.smooth(follow(1e-14), {z: values}, iterations=2)
-    assert (len(rounds), len(sweeps)) == (1, 2)
-    pgm.smooth(follow(1e-2), {z: values}, iterations=2)
-    assert (len(rounds), len(sweeps)) == (2, 2)
+    assert (len(rounds), len(sweeps), len(fine)) == (0, 1, 0)
+    for cov, made in ((1e-14, (1, 1, 2)), (1e-2, (2, 1, 2))):
+        found = pgm.smooth(follow(cov), {z: values}, iterations=2)[s]
+        assert (len(rounds), len(sweeps), len(fine)) == made
+        with mp.workdps(50):
+            means, variances = twice([mp.mpf(value) for value in values[:, 0]], mp.mpf(cov))
+            left = [mp.mpf(m) - due for m, due in zip(found.mean[:, 0], means, strict=True)]
+            missed = [abs(m) / mp.sqrt(v) for m, v in zip(left, variances, strict=True)]
+        # What the function returns, and the mean, is rounded to float64.
+        assert max(missed) < 4 * np.spacing(np.abs(values).max()) / np.sqrt(cov)
+        np.testing.assert_allclose(found.cov[:, 0, 0], np.array(variances, dtype=float), rtol=1e-9)
 
 
 def test_what_has_no_elements_goes_step_by_step(monkeypatch):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 import pgm
 
@@ -224,6 +225,39 @@ def test_hidden_controls_and_missing_exact_readings_are_projected_too():
     assert abs(pgm.smooth(model, seen, iterations=1, **asked)[s].mean[1, 2] - 2.5) > 0.1
 
 
+def test_a_relation_between_components_needs_both():
+    """Readings with one error tell the difference of two places exactly, where both are seen."""
+    pair, both = (pgm.Variable(name, components=("east", "north")) for name in "pb")
+    shared = np.full((2, 2), 0.5)
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(pair, [0.0, 0.0], 4.0 * np.eye(2))],
+        [pgm.LinearGaussianCPD(pair, {pair.previous: 1.0}, cov=np.eye(2))],
+        [
+            pgm.NonlinearGaussianCPD(z, pair, lambda p: np.arctan(p[..., :1]), cov=1e-3),
+            pgm.LinearGaussianCPD(both, {pair: 1.0}, cov=shared),
+        ],
+    )
+    read = np.array([[2.0, 3.0], [2.0, np.nan], [np.nan, 3.0], [np.nan, np.nan]])
+    seen = {z: pgm.sightings(np.zeros((4, 1, 1)), [0]), both: pgm.sightings(read[:, None], [0])}
+    asked = {"steps": 0, "start": {pair: [[2.5, 1.0]]}, "damping": LM}
+
+    def cost(mean):
+        left = read - mean
+        np.testing.assert_allclose(left[0, 1], left[0, 0], atol=1e-9)
+        taken = np.nanmean(left[:3], axis=1) ** 2 / 0.5
+        return (mean**2).sum(1) / 4.0 + np.arctan(mean[:, 0]) ** 2 / 1e-3 + np.append(taken, 0.0)
+
+    means = [pgm.smooth(model, seen, iterations=k, **asked)[pair].mean[:, 0] for k in range(1, 30)]
+    costs = np.array([cost(mean) for mean in means])
+    assert (np.diff(costs, axis=0) <= 1e-9 * costs[:-1]).all()
+    for run in range(4):  # no step from the end is better, along the relation where there is one
+        for move in np.array([[1, 1]] if run == 0 else [[1, 0], [0, 1]]) * 1e-3:
+            moved = means[-1].copy()
+            for sign in (1.0, -1.0):
+                moved[run] = means[-1][run] + sign * move
+                assert cost(moved)[run] > costs[-1, run]
+
+
 def test_a_start_outside_a_domain_may_be_projected():
     """The projection of this start has no cost, so that whatever has one is better."""
     model = pgm.DynamicBayesianNetwork(
@@ -249,3 +283,28 @@ def test_singular_nonlinear_noise_is_refused_from_a_start_too():
     assert pgm.smooth(model, seen, **asked).status.iterations == 1
     with pytest.raises(pgm.ModelError, match=r"s.* is nonlinear and its noise is singular"):
         pgm.smooth(model, seen, start={s: [[1.0], [0.8]]}, **asked)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_flat_prior_costs_nothing(exact):
+    """The optimum is that of all other terms, which scipy finds too."""
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(s, 0.0, np.inf)],
+        [pgm.LinearGaussianCPD(s, {s.previous: 1.0}, cov=0.1)],
+        [
+            pgm.NonlinearGaussianCPD(z, (s,), np.arctan, cov=0.01),
+            pgm.LinearGaussianCPD(y, {s: 1.0}, cov=0.0 if exact else 0.2),
+        ],
+    )
+    seen = {z: np.full((4, 1), 0.3), y: pgm.sightings([[1.0]], [2])}
+    start = {s: np.full((5, 1), 2.5)}
+    found = pgm.smooth(model, seen, start=start, iterations=50, tolerance=1e-10, damping=LM)[s]
+
+    def left(free):
+        place = np.insert(free, 2, 1.0) if exact else free
+        read = [] if exact else [(place[2] - 1.0) / 0.2**0.5]
+        return np.concatenate([np.diff(place) / 0.1**0.5, (np.arctan(place[1:]) - 0.3) / 0.1, read])
+
+    best = least_squares(left, np.ones(4 if exact else 5), xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+    expected = np.insert(best, 2, 1.0) if exact else best
+    np.testing.assert_allclose(found.mean[:, 0], expected, atol=1e-7)

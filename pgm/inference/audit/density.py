@@ -176,6 +176,7 @@ class Term:
             variable=family.cpd.child,
             cpd=family.cpd,
             step=step,
+            run=where[-2],
         )
 
 

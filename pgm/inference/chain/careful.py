@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.errors import LinearisationError
+from pgm.errors import LinearisationError, NumericalError
 from pgm.inference.chain import forward
 from pgm.inference.chain.flat import Solved, moments, solved
 from pgm.inference.chain.forward import Forward
@@ -47,7 +47,7 @@ from pgm.inference.chain.whitened import distinct
 from pgm.inference.family import Family
 from pgm.inference.schedule import Filtering
 from pgm.inference.status import Status
-from pgm.kernels import twofold
+from pgm.kernels import roots, twofold
 from pgm.kernels.arrays import Array, Mask, block, sandwich
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
@@ -160,6 +160,7 @@ def sweep(
         out.mean[step], out.cov[step] = found.mean, found.cov
         out.log_density[step] = found.log_density
         steps.append(Step(matrix, noise, predicted, belief, found.components, information))
+        require_proper(plan, step, predicted, belief)
     return Careful(out, steps, unknown), Status.of(record, converged, plan.lead)
 
 
@@ -330,6 +331,22 @@ def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
             cov = _proper(link.family, step, cov)
         forward.predict(plan, step - 1, mean[:, states], block(cov, states, states), linearise=True)
     return _transition(plan, slice(step - 1, step)).at(0)
+
+
+def require_proper(plan: ChainPlan, step: int, *beliefs: Belief) -> None:
+    """Refuse beliefs that a lineariser's error has made indefinite."""
+    rough = forward.rough(plan)
+    if not rough or all(roots.is_proper(roots.root(belief.cov.hi)) for belief in beliefs):
+        return
+    blamed = next((family for family in rough if step in family.step), rough[0])
+    raise NumericalError(
+        f"the belief at step {step} has an indefinite covariance, by the error of "
+        f"{blamed.lineariser!r} for {blamed.cpd!r}; use a rule with positive weights or more "
+        "samples",
+        variable=blamed.cpd.child,
+        cpd=blamed.cpd,
+        step=step,
+    )
 
 
 def _proper(family: Family, step: int, cov: Array) -> Array:

@@ -79,7 +79,14 @@ def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
 
 
 def weighted(family: Family, residual: Array, cov: Array) -> Array:
-    """Σ rᵀ Σ⁺ r over the first axis; determined components, which solutions obey, do not count."""
+    """Σ rᵀ Σ⁺ r over the first axis; determined components, which solutions obey, do not count.
+
+    Nor do those of infinite variance, which a flat prior has.
+    """
+    flat = np.isinf(np.einsum("...ii->...i", cov))
+    if flat.any():
+        residual = np.where(flat, 0.0, residual)
+        cov = np.where(flat[..., None] | flat[..., None, :], np.eye(flat.shape[-1]), cov)
     lower = roots.root(cov)
     if not roots.is_proper(lower):
         raise NumericalError(

@@ -232,6 +232,11 @@ def is_semidefinite(family: Family) -> bool:
     return isinstance(lineariser, ArrayLineariser) and lineariser.is_semidefinite(width)
 
 
+def rough(plan: ChainPlan) -> list[Family]:
+    """The CPDs whose linearisation may make a belief indefinite."""
+    return [f for f in plan.families if not (f.taylor or is_semidefinite(f))]
+
+
 def _check_predicted(link: Link, row: int, cov: Array) -> None:
     """Refuse what is too large, or indefinite, which only a lineariser's error can make it."""
     family = link.family

@@ -141,7 +141,7 @@ class OnlineFilter(Immutable):
             )
             if is_regular(cov):
                 return _belief(plan, step, mean, cov, log_evidence, status)
-        found = online_careful.predict(plan, _careful(belief, plan))
+        found = online_careful.predict(plan, step, _careful(belief, plan))
         return _carried(plan, step, found, log_evidence, status)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
@@ -190,7 +190,8 @@ class OnlineFilter(Immutable):
             return ordinary
         # A plan keeps what was linearised; one laid out anew begins at the belief.
         plan = self._seen(belief, readings)
-        found, taken = online_careful.update(plan, _careful(belief, plan), self.schedule)
+        known = _careful(belief, plan)
+        found, taken = online_careful.update(plan, belief.step, known, self.schedule)
         log_evidence, status = _told(belief, plan, taken)
         return _carried(plan, belief.step, found, log_evidence, status)
 

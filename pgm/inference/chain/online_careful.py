@@ -75,21 +75,24 @@ def beginning(mean: Array, cov: Array) -> CarefulBelief:
     return CarefulBelief(Belief.of(mean, cov), variances(cov))
 
 
-def predict(plan: ChainPlan, known: CarefulBelief) -> CarefulBelief:
-    """A step later."""
+def predict(plan: ChainPlan, step: int, known: CarefulBelief) -> CarefulBelief:
+    """A step later, which is then `step`."""
     move = careful.moving(plan, 1, *known.moments)
     belief = careful.predict(known.belief, move)
+    careful.require_proper(plan, step, belief)
     return CarefulBelief(belief, np.maximum(known.largest, variances(belief.cov.hi)))
 
 
 def update(
-    plan: ChainPlan, known: CarefulBelief, schedule: Filtering
+    plan: ChainPlan, step: int, known: CarefulBelief, schedule: Filtering
 ) -> tuple[CarefulBelief, Taken[careful.CarefulUpdate]]:
     """Given the readings of its step."""
     due, (mean, cov) = sensors_due(plan.sensors, 0), known.moments
     nothing = _nothing(known.belief)
     taken = take(careful.CarefulReading(due, 0, mean, cov, known.belief, nothing), schedule)
-    return CarefulBelief(taken.solution.at(taken.mean).belief, known.largest), taken
+    belief = taken.solution.at(taken.mean).belief
+    careful.require_proper(plan, step, belief)
+    return CarefulBelief(belief, known.largest), taken
 
 
 def is_regular(cov: Array) -> bool:

@@ -6,7 +6,6 @@ from math import inf
 
 import numpy as np
 
-from pgm.inference.chain.forward import is_semidefinite
 from pgm.inference.chain.online_law import Law, Now
 from pgm.inference.chain.plan import ChainPlan, Link, Sensor
 from pgm.inference.chain.single_motion import Motion, Move
@@ -36,20 +35,11 @@ class Drive(Law, Move[Now]):
 
 
 class Predict(Motion[Now]):
-    """A transition.
-
-    Attributes
-    ----------
-    rough : bool
-        Whether a prediction may be indefinite, which only a lineariser's error can make it.
-    """
+    """A transition."""
 
     def __init__(self, plan: ChainPlan, places: Places) -> None:
         self.places = places  # keeps the variables that a kind of input tells by identity
         super().__init__(plan.layout, [Drive(link, places) for link in plan.transition])
-        self.rough = any(
-            not (link.family.taylor or is_semidefinite(link.family)) for link in plan.transition
-        )
 
 
 class Read(Law):

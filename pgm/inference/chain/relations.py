@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.chain.plan import ChainPlan, Link, Sensor
+from pgm.inference.chain.plan import ChainPlan, Link
+from pgm.inference.family import Family
 from pgm.kernels import banded, roots
 from pgm.kernels.arrays import Array, Integers, Mask, apply, multiply, transpose
 from pgm.kernels.banded import System
@@ -119,32 +120,32 @@ def _relations(plan: ChainPlan) -> Iterator[Relation]:
     layout = plan.layout
     states, front, size = layout.state_places, layout.state_size, layout.slice_size
     for link in plan.prior:
-        if (free := _left_open(link)) is not None:
+        if (free := _left_open(link.family, link.family.own_noise)) is not None:
             own, value = _row(link, free, front)
             whole = np.zeros((*own.shape[:-1], size))
             whole[..., states] = own
             yield Relation(np.zeros(1, dtype=np.intp), whole, np.zeros_like(whole), value)
     for link in plan.transition:
-        if plan.steps and (free := _left_open(link)) is not None:
+        if plan.steps and (free := _left_open(link.family, link.family.own_noise)) is not None:
             pair, value = _row(link, free, front + size)
             before = np.zeros((*pair.shape[:-1], size))
             before[..., states] = pair[..., :front]
             yield Relation(np.arange(1, plan.steps + 1), pair[..., front:], before, value)
     for sensor in plan.sensors:
         family = sensor.family
-        if family.step.size and (free := _left_open(sensor)) is not None:
-            read = 1.0 if sensor.taken is None else sensor.taken[..., None]
+        if not (family.exact and family.step.size):
+            continue
+        seen = sensor.reading(slice(None))  # where a component is missing, its noise is regular
+        if (free := _left_open(family, seen.noise)) is not None:
             own = np.zeros((*family.shape[:3], size))
-            own[..., sensor.parents] = multiply(free, family.matrix)
-            value = apply(free, sensor.moved - family.offset)
-            own, value = own * np.asarray(read)[..., None], np.where(read, value, 0.0)
+            own[..., sensor.parents] = multiply(free, seen.matrix)
+            value = apply(free, seen.value - seen.offset)
             yield Relation(family.step, own, np.zeros_like(own), value)
 
 
-def _left_open(place: Link | Sensor) -> Array | None:
+def _left_open(family: Family, noise: Array) -> Array | None:
     """I − L L⁺ for the noise L Lᵀ of a linear CPD, zero in rows of pivots; None where regular."""
-    family = place.family
-    lower = roots.root(family.own_noise)
+    lower = roots.root(noise)
     fixed = roots.determined(lower)
     if not family.exact or not fixed.any():
         return None

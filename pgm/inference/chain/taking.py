@@ -110,7 +110,7 @@ class Belief(NamedTuple):
     def certain(self) -> Belief:
         """With zeros where a variance may be rounding alone."""
         floor = CLEAR * variances(self.rounding)
-        open_ = variances(self.cov.hi) > floor
+        open_ = np.abs(variances(self.cov.hi)) > floor
         if open_.all():
             return self
         both = open_[..., None] & open_[..., None, :]

@@ -180,6 +180,7 @@ def refuse_contradiction(due: Due, mean: Array, left: Array) -> None:
         variable=sensor.variable,
         cpd=sensor.family.cpd,
         step=step,
+        run=which,
     )
 
 

@@ -568,8 +568,9 @@ def test_wrong_shapes_are_found_before_inference(function, message):
     assert caught.value.cpd is net.cpd(y)
 
 
-def test_an_exception_of_the_user_passes_through():
-    class Refused(Exception):
+@pytest.mark.parametrize("kind", [RuntimeError, pgm.EvidenceError])
+def test_an_exception_of_the_user_is_the_cause_of_one_that_names_the_cpd(kind):
+    class Refused(kind):
         pass
 
     def function(x):
@@ -581,8 +582,12 @@ def test_an_exception_of_the_user_passes_through():
     net = pgm.BayesianNetwork(
         [pgm.GaussianCPD(x, 1.0, 1.0), pgm.NonlinearGaussianCPD(y, x, function, 1.0)]
     )
-    with pytest.raises(Refused, match="too far"):
+    words = "the function of the CPD of y, run 0, failed: Refused: too far"
+    with pytest.raises(pgm.ModelError, match=words) as caught:
         pgm.infer(pgm.compile(net), {y: 1.0})
+    assert isinstance(caught.value.__cause__, Refused)
+    assert caught.value.cpd is net.cpd(y)
+    assert (caught.value.step, caught.value.run) == (None, 0)
 
 
 class Odd(StatisticalRegression):
