@@ -287,7 +287,7 @@ def _carried(
     """A belief with the digits that it has, carried in twice those of float64 while it must be."""
     mean, cov = found.moments
     status = status.with_digits(digits(found.error, plan.lead))
-    kept = None if is_regular(cov) else found
+    kept = None if found.is_ordinary else found
     return _belief(plan, step, mean, cov, log_evidence, status, kept)
 
 

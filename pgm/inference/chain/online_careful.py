@@ -25,6 +25,8 @@ from pgm.kernels.twofold import Twofold
 
 # The share of its variance below which a component counts as determined.
 REGULAR = 1e-8
+# The part of a deviation that rounding of a mean may be.
+_TOLD = 1e-8
 
 
 class CarefulBelief(NamedTuple):
@@ -49,6 +51,13 @@ class CarefulBelief(NamedTuple):
     def moments(self) -> tuple[Array, Array]:
         """In float64."""
         return moments(self.belief, solved(_nothing(self.belief)))
+
+    @property
+    def is_ordinary(self) -> bool:
+        """Whether float64 can carry it: covariances, and means beside their deviations."""
+        mean, cov = self.moments
+        told = _TOLD * np.sqrt(variances(cov)) >= np.finfo(np.float64).eps * np.abs(mean)
+        return is_regular(cov) and bool(told.all())
 
     def over(self, before: tuple[int, ...], after: tuple[int, ...]) -> CarefulBelief:
         """The same for runs on other axes, which those before broadcast to."""

@@ -17,8 +17,9 @@ from pgm.kernels.twofold import Twofold
 ROUNDING = 1e-31
 # The share of the largest deviation of a component below which deviations are not told apart.
 _TOLD = 1e-9
-# The part of a variance in float64 that rounding may change.
-_LAST_DIGIT = 4.0 * np.finfo(np.float64).eps
+# The parts of a mean and of a variance in float64 that rounding may change.
+_EPS = float(np.finfo(np.float64).eps)
+_LAST_DIGIT = 4.0 * _EPS
 # The part of what is summed up to an entry of D below which it is rounding.
 _CANCELLED = 1e-26
 # By so much a variance has to exceed what rounding may have made of a zero.
@@ -75,7 +76,7 @@ class Belief(NamedTuple):
     @classmethod
     def of(cls, mean: Array, cov: Array) -> Belief:
         """Of moments in float64, (runs, n) and (runs, n, n), whose last digit is rounding."""
-        rounding, drift = _LAST_DIGIT * variances(cov), (_LAST_DIGIT * mean) ** 2
+        rounding, drift = _LAST_DIGIT * variances(cov), (_EPS * mean) ** 2
         columns, eye = Twofold(mean[..., None]), np.eye(mean.shape[-1])
         return cls(columns, Twofold(cov), rounding[..., None] * eye, drift[..., None] * eye)
 
