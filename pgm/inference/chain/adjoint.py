@@ -26,12 +26,22 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.compile import SliceLayout
+from pgm.errors import NumericalError
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.careful import Careful, Step
 from pgm.inference.chain.flat import moments
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.taking import CLEAR, ROUNDING, Belief, Component, reach, rounded, variances
+from pgm.inference.chain.taking import (
+    CLEAR,
+    ROUNDING,
+    Belief,
+    Component,
+    quiet,
+    reach,
+    rounded,
+    variances,
+)
 from pgm.kernels import twofold
 from pgm.kernels.arrays import Array, Mask, apply, block, sandwich, stacked
 from pgm.kernels.twofold import Twofold
@@ -133,7 +143,10 @@ class CarefulSmoothed:
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
         slices = smoothed(careful, shape[0] - 1)
         for step, each in enumerate(slices):
-            beliefs.mean[step], beliefs.cov[step] = moments(each.belief, careful.unknown)
+            mean, cov = moments(each.belief, careful.unknown)
+            if not np.isfinite(mean.sum()) or np.isnan(cov.sum()):
+                _refuse(step)
+            beliefs.mean[step], beliefs.cov[step] = mean, cov
         return cls(careful, slices, beliefs, plan.layout)
 
     @property
@@ -180,6 +193,7 @@ class CarefulSmoothed:
         return replace(self, slices=slices, beliefs=beliefs)
 
 
+@quiet
 def smoothed(careful: Careful, last: int) -> list[Smooth]:
     """Every slice up to a last step, given the readings up to it."""
     columns, cov, *_ = careful.steps[last].known
@@ -205,6 +219,7 @@ def smoothed(careful: Careful, last: int) -> list[Smooth]:
     return out[::-1]
 
 
+@quiet
 def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Array, Array]:
     """Moments of the slices of some steps, ascending, given the readings up to the last slice.
 
@@ -307,6 +322,14 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     proper = np.where(pivots.hi > 0.0, pivots.hi, np.inf)
     error = (floor / proper).max(axis=-1) + later.parts.max(axis=-1)
     return gain, Belief(columns + gain @ shift, _symmetric(left), rounding, drift).certain(), error
+
+
+def _refuse(step: int) -> None:
+    raise NumericalError(
+        f"the smoothed belief at step {step} is not finite; are its inputs, readings and noises of "
+        "a size that float64 can hold?",
+        step=step,
+    )
 
 
 def _outer(vector: Array) -> Array:

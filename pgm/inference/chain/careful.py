@@ -38,6 +38,7 @@ from pgm.inference.chain.taking import (
     Taken,
     cancelled,
     hold,
+    quiet,
     rounded,
     update,
     variances,
@@ -310,6 +311,7 @@ def _regular(noise: Array, flat: Mask) -> Twofold:
     return unit * pivots[..., None, :] @ unit.mT
 
 
+@quiet
 def predict(belief: Belief, move: Move) -> Belief:
     """The belief over the next slice, before its readings."""
     summed = np.abs(move.matrix.hi) @ np.abs(belief.columns.hi)

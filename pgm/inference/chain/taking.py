@@ -13,6 +13,8 @@ from pgm.kernels.arrays import LOG_2PI, Array, Mask, sandwich
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
 
+# Numbers beyond float64 are found out in what becomes of them, without a warning.
+quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 # The part of what is summed up to a variance that rounding may change.
 ROUNDING = 1e-31
 # The share of the largest deviation of a component below which deviations are not told apart.
@@ -167,6 +169,7 @@ class Taken(NamedTuple):
     log_density: Array
 
 
+@quiet
 def update(due: Due, step: int, belief: Belief, mean: Array) -> Taken:
     """Take in the readings of a step; the rounded mean tells how large their numbers are."""
     rows, noises, seen = _decorrelated(due, step, mean)
@@ -185,6 +188,8 @@ def update(due: Due, step: int, belief: Belief, mean: Array) -> Taken:
         left[:, k] = np.where(seen[:, k] & ~read, np.abs(innovation.hi), 0.0)
         level = (innovation * innovation * weight).hi + np.log(np.where(read, predictive, 1.0))
         log_density -= np.where(read, 0.5 * (level + LOG_2PI), 0.0)
+    if not np.isfinite(log_density.sum()):
+        refuse_indefinite(due)
     if left.any():
         refuse_contradiction(due, mean, left)
     return Taken(belief, components, log_density)
