@@ -216,14 +216,19 @@ def _take(
     columns, cov, rounding, drift = belief
     size = cov.shape[-1]
     cross = (cov @ row[..., None])[..., 0]
-    predictive = row.dot(cross) + noise
+    spread = row.dot(cross)
     line, mean = row.hi[:, None, :], np.abs(columns.hi[..., 0])
     blurred = np.maximum(sandwich(line, rounding)[:, 0, 0], 0.0)
-    summed = rounded(line, cov.hi, noise.hi[:, None, None])[:, 0, 0]
-    floor = blurred + summed
-    indefinite = not np.isfinite(floor).all() or bool((predictive.hi < -CLEAR * floor).any())
-    read = seen & (predictive.hi > CLEAR * floor)
+    nothing = np.zeros_like(noise.hi)[:, None, None]
+    floor = blurred + rounded(line, cov.hi, nothing)[:, 0, 0]
+    indefinite = not np.isfinite(floor).all() or bool((spread.hi < -CLEAR * floor).any())
+    # What the belief leaves open may be rounding alone; the noise is none.
+    open_ = spread.hi > CLEAR * floor
+    cross = twofold.where(open_[:, None], cross, 0.0)
+    predictive = twofold.where(open_, spread, 0.0) + noise
+    read = seen & (predictive.hi > 0.0)
     weight = twofold.where(read, 1.0 / twofold.where(read, predictive, 1.0), 0.0)
+    summed = floor - blurred + ROUNDING * np.abs(noise.hi)
     innovation = -(row[:, None, :] @ columns)[:, 0]
     innovation[:, 0] = innovation[:, 0] + value
     gain = cross * weight[:, None]
@@ -236,6 +241,9 @@ def _take(
     added = (np.abs(row.hi) * mean).sum(axis=-1) + np.abs(value.hi)
     moved = blur * np.abs(innovation.hi[:, :1])
     moved = moved + ROUNDING * (mean + np.abs(gain.hi) * added[:, None])
+    unheard = np.where(read & ~open_, CLEAR * floor * weight.hi**2, 0.0)[:, None]
+    unheard = np.sqrt(unheard * np.maximum(variances(cov.hi), 0.0))
+    moved = moved + unheard * np.abs(innovation.hi[:, :1])
     terms = np.abs(gain.hi)[..., None] * (np.abs(line) @ np.abs(columns.hi))
     columns = cancelled(columns + gain[..., None] * innovation[:, None, :], columns, terms)
     # What rounding has left of a zero in 1 − G h is squared.
