@@ -118,14 +118,6 @@ def where(mask: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
     return Twofold(np.where(mask, a.hi, b.hi), np.where(mask, a.lo, b.lo))
 
 
-def concatenate(parts: list[Twofold], axis: int) -> Twofold:
-    """Arrays joined along an axis."""
-    return Twofold(
-        np.concatenate([part.hi for part in parts], axis=axis),
-        np.concatenate([part.lo for part in parts], axis=axis),
-    )
-
-
 def eliminated(
     matrix: Array | Twofold, negligible: float, rounding: Array | None = None
 ) -> tuple[Twofold, Twofold]:

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from drawn_chains import Judge, draw
+from drawn_chains import draw
+from judged_chains import Judge
 from precise import Reference, floats
 from textbooks import exact_linear
 
