@@ -136,7 +136,8 @@ def sweep(
     unknown = solved(information)
     matrix: Twofold | None = None
     noise: Twofold | None = None
-    every = None if schedule is not None else _transition(plan, slice(None))
+    settled = schedule is None or all(link.family.exact for link in plan.transition)
+    every = _transition(plan, slice(None)) if settled else None
     for step in range(plan.steps + 1):
         if step:
             if every is None:

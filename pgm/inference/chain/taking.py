@@ -289,5 +289,8 @@ def _decorrelated(due: Due, step: int, mean: Array) -> tuple[Twofold, Twofold, M
             noise[:, place, place] = seen.noise[k]
             if seen.taken is not None:
                 taken[:, place] = seen.taken[k]
+    own = variances(noise)
+    if np.count_nonzero(noise) == np.count_nonzero(own):
+        return rows, Twofold(own.copy()), taken
     unit, noises = twofold.eliminated(noise, NEGLIGIBLE)
     return twofold.solve_unit(unit, rows), noises, taken
