@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pgm.evidence.continuous import BoundValues
 from pgm.inference.family import Family
 from pgm.inference.gaussian.layout import Group, Layout
-from pgm.inference.gaussian.prior import Frame, prior_predictive
+from pgm.inference.gaussian.prior import Frame, Predictive, prior_predictive
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask
 from pgm.linearisers import Lineariser
@@ -57,7 +57,12 @@ class Model:
 
     @classmethod
     def make(
-        cls, layout: Layout, bound: BoundValues, lineariser: Lineariser, start: Array | None
+        cls,
+        layout: Layout,
+        bound: BoundValues,
+        lineariser: Lineariser,
+        start: Array | None,
+        predictive: Predictive = prior_predictive,
     ) -> Model:
         """Bind evidence, and linearise at the prior predictive moments or at a start.
 
@@ -68,6 +73,8 @@ class Model:
         lineariser : Lineariser
         start : ndarray, optional
             (runs, size): means of all hidden parents.
+        predictive : callable
+            How the prior's moments are found, where there is no start.
         """
         for group in layout.groups:
             for cpd in group.cpds:
@@ -88,7 +95,8 @@ class Model:
             for group, family in zip(layout.groups, families, strict=True):
                 at = start[:, group.parents].swapaxes(0, 1)
                 family.linearise(slice(None), at, np.zeros((*at.shape, at.shape[-1])))
-        frame = prior_predictive(layout, families, bound.runs, shared=shared, start=start)
+        find = prior_predictive if start is not None else predictive
+        frame = find(layout, families, bound.runs, shared=shared, start=start)
         model = cls(layout, bound.lead, families, readings, [*readings], taken, shared, frame)
         model._follow(frame.mean, None)
         return model

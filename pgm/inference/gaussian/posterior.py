@@ -13,8 +13,10 @@ from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference.gaussian.beliefs import Beliefs
 from pgm.inference.gaussian.buffer import Buffer
+from pgm.inference.gaussian.careful import Solution
 from pgm.inference.gaussian.joints import joint_moments
 from pgm.inference.gaussian.messages import RowMessages
+from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.tree import Calibrated, TreePlan
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
@@ -41,7 +43,8 @@ class GaussianPosterior(Posterior):
     graph: ClusterGraph
     status: Status
     _plan: TreePlan
-    _buffer: Buffer
+    _model: Model
+    _made: Buffer | None
     _beliefs: Beliefs
     _log_evidence: Array
     _loopy: RowMessages | None
@@ -52,7 +55,16 @@ class GaussianPosterior(Posterior):
     ) -> GaussianPosterior:
         """Of a calibrated tree."""
         graph = plan.layout.graph
-        return cls(graph, status, plan, buffer, done.beliefs, done.log_evidence, None)
+        model, beliefs = buffer.model, done.beliefs
+        return cls(graph, status, plan, model, buffer, beliefs, done.log_evidence, None)
+
+    @classmethod
+    def careful(
+        cls, plan: TreePlan, model: Model, done: Solution, status: Status
+    ) -> GaussianPosterior:
+        """Of a tree solved in more digits."""
+        graph = plan.layout.graph
+        return cls(graph, status, plan, model, None, done.beliefs, done.log_evidence, None)
 
     @classmethod
     def loopy(cls, plan: TreePlan, messages: RowMessages, status: Status) -> GaussianPosterior:
@@ -60,7 +72,14 @@ class GaussianPosterior(Posterior):
         beliefs, logs = messages.beliefs()
         messages.buffer.require_finite(logs, range(logs.shape[1]))
         value = messages.log_evidence(logs)
-        return cls(plan.layout.graph, status, plan, messages.buffer, beliefs, value, messages)
+        buffer = messages.buffer
+        graph, model = plan.layout.graph, buffer.model
+        return cls(graph, status, plan, model, buffer, beliefs, value, messages)
+
+    @cached_property
+    def _buffer(self) -> Buffer:
+        """The CPDs' factors; those of a tree solved in more digits are made when asked for."""
+        return self._made or Buffer.make(self._plan.rounds, self._model)
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a variable without evidence."""
@@ -97,7 +116,7 @@ class GaussianPosterior(Posterior):
         return self._gaussian(scope, mean, cov)
 
     def _gaussian(self, scope: Scope, mean: Array, cov: Array) -> Gaussian:
-        lead = self._buffer.model.lead
+        lead = self._model.lead
         size = mean.shape[-1]
         wide = np.broadcast_to(cov, (*mean.shape, size))
         return Gaussian._make(scope, mean.reshape(*lead, size), wide.reshape(*lead, size, size))
@@ -141,7 +160,7 @@ class GaussianPosterior(Posterior):
         """All messages; those of a tree are sent when one is first asked for."""
         if self._loopy is not None:
             return self._loopy
-        messages = RowMessages.make(self._plan.rounds, self._plan.places, self._buffer.model, 0.0)
+        messages = RowMessages.make(self._plan.rounds, self._plan.places, self._model, 0.0)
         messages.send_once(self._plan.both_ways)
         return messages
 
@@ -195,7 +214,7 @@ class GaussianPosterior(Posterior):
                 "determine a part of it; posterior[...] and joint(...) have its moments",
                 cluster=cluster,
             )
-        frame = self._buffer.model.frame
+        frame = self._model.frame
         places = self._plan.layout.components(scope)
         matrix = factor.matrix / frame.scale[places]
         at = frame.mean[:, places]
@@ -205,7 +224,7 @@ class GaussianPosterior(Posterior):
         K = transpose(matrix) @ matrix
         h = apply(transpose(matrix), right)
         g = (log_scale[0] if shared else log_scale[:, 0]) - 0.5 * (right * right).sum(axis=-1)
-        lead, size = self._buffer.model.lead, places.size
+        lead, size = self._model.lead, places.size
         K = np.broadcast_to(K, (at.shape[0], size, size))
         return CanonicalForm._make(
             scope, K.reshape(*lead, size, size), h.reshape(*lead, size), g.reshape(lead)
@@ -220,12 +239,12 @@ class GaussianPosterior(Posterior):
         """
         value = self._log_evidence
         flat = value[0] if value.shape[0] == 1 else value[:, 0]
-        return frozen(flat.reshape(self._buffer.model.lead))
+        return frozen(flat.reshape(self._model.lead))
 
     @property
     def log_evidence_kind(self) -> str:
         """What `log_evidence` is: exact, linearised, laplace or bethe."""
-        model = self._buffer.model
+        model = self._model
         sent = self._loopy is None or bool(self.status.converged.all())
         if not self.graph.is_tree or not sent:
             return "bethe"
@@ -234,5 +253,5 @@ class GaussianPosterior(Posterior):
         return "laplace" if model.taylor and bool(self.status.converged.all()) else "linearised"
 
     def __repr__(self) -> str:
-        lead = self._buffer.model.lead
+        lead = self._model.lead
         return f"GaussianPosterior({self.graph!r}{f', runs {lead}' if lead else ''})"

@@ -1,0 +1,387 @@
+"""Inference on a small network in as many digits as its numbers need, where float64 loses them.
+
+The CPDs, linearised, are the laws of a dense joint; see `dense`. Their parameters and the evidence
+are taken as they are, to all digits, so that only what a lineariser rounds is lost: of a value
+F μ + b the last places of its summands. Where these go, to first order, says how many digits of a
+posterior mean they leave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from decimal import Decimal
+
+import numpy as np
+
+from pgm.inference.family import Family
+from pgm.inference.gaussian.beliefs import Beliefs
+from pgm.inference.gaussian.dense import ZERO, Joint
+from pgm.inference.gaussian.layout import Group, Layout
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.prior import SHARE, Frame
+from pgm.inference.gaussian.refusals import contradiction, indefinite_noise
+from pgm.inference.gaussian.tree import TreePlan
+from pgm.kernels import decimals, differences, roots
+from pgm.kernels.arrays import Array, apply
+from pgm.kernels.decimals import Decimals
+from pgm.linearisers.regression import StatisticalRegression
+
+# How far a reading that a model without noise determines may miss it: in parts of the numbers that
+# it is a sum of, and of deviations of the prior. That much float64 leaves of a user's arithmetic.
+CONTRADICTION = Decimal("1e-9")
+OF_PRIOR = Decimal("1e-12")
+# Rounding of a linearised value, in parts of its summands.
+ROUNDING = 4 * 2.0**-52
+# Digits of a mean that float64 holds.
+ALL_DIGITS = -np.log10(2.0**-52)
+# Element operations of a solution beyond which it would take minutes.
+MOST_WORK = 10**7
+# More digits are no longer calculated with; what is smaller than they show is zero.
+MOST_DIGITS = 6000
+FEW, MANY = 30, 400
+
+
+def work(layout: Layout, runs: int, shared: bool) -> int:
+    """About how many element operations a solution takes."""
+    read = sum(len(g.cpds) * g.height for g in layout.groups if g.observed)
+    size = layout.size + read
+    return (1 if shared else runs) * size**3 + runs * size**2
+
+
+@dataclass(frozen=True, eq=False)
+class DenseBeliefs(Beliefs):
+    """Moments of a tree's clusters, and those of all components together.
+
+    Attributes
+    ----------
+    joint_mean, joint_cov : ndarray
+        (runs, size) and (V, size, size).
+    """
+
+    joint_mean: Array
+    joint_cov: Array
+
+    @classmethod
+    def of(cls, plan: TreePlan, mean: Array, cov: Array) -> DenseBeliefs:
+        """About the means themselves, so that nothing is rounded again."""
+        places, size = plan.places, mean.shape[-1]
+        frame = Frame(mean, np.ones(size), np.zeros(size, dtype=bool))
+        stacked, runs = cov.shape[0], mean.shape[0]
+        blank = Beliefs.empty(places, frame, stacked, runs if stacked == 1 else 1)
+        blank.mean[...] = 0.0
+        for cluster, columns in enumerate(plan.layout.columns):
+            inside = np.array(list(columns), dtype=np.intp)
+            at = np.array([cluster]), np.array([list(columns.values())], dtype=np.intp)
+            blank.cov[:, places.covs(*at)[0]] = cov[:, inside[:, None], inside]
+        return cls(places, frame, blank.mean, blank.cov, mean, cov)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The beliefs, ln p(evidence), (V, N), and the digits that are left of each run's means."""
+
+    beliefs: DenseBeliefs
+    log_evidence: Array
+    digits: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Law:
+    """A CPD of a network: y = F p + b + n, in (V, d, n), (V, d, N) and (V, d, d)."""
+
+    g: int
+    group: Group
+    row: int
+    matrix: Decimals
+    offset: Decimals
+    noise: Decimals
+
+
+@dataclass(eq=False)
+class Laws:
+    """The linearised CPDs of a network, in decimals."""
+
+    layout: Layout
+    families: list[Family]
+    runs: int
+    shared: bool
+    _roots: dict[bytes, _Root] = field(default_factory=dict)
+
+    @property
+    def stacked(self) -> int:
+        """V, how many runs have matrices of their own."""
+        return 1 if self.shared else self.runs
+
+    def __iter__(self) -> Iterator[_Law]:
+        for g, row in self.layout.order:
+            yield self.law(g, row)
+
+    def law(self, g: int, row: int) -> _Law:
+        """One of them."""
+        group, family = self.layout.groups[g], self.families[g]
+        noise = family.noise[row, : self.stacked]
+        return _Law(
+            g,
+            group,
+            row,
+            decimals.exact(family.matrix[row, : self.stacked]),
+            self.by_run(_offset(family, row, self.runs)),
+            np.stack([self.root(one, family).matrix for one in noise]),
+        )
+
+    def by_run(self, values: Decimals) -> Decimals:
+        """(runs, d) as (V, d, N)."""
+        if self.shared:
+            return np.asarray(values.T[None])
+        return np.asarray(values[..., None])
+
+    def by_float(self, values: Decimals) -> Array:
+        """(V, ..., N) as (runs, ...), rounded."""
+        found = decimals.floats(values)
+        return np.moveaxis(found[0], -1, 0) if self.shared else found[..., 0]
+
+    def root(self, noise: Array, family: Family) -> _Root:
+        """The factors of a noise."""
+        key = noise.tobytes()
+        if key not in self._roots:
+            made = _Root.of(decimals.exact(noise))
+            if made is None:
+                raise indefinite_noise(family.cpd)
+            self._roots[key] = made
+        return self._roots[key]
+
+    def span(self) -> int:
+        """Decades between the numbers that matter: deviations, and slopes."""
+        edge = decimals.zeros(self.stacked, self.layout.size)
+        least, most = Decimal(1), Decimal(1)
+        slopes = [Decimal(1)]
+        for law in self:
+            size = np.abs(law.matrix)
+            parents = law.group.parents[law.row]
+            reach = decimals.product(size, edge[:, parents][..., None])[..., 0]
+            variance = np.diagonal(law.noise, axis1=-2, axis2=-1)
+            own = decimals.sqrt(reach * reach + variance)
+            if not law.group.observed:
+                edge[:, law.group.child[law.row]] = own
+            found = [x for x in (*own.flat, *decimals.sqrt(variance).flat) if x]
+            least, most = min([least, *found]), max([most, *found])
+            slopes += [x for x in size.flat if x]
+        decades = most.log10() - least.log10() + max(slopes).log10() - min(slopes).log10()
+        return int(decades) + 1
+
+
+def _offset(family: Family, row: int, runs: int) -> Decimals:
+    """The offset b of one row, (runs, d), of an affine CPD not rounded."""
+    cpd = family.cpd
+    known = [p for p in cpd.given if p not in family.hidden]
+    if family.template is not None or not known:
+        return decimals.exact(np.broadcast_to(family.offset[row], (runs, cpd.child.dimension)))
+    total = decimals.exact(np.broadcast_to(cpd.offset, (runs, cpd.child.dimension)))
+    for parent in known:
+        values = decimals.exact(np.broadcast_to(family.inputs[parent][row], (runs, parent.dimension)))
+        slope = decimals.exact(cpd.matrices[parent])
+        total = total + decimals.product(slope, values[..., None])[..., 0]
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class _Root:
+    """A covariance as L diag(d) Lᵀ, where L is unit lower triangular with its rows in an order."""
+
+    lower: Decimals
+    pivots: Decimals
+    order: list[int]
+
+    @classmethod
+    def of(cls, noise: Decimals) -> _Root | None:
+        """Of a covariance, largest pivots first; None where it is indefinite."""
+        size = len(noise)
+        variance = np.diagonal(noise).copy()
+        least = variance * Decimal(roots.NEGLIGIBLE)
+        lower, pivots, left = decimals.zeros(size, size), decimals.zeros(size), noise.copy()
+        waiting, order = list(range(size)), []
+        for k in range(size):
+            first = max(waiting, key=lambda i: left[i, i] / least[i] if least[i] else ZERO)
+            waiting.remove(first)
+            order.append(first)
+            lower[first, k] = Decimal(1)
+            pivot = left[first, first]
+            if pivot < -variance[first] * Decimal(roots.INDEFINITE) or variance[first] < 0:
+                return None
+            if pivot > least[first]:
+                pivots[k] = pivot
+                lower[waiting, k] = left[waiting, first] / pivot
+                left = left - lower[:, k, None] * left[first]
+        return cls(lower, pivots, order)
+
+    @property
+    def matrix(self) -> Decimals:
+        """The covariance, of which what was rounding is gone."""
+        return decimals.product(self.lower * self.pivots, self.lower.T)
+
+    def whitened(self, right: Decimals) -> Decimals:
+        """L⁻¹ B, (d, m)."""
+        left, found = right.copy(), decimals.zeros(*right.shape)
+        for k, row in enumerate(self.order):
+            found[k] = left[row]
+            left = left - self.lower[:, k, None] * found[k]
+        return found
+
+
+def predictive(
+    layout: Layout,
+    families: list[Family],
+    runs: int,
+    *,
+    shared: bool,
+    start: Array | None = None,
+) -> Frame:
+    """As `prior_predictive` without a start, but that moments are rounded once, at the end."""
+    laws = Laws(layout, families, runs, shared)
+    with decimals.digits(MANY):
+        joint = Joint.empty(
+            laws.stacked, layout.size, runs if shared else 1, Decimal(10) ** -(MANY // 2)
+        )
+        for g, row in layout.order:
+            group, family = layout.groups[g], families[g]
+            parents = group.parents[row]
+            if not family.exact:
+                inside = decimals.floats(joint.cov[:, parents[:, None], parents])
+                mean = laws.by_float(joint.mean[:, parents])
+                family.linearise(row, mean, np.broadcast_to(inside, (runs, *inside.shape[1:])))
+            if not group.observed:
+                law = laws.law(g, row)
+                joint.add(group.child[row], parents, law.matrix, law.offset, law.noise)
+        mean = laws.by_float(joint.mean)
+        variance = decimals.floats(np.diagonal(joint.cov, axis1=-2, axis2=-1))
+    scale = np.sqrt(variance.max(axis=0, initial=0.0))
+    scale = np.maximum(scale, SHARE * np.abs(mean).max(axis=0, initial=0.0))
+    return Frame(mean, np.where(scale > 0.0, scale, 1.0), (variance == 0.0).all(axis=0))
+
+
+def solve(plan: TreePlan, model: Model) -> Solution:
+    """The beliefs of a network as it is linearised."""
+    laws = Laws(plan.layout, model.families, model.runs, model.shared)
+    with decimals.digits(FEW):
+        count = min(2 * (2 * laws.span() + FEW), MOST_DIGITS)
+    with decimals.digits(count):
+        return _solve(plan, model, laws, Decimal(10) ** -(count // 2))
+
+
+def _solve(plan: TreePlan, model: Model, laws: Laws, nothing: Decimal) -> Solution:
+    layout = plan.layout
+    sides = model.runs if model.shared else 1
+    rounding = [None if f.exact else _rounding(model, g) for g, f in enumerate(model.families)]
+    columns = sum(
+        len(group.cpds) * group.height
+        for group, lost in zip(layout.groups, rounding, strict=True)
+        if lost is not None
+    )
+    height = max((group.height for group in layout.groups if group.observed), default=0)
+    joint = Joint.empty(laws.stacked, layout.size + height, sides + columns, nothing)
+    log_density = np.zeros((laws.stacked, sides))
+    done = sides
+    for law in laws:
+        group, row, lost = law.group, law.row, rounding[law.g]
+        offset = np.concatenate(
+            [law.offset, decimals.zeros(laws.stacked, group.height, columns)], axis=-1
+        )
+        if lost is not None:
+            own = np.arange(group.height)
+            offset[:, own, done + own] = decimals.exact(lost[row])
+            done += group.height
+        parents = group.parents[row]
+        if not group.observed:
+            joint.add(group.child[row], parents, law.matrix, offset, law.noise)
+        else:
+            log_density += _read(model, laws, law, joint, offset)
+    size = layout.size
+    mean, cov = joint.mean[:, :size, :sides], decimals.floats(joint.cov[:, :size, :size])
+    found = DenseBeliefs.of(plan, laws.by_float(mean), cov)
+    return Solution(found, log_density, _digits(model, joint, sides, size))
+
+
+def _read(
+    model: Model, laws: Laws, law: _Law, joint: Joint, offset: Decimals
+) -> Array:
+    """Condition on an observed child, its noise decorrelated; ln p of it, (V, N)."""
+    group, row, g = law.group, law.row, law.g
+    reading, taken = model.moved[g], model.taken[g]
+    assert reading is not None
+    value = laws.by_run(decimals.exact(reading[row]))
+    matrix, noise = law.matrix, law.noise
+    open_ = np.ones((laws.stacked, group.height), dtype=bool)
+    if taken is not None:
+        # What is missing is read as a number of unit variance that nothing depends on.
+        open_ = np.broadcast_to(taken[row], open_.shape)
+        matrix = np.where(open_[..., None], matrix, ZERO)
+        offset = np.where(open_[..., None], offset, ZERO)
+        value = np.where(open_[..., None], value, ZERO)
+        alone = np.where(open_, ZERO, Decimal(1))[..., None] * decimals.exact(np.eye(group.height))
+        noise = np.where(open_[..., None] & open_[..., None, :], noise, alone)
+    found = [_Root.of(one) for one in noise]
+    each = [root for root in found if root is not None]
+    matrix, offset, value = (
+        np.stack([root.whitened(part) for root, part in zip(each, parts, strict=True)])
+        for parts in (matrix, offset, value)
+    )
+    open_ = np.stack([mask[root.order] for mask, root in zip(open_, each, strict=True)])
+    pivots = np.stack([root.pivots for root in each])
+    parents = group.parents[row]
+    places = np.arange(model.layout.size, model.layout.size + group.height)
+    diagonal = pivots[..., None] * decimals.exact(np.eye(group.height))
+    joint.add(places, parents, matrix, offset, diagonal)
+    sides = value.shape[-1]
+    total = np.zeros((laws.stacked, sides))
+    for k, place in enumerate(places.tolist()):
+        at = np.abs(joint.mean[:, parents, :sides])
+        numbers = decimals.product(np.abs(matrix[:, k : k + 1]), at)[:, 0]
+        numbers = numbers + np.abs(offset[:, k, :sides]) + np.abs(value[:, k])
+        allowed = CONTRADICTION * numbers + OF_PRIOR * joint.edge[:, place, None]
+        log_density, far = joint.read(place, value[:, k], allowed)
+        if far.any():
+            v, n = (int(axis[0]) for axis in np.nonzero(far))
+            raise contradiction(model, int(group.clusters[row]), max(v, n))
+        total += np.where(open_[:, k, None], log_density, 0.0)
+    joint.forget(places)
+    return total
+
+
+def _rounding(model: Model, g: int) -> Array:
+    """How much rounding a linearised value may have, (CPDs, runs, d)."""
+    group, family, frame = model.layout.groups[g], model.families[g], model.frame
+    at = frame.mean[:, group.parents].swapaxes(0, 1)
+    spread = frame.scale[group.parents][:, None]
+    terms = apply(np.abs(family.matrix), np.abs(at) + spread) + np.abs(family.offset)
+    return ROUNDING * amplification(family, at, spread) * terms
+
+
+def amplification(family: Family, at: Array, spread: Array) -> Array:
+    """By how much a lineariser magnifies rounding of values, (CPDs, runs, 1)."""
+    rule, template = family.lineariser, family.template
+    assert template is not None
+    factor = np.ones((*at.shape[:2], 1))
+    if isinstance(rule, StatisticalRegression):
+        points = rule.points(at.shape[-1], template.child.name, 0)
+        slope = np.abs(points.cov_weights[:, None] * points.points).sum(axis=-2).max(initial=0.0)
+        return factor * (np.abs(points.mean_weights).sum() + slope)
+    if template.numerical:
+        some = list(template.numerical)
+        step = differences.steps(at, spread)
+        factor += (spread / step)[..., some].sum(axis=-1, keepdims=True)
+    return factor
+
+
+def _digits(model: Model, joint: Joint, sides: int, size: int) -> Array:
+    """The digits that rounding of linearised values leaves of each run's means."""
+    lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))
+    if not lost.size or not np.size(lost) or joint.mean.shape[-1] == sides:
+        return np.full(model.runs, ALL_DIGITS)
+    variance = np.diagonal(joint.cov[:, :size, :size], axis1=-2, axis2=-1)
+    std = decimals.floats(decimals.sqrt(np.maximum(variance, ZERO)))
+    # Where there is no deviation a billionth of the numbers is as good.
+    unit = np.where(std > 0.0, std, 1e-3 * model.frame.scale)
+    share = (lost / unit).max(axis=-1, initial=0.0)
+    digits = np.minimum(-np.log10(np.maximum(share, 1e-300)), ALL_DIGITS)
+    return np.broadcast_to(digits, (model.runs,)).copy()
