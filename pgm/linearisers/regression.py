@@ -24,6 +24,8 @@ from pgm.kernels.regression import Line, line, range_inverse, regress, regress_a
 from pgm.linearisers.function import Affine, ArrayLineariser, BoundFunction
 from pgm.sizes import require_memory
 
+# An error of a larger share of a value's square is none of rounding.
+_PLAIN = 1e-16
 # The regression on more points than this takes longer to prepare than it saves.
 FEW = 64
 
@@ -52,6 +54,20 @@ class Points(_Points):
     def line(self) -> Line:
         """The regression on the points, where all beliefs share them."""
         return line(self.points, self.mean_weights, self.cov_weights)
+
+    @cached_property
+    def rounding(self) -> float:
+        """How far rounding may put a value off its line, as a part of the value's summands.
+
+        The deviation, with the rule's weights, of values that are each off by four units in the
+        last place, from a line that these move as well.
+        """
+        s, size = np.abs(self.points), np.abs(self.cov_weights)
+        moved = 1.0 + np.abs(self.mean_weights).sum()
+        if len(s):
+            reach = s.max(axis=-2)
+            moved += (reach * (size[:, None] * s).sum(axis=-2)).sum(axis=-1).max(initial=0.0)
+        return float(4 * 2.0**-52 * moved * np.sqrt(size.sum()))
 
 
 @dataclass(frozen=True)
@@ -126,6 +142,9 @@ class StatisticalRegression(ArrayLineariser):
                 s, offset, mean_weights, cov_weights, lower, known=self.prior_moments
             )
         matrix = _divide(slope, lower, function, mean, cov)
+        size = np.abs(value) + np.abs(offset).max(axis=-2, initial=0.0)
+        if not self.prior_moments:
+            noise = _without_rounding(noise, size, matrix, mean, points.rounding)
         return Affine(matrix, value + centre - apply(matrix, mean), noise)
 
     def is_semidefinite(self, dimension: int) -> bool:
@@ -167,6 +186,21 @@ class StatisticalRegression(ArrayLineariser):
             line = np.where(wide[..., None, None], line, 0.0)
             raw = function.residual(raw, line) + line
         return raw, reference[..., 0, :]
+
+
+def _without_rounding(noise: Array, size: Array, matrix: Array, mean: Array, share: float) -> Array:
+    """The error of a line, zero in components in which it may be rounding of the values.
+
+    A value of a size has summands of |F| |μ| besides, of which it may be the difference.
+    """
+    variance = np.diagonal(noise, axis1=-2, axis2=-1)
+    if (variance > _PLAIN * (size * size)).all():
+        return noise
+    summands = size + apply(np.abs(matrix), np.abs(mean))
+    real = variance > (share * summands) ** 2
+    if real.all():
+        return noise
+    return np.where(real[..., :, None] & real[..., None, :], noise, 0.0)
 
 
 def _divide(slope: Array, lower: Array, function: BoundFunction, mean: Array, cov: Array) -> Array:

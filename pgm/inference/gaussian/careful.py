@@ -362,6 +362,8 @@ def amplification(family: Family, at: Array, spread: Array) -> Array:
     rule, template = family.lineariser, family.template
     assert template is not None
     factor = np.ones((*at.shape[:2], 1))
+    if not family.hidden:
+        return factor
     if isinstance(rule, StatisticalRegression):
         points = rule.points(at.shape[-1], template.child.name, 0)
         slope = np.abs(points.cov_weights[:, None] * points.points).sum(axis=-2).max(initial=0.0)
