@@ -57,8 +57,8 @@ class Eliminated(NamedTuple):
     contradiction : ndarray of bool or None
         (..., N): where exact relations contradict one another.
     largest : float
-        Of the entries of rows that were integrated out, and of reciprocals of what exact relations
-        were divided by; infinite where it is not certain which relations are independent.
+        Of the entries of rows after exact relations were put into them, and of reciprocals of what
+        these were divided by; infinite where it is not certain which of them are independent.
     """
 
     gain: Array
@@ -146,7 +146,7 @@ def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
         rest,
         log_scale,
         None,
-        float(np.abs(factor[..., :count, :]).max(initial=0.0)),
+        0.0,
     )
 
 
@@ -195,7 +195,7 @@ def _eliminate_exact(
         Rows(*proper.rest[:2], rest_exact, rest_right),
         log_scale - scale[..., None],
         contradiction,
-        max(proper.largest, _doubt(values, used), doubt),
+        max(float(np.abs(moved).max(initial=0.0)), _doubt(values, used), doubt),
     )
 
 

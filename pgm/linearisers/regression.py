@@ -193,7 +193,7 @@ def _without_rounding(noise: Array, size: Array, matrix: Array, mean: Array, sha
 
     A value of a size has summands of |F| |μ| besides, of which it may be the difference.
     """
-    variance = np.diagonal(noise, axis1=-2, axis2=-1)
+    variance = np.abs(np.diagonal(noise, axis1=-2, axis2=-1))  # weights may be negative
     if (variance > _PLAIN * (size * size)).all():
         return noise
     summands = size + apply(np.abs(matrix), np.abs(mean))

@@ -32,8 +32,8 @@ class Buffer:
         The same for exact relations; None where there are none.
     log_scale : ndarray
         (V, clusters + messages + 1, N); the last is zero.
-    coarse, lost : float
-        The largest of the factors' `coarse`, and of all eliminations' `largest`.
+    coarse, largest : float
+        The largest of the factors' `coarse`, and of their entries and all eliminations' `largest`.
     """
 
     rounds: Rounds
@@ -44,7 +44,7 @@ class Buffer:
     exact_right: Array | None
     log_scale: Array
     coarse: float = 0.0
-    lost: float = 0.0
+    largest: float = 0.0
 
     @classmethod
     def make(cls, rounds: Rounds, model: Model) -> Buffer:
@@ -72,6 +72,7 @@ class Buffer:
 
     def _put(self, potentials: Potentials) -> None:
         self.coarse = max(self.coarse, potentials.coarse)
+        self.largest = max(self.largest, float(np.abs(potentials.matrix).max(initial=0.0)))
         entries, rows = potentials.matrix.shape[1], potentials.right.shape[1]
         self.matrix[:, :entries], self.right[:, :rows] = potentials.matrix, potentials.right
         if self.exact is None and potentials.exact is not None:
@@ -101,8 +102,7 @@ class Buffer:
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
         """What a stack's elimination leaves, and its log-scale, (V, B, N)."""
         done = eliminate(self.factor(stack), stack.drop)
-        # max(NaN, ...) would depend on the order.
-        self.lost = done.largest if not done.largest <= self.lost else self.lost
+        self.largest = max(self.largest, done.largest)
         if done.contradiction is not None and done.contradiction.any():
             self._refuse_contradiction(stack, done.contradiction)
         unit = np.log(self.model.frame.scale[stack.components[:, : stack.drop]]).sum(axis=1)

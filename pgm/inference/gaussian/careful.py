@@ -25,6 +25,7 @@ from pgm.inference.gaussian.tree import TreePlan
 from pgm.kernels import decimals, differences, roots
 from pgm.kernels.arrays import Array, apply
 from pgm.kernels.decimals import Decimals
+from pgm.linearisers import Taylor
 from pgm.linearisers.regression import StatisticalRegression
 
 # How far a reading that a model without noise determines may miss it: in parts of the numbers that
@@ -280,7 +281,7 @@ def _solve(plan: TreePlan, model: Model, laws: Laws, nothing: Decimal) -> Soluti
     )
     height = max((group.height for group in layout.groups if group.observed), default=0)
     joint = Joint.empty(laws.stacked, layout.size + height, sides + columns, nothing)
-    log_density = np.zeros((laws.stacked, sides))
+    log_density, moved = np.zeros((laws.stacked, sides)), np.zeros(laws.stacked)
     done = sides
     for law in laws:
         group, row, lost = law.group, law.row, rounding[law.g]
@@ -295,17 +296,22 @@ def _solve(plan: TreePlan, model: Model, laws: Laws, nothing: Decimal) -> Soluti
         if not group.observed:
             joint.add(group.child[row], parents, law.matrix, offset, law.noise)
         else:
-            log_density += _read(model, laws, law, joint, offset)
+            said, lost_of_it = _read(model, laws, law, joint, offset)
+            log_density += said
+            moved = np.maximum(moved, lost_of_it)
     size = layout.size
     mean, cov = joint.mean[:, :size, :sides], decimals.floats(joint.cov[:, :size, :size])
     found = DenseBeliefs.of(plan, laws.by_float(mean), cov)
-    return Solution(found, log_density, _digits(model, joint, sides, size))
+    return Solution(found, log_density, _digits(model, joint, sides, moved))
 
 
 def _read(
     model: Model, laws: Laws, law: _Law, joint: Joint, offset: Decimals
-) -> Array:
-    """Condition on an observed child, its noise decorrelated; ln p of it, (V, N)."""
+) -> tuple[Array, Array]:
+    """Condition on an observed child, its noise decorrelated.
+
+    Returns ln p of it, (V, N), and by how much rounding may move that, (V,).
+    """
     group, row, g = law.group, law.row, law.g
     reading, taken = model.moved[g], model.taken[g]
     assert reading is not None
@@ -333,57 +339,55 @@ def _read(
     diagonal = pivots[..., None] * decimals.exact(np.eye(group.height))
     joint.add(places, parents, matrix, offset, diagonal)
     sides = value.shape[-1]
-    total = np.zeros((laws.stacked, sides))
+    total, moved = np.zeros((laws.stacked, sides)), np.zeros(laws.stacked)
     for k, place in enumerate(places.tolist()):
         at = np.abs(joint.mean[:, parents, :sides])
         numbers = decimals.product(np.abs(matrix[:, k : k + 1]), at)[:, 0]
         numbers = numbers + np.abs(offset[:, k, :sides]) + np.abs(value[:, k])
         allowed = CONTRADICTION * numbers + OF_PRIOR * joint.edge[:, place, None]
-        log_density, far = joint.read(place, value[:, k], allowed)
-        if far.any():
-            v, n = (int(axis[0]) for axis in np.nonzero(far))
+        read = joint.read(place, value[:, k], allowed)
+        if read.contradiction.any():
+            v, n = (int(axis[0]) for axis in np.nonzero(read.contradiction))
             raise contradiction(model, int(group.clusters[row]), max(v, n))
-        total += np.where(open_[:, k, None], log_density, 0.0)
+        total += np.where(open_[:, k, None], read.log_density, 0.0)
+        moved = np.maximum(moved, read.moved)
     joint.forget(places)
-    return total
+    return total, moved
 
 
 def _rounding(model: Model, g: int) -> Array:
-    """How much rounding a linearised value may have, (CPDs, runs, d)."""
+    """How much rounding F x + b of a linearised CPD may have, (CPDs, runs, d)."""
     group, family, frame = model.layout.groups[g], model.families[g], model.frame
-    at = frame.mean[:, group.parents].swapaxes(0, 1)
-    spread = frame.scale[group.parents][:, None]
-    terms = apply(np.abs(family.matrix), np.abs(at) + spread) + np.abs(family.offset)
-    return ROUNDING * amplification(family, at, spread) * terms
-
-
-def amplification(family: Family, at: Array, spread: Array) -> Array:
-    """By how much a lineariser magnifies rounding of values, (CPDs, runs, 1)."""
     rule, template = family.lineariser, family.template
     assert template is not None
-    factor = np.ones((*at.shape[:2], 1))
+    at = frame.mean[:, group.parents].swapaxes(0, 1)
+    spread = np.broadcast_to(frame.scale[group.parents][:, None], at.shape)
+    here = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
+    away = apply(np.abs(family.matrix), spread)
     if not family.hidden:
-        return factor
+        return ROUNDING * here
     if isinstance(rule, StatisticalRegression):
+        # The slope is a sum of values at all points, and so is the offset.
         points = rule.points(at.shape[-1], template.child.name, 0)
-        slope = np.abs(points.cov_weights[:, None] * points.points).sum(axis=-2).max(initial=0.0)
-        return factor * (np.abs(points.mean_weights).sum() + slope)
-    if template.numerical:
+        slope = np.abs(points.cov_weights[:, None] * points.points).sum(axis=-2).max()
+        return ROUNDING * (np.abs(points.mean_weights).sum() + slope) * (here + away)
+    if isinstance(rule, Taylor):
         some = list(template.numerical)
-        step = differences.steps(at, spread)
-        factor += (spread / step)[..., some].sum(axis=-1, keepdims=True)
-    return factor
+        far = (spread / differences.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
+        return ROUNDING * (here + far * here + (away if some else 0.0))
+    return ROUNDING * (here + away)
 
 
-def _digits(model: Model, joint: Joint, sides: int, size: int) -> Array:
-    """The digits that rounding of linearised values leaves of each run's means."""
+def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
+    """The digits that rounding of linearised values leaves of each run's means, and of ln p."""
+    size = model.layout.size
     lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))
-    if not lost.size or not np.size(lost) or joint.mean.shape[-1] == sides:
+    if joint.mean.shape[-1] == sides:
         return np.full(model.runs, ALL_DIGITS)
     variance = np.diagonal(joint.cov[:, :size, :size], axis1=-2, axis2=-1)
     std = decimals.floats(decimals.sqrt(np.maximum(variance, ZERO)))
     # Where there is no deviation a billionth of the numbers is as good.
     unit = np.where(std > 0.0, std, 1e-3 * model.frame.scale)
-    share = (lost / unit).max(axis=-1, initial=0.0)
+    share = np.maximum((lost / unit).max(axis=-1, initial=0.0), moved)
     digits = np.minimum(-np.log10(np.maximum(share, 1e-300)), ALL_DIGITS)
     return np.broadcast_to(digits, (model.runs,)).copy()

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from decimal import Decimal
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,24 @@ from pgm.kernels.decimals import Decimals
 # of its summands is rounding of F: with no noise, y is determined.
 ROUNDED = Decimal(2) ** -51
 ZERO = Decimal(0)
+
+
+class Read(NamedTuple):
+    """What conditioning on a component says.
+
+    Attributes
+    ----------
+    log_density : ndarray
+        ln p of its values, (V, N').
+    contradiction : ndarray of bool
+        (V, N'): where they contradict the model.
+    moved : ndarray
+        (V,): by how much the columns beyond N' together may move ln p.
+    """
+
+    log_density: Array
+    contradiction: Mask
+    moved: Array
 
 
 @dataclass(eq=False)
@@ -85,11 +104,10 @@ class Joint:
         self.cov[:, places[:, None], places] = own + noise
         self.edge[:, places] = decimals.sqrt(prior * prior + variance)
 
-    def read(self, place: int, value: Decimals, allowed: Decimals) -> tuple[Array, Mask]:
+    def read(self, place: int, value: Decimals, allowed: Decimals) -> Read:
         """Condition on a component's values (V, N'), of the first columns.
 
-        Returns ln p, (V, N'), and where they contradict the model: where a component that is
-        determined differs by more than is allowed, (V, N').
+        One that is determined may differ from them by what is allowed, (V, N').
         """
         count = value.shape[1]
         variance, edge = self.cov[:, place, place], self.edge[:, place]
@@ -106,7 +124,14 @@ class Joint:
         self.cov = np.where(np.abs(cov) <= self.nothing * outer, ZERO, cov)
         constant = np.array([decimals.log(s) for s in divisor[:, 0].tolist()]) + LOG_2PI
         density = -0.5 * (decimals.floats(left * left / divisor) + constant[:, None])
-        return np.where(open_[:, None], density, 0.0), far
+        deviation = decimals.sqrt(divisor)
+        moved = np.abs(innovation[:, count:]).sum(axis=-1, initial=ZERO)[:, None] / deviation
+        lost = decimals.floats(moved * (1 + np.abs(left) / deviation))
+        return Read(
+            np.where(open_[:, None], density, 0.0),
+            far,
+            np.where(open_, lost.max(axis=-1, initial=0.0), 0.0),
+        )
 
     def forget(self, places: Integers) -> None:
         """Leave out components, whose places are free again."""

@@ -235,7 +235,8 @@ class Reference:
             numbers = norms(value[some]) + self.size[some]
             self.evidence_floor = float(EPS * (numbers @ norms(weighted)))
         self.edge = floats(edge)
-        self.size = floats(self.size) + floats(edge)
+        unit = np.concatenate([case.units[v] for v in self.places])
+        self.size = floats(self.size) + floats(edge) + unit
 
     def part(self, variables):
         places = [p for v in variables for p in self.places[v]]
