@@ -30,8 +30,9 @@ from pgm.linearisers.regression import StatisticalRegression
 
 # How far a reading that a model without noise determines may miss it: in parts of the numbers that
 # it is a sum of, and of deviations of the prior. That much float64 leaves of a user's arithmetic.
-CONTRADICTION = Decimal("1e-9")
-OF_PRIOR = Decimal("1e-12")
+CONTRADICTION = Decimal("1e-12")
+# The same in parts of what rounding of linearised values comes to at most.
+OF_ROUNDING = 10
 # Rounding of a linearised value, in parts of its summands.
 ROUNDING = 4 * 2.0**-52
 # Digits of a mean that float64 holds.
@@ -344,7 +345,9 @@ def _read(
         at = np.abs(joint.mean[:, parents, :sides])
         numbers = decimals.product(np.abs(matrix[:, k : k + 1]), at)[:, 0]
         numbers = numbers + np.abs(offset[:, k, :sides]) + np.abs(value[:, k])
-        allowed = CONTRADICTION * numbers + OF_PRIOR * joint.edge[:, place, None]
+        allowed = CONTRADICTION * (numbers + joint.edge[:, place, None])
+        rounded = np.abs(joint.mean[:, place, sides:]).sum(axis=-1, initial=ZERO)
+        allowed = allowed + OF_ROUNDING * rounded[:, None]
         read = joint.read(place, value[:, k], allowed)
         if read.contradiction.any():
             v, n = (int(axis[0]) for axis in np.nonzero(read.contradiction))
