@@ -34,7 +34,7 @@ CONTRADICTION = Decimal("1e-12")
 # The same in parts of what rounding of linearised values comes to at most.
 OF_ROUNDING = 10
 # Rounding of a linearised value, in parts of its summands.
-ROUNDING = 4 * 2.0**-52
+ROUNDING = 2.0**-52
 # Digits of a mean that float64 holds.
 ALL_DIGITS = -np.log10(2.0**-52)
 # Element operations of a solution beyond which it would take minutes.
@@ -360,11 +360,11 @@ def _read(
 
 def _rounding(model: Model, g: int) -> Array:
     """How much rounding F x + b of a linearised CPD may have, (CPDs, runs, d)."""
-    group, family, frame = model.layout.groups[g], model.families[g], model.frame
+    group, family = model.layout.groups[g], model.families[g]
     rule, template = family.lineariser, family.template
     assert template is not None
-    at = frame.mean[:, group.parents].swapaxes(0, 1)
-    spread = np.broadcast_to(frame.scale[group.parents][:, None], at.shape)
+    at = model.at[:, group.parents].swapaxes(0, 1)
+    spread = model.spread[:, group.parents].swapaxes(0, 1)
     here = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
     away = apply(np.abs(family.matrix), spread)
     if not family.hidden:
@@ -392,5 +392,9 @@ def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
     # Where there is no deviation a billionth of the numbers is as good.
     unit = np.where(std > 0.0, std, 1e-3 * model.frame.scale)
     share = np.maximum((lost / unit).max(axis=-1, initial=0.0), moved)
+    # Far from where it was linearised a slope's rounding counts the more.
+    mean = decimals.floats(joint.mean[:, :size, 0])
+    away = np.abs(mean - model.at) / np.where(model.spread > 0.0, model.spread, np.inf)
+    share = share * np.maximum(away.max(axis=-1, initial=1.0), 1.0)
     digits = np.minimum(-np.log10(np.maximum(share, 1e-300)), ALL_DIGITS)
     return np.broadcast_to(digits, (model.runs,)).copy()

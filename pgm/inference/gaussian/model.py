@@ -44,6 +44,8 @@ class Model:
     shared : bool
         Whether all runs have the same matrices and covariances, and the same components observed.
     frame : Frame
+    at, spread : ndarray
+        (runs, size): the means at which CPDs were linearised last, and the deviations there.
     """
 
     layout: Layout
@@ -54,6 +56,8 @@ class Model:
     taken: list[Mask | None]
     shared: bool
     frame: Frame
+    at: Array
+    spread: Array
 
     @classmethod
     def make(
@@ -97,7 +101,12 @@ class Model:
                 family.linearise(slice(None), at, np.zeros((*at.shape, at.shape[-1])))
         find = prior_predictive if start is not None else predictive
         frame = find(layout, families, bound.runs, shared=shared, start=start)
-        model = cls(layout, bound.lead, families, readings, [*readings], taken, shared, frame)
+        spread = np.broadcast_to(frame.scale, frame.mean.shape)
+        model = cls(
+            *(layout, bound.lead, families, readings, [*readings], taken, shared, frame),
+            frame.mean,
+            spread,
+        )
         model._follow(frame.mean, None)
         return model
 
@@ -117,14 +126,19 @@ class Model:
         return all(family.taylor for family in self.families)
 
     def relinearise(
-        self, mean: Array, parents: Sequence[tuple[Array, Array] | None], active: Mask
+        self,
+        mean: Array,
+        std: Array,
+        parents: Sequence[tuple[Array, Array] | None],
+        active: Mask,
     ) -> None:
         """Linearise every nonlinear CPD at a belief, one call a group.
 
         Parameters
         ----------
-        mean : ndarray
-            (runs, size): of all hidden components; angles of evidence move to their branch.
+        mean, std : ndarray
+            (runs, size) and (V, size): of all hidden components; angles of evidence move to their
+            branch.
         parents : sequence of (ndarray, ndarray) or None
             For each group with nonlinear CPDs the mean (CPDs, runs, n) and covariance of their
             hidden parents.
@@ -135,6 +149,8 @@ class Model:
             if at is not None:
                 family.linearise(slice(None), *at, active)
         self._follow(mean, active)
+        self.at = np.where(active[:, None], mean, self.at)
+        self.spread = np.where(active[:, None], std, self.spread)
 
     def _follow(self, mean: Array, active: Mask | None) -> None:
         """Keep the angles of values and evidence on the chart of given means."""
