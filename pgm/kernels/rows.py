@@ -199,7 +199,9 @@ def _eliminate_exact(
     )
 
 
-def _independent(exact: Array, right: Array, size: Array) -> tuple[Array, Array, Array, Mask, float]:
+def _independent(
+    exact: Array, right: Array, size: Array
+) -> tuple[Array, Array, Array, Mask, float]:
     """Relations as orthonormal rows, ln of what that takes off, where they contradict, and doubt.
 
     Right sides come of numbers of a size, (..., N).
@@ -222,7 +224,7 @@ def _independent(exact: Array, right: Array, size: Array) -> tuple[Array, Array,
 
 def _doubt(values: Array, used: Mask) -> float:
     """The reciprocal of the least value used; infinite where one that is not used is no rounding."""
-    if (values[~used] > ROUNDING).any():
+    if not (values[~used] <= ROUNDING).all():
         return np.inf
     return float(1.0 / values[used].min(initial=1.0))
 
@@ -230,7 +232,11 @@ def _doubt(values: Array, used: Mask) -> float:
 def _svd(matrix: Array) -> tuple[Array, Array, Array]:
     """U, S and Vᵀ, the former square; NumPy leaves U unset where there are no columns."""
     if matrix.size:
-        return np.linalg.svd(matrix, full_matrices=True)
+        try:
+            return np.linalg.svd(matrix, full_matrices=True)
+        except np.linalg.LinAlgError:  # NaN or infinity, of which nothing is known
+            lost = np.linalg.svd(np.zeros_like(matrix), full_matrices=True)
+            return lost[0] * np.nan, lost[1] * np.nan, lost[2] * np.nan
     lead, (rows, columns) = matrix.shape[:-2], matrix.shape[-2:]
     left = np.broadcast_to(np.eye(rows), (*lead, rows, rows))
     return left, np.zeros((*lead, 0)), np.broadcast_to(np.eye(columns), (*lead, columns, columns))

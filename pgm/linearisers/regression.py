@@ -117,9 +117,11 @@ class StatisticalRegression(ArrayLineariser):
         lower = roots.root(cov)
         if not roots.is_proper(lower):
             when = f" at step {function.step}" if isinstance(function.step, int) else ""
+            fault = "an indefinite covariance; use a rule with positive weights or more samples"
+            if not np.isfinite(cov).all():
+                fault = "a covariance beyond the range of float64; give the model other units"
             raise NumericalError(
-                f"the belief at which the CPD of {function.name} is linearised{when} has an "
-                "indefinite covariance; use a rule with positive weights or more samples"
+                f"the belief at which the CPD of {function.name} is linearised{when} has {fault}"
             )
         step = function.step
         if self.fresh_per_run:

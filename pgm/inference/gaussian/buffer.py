@@ -71,8 +71,9 @@ class Buffer:
         self._put(make_potentials(self.model))
 
     def _put(self, potentials: Potentials) -> None:
-        self.coarse = max(self.coarse, potentials.coarse)
-        self.largest = max(self.largest, float(np.abs(potentials.matrix).max(initial=0.0)))
+        self.coarse = float(np.maximum(self.coarse, potentials.coarse))
+        largest = np.abs(potentials.matrix).max(initial=0.0)
+        self.largest = float(np.maximum(self.largest, largest))
         entries, rows = potentials.matrix.shape[1], potentials.right.shape[1]
         self.matrix[:, :entries], self.right[:, :rows] = potentials.matrix, potentials.right
         if self.exact is None and potentials.exact is not None:
@@ -102,7 +103,7 @@ class Buffer:
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
         """What a stack's elimination leaves, and its log-scale, (V, B, N)."""
         done = eliminate(self.factor(stack), stack.drop)
-        self.largest = max(self.largest, done.largest)
+        self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
         if done.contradiction is not None and done.contradiction.any():
             self._refuse_contradiction(stack, done.contradiction)
         unit = np.log(self.model.frame.scale[stack.components[:, : stack.drop]]).sum(axis=1)
@@ -142,6 +143,12 @@ class Buffer:
         bad = ~np.isfinite(done).all(axis=(0, *range(2, done.ndim)))
         cluster = list(clusters)[int(np.flatnonzero(bad)[0])]
         scope = self.rounds.layout.scopes[cluster]
+        if not scope:
+            raise NumericalError(
+                f"the density of the evidence in cluster {cluster} is beyond the range of float64: "
+                "a reading is more than 1e150 deviations from what the model expects",
+                cluster=cluster,
+            )
         raise NumericalError(
             f"cluster {cluster} has no proper belief over {names(scope)}: its information is "
             "singular in these numbers. Some noise is more than 1e11 times sharper than what else "

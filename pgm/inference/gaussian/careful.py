@@ -181,7 +181,9 @@ def _offset(family: Family, row: int, runs: int) -> Decimals:
         return decimals.exact(np.broadcast_to(family.offset[row], (runs, cpd.child.dimension)))
     total = decimals.exact(np.broadcast_to(cpd.offset, (runs, cpd.child.dimension)))
     for parent in known:
-        values = decimals.exact(np.broadcast_to(family.inputs[parent][row], (runs, parent.dimension)))
+        values = decimals.exact(
+            np.broadcast_to(family.inputs[parent][row], (runs, parent.dimension))
+        )
         slope = decimals.exact(cpd.matrices[parent])
         total = total + decimals.product(slope, values[..., None])[..., 0]
     return total

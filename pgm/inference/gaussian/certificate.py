@@ -33,7 +33,7 @@ def kept_digits(buffer: Buffer, done: Calibrated) -> float:
     if scale.size and not (_RANGE[0] < scale.min() and scale.max() < _RANGE[1]):
         return 0.0
     far = float(np.abs(beliefs.mean).max(initial=1.0))
-    lost = max(buffer.largest * max(buffer.largest, far), buffer.coarse, 1.0)
-    if not np.isfinite(total + far + lost):
+    if not np.isfinite(total + far + buffer.largest + buffer.coarse):
         return 0.0
+    lost = max(buffer.largest * max(buffer.largest, far), buffer.coarse, 1.0)
     return _DIGITS - float(np.log10(lost))

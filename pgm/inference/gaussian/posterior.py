@@ -21,7 +21,7 @@ from pgm.inference.gaussian.tree import Calibrated, TreePlan
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
-from pgm.kernels.arrays import Array, Integers, apply, frozen, transpose
+from pgm.kernels.arrays import Array, Integers, apply, frozen, quiet, transpose
 from pgm.kernels.rows import Rows
 from pgm.variables import Variable
 
@@ -110,14 +110,21 @@ class GaussianPosterior(Posterior):
     def _read(self, scope: Scope, cluster: int, columns: Integers) -> Gaussian:
         at = np.array([cluster]), columns[None]
         places = self._beliefs.places
-        mean, cov = self._beliefs.moments(
-            places.means(*at)[0], places.covs(*at)[0], self._plan.layout.components(scope)
-        )
+        with quiet():
+            mean, cov = self._beliefs.moments(
+                places.means(*at)[0], places.covs(*at)[0], self._plan.layout.components(scope)
+            )
         return self._gaussian(scope, mean, cov)
 
     def _gaussian(self, scope: Scope, mean: Array, cov: Array) -> Gaussian:
         lead = self._model.lead
         size = mean.shape[-1]
+        if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
+            raise NumericalError(
+                f"the belief of {names(scope)} has moments beyond the range of float64; give the "
+                "model other units",
+                variable=scope[0],
+            )
         wide = np.broadcast_to(cov, (*mean.shape, size))
         return Gaussian._make(scope, mean.reshape(*lead, size), wide.reshape(*lead, size, size))
 
@@ -152,7 +159,8 @@ class GaussianPosterior(Posterior):
             )
         runs = self._beliefs.cov.shape[0]
         require_runs(wanted.size**2, runs, f"the joint of {len(scope)} variables")
-        mean, cov = joint_moments(self._plan, self._beliefs, wanted)
+        with quiet():
+            mean, cov = joint_moments(self._plan, self._beliefs, wanted)
         return self._gaussian(scope, mean, cov)
 
     @cached_property
@@ -187,7 +195,8 @@ class GaussianPosterior(Posterior):
                 cluster=i,
             )
         number = 2 * list(edges).index(edge) + (i > j)
-        factor, log_scale = self._messages.kept(number)
+        with quiet():
+            factor, log_scale = self._messages.kept(number)
         scope = self._plan.layout.sepsets[number // 2]
         return self._form(factor, log_scale, scope, f"the message from cluster {i} to {j}", i)
 
@@ -200,7 +209,8 @@ class GaussianPosterior(Posterior):
             If the belief has no canonical form, since its covariance is singular.
         """
         index = self.graph.index(cluster)
-        factor, log_scale = self._messages.belief(index)
+        with quiet():
+            factor, log_scale = self._messages.belief(index)
         scope = self._plan.layout.scopes[index]
         return self._form(factor, log_scale, scope, f"the belief of cluster {index}", index)
 
@@ -214,6 +224,19 @@ class GaussianPosterior(Posterior):
                 "determine a part of it; posterior[...] and joint(...) have its moments",
                 cluster=cluster,
             )
+        with quiet():
+            K, h, g = self._canonical(factor, log_scale, scope)
+        if not (np.isfinite(K).all() and np.isfinite(h).all() and np.isfinite(g).all()):
+            raise NumericalError(
+                f"{what}, over {names(scope)}, has no canonical form in float64: its information "
+                "is out of range; posterior[...] and joint(...) have its moments",
+                cluster=cluster,
+            )
+        return CanonicalForm._make(scope, K, h, g)
+
+    def _canonical(
+        self, factor: Rows, log_scale: Array, scope: Scope
+    ) -> tuple[Array, Array, Array]:
         frame = self._model.frame
         places = self._plan.layout.components(scope)
         matrix = factor.matrix / frame.scale[places]
@@ -226,9 +249,7 @@ class GaussianPosterior(Posterior):
         g = (log_scale[0] if shared else log_scale[:, 0]) - 0.5 * (right * right).sum(axis=-1)
         lead, size = self._model.lead, places.size
         K = np.broadcast_to(K, (at.shape[0], size, size))
-        return CanonicalForm._make(
-            scope, K.reshape(*lead, size, size), h.reshape(*lead, size), g.reshape(lead)
-        )
+        return K.reshape(*lead, size, size), h.reshape(*lead, size), g.reshape(lead)
 
     @property
     def log_evidence(self) -> Array:
@@ -236,8 +257,18 @@ class GaussianPosterior(Posterior):
 
         Exact readings that repeat one another have no joint density; what is then given is that
         of those that do not, in a unit that depends on the graph.
+
+        Raises
+        ------
+        NumericalError
+            If it is beyond the range of float64: readings some 10¹⁵⁰ deviations from the model's.
         """
         value = self._log_evidence
+        if not np.isfinite(value).all():
+            raise NumericalError(
+                "ln p(evidence) is beyond the range of float64: a reading is more than 1e150 "
+                "deviations from what the model expects; give its CPD more noise"
+            )
         flat = value[0] if value.shape[0] == 1 else value[:, 0]
         return frozen(flat.reshape(self._model.lead))
 

@@ -133,7 +133,9 @@ class _Linearised:
             certain = frame.certain[group.parents]
             if frame.certain.any():
                 open_ = (family.matrix[:, :runs] * ~certain[:, None, None]).any(axis=(1, 3))
-                doubtful |= bool((open_[:, : group.child.shape[1]] & frame.certain[group.child]).any())
+                doubtful |= bool(
+                    (open_[:, : group.child.shape[1]] & frame.certain[group.child]).any()
+                )
             known.append(np.pad(certain, [(0, 0), (own.shape[-1] - certain.shape[1], 0)]))
             matrices.append(own)
             residuals.append(residual)

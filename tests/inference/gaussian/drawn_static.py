@@ -146,9 +146,7 @@ def draw(seed):
         twin = named("w", old.child.dimension)
         given = {v: factor * m for v, m in old.given.items()}
         units[twin] = units[old.child]
-        nodes.append(
-            Node(twin, given, factor * old.offset, factor * old.root, old.nonlinear, True)
-        )
+        nodes.append(Node(twin, given, factor * old.offset, factor * old.root, old.nonlinear, True))
     share = rng.choice([0.0, 0.3, 0.5, 0.7])
     leaves = {n.child for n in nodes} - {p for n in nodes for p in n.given}
     seen = [n.child for n in nodes if rng.random() < (share + 0.3 if n.child in leaves else share)]
