@@ -20,6 +20,8 @@ from pgm.kernels.arrays import Array
 
 Decimals = npt.NDArray[Any]
 
+ZERO: Decimals = np.array(Decimal(0), dtype=object)
+ONE: Decimals = np.array(Decimal(1), dtype=object)
 _LN10 = math.log(10.0)
 
 
@@ -75,9 +77,6 @@ def log(number: Decimal) -> float:
     return math.log(float(number.scaleb(-exponent))) + exponent * _LN10
 
 
-def decades(array: Array) -> tuple[float, float]:
-    """The smallest and the largest power of ten among numbers that are not zero."""
-    size = np.abs(array[np.isfinite(array) & (array != 0.0)])
-    if not size.size:
-        return 0.0, 0.0
-    return float(np.log10(size.min())), float(np.log10(size.max()))
+def total(a: Decimals) -> Decimals:
+    """The sums over the last axis, which may be empty."""
+    return np.asarray(a.sum(axis=-1) if a.shape[-1] else zeros(*a.shape[:-1]), dtype=object)

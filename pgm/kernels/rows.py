@@ -223,7 +223,7 @@ def _independent(
 
 
 def _doubt(values: Array, used: Mask) -> float:
-    """The reciprocal of the least value used; infinite where one that is not used is no rounding."""
+    """The reciprocal of the least value used; infinite where one left out may be no rounding."""
     if not (values[~used] <= ROUNDING).all():
         return np.inf
     return float(1.0 / values[used].min(initial=1.0))

@@ -8,23 +8,23 @@ posterior mean they leave.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from decimal import Decimal
 
 import numpy as np
 
 from pgm.inference.family import Family
 from pgm.inference.gaussian.beliefs import Beliefs
-from pgm.inference.gaussian.dense import ZERO, Joint
-from pgm.inference.gaussian.layout import Group, Layout
+from pgm.inference.gaussian.dense import Joint
+from pgm.inference.gaussian.laws import Law, Laws, Root
+from pgm.inference.gaussian.layout import Layout
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.prior import SHARE, Frame
-from pgm.inference.gaussian.refusals import contradiction, indefinite_noise
+from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.tree import TreePlan
-from pgm.kernels import decimals, differences, roots
+from pgm.kernels import decimals, differences
 from pgm.kernels.arrays import Array, apply
-from pgm.kernels.decimals import Decimals
+from pgm.kernels.decimals import ONE, ZERO, Decimals
 from pgm.linearisers import Taylor
 from pgm.linearisers.regression import StatisticalRegression
 
@@ -86,151 +86,6 @@ class Solution:
     beliefs: DenseBeliefs
     log_evidence: Array
     digits: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Law:
-    """A CPD of a network: y = F p + b + n, in (V, d, n), (V, d, N) and (V, d, d)."""
-
-    g: int
-    group: Group
-    row: int
-    matrix: Decimals
-    offset: Decimals
-    noise: Decimals
-
-
-@dataclass(eq=False)
-class Laws:
-    """The linearised CPDs of a network, in decimals."""
-
-    layout: Layout
-    families: list[Family]
-    runs: int
-    shared: bool
-    _roots: dict[bytes, _Root] = field(default_factory=dict)
-
-    @property
-    def stacked(self) -> int:
-        """V, how many runs have matrices of their own."""
-        return 1 if self.shared else self.runs
-
-    def __iter__(self) -> Iterator[_Law]:
-        for g, row in self.layout.order:
-            yield self.law(g, row)
-
-    def law(self, g: int, row: int) -> _Law:
-        """One of them."""
-        group, family = self.layout.groups[g], self.families[g]
-        noise = family.noise[row, : self.stacked]
-        return _Law(
-            g,
-            group,
-            row,
-            decimals.exact(family.matrix[row, : self.stacked]),
-            self.by_run(_offset(family, row, self.runs)),
-            np.stack([self.root(one, family).matrix for one in noise]),
-        )
-
-    def by_run(self, values: Decimals) -> Decimals:
-        """(runs, d) as (V, d, N)."""
-        if self.shared:
-            return np.asarray(values.T[None])
-        return np.asarray(values[..., None])
-
-    def by_float(self, values: Decimals) -> Array:
-        """(V, ..., N) as (runs, ...), rounded."""
-        found = decimals.floats(values)
-        return np.moveaxis(found[0], -1, 0) if self.shared else found[..., 0]
-
-    def root(self, noise: Array, family: Family) -> _Root:
-        """The factors of a noise."""
-        key = noise.tobytes()
-        if key not in self._roots:
-            made = _Root.of(decimals.exact(noise))
-            if made is None:
-                raise indefinite_noise(family.cpd)
-            self._roots[key] = made
-        return self._roots[key]
-
-    def span(self) -> int:
-        """Decades between the numbers that matter: deviations, and slopes."""
-        edge = decimals.zeros(self.stacked, self.layout.size)
-        least, most = Decimal(1), Decimal(1)
-        slopes = [Decimal(1)]
-        for law in self:
-            size = np.abs(law.matrix)
-            parents = law.group.parents[law.row]
-            reach = decimals.product(size, edge[:, parents][..., None])[..., 0]
-            variance = np.diagonal(law.noise, axis1=-2, axis2=-1)
-            own = decimals.sqrt(reach * reach + variance)
-            if not law.group.observed:
-                edge[:, law.group.child[law.row]] = own
-            found = [x for x in (*own.flat, *decimals.sqrt(variance).flat) if x]
-            least, most = min([least, *found]), max([most, *found])
-            slopes += [x for x in size.flat if x]
-        decades = most.log10() - least.log10() + max(slopes).log10() - min(slopes).log10()
-        return int(decades) + 1
-
-
-def _offset(family: Family, row: int, runs: int) -> Decimals:
-    """The offset b of one row, (runs, d), of an affine CPD not rounded."""
-    cpd = family.cpd
-    known = [p for p in cpd.given if p not in family.hidden]
-    if family.template is not None or not known:
-        return decimals.exact(np.broadcast_to(family.offset[row], (runs, cpd.child.dimension)))
-    total = decimals.exact(np.broadcast_to(cpd.offset, (runs, cpd.child.dimension)))
-    for parent in known:
-        values = decimals.exact(
-            np.broadcast_to(family.inputs[parent][row], (runs, parent.dimension))
-        )
-        slope = decimals.exact(cpd.matrices[parent])
-        total = total + decimals.product(slope, values[..., None])[..., 0]
-    return total
-
-
-@dataclass(frozen=True, eq=False)
-class _Root:
-    """A covariance as L diag(d) Lᵀ, where L is unit lower triangular with its rows in an order."""
-
-    lower: Decimals
-    pivots: Decimals
-    order: list[int]
-
-    @classmethod
-    def of(cls, noise: Decimals) -> _Root | None:
-        """Of a covariance, largest pivots first; None where it is indefinite."""
-        size = len(noise)
-        variance = np.diagonal(noise).copy()
-        least = variance * Decimal(roots.NEGLIGIBLE)
-        lower, pivots, left = decimals.zeros(size, size), decimals.zeros(size), noise.copy()
-        waiting, order = list(range(size)), []
-        for k in range(size):
-            first = max(waiting, key=lambda i: left[i, i] / least[i] if least[i] else ZERO)
-            waiting.remove(first)
-            order.append(first)
-            lower[first, k] = Decimal(1)
-            pivot = left[first, first]
-            if pivot < -variance[first] * Decimal(roots.INDEFINITE) or variance[first] < 0:
-                return None
-            if pivot > least[first]:
-                pivots[k] = pivot
-                lower[waiting, k] = left[waiting, first] / pivot
-                left = left - lower[:, k, None] * left[first]
-        return cls(lower, pivots, order)
-
-    @property
-    def matrix(self) -> Decimals:
-        """The covariance, of which what was rounding is gone."""
-        return decimals.product(self.lower * self.pivots, self.lower.T)
-
-    def whitened(self, right: Decimals) -> Decimals:
-        """L⁻¹ B, (d, m)."""
-        left, found = right.copy(), decimals.zeros(*right.shape)
-        for k, row in enumerate(self.order):
-            found[k] = left[row]
-            left = left - self.lower[:, k, None] * found[k]
-        return found
 
 
 def predictive(
@@ -309,7 +164,7 @@ def _solve(plan: TreePlan, model: Model, laws: Laws, nothing: Decimal) -> Soluti
 
 
 def _read(
-    model: Model, laws: Laws, law: _Law, joint: Joint, offset: Decimals
+    model: Model, laws: Laws, law: Law, joint: Joint, offset: Decimals
 ) -> tuple[Array, Array]:
     """Condition on an observed child, its noise decorrelated.
 
@@ -327,9 +182,9 @@ def _read(
         matrix = np.where(open_[..., None], matrix, ZERO)
         offset = np.where(open_[..., None], offset, ZERO)
         value = np.where(open_[..., None], value, ZERO)
-        alone = np.where(open_, ZERO, Decimal(1))[..., None] * decimals.exact(np.eye(group.height))
+        alone = np.where(open_, ZERO, ONE)[..., None] * decimals.exact(np.eye(group.height))
         noise = np.where(open_[..., None] & open_[..., None, :], noise, alone)
-    found = [_Root.of(one) for one in noise]
+    found = [Root.of(one) for one in noise]
     each = [root for root in found if root is not None]
     matrix, offset, value = (
         np.stack([root.whitened(part) for root, part in zip(each, parts, strict=True)])
@@ -348,7 +203,7 @@ def _read(
         numbers = decimals.product(np.abs(matrix[:, k : k + 1]), at)[:, 0]
         numbers = numbers + np.abs(offset[:, k, :sides]) + np.abs(value[:, k])
         allowed = CONTRADICTION * (numbers + joint.edge[:, place, None])
-        rounded = np.abs(joint.mean[:, place, sides:]).sum(axis=-1, initial=ZERO)
+        rounded = decimals.total(np.abs(joint.mean[:, place, sides:]))
         allowed = allowed + OF_ROUNDING * rounded[:, None]
         read = joint.read(place, value[:, k], allowed)
         if read.contradiction.any():
@@ -367,19 +222,20 @@ def _rounding(model: Model, g: int) -> Array:
     assert template is not None
     at = model.at[:, group.parents].swapaxes(0, 1)
     spread = model.spread[:, group.parents].swapaxes(0, 1)
-    here = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
-    away = apply(np.abs(family.matrix), spread)
+    here: Array = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
+    away: Array = apply(np.abs(family.matrix), spread)
     if not family.hidden:
         return ROUNDING * here
     if isinstance(rule, StatisticalRegression):
         # The slope is a sum of values at all points, and so is the offset.
         points = rule.points(at.shape[-1], template.child.name, 0)
-        slope = np.abs(points.cov_weights[:, None] * points.points).sum(axis=-2).max()
-        return ROUNDING * (np.abs(points.mean_weights).sum() + slope) * (here + away)
+        slope = float(np.abs(points.cov_weights[:, None] * points.points).sum(axis=-2).max())
+        share = ROUNDING * (float(np.abs(points.mean_weights).sum()) + slope)
+        return share * (here + away)
     if isinstance(rule, Taylor):
         some = list(template.numerical)
         far = (spread / differences.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
-        return ROUNDING * (here + far * here + (away if some else 0.0))
+        return ROUNDING * (here * (1.0 + far) + (away if some else 0.0))
     return ROUNDING * (here + away)
 
 

@@ -19,12 +19,11 @@ import numpy as np
 
 from pgm.kernels import decimals
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
-from pgm.kernels.decimals import Decimals
+from pgm.kernels.decimals import ONE, ZERO, Decimals
 
-# F is known to half a unit in its last place. What cancels to less than this share of the deviations
-# of its summands is rounding of F: with no noise, y is determined.
+# F is known to half a unit in its last place. What cancels to less than this share of its summands'
+# deviations is rounding of F: with no noise, y is determined.
 ROUNDED = Decimal(2) ** -51
-ZERO = Decimal(0)
 
 
 class Read(NamedTuple):
@@ -116,7 +115,7 @@ class Joint:
         innovation[:, :count] += value
         left = innovation[:, :count]
         far = ~open_[:, None] & np.asarray(np.abs(left) > allowed, dtype=bool)
-        divisor = np.where(open_, variance, Decimal(1))[:, None]
+        divisor = np.where(open_, variance, ONE)[:, None]
         gain = np.where(open_[:, None], self.cov[:, :, place] / divisor, ZERO)
         self.mean = self.mean + gain[..., None] * innovation[:, None]
         cov = self.cov - gain[..., None] * self.cov[:, place][:, None]
@@ -125,7 +124,7 @@ class Joint:
         constant = np.array([decimals.log(s) for s in divisor[:, 0].tolist()]) + LOG_2PI
         density = -0.5 * (decimals.floats(left * left / divisor) + constant[:, None])
         deviation = decimals.sqrt(divisor)
-        moved = np.abs(innovation[:, count:]).sum(axis=-1, initial=ZERO)[:, None] / deviation
+        moved = decimals.total(np.abs(innovation[:, count:]))[:, None] / deviation
         lost = decimals.floats(moved * (1 + np.abs(left) / deviation))
         return Read(
             np.where(open_[:, None], density, 0.0),

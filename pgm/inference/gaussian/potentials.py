@@ -132,10 +132,9 @@ class _Linearised:
                 noise, lost = independent(noise, taken), lost + (~taken).sum(axis=-1)
             certain = frame.certain[group.parents]
             if frame.certain.any():
-                open_ = (family.matrix[:, :runs] * ~certain[:, None, None]).any(axis=(1, 3))
-                doubtful |= bool(
-                    (open_[:, : group.child.shape[1]] & frame.certain[group.child]).any()
-                )
+                varying = (family.matrix[:, :runs] != 0.0) & ~certain[:, None, None]
+                fixed = frame.certain[group.child][:, None, :, None]
+                doubtful |= fixed.size > 0 and bool((varying & fixed).any())
             known.append(np.pad(certain, [(0, 0), (own.shape[-1] - certain.shape[1], 0)]))
             matrices.append(own)
             residuals.append(residual)

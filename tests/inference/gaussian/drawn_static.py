@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from drawn_chains import integers, named, root, scaled, unit
-from precise import EPS, NOTHING, eliminated, eye, floats, mp, norms, precise, zeros
+from precise import EPS, NOTHING, eliminated, floats, mp, norms, precise, zeros
 
 import pgm
 
