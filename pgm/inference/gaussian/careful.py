@@ -230,13 +230,13 @@ def _rounding(model: Model, g: int) -> Array:
         # The slope is a sum of values at all points, and so is the offset.
         points = rule.points(at.shape[-1], template.child.name, 0)
         slope = float(np.abs(points.cov_weights[:, None] * points.points).sum(axis=-2).max())
-        share = ROUNDING * (float(np.abs(points.mean_weights).sum()) + slope)
-        return share * (here + away)
+        return ROUNDING * (float(np.abs(points.mean_weights).sum()) + slope) * (here + away)
+    share = np.ones((*at.shape[:-1], 1))
     if isinstance(rule, Taylor):
         some = list(template.numerical)
-        far = (spread / differences.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
-        return ROUNDING * (here * (1.0 + far) + (away if some else 0.0))
-    return ROUNDING * (here + away)
+        share += (spread / differences.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
+        away = away if some else np.zeros_like(away)
+    return ROUNDING * (here * share + away)
 
 
 def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
