@@ -17,10 +17,10 @@ import numpy as np
 from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.tree import Calibrated
 
-# What float64 holds, but for a digit that a sum of some roundings takes.
-_DIGITS = 14.6
-# Digits of a mean, counted from its deviation, that answers have where nothing is said.
-SAFE_DIGITS = 7.0
+# What float64 holds; a sum of many roundings takes a digit of it.
+_DIGITS, _OF_SUMS = 15.6, 14.6
+# Digits, counted from the deviations, that answers have where nothing is said.
+SAFE_DIGITS = 6.6
 # Units whose squares are in range.
 _RANGE = 1e-140, 1e140
 
@@ -35,5 +35,6 @@ def kept_digits(buffer: Buffer, done: Calibrated) -> float:
     far = float(np.abs(beliefs.mean).max(initial=1.0))
     if not np.isfinite(total + far + buffer.largest + buffer.coarse):
         return 0.0
-    lost = max(buffer.largest * max(buffer.largest, far), buffer.coarse, 1.0)
-    return _DIGITS - float(np.log10(lost))
+    moved = max(buffer.largest * far, buffer.coarse, 1.0)
+    spread = max(buffer.largest, 1.0) ** 2
+    return float(min(_OF_SUMS - np.log10(moved), _DIGITS - np.log10(spread)))
