@@ -194,3 +194,39 @@ def test_a_robot_with_a_noiseless_heading(rule):
     assert_allclose(last.mean, due[heading[0]].mean + sum(turns), atol=tolerance)
     assert_allclose(last.cov, due[heading[0]].cov, atol=tolerance)
     assert_log(found.log_evidence, due.log_evidence, 1e-6)
+
+
+@every_rule
+def test_a_pose_whose_heading_has_no_noise(rule):
+    """One vector with a noise of rank 2 and landmarks: the limit of a heading of little noise."""
+    pose = [pgm.Variable(f"pose{k}", ("east", "north", "heading")) for k in range(4)]
+    mark = [
+        pgm.Variable(f"mark{k}", ("range", "bearing"), angles=("bearing",)) for k in range(1, 4)
+    ]
+
+    def move(pose):
+        angle = pose[..., 2]
+        speed = np.stack([np.cos(angle), np.sin(angle), np.full_like(angle, 0.2)], axis=-1)
+        return pose + speed
+
+    def look(pose):
+        east, north = 4.0 - pose[..., 0], 3.0 - pose[..., 1]
+        bearing = np.arctan2(north, east) - pose[..., 2]
+        return np.stack([np.hypot(east, north), bearing], axis=-1)
+
+    def solved(noise):
+        cpds = [pgm.GaussianCPD(pose[0], [0.0, 0.0, 0.1], np.diag([0.1, 0.1, 0.01]))]
+        for k in range(3):
+            cov = np.diag([0.01, 0.01, noise])
+            cpds.append(pgm.NonlinearGaussianCPD(pose[k + 1], pose[k], move, cov))
+            cov = np.diag([0.01, 1e-4])
+            cpds.append(pgm.NonlinearGaussianCPD(mark[k], pose[k + 1], look, cov))
+        evidence = dict(zip(mark, [[4.2, 0.45], [3.3, 0.42], [2.5, 0.49]], strict=True))
+        graph = pgm.compile(pgm.BayesianNetwork(cpds))
+        return pgm.infer(graph, evidence, lineariser=rule)
+
+    exact, nearly = solved(0.0), solved(1e-11)
+    joint, due = exact.joint(*pose), nearly.joint(*pose)
+    assert_allclose(joint.mean, due.mean, atol=1e-6)
+    assert_allclose(joint.cov, due.cov, atol=1e-7)
+    assert_allclose(exact.log_evidence, nearly.log_evidence, rtol=1e-5)
