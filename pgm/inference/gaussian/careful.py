@@ -37,18 +37,19 @@ OF_ROUNDING = 10
 ROUNDING = 2.0**-52
 # Digits of a mean that float64 holds.
 ALL_DIGITS = -np.log10(2.0**-52)
-# Element operations of a solution beyond which it would take minutes.
-MOST_WORK = 10**7
+# Element operations of a solution beyond which it would take longer than some ten seconds.
+MOST_WORK = 4 * 10**6
 # More digits are no longer calculated with; what is smaller than they show is zero.
 MOST_DIGITS = 6000
+# Digits for finding how many a solution takes, and for a prior before that is known.
 FEW, MANY = 30, 400
 
 
 def work(layout: Layout, runs: int, shared: bool) -> int:
     """About how many element operations a solution takes."""
+    size = layout.size
     read = sum(len(g.cpds) * g.height for g in layout.groups if g.observed)
-    size = layout.size + read
-    return (1 if shared else runs) * size**3 + runs * size**2
+    return (size + read) * size * ((1 if shared else runs) * size + runs)
 
 
 @dataclass(frozen=True, eq=False)
