@@ -79,6 +79,7 @@ class StatisticalRegression(ArrayLineariser):
     means, and the covariance is that of what the line leaves, Σ w r rᵀ. In directions in which P
     is zero F takes the limit P → 0, the Jacobian at μ. Angles of y are averaged as the value at
     the centre plus the mean of offsets, wrapped about the tangent where they exceed half a turn.
+    In components in which what the line leaves may be rounding of the values it is zero.
 
     A subclass gives `points`, and may say that they are fresh for each run, or that moments of x
     are the belief's own.
