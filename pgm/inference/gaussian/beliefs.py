@@ -140,4 +140,4 @@ def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
             continue
         mean, cov = beliefs.moments(where, entries, group.parents)
         at.append((mean.swapaxes(0, 1), cov.swapaxes(0, 1)))
-    model.relinearise(*beliefs.components(), at, active)
+    model.relinearise(beliefs.components()[0], at, active)

@@ -221,8 +221,7 @@ def _rounding(model: Model, g: int) -> Array:
     group, family = model.layout.groups[g], model.families[g]
     rule, template = family.lineariser, family.template
     assert template is not None
-    at = model.at[:, group.parents].swapaxes(0, 1)
-    spread = model.spread[:, group.parents].swapaxes(0, 1)
+    at, spread = model.points[g]
     here: Array = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
     away: Array = apply(np.abs(family.matrix), spread)
     if not family.hidden:
@@ -251,9 +250,9 @@ def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
     # Where there is no deviation a billionth of the numbers is as good.
     unit = np.where(std > 0.0, std, 1e-3 * model.frame.scale)
     share = np.maximum((lost / unit).max(axis=-1, initial=0.0), moved)
-    # Far from where it was linearised a slope's rounding counts the more.
-    mean = decimals.floats(joint.mean[:, :size, 0])
-    away = np.abs(mean - model.at) / np.where(model.spread > 0.0, model.spread, np.inf)
-    share = share * np.maximum(away.max(axis=-1, initial=1.0), 1.0)
+    if model.first:
+        # Far from where it was linearised a slope's rounding counts the more.
+        mean, frame = decimals.floats(joint.mean[:, :size, 0]), model.frame
+        share = share * (np.abs(mean - frame.mean) / frame.scale).max(axis=-1, initial=1.0)
     digits = np.minimum(-np.log10(np.maximum(share, 1e-300)), ALL_DIGITS)
     return np.broadcast_to(digits, (model.runs,)).copy()

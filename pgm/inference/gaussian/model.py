@@ -15,7 +15,7 @@ from pgm.inference.family import Family
 from pgm.inference.gaussian.layout import Group, Layout
 from pgm.inference.gaussian.prior import Frame, Predictive, prior_predictive
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Mask, deviation
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 
@@ -44,8 +44,11 @@ class Model:
     shared : bool
         Whether all runs have the same matrices and covariances, and the same components observed.
     frame : Frame
-    at, spread : ndarray
-        (runs, size): the means at which CPDs were linearised last, and the deviations there.
+    points : list of (ndarray, ndarray)
+        For each group, where its CPDs were linearised last: the means and deviations of their
+        hidden parents, (CPDs, runs, n).
+    first : bool
+        Whether that was at the prior's moments or at a start, which may be far from the posterior.
     """
 
     layout: Layout
@@ -56,8 +59,8 @@ class Model:
     taken: list[Mask | None]
     shared: bool
     frame: Frame
-    at: Array
-    spread: Array
+    points: list[tuple[Array, Array]]
+    first: bool = True
 
     @classmethod
     def make(
@@ -102,10 +105,12 @@ class Model:
         find = prior_predictive if start is not None else predictive
         frame = find(layout, families, bound.runs, shared=shared, start=start)
         spread = np.broadcast_to(frame.scale, frame.mean.shape)
+        points = [
+            (frame.mean[:, group.parents].swapaxes(0, 1), spread[:, group.parents].swapaxes(0, 1))
+            for group in layout.groups
+        ]
         model = cls(
-            *(layout, bound.lead, families, readings, [*readings], taken, shared, frame),
-            frame.mean,
-            spread,
+            *(layout, bound.lead, families, readings, [*readings], taken, shared, frame), points
         )
         model._follow(frame.mean, None)
         return model
@@ -128,7 +133,6 @@ class Model:
     def relinearise(
         self,
         mean: Array,
-        std: Array,
         parents: Sequence[tuple[Array, Array] | None],
         active: Mask,
     ) -> None:
@@ -136,21 +140,23 @@ class Model:
 
         Parameters
         ----------
-        mean, std : ndarray
-            (runs, size) and (V, size): of all hidden components; angles of evidence move to their
-            branch.
+        mean : ndarray
+            (runs, size): of all hidden components; angles of evidence move to their branch.
         parents : sequence of (ndarray, ndarray) or None
             For each group with nonlinear CPDs the mean (CPDs, runs, n) and covariance of their
             hidden parents.
         active : ndarray of bool
             (runs,): which runs take the new linearisation.
         """
-        for family, at in zip(self.families, parents, strict=True):
+        for g, (family, at) in enumerate(zip(self.families, parents, strict=True)):
             if at is not None:
                 family.linearise(slice(None), *at, active)
+                new = at[0], deviation(at[1])
+                before, spread = self.points[g]
+                one = active[:, None]
+                self.points[g] = np.where(one, new[0], before), np.where(one, new[1], spread)
         self._follow(mean, active)
-        self.at = np.where(active[:, None], mean, self.at)
-        self.spread = np.where(active[:, None], std, self.spread)
+        self.first = False
 
     def _follow(self, mean: Array, active: Mask | None) -> None:
         """Keep the angles of values and evidence on the chart of given means."""
