@@ -218,7 +218,7 @@ def _read(
 
 def _rounding(model: Model, g: int) -> Array:
     """How much rounding F x + b of a linearised CPD may have, (CPDs, runs, d)."""
-    group, family = model.layout.groups[g], model.families[g]
+    family = model.families[g]
     rule, template = family.lineariser, family.template
     assert template is not None
     at, spread = model.points[g]
