@@ -171,12 +171,28 @@ def solve_unit(unit: Twofold, right: Twofold) -> Twofold:
     return solution
 
 
+def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
+    """Some X with U D Uᵀ X = B, (..., n, m), for a B in its range.
+
+    What X sums up keeps the digits that an inverse, whose entries are larger, would lose.
+    """
+    solution = _divided(solve_unit(unit, right), pivots)
+    upper = unit.mT
+    for j in range(unit.shape[-1] - 2, -1, -1):
+        known = upper[..., j : j + 1, j + 1 :] @ solution[..., j + 1 :, :]
+        solution[..., j, :] = solution[..., j, :] - known[..., 0, :]
+    return solution
+
+
 def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
     """A generalised inverse U⁻ᵀ D⁺ U⁻¹ of U D Uᵀ, exact on its range."""
-    known = pivots.hi != 0.0
-    scale = where(known, 1.0 / where(known, pivots, 1.0), 0.0)
     back = solve_unit(unit, Twofold(np.broadcast_to(np.eye(unit.shape[-1]), unit.shape).copy()))
-    return back.mT @ (back * scale[..., None])
+    return back.mT @ _divided(back, pivots)
+
+
+def _divided(rows: Twofold, pivots: Twofold) -> Twofold:
+    known = (pivots.hi != 0.0)[..., None]
+    return where(known, rows / where(known, pivots[..., None], 1.0), 0.0)
 
 
 def _twofold(value: Any) -> Twofold:

@@ -298,8 +298,7 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     assert noise is not None
     floor = variances(predicted.rounding)
     unit, pivots = twofold.eliminated(predicted.cov, CLEAR, floor)
-    inverse = twofold.inverse(unit, pivots)
-    gain = cov @ matrix.mT @ inverse
+    gain = twofold.solve(unit, pivots, matrix @ cov).mT
     eye = np.eye(cov.shape[-1])
     keep = eye - gain @ matrix
     other = noise + belief.cov
@@ -310,12 +309,13 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     rounding = kept + sandwich(gain.hi, belief.rounding + summed[..., None] * eye)
     rounding = rounding + rounded(keep.hi, cov.hi, cov.hi) + rounded(gain.hi, other.hi, cov.hi)
     shift = belief.columns - predicted.columns
-    pull = (inverse @ shift).hi[..., 0]
+    pull = twofold.solve(unit, pivots, shift).hi[..., 0]
     along = sandwich(apply(matrix.hi.mT, pull)[:, None, :], own)[:, 0]
     moved = np.sqrt(np.maximum(variances(kept) * along, 0.0))
     across = apply(gain.hi**2, summed) * (pull**2 * summed).sum(axis=-1, keepdims=True)
     moved = moved + np.sqrt(across)
-    size = np.abs(cov.hi) @ np.abs(matrix.hi.mT) @ np.abs(inverse.hi) @ np.abs(shift.hi)
+    inverse = np.abs(twofold.inverse(unit, pivots).hi)
+    size = np.abs(cov.hi) @ np.abs(matrix.hi.mT) @ inverse @ np.abs(shift.hi)
     moved = moved + ROUNDING * (size[..., 0] + np.abs(columns.hi[..., 0]))
     drift = sandwich(keep.hi, drift) + sandwich(gain.hi, belief.drift)
     drift = drift + moved[..., None] ** 2 * eye
