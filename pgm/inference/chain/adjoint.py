@@ -37,13 +37,12 @@ from pgm.inference.chain.taking import (
     ROUNDING,
     Belief,
     Component,
-    quiet,
     reach,
     rounded,
     variances,
 )
 from pgm.kernels import twofold
-from pgm.kernels.arrays import Array, Mask, apply, block, sandwich, stacked
+from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stacked
 from pgm.kernels.twofold import Twofold
 
 # A difference is found in another way where this part of it may be rounding.
@@ -193,7 +192,7 @@ class CarefulSmoothed:
         return replace(self, slices=slices, beliefs=beliefs)
 
 
-@quiet
+@quiet()
 def smoothed(careful: Careful, last: int) -> list[Smooth]:
     """Every slice up to a last step, given the readings up to it."""
     columns, cov, *_ = careful.steps[last].known
@@ -219,7 +218,7 @@ def smoothed(careful: Careful, last: int) -> list[Smooth]:
     return out[::-1]
 
 
-@quiet
+@quiet()
 def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Array, Array]:
     """Moments of the slices of some steps, ascending, given the readings up to the last slice.
 

@@ -38,7 +38,6 @@ from pgm.inference.chain.taking import (
     Taken,
     cancelled,
     hold,
-    quiet,
     rounded,
     update,
     variances,
@@ -49,7 +48,7 @@ from pgm.inference.family import Family
 from pgm.inference.schedule import Filtering
 from pgm.inference.status import Status
 from pgm.kernels import roots, twofold
-from pgm.kernels.arrays import Array, Mask, block, sandwich
+from pgm.kernels.arrays import Array, Mask, block, quiet, sandwich
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
 
@@ -312,7 +311,7 @@ def _regular(noise: Array, flat: Mask) -> Twofold:
     return unit * pivots[..., None, :] @ unit.mT
 
 
-@quiet
+@quiet()
 def predict(belief: Belief, move: Move) -> Belief:
     """The belief over the next slice, before its readings."""
     summed = np.abs(move.matrix.hi) @ np.abs(belief.columns.hi)

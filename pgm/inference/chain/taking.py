@@ -9,12 +9,10 @@ import numpy as np
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.update import Due, refuse_contradiction, refuse_indefinite
 from pgm.kernels import twofold
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, sandwich
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, quiet, sandwich
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
 
-# Numbers beyond float64 are found out in what becomes of them, without a warning.
-quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 # The part of what is summed up to a variance that rounding may change.
 ROUNDING = 1e-31
 # The share of the largest deviation of a component below which deviations are not told apart.
@@ -169,7 +167,7 @@ class Taken(NamedTuple):
     log_density: Array
 
 
-@quiet
+@quiet()
 def update(due: Due, step: int, belief: Belief, mean: Array) -> Taken:
     """Take in the readings of a step; the rounded mean tells how large their numbers are."""
     rows, noises, seen = _decorrelated(due, step, mean)
