@@ -219,7 +219,8 @@ def _take(
     blurred = np.maximum(sandwich(line, rounding)[:, 0, 0], 0.0)
     nothing = np.zeros_like(noise.hi)[:, None, None]
     floor = blurred + rounded(line, cov.hi, nothing)[:, 0, 0]
-    indefinite = not np.isfinite(floor).all() or bool((spread.hi < -CLEAR * floor).any())
+    negative = (np.minimum(spread.hi, spread.hi + noise.hi) < -CLEAR * floor).any()
+    indefinite = bool(negative) or not np.isfinite(floor).all()
     # What the belief leaves open may be rounding alone; the noise is none.
     open_ = spread.hi > CLEAR * floor
     cross = twofold.where(open_[:, None], cross, 0.0)
