@@ -26,7 +26,9 @@ from pgm.kernels import along_runs, roots
 from pgm.kernels.arrays import Array, apply, sandwich
 
 # The largest ratio at which float64 leaves all the digits that are promised.
-_MODERATE = 2e7
+MODERATE = 2e7
+# And that at which composing segments of a balanced tree leaves them too.
+_GENTLE = 4e6
 
 
 def is_flat(plan: ChainPlan) -> bool:
@@ -38,30 +40,37 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
     """Whether a forward pass, and the covariances that a smoother made of it, kept their digits."""
     with np.errstate(all="ignore"):  # a ratio of what is not finite is no moderate one
         if isinstance(swept, Filtered):
-            return swept.closest * _MODERATE > 1.0
+            return swept.closest * MODERATE > 1.0
         predicted, known = swept.predicted_cov, swept.cov
         return (
-            _stands(predicted, known)
-            and (smoothed is None or _stands(known, smoothed))
-            and _is_open(predicted)
-            and _is_open(known)
+            _stands(predicted, known, MODERATE)
+            and (smoothed is None or _stands(known, smoothed, MODERATE))
+            and _is_open(predicted, MODERATE)
+            and _is_open(known, MODERATE)
             and _told(plan, swept)
         )
 
 
-def _is_open(cov: Array) -> bool:
+def composes(predicted: Array, known: Array) -> bool:
+    """Whether segments about these covariances, before and after readings, compose well."""
+    with np.errstate(all="ignore"):
+        stands = _stands(predicted, known, _GENTLE)
+        return stands and _is_open(predicted, _GENTLE) and _is_open(known, _GENTLE)
+
+
+def _is_open(cov: Array, limit: float) -> bool:
     """Whether beliefs (T+1, runs, n, n) are regular."""
     size = cov.shape[-1]
     last = np.moveaxis(cov, (-2, -1), (0, 1)).reshape(size, size, -1)
     if np.shares_memory(last, cov):
         last = last.copy()
-    return along_runs.open_share(last) * _MODERATE > 1.0
+    return along_runs.open_share(last) * limit > 1.0
 
 
-def _stands(before: Array, after: Array) -> bool:
+def _stands(before: Array, after: Array, limit: float) -> bool:
     """Whether no variance falls by much; one of zero is known, and a negative one is rounding."""
     left = _variances(after)
-    fallen = _MODERATE * left < _variances(before)
+    fallen = limit * left < _variances(before)
     return not fallen.any() or not (fallen & (left != 0.0)).any()
 
 
@@ -73,7 +82,7 @@ def _told(plan: ChainPlan, swept: Forward) -> bool:
         pivots = _variances(roots.root(sandwich(matrix, cov) + noise)) ** 2
         size = apply(np.abs(matrix), np.sqrt(np.maximum(_variances(cov), 0.0))) ** 2
         size = size + _variances(noise)
-        if not ((_MODERATE * pivots > size) | (size == 0.0)).all():
+        if not ((MODERATE * pivots > size) | (size == 0.0)).all():
             return False
     return True
 
