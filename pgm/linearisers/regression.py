@@ -145,9 +145,13 @@ class StatisticalRegression(ArrayLineariser):
                 s, offset, mean_weights, cov_weights, lower, known=self.prior_moments
             )
         matrix = _divide(slope, lower, function, mean, cov)
-        size = np.abs(value) + np.abs(offset).max(axis=-2, initial=0.0)
         if not self.prior_moments:
-            noise = _without_rounding(noise, size, matrix, mean, points.rounding)
+            # Of values that lie on their line the slope and one of them tell the size.
+            variance = np.einsum("...ii->...i", noise)
+            square = value * value + np.einsum("...ij,...ij->...i", slope, slope)
+            if not (variance > _PLAIN * square).all():
+                size = np.abs(value) + np.abs(offset).max(axis=-2, initial=0.0)
+                noise = _without_rounding(noise, size, matrix, mean, points.rounding)
         return Affine(matrix, value + centre - apply(matrix, mean), noise)
 
     def is_semidefinite(self, dimension: int) -> bool:
@@ -197,8 +201,6 @@ def _without_rounding(noise: Array, size: Array, matrix: Array, mean: Array, sha
     A value of a size has summands of |F| |μ| besides, of which it may be the difference.
     """
     variance = np.abs(np.diagonal(noise, axis1=-2, axis2=-1))  # weights may be negative
-    if (variance > _PLAIN * (size * size)).all():
-        return noise
     summands = size + apply(np.abs(matrix), np.abs(mean))
     real = variance > (share * summands) ** 2
     if real.all():
