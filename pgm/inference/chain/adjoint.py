@@ -39,6 +39,7 @@ from pgm.inference.chain.taking import (
     Component,
     reach,
     rounded,
+    through,
     variances,
 )
 from pgm.kernels import twofold
@@ -73,9 +74,9 @@ class Later(NamedTuple):
             said = innovation * weight[:, None]
             lost = (blur * np.abs(vector.hi[..., 0])).sum(-1) + np.abs(said.hi[:, 0]) * error
             drift = drift + sandwich(matrix.hi, moved[..., None] ** 2 * np.eye(moved.shape[-1]))
-            drift = sandwich(keep.hi.mT, drift) + _outer(row.hi * lost[:, None])
+            drift = through(keep.hi.mT, drift) + _outer(row.hi * lost[:, None])
             own = (row * weight[:, None])[..., None] * row[:, None, :]
-            rounding = sandwich(keep.hi.mT, rounding) + rounded(keep.hi.mT, matrix.hi, own.hi)
+            rounding = through(keep.hi.mT, rounding) + rounded(keep.hi.mT, matrix.hi, own.hi)
             vector = keep.mT @ vector + row[..., None] * said[:, None, :]
             matrix = keep.mT @ matrix @ keep + own
         return Later(vector, matrix, rounding, drift)
@@ -83,8 +84,8 @@ class Later(NamedTuple):
     def back(self, matrix: Twofold) -> Later:
         """What it says of the slice before, through a transition."""
         slope, said = matrix.hi.mT, self.matrix
-        rounding = sandwich(slope, self.rounding) + rounded(slope, said.hi, np.zeros_like(slope))
-        drift = sandwich(slope, self.drift)
+        rounding = through(slope, self.rounding) + rounded(slope, said.hi, np.zeros_like(slope))
+        drift = through(slope, self.drift)
         return Later(matrix.mT @ self.vector, matrix.mT @ said @ matrix, rounding, drift)
 
 
@@ -273,12 +274,12 @@ def _given(known: Belief, later: Later, blurred: Array) -> tuple[Belief, Array]:
     columns, cov, own, drift = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
     before, eye = variances(cov.hi), np.eye(cov.shape[-1])
-    changed = sandwich(cov.hi, later.rounding) + rounded(cov.hi, later.matrix.hi, cov.hi)
+    changed = through(cov.hi, later.rounding) + rounded(cov.hi, later.matrix.hi, cov.hi)
     rounding = blurred[:, None] * before + variances(changed)
     pull = later.vector.hi[..., 0]
     size = np.abs(columns.hi[..., 0]) + apply(np.abs(cov.hi), np.abs(pull))
     moved = reach(own, pull) + ROUNDING * size
-    drift = sandwich(eye - cov.hi @ later.matrix.hi, drift) + sandwich(cov.hi, later.drift)
+    drift = through(eye - cov.hi @ later.matrix.hi, drift) + through(cov.hi, later.drift)
     drift = drift + moved[..., None] ** 2 * eye
     found = Belief(columns + cov @ later.vector, left, rounding[..., None] * eye, drift)
     after = np.maximum(variances(left.hi), rounding)
@@ -303,9 +304,9 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     other = noise + belief.cov
     left = keep @ cov @ keep.mT + gain @ other @ gain.mT
     # Changes E of P and E′ of Q change G (x − m) by (1 − G A) E Aᵀ y − G E′ y.
-    kept = sandwich(keep.hi, own)
+    kept = through(keep.hi, own)
     summed = np.maximum(floor - variances(sandwich(matrix.hi, own)), 0.0)
-    rounding = kept + sandwich(gain.hi, belief.rounding + summed[..., None] * eye)
+    rounding = kept + through(gain.hi, belief.rounding + summed[..., None] * eye)
     rounding = rounding + rounded(keep.hi, cov.hi, cov.hi) + rounded(gain.hi, other.hi, cov.hi)
     shift = belief.columns - predicted.columns
     pull = twofold.solve(unit, pivots, shift).hi[..., 0]
@@ -316,7 +317,7 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     inverse = np.abs(twofold.inverse(unit, pivots).hi)
     size = np.abs(cov.hi) @ np.abs(matrix.hi.mT) @ inverse @ np.abs(shift.hi)
     moved = moved + ROUNDING * (size[..., 0] + np.abs(columns.hi[..., 0]))
-    drift = sandwich(keep.hi, drift) + sandwich(gain.hi, belief.drift)
+    drift = through(keep.hi, drift) + through(gain.hi, belief.drift)
     drift = drift + moved[..., None] ** 2 * eye
     proper = np.where(pivots.hi > 0.0, pivots.hi, np.inf)
     error = (floor / proper).max(axis=-1) + later.parts.max(axis=-1)

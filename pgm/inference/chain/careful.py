@@ -39,6 +39,7 @@ from pgm.inference.chain.taking import (
     cancelled,
     hold,
     rounded,
+    through,
     update,
     variances,
 )
@@ -48,7 +49,7 @@ from pgm.inference.family import Family
 from pgm.inference.schedule import Filtering
 from pgm.inference.status import Status
 from pgm.kernels import roots, twofold
-from pgm.kernels.arrays import Array, Mask, block, quiet, sandwich
+from pgm.kernels.arrays import Array, Mask, block, quiet
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
 
@@ -318,10 +319,10 @@ def predict(belief: Belief, move: Move) -> Belief:
     columns = cancelled(move.matrix @ belief.columns, summed)
     columns[..., 0] = columns[..., 0] + move.offset
     cov = move.matrix @ belief.cov @ move.matrix.mT + move.cov
-    rounding = sandwich(move.matrix.hi, belief.rounding)
+    rounding = through(move.matrix.hi, belief.rounding)
     rounding = rounding + rounded(move.matrix.hi, belief.cov.hi, move.cov.hi)
     own = ROUNDING * (summed[..., 0] + np.abs(move.offset.hi))
-    drift = sandwich(move.matrix.hi, belief.drift) + own[..., None] ** 2 * np.eye(own.shape[-1])
+    drift = through(move.matrix.hi, belief.drift) + own[..., None] ** 2 * np.eye(own.shape[-1])
     return Belief(columns, cov, rounding, drift).certain()
 
 

@@ -144,6 +144,16 @@ def variances(cov: Array) -> Array:
     return found
 
 
+def through(matrix: Array, bound: Array) -> Array:
+    """A bound, as a covariance, of F e from that of e; what cancels is not taken for certain."""
+    size = np.abs(matrix)
+    summed = ((size @ np.abs(bound)) * size).sum(axis=-1)
+    found: Array = sandwich(matrix, bound) + _LAST_DIGIT * summed[..., None] * np.eye(
+        size.shape[-2]
+    )
+    return found
+
+
 def reach(rounding: Array, vector: Array) -> Array:
     """What a matrix changed within a bound, as a covariance, may change its product with v by."""
     along = sandwich(vector[..., None, :], rounding)
@@ -234,7 +244,7 @@ def _take(
     keep = np.eye(size) - gain[..., None] * row[:, None, :]
     own = (gain * noise[:, None])[..., None] * gain[:, None, :]
     # A change E of P changes G by (1 − G h) E hᵀ/S.
-    kept = sandwich(keep.hi, rounding)
+    kept = through(keep.hi, rounding)
     blur = np.sqrt(np.maximum(variances(kept) * blurred[:, None], 0.0))
     blur = (blur + np.abs(gain.hi) * summed[:, None]) * weight.hi[:, None]
     added = (np.abs(row.hi) * mean).sum(axis=-1) + np.abs(value.hi)
@@ -249,7 +259,7 @@ def _take(
     again = np.eye(size) + np.abs(gain.hi[..., None] * line)
     again = ROUNDING * rounded(again, cov.hi, np.zeros_like(cov.hi))
     rounding = kept + rounded(keep.hi, cov.hi, own.hi) + again
-    drift = sandwich(keep.hi, drift) + moved[..., None] ** 2 * np.eye(size)
+    drift = through(keep.hi, drift) + moved[..., None] ** 2 * np.eye(size)
     after = Belief(columns, keep @ cov @ keep.mT + own, rounding, drift).certain()
     component = Component(row, gain, innovation, weight, floor * weight.hi, blur, moved)
     return after, component, predictive.hi, indefinite
