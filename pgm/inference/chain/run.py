@@ -69,7 +69,7 @@ def _run(
     if not certificate.is_flat(plan):
         try:
             found = _solve(graph, plan, schedule, given)
-            require_finite(found)
+            _refuse_infinite(found)
             smoothed = None if found._smoothed is None else found._smoothed.cov
             if certificate.suffices(found._planned, found._swept, smoothed):
                 return found
@@ -77,11 +77,11 @@ def _run(
             pass  # with twice the digits there may be an answer; if not, the same is refused
         plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     found = _carefully(graph, plan, schedule, given)
-    require_finite(found)
+    _refuse_infinite(found)
     return found
 
 
-def require_finite(posterior: ChainPosterior) -> None:
+def _refuse_infinite(posterior: ChainPosterior) -> None:
     """Refuse what float64 cannot hold; only the variances of a flat prior are infinite."""
     swept, smoothed = posterior._swept, posterior._smoothed
     parts = [swept.log_density, swept.mean, swept.cov]
