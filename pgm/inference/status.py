@@ -17,8 +17,12 @@ ENOUGH_DIGITS = 6.0
 
 
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
-    """The decimal digits that errors (runs,) leave, (*lead); no more than float64 has."""
+    """The decimal digits that errors (runs,) leave, (*lead); no more than float64 has.
+
+    An error that could not be found leaves none.
+    """
     least = np.finfo(np.float64).eps
+    error = np.where(np.isfinite(error), error, 1.0)
     return np.asarray(-np.log10(np.maximum(error, least)).reshape(lead))
 
 
@@ -88,8 +92,9 @@ class Status(Immutable):
             message = (
                 f"rounding leaves {max(least, 0.0):.1f} decimal digits of a mean, counted from its "
                 f"standard deviation, in {runs} of {digits.size} runs (status.digits): some "
-                "deviations of the model are too far apart for float64; scale them, or read a "
-                "repeated or redundant measurement once"
+                "deviations of the model are too far apart for float64; scale them, give what is "
+                "not known at all cov=np.inf in the prior of a chain, or read a repeated or "
+                "redundant measurement once"
             )
             warnings.warn(message, PrecisionWarning, stacklevel=2)
         return Status(self.iterations, self.residuals, self.converged, self.by_edge, digits)

@@ -26,6 +26,7 @@ import numpy as np
 
 from pgm.errors import LinearisationError, NumericalError
 from pgm.inference.chain import forward
+from pgm.inference.chain.certificate import is_flat
 from pgm.inference.chain.flat import Solved, moments, solved
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Point
@@ -239,9 +240,25 @@ class Move(NamedTuple):
         return Move(*(part[row] for part in self))
 
 
+def prior_mean(plan: ChainPlan) -> Array:
+    """The means of the states at step 0, (runs, n); those of flat components are as declared."""
+    if not is_flat(plan):
+        return forward.start(plan, linearise=True)[0]
+    return start(plan, linearise=True).columns.hi[:, plan.layout.state_places, 0]
+
+
 def start(plan: ChainPlan, *, linearise: bool) -> Belief:
     """The slice at step 0 before its readings; there are no controls."""
-    if linearise and not all(link.family.exact for link in plan.prior):
+    nonlinear = next((link.family for link in plan.prior if not link.family.exact), None)
+    if linearise and nonlinear is not None:
+        if is_flat(plan):
+            raise LinearisationError(
+                f"{nonlinear.cpd!r}: beside a prior of infinite variance only linear CPDs can "
+                "stand at step 0; make it linear, or give the prior a finite variance",
+                variable=nonlinear.cpd.child,
+                cpd=nonlinear.cpd,
+                step=0,
+            )
         forward.start(plan, linearise=True)
     first = _conditional(plan.prior, slice(None), 0, plan.layout.state_size, plan.runs).at(0)
     size, states = plan.layout.slice_size, plan.layout.state_places

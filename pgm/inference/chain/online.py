@@ -32,6 +32,11 @@ if TYPE_CHECKING:
     from pgm.inference.chain.online_single import Single
 
 
+# Numbers too large for float64 are refused where they end up, so that NumPy need not warn. A
+# decorator takes half as long as a block.
+_quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+
+
 class OnlineFilter(Immutable):
     """A filter for one step at a time; immutable, and so are its beliefs.
 
@@ -91,6 +96,7 @@ class OnlineFilter(Immutable):
         # What was prepared is not part of the value.
         return {name: getattr(self, name) for name in ("model", "lineariser", "schedule")}
 
+    @_quiet
     def initial(self) -> OnlineBelief:
         """The prior, at step 0."""
         layout, lead = self._graph.layout, self.model.lead
@@ -106,6 +112,7 @@ class OnlineFilter(Immutable):
             return _belief(plan, 0, slice_mean, slice_cov, log_evidence, status)
         return _carried(plan, 0, online_careful.first(plan), log_evidence, status)
 
+    @_quiet
     def predict(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None = None
     ) -> OnlineBelief:
@@ -159,6 +166,7 @@ class OnlineFilter(Immutable):
         bound = bind(self.model.transition, (), evidence, 1, belief.lead)
         return self._plan(bound, belief.step + 1)
 
+    @_quiet
     def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
         """The belief given readings of its step; a further update goes on from the first.
 
@@ -301,6 +309,13 @@ def _belief(
     careful: CarefulBelief | None = None,
 ) -> OnlineBelief:
     """A belief with the runs as the user's axes."""
+    if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
+        raise NumericalError(
+            f"the belief at step {step} or its log-evidence is not finite: numbers of the model or "
+            "the evidence are larger, or further apart, than float64 can hold; give them in other "
+            "units",
+            step=step,
+        )
     lead, size = plan.lead, mean.shape[-1]
     mean, cov = mean.reshape(*lead, size), cov.reshape(*lead, size, size)
     return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status, careful)

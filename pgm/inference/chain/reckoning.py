@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.inference.chain import forward
+from pgm.inference.chain import careful
 from pgm.inference.chain.forward import keep_chart
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.plan import ChainPlan
@@ -16,7 +16,7 @@ def dead(plan: ChainPlan) -> Point:
     layout = plan.layout
     front, states = layout.state_size, layout.state_places
     mean = np.zeros((plan.steps + 1, plan.runs, layout.slice_size))
-    mean[0][:, states], _ = forward.start(plan, linearise=True)
+    mean[0][:, states] = careful.prior_mean(plan)
     pair = np.empty((plan.runs, front + layout.slice_size))
     for row in range(plan.steps):
         pair[:, :front] = mean[row][:, states]

@@ -42,7 +42,21 @@ def run(
     lineariser: Lineariser,
     start: Start | None,
 ) -> ChainPosterior:
-    """Send the messages of a filter or smoother."""
+    """Send the messages of a filter or smoother.
+
+    Numbers too large for float64 are refused where they end up, so that NumPy need not warn.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return _run(graph, bound, schedule, lineariser, start)
+
+
+def _run(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    schedule: Schedule | None,
+    lineariser: Lineariser,
+    start: Start | None,
+) -> ChainPosterior:
     schedule = Smoothing() if schedule is None else schedule
     if not isinstance(schedule, Filtering | Calibration):
         raise ModelError(
@@ -55,13 +69,37 @@ def run(
     if not certificate.is_flat(plan):
         try:
             found = _solve(graph, plan, schedule, given)
+            _refuse_infinite(found)
             smoothed = None if found._smoothed is None else found._smoothed.cov
             if certificate.suffices(found._planned, found._swept, smoothed):
                 return found
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
         plan = ChainPlan.make(graph, bound, lineariser, probe=False)
-    return _carefully(graph, plan, schedule, given)
+    found = _carefully(graph, plan, schedule, given)
+    _refuse_infinite(found)
+    return found
+
+
+def _refuse_infinite(posterior: ChainPosterior) -> None:
+    """Refuse what float64 cannot hold; only the variances of a flat prior are infinite."""
+    swept, smoothed = posterior._swept, posterior._smoothed
+    parts = [swept.log_density, swept.mean, swept.cov]
+    parts += [] if smoothed is None else [smoothed.mean, smoothed.cov]
+    flat = certificate.is_flat(posterior._planned)
+    for part in parts:
+        if np.isfinite(part.sum()):
+            continue
+        lost = np.isnan(part) if flat and part.ndim == 4 else ~np.isfinite(part)
+        if lost.any():
+            step, run = (int(axis[0]) for axis in np.nonzero(lost)[:2])
+            raise NumericalError(
+                f"the belief at step {step}, run {run}, or the density of its readings is not "
+                "finite: numbers of the model or the evidence are larger, or further apart, than "
+                "float64 can hold; give them in other units",
+                step=step,
+                run=run,
+            )
 
 
 def _solve(

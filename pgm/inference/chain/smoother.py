@@ -293,9 +293,8 @@ def _start(plan: ChainPlan, start: Array) -> Point:
     if not angles.any():
         return reckoning.without_spread(plan, start)
     mean = start.copy()
-    first, _ = forward.start(plan, linearise=True)
     prior = mean[0].copy()
-    prior[:, layout.state_places] = first
+    prior[:, layout.state_places] = careful.prior_mean(plan)
     mean[0] = nearest_branch(mean[0], prior, angles)
     mean[..., angles] = np.unwrap(mean[..., angles], axis=0)
     return reckoning.without_spread(plan, mean)

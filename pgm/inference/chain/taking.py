@@ -253,6 +253,11 @@ def _take(
     unheard = np.where(read & ~open_, CLEAR * floor * weight.hi**2, 0.0)[:, None]
     unheard = np.sqrt(unheard * np.maximum(variances(cov.hi), 0.0))
     moved = moved + unheard * np.abs(innovation.hi[:, :1])
+    # A noise that S does not tell from rounding leaves no digit of what float64 tells at all.
+    untold = read & (noise.hi > 0.0) & (noise.hi < CLEAR * summed)
+    if untold.any():
+        before = np.sqrt(np.maximum(variances(cov.hi), 0.0)) * (gain.hi != 0.0)
+        moved = moved + _TOLD * before * untold[:, None]
     terms = np.abs(gain.hi)[..., None] * (np.abs(line) @ np.abs(columns.hi))
     columns = cancelled(columns + gain[..., None] * innovation[:, None, :], columns, terms)
     # What rounding has left of a zero in 1 − G h is squared.
