@@ -82,21 +82,26 @@ def _run(
 
 
 def _refuse_infinite(posterior: ChainPosterior) -> None:
-    """Refuse what float64 cannot hold; only the variances of a flat prior are infinite."""
+    """Refuse what float64 cannot hold; only the variances of a flat prior are infinite.
+
+    A variance that is negative, by more than rounding explains, is no better.
+    """
     swept, smoothed = posterior._swept, posterior._smoothed
     parts = [swept.log_density, swept.mean, swept.cov]
     parts += [] if smoothed is None else [smoothed.mean, smoothed.cov]
     flat = certificate.is_flat(posterior._planned)
     for part in parts:
-        if np.isfinite(part.sum()):
-            continue
-        lost = np.isnan(part) if flat and part.ndim == 4 else ~np.isfinite(part)
+        lost = np.zeros(0, dtype=bool)
+        if not np.isfinite(part.sum()):
+            lost = np.isnan(part) if flat and part.ndim == 4 else ~np.isfinite(part)
+        elif part.ndim == 4 and posterior._careful is not None:
+            lost = np.diagonal(part, axis1=-2, axis2=-1) < 0.0
         if lost.any():
             step, run = (int(axis[0]) for axis in np.nonzero(lost)[:2])
             raise NumericalError(
                 f"the belief at step {step}, run {run}, or the density of its readings is not "
-                "finite: numbers of the model or the evidence are larger, or further apart, than "
-                "float64 can hold; give them in other units",
+                "finite, or a variance is negative: numbers of the model or the evidence are "
+                "larger, or further apart, than float64 can hold; give them in other units",
                 step=step,
                 run=run,
             )
