@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -76,9 +77,7 @@ def _run(
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
         plan = ChainPlan.make(graph, bound, lineariser, probe=False)
-    found = _carefully(graph, plan, schedule, given)
-    _refuse_infinite(found)
-    return found
+    return _carefully(graph, plan, schedule, given)
 
 
 def _refuse_infinite(posterior: ChainPosterior) -> None:
@@ -130,13 +129,16 @@ def _carefully(
         if isinstance(graph, BalancedGraph):
             _refuse_nonlinear(graph, plan)
         swept, status = careful.sweep(plan, schedule)
-        status = status.with_digits(digits(swept.error, plan.lead))
-        return kind(graph, status, plan, swept.forward, None, None, swept)
-    result, status = smoother.carefully(
-        plan, _smoothing(schedule), start, reckoned=isinstance(graph, BalancedGraph)
-    )
-    status = status.with_digits(digits(result.error, plan.lead))
-    return kind(graph, status, plan, result.careful.forward, result.beliefs, None, result.careful)
+        found, error = kind(graph, status, plan, swept.forward, None, None, swept), swept.error
+    else:
+        result, status = smoother.carefully(
+            plan, _smoothing(schedule), start, reckoned=isinstance(graph, BalancedGraph)
+        )
+        ahead = result.careful
+        found = kind(graph, status, plan, ahead.forward, result.beliefs, None, ahead)
+        error = result.error
+    _refuse_infinite(found)
+    return replace(found, status=status.with_digits(digits(error, plan.lead)))
 
 
 def _kind(graph: DynamicGraph) -> type[ChainPosterior]:
