@@ -22,13 +22,13 @@ STEPS = 6
 # ---- the limit
 
 
-def limit(model, flat, inputs, readings):
+def limit(model, flat, readings):
     """Beliefs as priors grow: `model(κ)` has a variance κ in each of `flat` components.
 
     What exceeds any bound is infinite, and to the log-evidence ½ ln κ is added for each direction
     that the readings determine.
     """
-    found, wider = (Reference(model(10.0**k), STEPS, inputs, readings) for k in (60, 80))
+    found, wider = (Reference(model(10.0**k), STEPS, {}, readings) for k in (60, 80))
     each = 0.5 * np.log(10.0)
     directions = round(float(found.log_evidence - wider.log_evidence) / (20 * each))
     assert 0 <= directions <= flat
@@ -142,7 +142,7 @@ def test_the_limit_of_wide_priors(name, missing):
     make, flat = MODELS[name]
     model = make(INF)
     evidence = evidence_for(model, missing)
-    due = limit(make, flat, {}, listed(evidence))
+    due = limit(make, flat, listed(evidence))
     places = due.reference.places
     runs = [
         pgm.filter(model, evidence),
@@ -163,20 +163,11 @@ def test_the_limit_of_wide_priors(name, missing):
         assert posterior.status.digits > 10.0
 
 
-def test_what_is_known_when():
-    """Nothing, then a place, then a velocity."""
-    filtered = pgm.filter(constant_velocity(INF), {z: record()})
-    known = np.isfinite(np.diagonal(filtered[x].cov, 0, 1, 2))
-    assert known.tolist() == [[False, False], [True, False]] + [[True, True]] * (STEPS - 1)
-    ahead = np.isfinite(np.diagonal(filtered.predicted[x].cov, 0, 1, 2))
-    assert ahead.tolist() == [[False, False]] * 3 + [[True, True]] * (STEPS - 2)
-
-
 def test_joints():
     """Of steps near and far, also where the filter knew nothing yet."""
     make, flat = MODELS["all"]
     evidence = {z: record()}
-    due = limit(make, flat, {}, listed(evidence)).reference
+    due = limit(make, flat, listed(evidence)).reference
     for posterior in (
         pgm.smooth(make(INF), evidence),
         balanced(make(INF), evidence, pgm.Smoothing()),
