@@ -1,5 +1,6 @@
 """Priors of infinite variance: the limit of wide ones in 300 digits, and least squares."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -130,9 +131,8 @@ def evidence_for(model, missing=False):
 
 
 def balanced(model, evidence, schedule):
-    return pgm.infer(
-        pgm.compile(model, steps=STEPS, method=pgm.Balanced()), evidence, schedule=schedule
-    )
+    tree = pgm.compile(model, steps=STEPS, method=pgm.Balanced())
+    return pgm.infer(tree, evidence, schedule=schedule)
 
 
 @pytest.mark.parametrize("missing", [False, True], ids=["whole", "gaps"])
@@ -348,16 +348,12 @@ static = pgm.BayesianNetwork(
     [pgm.GaussianCPD(y, 0.0, INF), pgm.LinearGaussianCPD(z, {y: 1.0}, cov=1.0)]
 )
 MODEL = constant_velocity(INF)
+smoothed = partial(pgm.smooth, MODEL, {z: record()})
 PROPER = "has an infinite variance", "give it a finite one"
 ERRORS = [
     refusal("sampling", lambda: MODEL.sample({}, steps=3, rng=1), pgm.ModelError, *PROPER),
     refusal("online", lambda: pgm.OnlineFilter(MODEL), pgm.ModelError, *PROPER),
-    refusal(
-        "audit",
-        lambda: pgm.audit(pgm.smooth(MODEL, {z: record()}), rng=1),
-        pgm.ModelError,
-        *PROPER,
-    ),
+    refusal("audit", lambda: pgm.audit(smoothed(), rng=1), pgm.ModelError, *PROPER),
     refusal("static", lambda: pgm.infer(pgm.compile(static), {z: 1.0}), pgm.ModelError, *PROPER),
     refusal(
         "sigma points",
