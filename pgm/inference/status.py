@@ -23,7 +23,7 @@ def digits(error: Array, lead: tuple[int, ...]) -> Array:
     """
     least = np.finfo(np.float64).eps
     error = np.where(np.isfinite(error), error, 1.0)
-    return np.asarray(-np.log10(np.maximum(error, least)).reshape(lead))
+    return np.asarray(0.0 - np.log10(np.maximum(error, least)).reshape(lead))
 
 
 class Status(Immutable):

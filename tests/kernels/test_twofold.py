@@ -173,9 +173,26 @@ def test_regular_matrices(entry, right):
     found = exact(twofold.inverse(lower, pivots))
     assert (abs(found[0] @ matrix - np.eye(4)) <= 10**6 * DIGITS).all()
     assert (abs(2 * found[1] @ matrix - np.eye(4)) <= 10**6 * DIGITS).all()
+    whole = twofold.solve(lower, pivots, held(right))
+    size = 100 * abs(matrix) @ abs(exact(whole))
+    assert (abs(matrix @ exact(whole)[0] - right[0]) <= DIGITS * size[0]).all()
+    assert (abs(2 * matrix @ exact(whole)[1] - right[1]) <= 2 * DIGITS * size[1]).all()
     solution = twofold.solve_unit(lower, held(right))
     size = abs(exact(lower)) @ abs(exact(solution))
     assert (abs(exact(lower) @ exact(solution) - right) <= 10 * DIGITS * size).all()
+
+
+def test_a_solution_keeps_what_an_inverse_loses():
+    """Of a matrix that is nearly singular: A x is right, though x hardly is."""
+    wide = Fraction(10**22)
+    matrix = np.array([[wide + Fraction(1, 100), wide], [wide, wide + Fraction(1, 50)]])
+    lower, pivots = twofold.eliminated(held([matrix]), SHARE * 1e-6)
+    right = held([[[wide], [wide + 1]]])
+    found = exact(twofold.solve(lower, pivots, right))[0]
+    size = abs(matrix) @ abs(found)
+    assert (abs(matrix @ found - exact(right)[0]) <= 10 * DIGITS * size).all()
+    # The sum of both components is some 1e-22 of theirs.
+    assert abs(found.sum() - 1) < Fraction(1, 10**20)
 
 
 def test_pivots_that_are_rounding():

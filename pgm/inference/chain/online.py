@@ -294,6 +294,7 @@ def _carried(
 ) -> OnlineBelief:
     """A belief with the digits that it has, carried in twice those of float64 while it must be."""
     mean, cov = found.moments
+    _refuse_infinite(step, mean, cov, log_evidence)
     status = status.with_digits(digits(found.error, plan.lead))
     kept = None if found.is_ordinary else found
     return _belief(plan, step, mean, cov, log_evidence, status, kept)
@@ -309,13 +310,18 @@ def _belief(
     careful: CarefulBelief | None = None,
 ) -> OnlineBelief:
     """A belief with the runs as the user's axes."""
-    if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
+    _refuse_infinite(step, mean, cov, log_evidence)
+    lead, size = plan.lead, mean.shape[-1]
+    mean, cov = mean.reshape(*lead, size), cov.reshape(*lead, size, size)
+    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status, careful)
+
+
+def _refuse_infinite(step: int, *parts: Array) -> None:
+    """Refuse what float64 cannot hold."""
+    if not all(np.isfinite(part).all() for part in parts):
         raise NumericalError(
             f"the belief at step {step} or its log-evidence is not finite: numbers of the model or "
             "the evidence are larger, or further apart, than float64 can hold; give them in other "
             "units",
             step=step,
         )
-    lead, size = plan.lead, mean.shape[-1]
-    mean, cov = mean.reshape(*lead, size), cov.reshape(*lead, size, size)
-    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status, careful)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -76,27 +77,30 @@ def _run(
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
         plan = ChainPlan.make(graph, bound, lineariser, probe=False)
-    found = _carefully(graph, plan, schedule, given)
-    _refuse_infinite(found)
-    return found
+    return _carefully(graph, plan, schedule, given)
 
 
 def _refuse_infinite(posterior: ChainPosterior) -> None:
-    """Refuse what float64 cannot hold; only the variances of a flat prior are infinite."""
+    """Refuse what float64 cannot hold; only the variances of a flat prior are infinite.
+
+    A variance that is negative, by more than rounding explains, is no better.
+    """
     swept, smoothed = posterior._swept, posterior._smoothed
     parts = [swept.log_density, swept.mean, swept.cov]
     parts += [] if smoothed is None else [smoothed.mean, smoothed.cov]
     flat = certificate.is_flat(posterior._planned)
     for part in parts:
-        if np.isfinite(part.sum()):
-            continue
-        lost = np.isnan(part) if flat and part.ndim == 4 else ~np.isfinite(part)
+        lost = np.zeros(0, dtype=bool)
+        if not np.isfinite(part.sum()):
+            lost = np.isnan(part) if flat and part.ndim == 4 else ~np.isfinite(part)
+        elif part.ndim == 4 and posterior._careful is not None:
+            lost = np.diagonal(part, axis1=-2, axis2=-1) < 0.0
         if lost.any():
             step, run = (int(axis[0]) for axis in np.nonzero(lost)[:2])
             raise NumericalError(
                 f"the belief at step {step}, run {run}, or the density of its readings is not "
-                "finite: numbers of the model or the evidence are larger, or further apart, than "
-                "float64 can hold; give them in other units",
+                "finite, or a variance is negative: numbers of the model or the evidence are "
+                "larger, or further apart, than float64 can hold; give them in other units",
                 step=step,
                 run=run,
             )
@@ -125,13 +129,16 @@ def _carefully(
         if isinstance(graph, BalancedGraph):
             _refuse_nonlinear(graph, plan)
         swept, status = careful.sweep(plan, schedule)
-        status = status.with_digits(digits(swept.error, plan.lead))
-        return kind(graph, status, plan, swept.forward, None, None, swept)
-    result, status = smoother.carefully(
-        plan, _smoothing(schedule), start, reckoned=isinstance(graph, BalancedGraph)
-    )
-    status = status.with_digits(digits(result.error, plan.lead))
-    return kind(graph, status, plan, result.careful.forward, result.beliefs, None, result.careful)
+        found, error = kind(graph, status, plan, swept.forward, None, None, swept), swept.error
+    else:
+        result, status = smoother.carefully(
+            plan, _smoothing(schedule), start, reckoned=isinstance(graph, BalancedGraph)
+        )
+        ahead = result.careful
+        found = kind(graph, status, plan, ahead.forward, result.beliefs, None, ahead)
+        error = result.error
+    _refuse_infinite(found)
+    return replace(found, status=status.with_digits(digits(error, plan.lead)))
 
 
 def _kind(graph: DynamicGraph) -> type[ChainPosterior]:

@@ -196,7 +196,7 @@ def update(due: Due, step: int, belief: Belief, mean: Array) -> Taken:
         left[:, k] = np.where(seen[:, k] & ~read, np.abs(innovation.hi), 0.0)
         level = (innovation * innovation * weight).hi + np.log(np.where(read, predictive, 1.0))
         log_density -= np.where(read, 0.5 * (level + LOG_2PI), 0.0)
-    if not np.isfinite(log_density.sum()):
+    if not np.isfinite(log_density).all():
         refuse_indefinite(due)
     if left.any():
         refuse_contradiction(due, mean, left)
