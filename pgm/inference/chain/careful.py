@@ -151,7 +151,7 @@ def sweep(
             sensors_due(plan.sensors, step), step, mean, cov, belief, information
         )
         if schedule is None:
-            found = reading.solve(anchor)
+            found = reading.solve(None if anchor is None else anchor.at(step))
         else:
             taken = take(reading, schedule)
             found = taken.solution.at(taken.mean)
@@ -210,7 +210,7 @@ class CarefulReading(Reading[CarefulUpdate]):
         if self.due:
             taken = update(self.due, self.step, self.belief, self.mean)
         if anchor is not None:
-            taken = hold(anchor, self.step, taken)
+            taken = hold(anchor, taken)
         information = self.information
         for component in taken.components:
             row = component.innovation[:, None, :]

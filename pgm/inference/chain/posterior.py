@@ -162,6 +162,8 @@ class ChainPosterior(Posterior):
         distinct = sorted(set(steps))
         last = self.graph.steps if self._smoothed is not None else distinct[-1]
         mean, cov = adjoint.joint(careful, distinct, adjoint.smoothed(careful, last))
+        if self._smoothed is not None:  # a step control may have kept other means
+            mean = np.concatenate(list(self._smoothed.mean[distinct]), axis=-1)
         layout, size = self.graph.layout, self.graph.layout.slice_size
         wanted = np.concatenate(
             [

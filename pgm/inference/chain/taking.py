@@ -193,15 +193,15 @@ def update(due: Due, step: int, belief: Belief, mean: Array) -> Taken:
     return Taken(belief, components, log_density)
 
 
-def hold(anchor: Anchor, step: int, taken: Taken) -> Taken:
-    """Take in the reading of an anchor too, which is no evidence."""
+def hold(anchor: Anchor, taken: Taken) -> Taken:
+    """Take in the reading of an anchor of one step too, which is no evidence."""
     belief, components = taken.belief, list(taken.components)
     size = belief.cov.shape[-1]
-    held = (anchor.std[step] > 0.0) & (anchor.weight > 0.0)[:, None]
-    variance = anchor.std[step] ** 2 / np.where(anchor.weight > 0.0, anchor.weight, 1.0)[:, None]
+    held = (anchor.std[0] > 0.0) & (anchor.weight > 0.0)[:, None]
+    variance = anchor.std[0] ** 2 / np.where(anchor.weight > 0.0, anchor.weight, 1.0)[:, None]
     for k in range(size):
         row = Twofold(np.broadcast_to(np.eye(size)[k], belief.columns.shape[:2]).copy())
-        value, noise = Twofold(anchor.mean[step][:, k]), Twofold(variance[:, k])
+        value, noise = Twofold(anchor.mean[0][:, k]), Twofold(variance[:, k])
         belief, component, *_ = _take(belief, row, value, noise, held[:, k])
         components.append(component)
     return Taken(belief, components, taken.log_density)
