@@ -336,7 +336,15 @@ def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
 
 
 def require_proper(plan: ChainPlan, step: int, *beliefs: Belief) -> None:
-    """Refuse beliefs that a lineariser's error has made indefinite."""
+    """Refuse beliefs that are not finite, or that a lineariser's error has made indefinite."""
+    for belief in beliefs:
+        for part in (belief.columns, belief.cov):
+            if not np.isfinite(part.hi + part.lo).all():
+                raise NumericalError(
+                    f"the belief at step {step} is not finite; are its inputs, readings and noises "
+                    "of a size that float64 can hold?",
+                    step=step,
+                )
     rough = forward.rough(plan)
     if not rough or all(roots.is_proper(roots.root(belief.cov.hi)) for belief in beliefs):
         return

@@ -23,7 +23,7 @@ from pgm.inference.chain.taking import variances
 from pgm.inference.chain.update import sensors_due
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status, digits
-from pgm.kernels.arrays import Array, block
+from pgm.kernels.arrays import Array, block, quiet
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -91,6 +91,7 @@ class OnlineFilter(Immutable):
         # What was prepared is not part of the value.
         return {name: getattr(self, name) for name in ("model", "lineariser", "schedule")}
 
+    @quiet()
     def initial(self) -> OnlineBelief:
         """The prior, at step 0."""
         layout, lead = self._graph.layout, self.model.lead
@@ -130,6 +131,10 @@ class OnlineFilter(Immutable):
             after = single.predict(belief, inputs)
             if after is not None:
                 return after
+        return self._predicted(belief, inputs)
+
+    @quiet()
+    def _predicted(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> OnlineBelief:
         plan = self._ahead(belief, inputs)
         step, status = belief.step + 1, _nothing_to_iterate(plan.lead)
         log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
@@ -184,6 +189,10 @@ class OnlineFilter(Immutable):
             after = single.update(belief, readings)
             if after is not None:
                 return after
+        return self._updated(belief, readings)
+
+    @quiet()
+    def _updated(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
         plan = self._seen(belief, readings)
         ordinary = self._update(belief, plan) if belief.careful is None else None
         if ordinary is not None:

@@ -21,7 +21,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.inference.status import Status, digits
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
 
@@ -35,6 +35,7 @@ def bind_chain(model: Any, evidence: Evidence, steps: int | None) -> BoundEviden
     return bind(model.transition, model.observation, evidence, steps, model.lead)
 
 
+@quiet()
 def run(
     graph: DynamicGraph,
     bound: BoundEvidence,
