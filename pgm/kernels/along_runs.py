@@ -165,6 +165,16 @@ def open_share(cov: Array) -> float:
     return float((_eliminate(cov) / whole).min(initial=1.0))
 
 
+def least_left(before: Array, after: Array) -> float:
+    """The smallest share that is left of a variance, of covariances (n, n, runs).
+
+    Those of zero, which are known, do not count.
+    """
+    was, left = (np.einsum("iir->ir", cov) for cov in (before, after))
+    counts = (left != 0.0) & (was > 0.0)
+    return float((left[counts] / was[counts]).min(initial=1.0))
+
+
 def _eliminate(matrix: Array, right: Array | None = None) -> Array:
     """The pivots D of A = U D Uᵀ, (d, runs); puts U below the diagonal of A, and B U⁻ᵀ into B."""
     for j in range(1, len(matrix)):

@@ -153,7 +153,7 @@ def sweep(
             sensors_due(plan.sensors, step), step, mean, cov, belief, information
         )
         if schedule is None:
-            found = reading.solve(anchor)
+            found = reading.solve(None if anchor is None else anchor.at(step))
         else:
             taken = take(reading, schedule)
             found = taken.solution.at(taken.mean)
@@ -212,7 +212,7 @@ class CarefulReading(Reading[CarefulUpdate]):
         if self.due:
             taken = update(self.due, self.step, self.belief, self.mean)
         if anchor is not None:
-            taken = hold(anchor, self.step, taken)
+            taken = hold(anchor, taken)
         information = self.information
         for component in taken.components:
             row = component.innovation[:, None, :]
@@ -354,7 +354,15 @@ def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
 
 
 def require_proper(plan: ChainPlan, step: int, *beliefs: Belief) -> None:
-    """Refuse beliefs that a lineariser's error has made indefinite."""
+    """Refuse beliefs that are not finite, or that a lineariser's error has made indefinite."""
+    for belief in beliefs:
+        for part in (belief.columns, belief.cov):
+            if not np.isfinite(part.hi + part.lo).all():
+                raise NumericalError(
+                    f"the belief at step {step} is not finite; are its inputs, readings and noises "
+                    "of a size that float64 can hold?",
+                    step=step,
+                )
     rough = forward.rough(plan)
     if not rough or all(roots.is_proper(roots.root(belief.cov.hi)) for belief in beliefs):
         return

@@ -10,6 +10,10 @@ a transition nor what a reading sums up loses digits. These ratios bound what is
 - of readings without noise: (Σ_j |h_j| σ_j)² over the share of the variance of an innovation that
   is left open by those before it.
 
+A mean keeps its digits as parts of the largest numbers that it went through, and these as parts of
+the deviations there: what rounding is of these has to be little, or not more than it is of the
+mean itself.
+
 Where all ratios are moderate, the passes in float64 are right; where one is not, they are made in
 twice the digits.
 """
@@ -29,6 +33,9 @@ from pgm.kernels.arrays import Array, apply, sandwich
 MODERATE = 2e7
 # And that at which composing segments of a balanced tree leaves them too.
 _GENTLE = 4e6
+# Rounding of a mean, in its deviations, that counts where numbers are so many times smaller.
+_COUNTS, _FARTHER = 3e-8, 30.0
+_EPS = float(np.finfo(np.float64).eps)
 
 
 def is_flat(plan: ChainPlan) -> bool:
@@ -39,6 +46,8 @@ def is_flat(plan: ChainPlan) -> bool:
 def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:
     """Whether a forward pass, and the covariances that a smoother made of it, kept their digits."""
     with np.errstate(all="ignore"):  # a ratio of what is not finite is no moderate one
+        if not np.isfinite(swept.log_density.sum()) or _sinks(swept, both=smoothed is not None):
+            return False
         if isinstance(swept, Filtered):
             return swept.closest * MODERATE > 1.0
         predicted, known = swept.predicted_cov, swept.cov
@@ -56,6 +65,22 @@ def composes(predicted: Array, known: Array) -> bool:
     with np.errstate(all="ignore"):
         stands = _stands(predicted, known, _GENTLE)
         return stands and _is_open(predicted, _GENTLE) and _is_open(known, _GENTLE)
+
+
+def _sinks(swept: Forward | Filtered, *, both: bool) -> bool:
+    """Whether means come from numbers so large that their last digits count where they are small.
+
+    An error is as many deviations at other steps at most: later ones, or of both sides.
+    """
+    mean, left = np.abs(swept.mean), _variances(swept.cov)
+    axes = tuple(range(mean.ndim - 1))
+    known = left <= 0.0
+    least = np.where(known, np.inf, left).min(axis=axes) if known.any() else left.min(axis=axes)
+    if (_EPS * mean.max(axis=axes) <= _COUNTS * np.sqrt(least)).all():
+        return False
+    parts = _EPS * np.where(known, 0.0, mean / np.sqrt(np.where(known, 1.0, left))).max(axis=-1)
+    largest = parts.max(axis=0) if both else np.maximum.accumulate(parts, axis=0)
+    return bool(((largest > _COUNTS) & (largest > _FARTHER * parts)).any())
 
 
 def _is_open(cov: Array, limit: float) -> bool:

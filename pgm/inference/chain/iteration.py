@@ -84,6 +84,11 @@ class Anchor(NamedTuple):
     std: Array
     weight: Array
 
+    def at(self, step: int) -> Anchor:
+        """That of a step alone."""
+        one = slice(step, step + 1)
+        return Anchor(self.mean[one], self.std[one], self.weight)
+
     def hold(self, step: int, mean: Array, cov: Array) -> tuple[Array, Array]:
         """Take the reading of a step into a belief, (runs, n) and (runs, n, n)."""
         held = (self.std[step] > 0.0) & (self.weight > 0.0)[:, None]

@@ -28,8 +28,9 @@ Moments = tuple[Array, Array]
 MANY = 32
 # And so many at a time: what a step touches then stays in a cache of some megabytes.
 MOST = 10_000
-# Between readings that are mild, beliefs are looked at every so many steps.
-_EVERY = 8
+# Between readings that are mild, beliefs are looked at every so many steps, and where a
+# variance has grown by so much since.
+_EVERY, _GROWN = 8, 1e2
 
 
 def suits(plan: ChainPlan) -> bool:
@@ -52,7 +53,8 @@ class Filtered:
         As of a `Forward`.
     closest : float
         The smallest share of a variance that the components before it leave open, of the beliefs
-        looked at: those after sharp readings, and of some steps between.
+        looked at, and of the variance before a sharp reading: those before and after sharp
+        readings, where variances have grown, and of some steps between.
     """
 
     plan: ChainPlan
@@ -126,7 +128,7 @@ def _sweep(
     kept: Moments,
     log_density: Array,
 ) -> float:
-    closest = 1.0
+    closest, level = 1.0, np.full((plan.layout.slice_size, plan.runs), np.inf)
     first, spread = start(plan, linearise=True)
     predicted[0][0], predicted[1][0] = np.moveaxis(first, 0, -1), np.moveaxis(spread, 0, -1)
     for step in range(plan.steps + 1):
@@ -136,7 +138,15 @@ def _sweep(
             move.predict(step - 1, kept[0][step - 1], kept[1][step - 1], belief)
         known = kept[0][step], kept[1][step]
         log_density[step], mild = _update(plan, reads, step, belief, known)
-        if not (mild and step % _EVERY):
+        spread = np.einsum("iir->ir", belief[1])
+        regular = mild and not (spread > _GROWN * level).any()
+        if not regular:
+            level = spread.copy()
+            closest = min(closest, along_runs.open_share(belief[1].copy()))
+        if not mild:
+            closest = min(closest, along_runs.least_left(belief[1], known[1]))
+        if not (regular and step % _EVERY):
+            level = np.minimum(level, np.einsum("iir->ir", known[1]))
             closest = min(closest, along_runs.open_share(known[1].copy()))
     return closest
 

@@ -137,6 +137,9 @@ class OnlineFilter(Immutable):
             after = single.predict(belief, inputs)
             if after is not None:
                 return after
+        return self._predicted(belief, inputs)
+
+    def _predicted(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> OnlineBelief:
         plan = self._ahead(belief, inputs)
         step, status = belief.step + 1, _nothing_to_iterate(plan.lead)
         log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
@@ -192,6 +195,9 @@ class OnlineFilter(Immutable):
             after = single.update(belief, readings)
             if after is not None:
                 return after
+        return self._updated(belief, readings)
+
+    def _updated(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
         plan = self._seen(belief, readings)
         ordinary = self._update(belief, plan) if belief.careful is None else None
         if ordinary is not None:

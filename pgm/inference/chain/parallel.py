@@ -241,7 +241,10 @@ def _predicted(moves: Conditional, start: Array) -> Array:
 
 
 def _refuse(known: Moments) -> None:
+    """Refuse what is not finite; a sum may not be where all its terms are."""
     bad = ~np.isfinite(known.cov).all(axis=(1, 2, 3)) | ~np.isfinite(known.mean).all(axis=(1, 2))
+    if not bad.any():
+        return
     step = int(np.flatnonzero(bad)[0])
     raise NumericalError(
         f"the covariance of a transition or belief about step {step} is indefinite or not finite, "

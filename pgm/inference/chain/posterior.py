@@ -27,7 +27,7 @@ from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
 from pgm.kernels import canonical
-from pgm.kernels.arrays import Array, block
+from pgm.kernels.arrays import Array, block, quiet
 from pgm.variables import Variable
 
 
@@ -61,6 +61,7 @@ class ChainPosterior(Posterior):
         return self._marginals(self._beliefs)[variable]
 
     @property
+    @quiet()
     def _forward(self) -> Forward:
         """All that the forward sweep leaves, found now if only beliefs were wanted so far."""
         swept = self._swept
@@ -90,6 +91,7 @@ class ChainPosterior(Posterior):
         return self._marginals(Beliefs(self._swept.mean, self._swept.cov))
 
     @cached_property
+    @quiet()
     def innovations(self) -> Mapping[Variable, Innovations]:
         """The innovations of each sensor with evidence."""
         return BySensor(
@@ -122,6 +124,7 @@ class ChainPosterior(Posterior):
     def _backward_messages(self) -> list[canonical.Canonical]:
         return backward_messages(self._plan, self._forward)
 
+    @quiet()
     def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
         """The joint of hidden variables at any steps, given what the latest of them knows.
 
@@ -162,6 +165,8 @@ class ChainPosterior(Posterior):
         distinct = sorted(set(steps))
         last = self.graph.steps if self._smoothed is not None else distinct[-1]
         mean, cov = adjoint.joint(careful, distinct, adjoint.smoothed(careful, last))
+        if self._smoothed is not None:  # a step control may have kept other means
+            mean = np.concatenate(list(self._smoothed.mean[distinct]), axis=-1)
         layout, size = self.graph.layout, self.graph.layout.slice_size
         wanted = np.concatenate(
             [
@@ -175,6 +180,7 @@ class ChainPosterior(Posterior):
             variables, mean.reshape(*shape, -1), cov.reshape(*shape, *cov.shape[1:])
         )
 
+    @quiet()
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
@@ -211,6 +217,7 @@ class ChainPosterior(Posterior):
         cov = block(self._forward.cov[step], places, places)
         return canonical.from_moments(mean, cov, weight)
 
+    @quiet()
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its hidden variables, unnormalised.
 

@@ -22,7 +22,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.inference.status import Status, digits
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
 
@@ -36,6 +36,7 @@ def bind_chain(model: Any, evidence: Evidence, steps: int | None) -> BoundEviden
     return bind(model.transition, model.observation, evidence, steps, model.lead)
 
 
+@quiet()
 def run(
     graph: DynamicGraph,
     bound: BoundEvidence,
@@ -47,17 +48,6 @@ def run(
 
     Numbers too large for float64 are refused where they end up, so that NumPy need not warn.
     """
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _run(graph, bound, schedule, lineariser, start)
-
-
-def _run(
-    graph: DynamicGraph,
-    bound: BoundEvidence,
-    schedule: Schedule | None,
-    lineariser: Lineariser,
-    start: Start | None,
-) -> ChainPosterior:
     schedule = Smoothing() if schedule is None else schedule
     if not isinstance(schedule, Filtering | Calibration):
         raise ModelError(

@@ -22,6 +22,8 @@ _EPS = float(np.finfo(np.float64).eps)
 _LAST_DIGIT = 4.0 * _EPS
 # The part of what is summed up to an entry of D below which it is rounding.
 _CANCELLED = 1e-26
+# The part of a variance that is taken for rounding which counts as an error of the mean.
+_SUNK = 1e-6
 # By so much a variance has to exceed what rounding may have made of a zero.
 CLEAR = 100.0
 
@@ -115,8 +117,11 @@ class Belief(NamedTuple):
         if open_.all():
             return self
         both = open_[..., None] & open_[..., None, :]
+        sunk = np.where(open_ | (variances(self.cov.hi) == 0.0), 0.0, _SUNK * floor)
         return self._replace(
-            cov=twofold.where(both, self.cov, 0.0), rounding=np.where(both, self.rounding, 0.0)
+            cov=twofold.where(both, self.cov, 0.0),
+            rounding=np.where(both, self.rounding, 0.0),
+            drift=self.drift + sunk[..., None] * np.eye(sunk.shape[-1]),
         )
 
 
@@ -203,15 +208,15 @@ def update(due: Due, step: int, belief: Belief, mean: Array) -> Taken:
     return Taken(belief, components, log_density)
 
 
-def hold(anchor: Anchor, step: int, taken: Taken) -> Taken:
-    """Take in the reading of an anchor too, which is no evidence."""
+def hold(anchor: Anchor, taken: Taken) -> Taken:
+    """Take in the reading of an anchor of one step too, which is no evidence."""
     belief, components = taken.belief, list(taken.components)
     size = belief.cov.shape[-1]
-    held = (anchor.std[step] > 0.0) & (anchor.weight > 0.0)[:, None]
-    variance = anchor.std[step] ** 2 / np.where(anchor.weight > 0.0, anchor.weight, 1.0)[:, None]
+    held = (anchor.std[0] > 0.0) & (anchor.weight > 0.0)[:, None]
+    variance = anchor.std[0] ** 2 / np.where(anchor.weight > 0.0, anchor.weight, 1.0)[:, None]
     for k in range(size):
         row = Twofold(np.broadcast_to(np.eye(size)[k], belief.columns.shape[:2]).copy())
-        value, noise = Twofold(anchor.mean[step][:, k]), Twofold(variance[:, k])
+        value, noise = Twofold(anchor.mean[0][:, k]), Twofold(variance[:, k])
         belief, component, *_ = _take(belief, row, value, noise, held[:, k])
         components.append(component)
     return Taken(belief, components, taken.log_density)
