@@ -48,7 +48,7 @@ def ways(monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(many, "suits", lambda plan: False)
             plain = pgm.filter(network, evidence, **options)
-        return fast, plain, swept != [] and swept[-1] is not None
+        return fast, plain, bool(swept) and swept[-1] is not None
 
     return both
 
