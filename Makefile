@@ -4,6 +4,8 @@ VENV := .venv
 PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --quiet --disable-pip-version-check
 export MPLBACKEND := Agg
+# Workers share the cores; BLAS threads of small matrices only wait for each other.
+export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: demo report test test-slow lint bench bench-quick clean
 

@@ -157,9 +157,8 @@ def update(
 def open_share(cov: Array) -> float:
     """The smallest share of a variance that the components before it leave open.
 
-    Of covariances (n, n, runs); components without a variance do not count.
+    Of covariances (n, n, runs), which are overwritten; components without a variance do not count.
     """
-    cov = cov.copy()
     variances = np.einsum("iir->ir", cov)
     variances[variances == 0.0] = 1.0
     whole = np.abs(variances)

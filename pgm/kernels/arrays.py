@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 import numpy as np
@@ -210,6 +212,13 @@ def independent(cov: Array, seen: Mask) -> Array:
 def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kind]:
     """Some runs of an array that has all of them along an axis, or one for all."""
     return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Let what overflows or is undefined become infinite or NaN, which callers look for."""
+    with np.errstate(all="ignore"):
+        yield
 
 
 def frozen(array: Array) -> Array:

@@ -10,6 +10,12 @@ from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Mask
 
 
+def steps(x: Array, std: Array) -> Array:
+    """The steps of `jacobian`."""
+    found: Array = np.maximum(np.maximum(1e-2 * std, 1e-4), 1e-9 * np.abs(x))
+    return found
+
+
 def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: Mask) -> Array:
     """The Jacobian of a vectorised function at x, (..., n) to (..., d, n), in one call.
 
@@ -17,7 +23,7 @@ def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: M
     are wrapped. The std may be zero.
     """
     size = x.shape[-1]
-    step = np.maximum(np.maximum(1e-2 * std, 1e-4), 1e-9 * np.abs(x))
+    step = steps(x, std)
     step = (x + step) - x  # the step that is taken in floating point
     offsets = np.eye(size)[:, None, :] * np.array([1.0, -1.0, 2.0, -2.0])[:, None]
     points = x[..., None, None, :] + offsets * step[..., None, None, :]

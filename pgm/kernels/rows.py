@@ -20,6 +20,8 @@ from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
 
 # A singular value or a pivot below this part of its column is rounding.
 NEGLIGIBLE = 1e-11
+# What is larger, of a frame's units, may be no rounding.
+ROUNDING = 1e-13
 # How far exact relations may miss one another, in units of the frame, and still be rounding.
 CONTRADICTION = 1e-7
 
@@ -54,6 +56,9 @@ class Eliminated(NamedTuple):
         (..., N): g of what is over s, less that of the factor.
     contradiction : ndarray of bool or None
         (..., N): where exact relations contradict one another.
+    largest : float
+        Of the entries of rows after exact relations were put into them, and of reciprocals of what
+        these were divided by; infinite where it is not certain which of them are independent.
     """
 
     gain: Array
@@ -62,6 +67,7 @@ class Eliminated(NamedTuple):
     rest: Rows
     log_scale: Array
     contradiction: Mask | None
+    largest: float
 
 
 def eliminate(factor: Rows, count: int) -> Eliminated:
@@ -140,6 +146,7 @@ def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
         rest,
         log_scale,
         None,
+        0.0,
     )
 
 
@@ -178,7 +185,7 @@ def _eliminate_exact(
         - (0.5 * LOG_2PI * used.sum(axis=-1) + np.log(divisor).sum(axis=-1))[..., None]
     )
     turned[..., :shared, :] *= ~used[..., None]
-    rest_exact, rest_right, scale, contradiction = _independent(
+    rest_exact, rest_right, scale, contradiction, doubt = _independent(
         turned[..., :sepset], turned[..., sepset:], np.abs(exact_right).max(axis=-2, initial=1.0)
     )
     return Eliminated(
@@ -188,11 +195,14 @@ def _eliminate_exact(
         Rows(*proper.rest[:2], rest_exact, rest_right),
         log_scale - scale[..., None],
         contradiction,
+        max(float(np.abs(moved).max(initial=0.0)), _doubt(values, used), doubt),
     )
 
 
-def _independent(exact: Array, right: Array, size: Array) -> tuple[Array, Array, Array, Mask]:
-    """Relations as orthonormal rows, ln of what that takes off, and where they contradict.
+def _independent(
+    exact: Array, right: Array, size: Array
+) -> tuple[Array, Array, Array, Mask, float]:
+    """Relations as orthonormal rows, ln of what that takes off, where they contradict, and doubt.
 
     Right sides come of numbers of a size, (..., N).
 
@@ -205,16 +215,28 @@ def _independent(exact: Array, right: Array, size: Array) -> tuple[Array, Array,
     turned = transpose(u) @ right
     left = turned.copy()
     left[..., :shared, :] *= ~used[..., None]
-    contradiction = np.abs(left).max(axis=-2, initial=0.0) > CONTRADICTION * size
+    far = np.abs(left).max(axis=-2, initial=0.0)
+    doubt = _doubt(values, used) if (far <= ROUNDING * size).all() else np.inf
     independent = vt[..., :shared, :] * used[..., None]
     solved = turned[..., :shared, :] * (used / divisor)[..., None]
-    return independent, solved, np.log(divisor).sum(axis=-1), contradiction
+    return independent, solved, np.log(divisor).sum(axis=-1), far > CONTRADICTION * size, doubt
+
+
+def _doubt(values: Array, used: Mask) -> float:
+    """The reciprocal of the least value used; infinite where one left out may be no rounding."""
+    if not (values[~used] <= ROUNDING).all():
+        return np.inf
+    return float(1.0 / values[used].min(initial=1.0))
 
 
 def _svd(matrix: Array) -> tuple[Array, Array, Array]:
     """U, S and Vᵀ, the former square; NumPy leaves U unset where there are no columns."""
     if matrix.size:
-        return np.linalg.svd(matrix, full_matrices=True)
+        try:
+            return np.linalg.svd(matrix, full_matrices=True)
+        except np.linalg.LinAlgError:  # NaN or infinity, of which nothing is known
+            lost = np.linalg.svd(np.zeros_like(matrix), full_matrices=True)
+            return lost[0] * np.nan, lost[1] * np.nan, lost[2] * np.nan
     lead, (rows, columns) = matrix.shape[:-2], matrix.shape[-2:]
     left = np.broadcast_to(np.eye(rows), (*lead, rows, rows))
     return left, np.zeros((*lead, 0)), np.broadcast_to(np.eye(columns), (*lead, columns, columns))

@@ -24,6 +24,8 @@ from pgm.kernels.regression import Line, line, range_inverse, regress, regress_a
 from pgm.linearisers.function import Affine, ArrayLineariser, BoundFunction
 from pgm.sizes import require_memory
 
+# An error of a larger share of a value's square is none of rounding.
+_PLAIN = 1e-16
 # The regression on more points than this takes longer to prepare than it saves.
 FEW = 64
 
@@ -53,6 +55,20 @@ class Points(_Points):
         """The regression on the points, where all beliefs share them."""
         return line(self.points, self.mean_weights, self.cov_weights)
 
+    @cached_property
+    def rounding(self) -> float:
+        """How far rounding may put a value off its line, as a part of the value's summands.
+
+        The deviation, with the rule's weights, of values that are each off by four units in the
+        last place, from a line that these move as well.
+        """
+        s, size = np.abs(self.points), np.abs(self.cov_weights)
+        moved = 1.0 + np.abs(self.mean_weights).sum()
+        if len(s):
+            reach = s.max(axis=-2)
+            moved += (reach * (size[:, None] * s).sum(axis=-2)).sum(axis=-1).max(initial=0.0)
+        return float(4 * 2.0**-52 * moved * np.sqrt(size.sum()))
+
 
 @dataclass(frozen=True)
 class StatisticalRegression(ArrayLineariser):
@@ -63,6 +79,7 @@ class StatisticalRegression(ArrayLineariser):
     means, and the covariance is that of what the line leaves, Σ w r rᵀ. In directions in which P
     is zero F takes the limit P → 0, the Jacobian at μ. Angles of y are averaged as the value at
     the centre plus the mean of offsets, wrapped about the tangent where they exceed half a turn.
+    In components in which what the line leaves may be rounding of the values it is zero.
 
     A subclass gives `points`, and may say that they are fresh for each run, or that moments of x
     are the belief's own.
@@ -101,9 +118,11 @@ class StatisticalRegression(ArrayLineariser):
         lower = roots.root(cov)
         if not roots.is_proper(lower):
             when = f" at step {function.step}" if isinstance(function.step, int) else ""
+            fault = "an indefinite covariance; use a rule with positive weights or more samples"
+            if not np.isfinite(cov).all():
+                fault = "a covariance beyond the range of float64; give the model other units"
             raise NumericalError(
-                f"the belief at which the CPD of {function.name} is linearised{when} has an "
-                "indefinite covariance; use a rule with positive weights or more samples"
+                f"the belief at which the CPD of {function.name} is linearised{when} has {fault}"
             )
         step = function.step
         if self.fresh_per_run:
@@ -126,6 +145,13 @@ class StatisticalRegression(ArrayLineariser):
                 s, offset, mean_weights, cov_weights, lower, known=self.prior_moments
             )
         matrix = _divide(slope, lower, function, mean, cov)
+        if not self.prior_moments:
+            # Of values that lie on their line the slope and one of them tell the size.
+            variance = np.einsum("...ii->...i", noise)
+            square = value * value + np.einsum("...ij,...ij->...i", slope, slope)
+            if not (variance > _PLAIN * square).all():
+                size = np.abs(value) + np.abs(offset).max(axis=-2, initial=0.0)
+                noise = _without_rounding(noise, size, matrix, mean, points.rounding)
         return Affine(matrix, value + centre - apply(matrix, mean), noise)
 
     def is_semidefinite(self, dimension: int) -> bool:
@@ -167,6 +193,19 @@ class StatisticalRegression(ArrayLineariser):
             line = np.where(wide[..., None, None], line, 0.0)
             raw = function.residual(raw, line) + line
         return raw, reference[..., 0, :]
+
+
+def _without_rounding(noise: Array, size: Array, matrix: Array, mean: Array, share: float) -> Array:
+    """The error of a line, zero in components in which it may be rounding of the values.
+
+    A value of a size has summands of |F| |μ| besides, of which it may be the difference.
+    """
+    variance = np.abs(np.diagonal(noise, axis1=-2, axis2=-1))  # weights may be negative
+    summands = size + apply(np.abs(matrix), np.abs(mean))
+    real = variance > (share * summands) ** 2
+    if real.all():
+        return noise
+    return np.where(real[..., :, None] & real[..., None, :], noise, 0.0)
 
 
 def _divide(slope: Array, lower: Array, function: BoundFunction, mean: Array, cov: Array) -> Array:

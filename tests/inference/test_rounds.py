@@ -141,7 +141,7 @@ def test_sharp_and_exact_readings_go_step_by_step(monkeypatch):
     exact = {z: values, y: pgm.sightings(values[[9]], [10])}
     pgm.smooth(follow(0.1, exact=[told]), exact, iterations=2)
     assert (len(rounds), len(sweeps), len(fine)) == (0, 1, 0)
-    for cov, made in ((1e-14, (1, 1, 2)), (1e-2, (2, 1, 2))):
+    for cov, made in ((1e-14, (1, 2, 2)), (1e-2, (2, 2, 2))):
         found = pgm.smooth(follow(cov), {z: values}, iterations=2)[s]
         assert (len(rounds), len(sweeps), len(fine)) == made
         with mp.workdps(50):

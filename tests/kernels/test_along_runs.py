@@ -110,7 +110,9 @@ def test_a_mild_reading_shrinks_no_variance_by_more_than_a_thousand(height):
     assert falls[mild].max() < 1e3
     found = along_runs.update(*(a[..., mild] for a in rows))
     summed = along_runs.update(*(a[..., mild] for a in rows), sharp=np.zeros(1))
-    for one, other in zip(found, summed, strict=True):
+    assert found.mild
+    assert not summed.mild
+    for one, other in zip(found[:-1], summed[:-1], strict=True):
         assert_allclose(one, other, rtol=1e-11, atol=1e-12)
     assert_array_equal(found.cov, found.cov.swapaxes(0, 1))
     assert_allclose(found.lower, summed.lower)

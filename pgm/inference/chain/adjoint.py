@@ -26,14 +26,24 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.compile import SliceLayout
+from pgm.errors import NumericalError
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.careful import Careful, Step
 from pgm.inference.chain.flat import moments
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.taking import CLEAR, ROUNDING, Belief, Component, reach, rounded, variances
+from pgm.inference.chain.taking import (
+    CLEAR,
+    ROUNDING,
+    Belief,
+    Component,
+    reach,
+    rounded,
+    through,
+    variances,
+)
 from pgm.kernels import twofold
-from pgm.kernels.arrays import Array, Mask, apply, block, sandwich, stacked
+from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stacked
 from pgm.kernels.twofold import Twofold
 
 # A difference is found in another way where this part of it may be rounding.
@@ -64,9 +74,9 @@ class Later(NamedTuple):
             said = innovation * weight[:, None]
             lost = (blur * np.abs(vector.hi[..., 0])).sum(-1) + np.abs(said.hi[:, 0]) * error
             drift = drift + sandwich(matrix.hi, moved[..., None] ** 2 * np.eye(moved.shape[-1]))
-            drift = sandwich(keep.hi.mT, drift) + _outer(row.hi * lost[:, None])
+            drift = through(keep.hi.mT, drift) + _outer(row.hi * lost[:, None])
             own = (row * weight[:, None])[..., None] * row[:, None, :]
-            rounding = sandwich(keep.hi.mT, rounding) + rounded(keep.hi.mT, matrix.hi, own.hi)
+            rounding = through(keep.hi.mT, rounding) + rounded(keep.hi.mT, matrix.hi, own.hi)
             vector = keep.mT @ vector + row[..., None] * said[:, None, :]
             matrix = keep.mT @ matrix @ keep + own
         return Later(vector, matrix, rounding, drift)
@@ -74,8 +84,8 @@ class Later(NamedTuple):
     def back(self, matrix: Twofold) -> Later:
         """What it says of the slice before, through a transition."""
         slope, said = matrix.hi.mT, self.matrix
-        rounding = sandwich(slope, self.rounding) + rounded(slope, said.hi, np.zeros_like(slope))
-        drift = sandwich(slope, self.drift)
+        rounding = through(slope, self.rounding) + rounded(slope, said.hi, np.zeros_like(slope))
+        drift = through(slope, self.drift)
         return Later(matrix.mT @ self.vector, matrix.mT @ said @ matrix, rounding, drift)
 
 
@@ -133,7 +143,10 @@ class CarefulSmoothed:
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
         slices = smoothed(careful, shape[0] - 1)
         for step, each in enumerate(slices):
-            beliefs.mean[step], beliefs.cov[step] = moments(each.belief, careful.unknown)
+            mean, cov = moments(each.belief, careful.unknown)
+            if not np.isfinite(mean.sum()) or np.isnan(cov.sum()):
+                _refuse(step)
+            beliefs.mean[step], beliefs.cov[step] = mean, cov
         return cls(careful, slices, beliefs, plan.layout)
 
     @property
@@ -180,6 +193,7 @@ class CarefulSmoothed:
         return replace(self, slices=slices, beliefs=beliefs)
 
 
+@quiet()
 def smoothed(careful: Careful, last: int) -> list[Smooth]:
     """Every slice up to a last step, given the readings up to it."""
     columns, cov, *_ = careful.steps[last].known
@@ -205,6 +219,7 @@ def smoothed(careful: Careful, last: int) -> list[Smooth]:
     return out[::-1]
 
 
+@quiet()
 def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Array, Array]:
     """Moments of the slices of some steps, ascending, given the readings up to the last slice.
 
@@ -259,12 +274,12 @@ def _given(known: Belief, later: Later, blurred: Array) -> tuple[Belief, Array]:
     columns, cov, own, drift = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
     before, eye = variances(cov.hi), np.eye(cov.shape[-1])
-    changed = sandwich(cov.hi, later.rounding) + rounded(cov.hi, later.matrix.hi, cov.hi)
+    changed = through(cov.hi, later.rounding) + rounded(cov.hi, later.matrix.hi, cov.hi)
     rounding = blurred[:, None] * before + variances(changed)
     pull = later.vector.hi[..., 0]
     size = np.abs(columns.hi[..., 0]) + apply(np.abs(cov.hi), np.abs(pull))
     moved = reach(own, pull) + ROUNDING * size
-    drift = sandwich(eye - cov.hi @ later.matrix.hi, drift) + sandwich(cov.hi, later.drift)
+    drift = through(eye - cov.hi @ later.matrix.hi, drift) + through(cov.hi, later.drift)
     drift = drift + moved[..., None] ** 2 * eye
     found = Belief(columns + cov @ later.vector, left, rounding[..., None] * eye, drift)
     after = np.maximum(variances(left.hi), rounding)
@@ -289,9 +304,9 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     other = noise + belief.cov
     left = keep @ cov @ keep.mT + gain @ other @ gain.mT
     # Changes E of P and E′ of Q change G (x − m) by (1 − G A) E Aᵀ y − G E′ y.
-    kept = sandwich(keep.hi, own)
+    kept = through(keep.hi, own)
     summed = np.maximum(floor - variances(sandwich(matrix.hi, own)), 0.0)
-    rounding = kept + sandwich(gain.hi, belief.rounding + summed[..., None] * eye)
+    rounding = kept + through(gain.hi, belief.rounding + summed[..., None] * eye)
     rounding = rounding + rounded(keep.hi, cov.hi, cov.hi) + rounded(gain.hi, other.hi, cov.hi)
     shift = belief.columns - predicted.columns
     pull = twofold.solve(unit, pivots, shift).hi[..., 0]
@@ -302,11 +317,19 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     inverse = np.abs(twofold.inverse(unit, pivots).hi)
     size = np.abs(cov.hi) @ np.abs(matrix.hi.mT) @ inverse @ np.abs(shift.hi)
     moved = moved + ROUNDING * (size[..., 0] + np.abs(columns.hi[..., 0]))
-    drift = sandwich(keep.hi, drift) + sandwich(gain.hi, belief.drift)
+    drift = through(keep.hi, drift) + through(gain.hi, belief.drift)
     drift = drift + moved[..., None] ** 2 * eye
     proper = np.where(pivots.hi > 0.0, pivots.hi, np.inf)
     error = (floor / proper).max(axis=-1) + later.parts.max(axis=-1)
     return gain, Belief(columns + gain @ shift, _symmetric(left), rounding, drift).certain(), error
+
+
+def _refuse(step: int) -> None:
+    raise NumericalError(
+        f"the smoothed belief at step {step} is not finite; are its inputs, readings and noises of "
+        "a size that float64 can hold?",
+        step=step,
+    )
 
 
 def _outer(vector: Array) -> Array:

@@ -40,6 +40,7 @@ from pgm.inference.chain.taking import (
     cancelled,
     hold,
     rounded,
+    through,
     update,
     variances,
 )
@@ -49,7 +50,7 @@ from pgm.inference.family import Family
 from pgm.inference.schedule import Filtering
 from pgm.inference.status import Status
 from pgm.kernels import roots, twofold
-from pgm.kernels.arrays import Array, Mask, block, sandwich
+from pgm.kernels.arrays import Array, Mask, block, quiet
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
 
@@ -136,7 +137,8 @@ def sweep(
     unknown = solved(information)
     matrix: Twofold | None = None
     noise: Twofold | None = None
-    every = None if schedule is not None else _transition(plan, slice(None))
+    settled = schedule is None or all(link.family.exact for link in plan.transition)
+    every = _transition(plan, slice(None)) if settled else None
     for step in range(plan.steps + 1):
         if step:
             if every is None:
@@ -327,16 +329,17 @@ def _regular(noise: Array, flat: Mask) -> Twofold:
     return unit * pivots[..., None, :] @ unit.mT
 
 
+@quiet()
 def predict(belief: Belief, move: Move) -> Belief:
     """The belief over the next slice, before its readings."""
     summed = np.abs(move.matrix.hi) @ np.abs(belief.columns.hi)
     columns = cancelled(move.matrix @ belief.columns, summed)
     columns[..., 0] = columns[..., 0] + move.offset
     cov = move.matrix @ belief.cov @ move.matrix.mT + move.cov
-    rounding = sandwich(move.matrix.hi, belief.rounding)
+    rounding = through(move.matrix.hi, belief.rounding)
     rounding = rounding + rounded(move.matrix.hi, belief.cov.hi, move.cov.hi)
     own = ROUNDING * (summed[..., 0] + np.abs(move.offset.hi))
-    drift = sandwich(move.matrix.hi, belief.drift) + own[..., None] ** 2 * np.eye(own.shape[-1])
+    drift = through(move.matrix.hi, belief.drift) + own[..., None] ** 2 * np.eye(own.shape[-1])
     return Belief(columns, cov, rounding, drift).certain()
 
 

@@ -26,7 +26,9 @@ from pgm.kernels import along_runs, roots
 from pgm.kernels.arrays import Array, apply, sandwich
 
 # The largest ratio at which float64 leaves all the digits that are promised.
-_MODERATE = 2e7
+MODERATE = 2e7
+# And that at which composing segments of a balanced tree leaves them too.
+_GENTLE = 4e6
 
 
 def is_flat(plan: ChainPlan) -> bool:
@@ -37,57 +39,52 @@ def is_flat(plan: ChainPlan) -> bool:
 def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:
     """Whether a forward pass, and the covariances that a smoother made of it, kept their digits."""
     with np.errstate(all="ignore"):  # a ratio of what is not finite is no moderate one
-        return worst(plan, swept, smoothed) < _MODERATE
+        if isinstance(swept, Filtered):
+            return swept.closest * MODERATE > 1.0
+        predicted, known = swept.predicted_cov, swept.cov
+        return (
+            _stands(predicted, known, MODERATE)
+            and (smoothed is None or _stands(known, smoothed, MODERATE))
+            and _is_open(predicted, MODERATE)
+            and _is_open(known, MODERATE)
+            and _told(plan, swept)
+        )
 
 
-def worst(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> float:
-    """The largest of the ratios."""
-    if isinstance(swept, Filtered):
-        return _inverse(swept.closest)
-    predicted, known = swept.predicted_cov, swept.cov
-    return max(
-        _closeness(predicted),
-        _closeness(known),
-        _fallen(predicted, known),
-        0.0 if smoothed is None else _fallen(known, smoothed),
-        _exact(plan, swept),
-    )
+def composes(predicted: Array, known: Array) -> bool:
+    """Whether segments about these covariances, before and after readings, compose well."""
+    with np.errstate(all="ignore"):
+        stands = _stands(predicted, known, _GENTLE)
+        return stands and _is_open(predicted, _GENTLE) and _is_open(known, _GENTLE)
 
 
-def _closeness(cov: Array) -> float:
-    """Of beliefs (T+1, runs, n, n)."""
+def _is_open(cov: Array, limit: float) -> bool:
+    """Whether beliefs (T+1, runs, n, n) are regular."""
     size = cov.shape[-1]
     last = np.moveaxis(cov, (-2, -1), (0, 1)).reshape(size, size, -1)
-    return _inverse(along_runs.open_share(last))
+    if np.shares_memory(last, cov):
+        last = last.copy()
+    return along_runs.open_share(last) * limit > 1.0
 
 
-def _inverse(share: float) -> float:
-    return 1.0 / share if share > 0.0 else np.inf  # NaN too
-
-
-def _fallen(before: Array, after: Array) -> float:
-    """Of components; a variance of zero is known, and a negative one is rounding."""
+def _stands(before: Array, after: Array, limit: float) -> bool:
+    """Whether no variance falls by much; one of zero is known, and a negative one is rounding."""
     left = _variances(after)
-    return _ratio(_variances(before), np.where(left == 0.0, np.inf, np.maximum(left, 0.0)))
+    fallen = limit * left < _variances(before)
+    return not fallen.any() or not (fallen & (left != 0.0)).any()
 
 
-def _exact(plan: ChainPlan, swept: Forward) -> float:
-    """Of readings without noise."""
+def _told(plan: ChainPlan, swept: Forward) -> bool:
+    """Whether readings without noise are told apart by more than rounding."""
     exact = [s for s in plan.sensors if s.exact and s.family.step.size]
-    found = 0.0
     for steps, matrix, _, noise, _ in stacks(plan, exact, swept.predicted_mean) if exact else []:
         cov = swept.predicted_cov[steps]
         pivots = _variances(roots.root(sandwich(matrix, cov) + noise)) ** 2
         size = apply(np.abs(matrix), np.sqrt(np.maximum(_variances(cov), 0.0))) ** 2
-        found = max(found, _ratio(size + _variances(noise), pivots))
-    return found
-
-
-def _ratio(size: Array, left: Array) -> float:
-    """The largest ratio; zero where there is nothing, and NaN and infinity are infinite."""
-    ratio = np.where(size > 0.0, size / left, 0.0)
-    found = float(ratio.max(initial=0.0))
-    return found if np.isfinite(found) else np.inf
+        size = size + _variances(noise)
+        if not ((MODERATE * pivots > size) | (size == 0.0)).all():
+            return False
+    return True
 
 
 def _variances(cov: Array) -> Array:

@@ -137,7 +137,7 @@ def _sweep(
         known = kept[0][step], kept[1][step]
         log_density[step], mild = _update(plan, reads, step, belief, known)
         if not (mild and step % _EVERY):
-            closest = min(closest, along_runs.open_share(known[1]))
+            closest = min(closest, along_runs.open_share(known[1].copy()))
     return closest
 
 

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from pgm.inference.chain.online_single import Single
 
 
-# Numbers too large for float64 are refused where they end up, so that NumPy need not warn.
+# Numbers too large for float64 are refused where they end up, so that NumPy need not warn. A
+# decorator takes half as long as a block.
 _quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 
 

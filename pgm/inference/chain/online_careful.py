@@ -1,8 +1,8 @@
 """Steps of an online filter in twice the digits, where float64 has too few.
 
 A step in float64 leaves all the digits that are promised where its beliefs are regular: no
-component is determined to 10⁻⁸ of its variance by others, nor suddenly to that by a reading. Then
-neither what a transition nor what a reading sums up is smaller than 10⁻⁸ of its parts. Other
+component is determined to 5·10⁻⁸ of its variance by others, nor suddenly to that by a reading. Then
+neither what a transition nor what a reading sums up is much smaller than its parts. Other
 steps are made in twice the digits, and the belief is carried in these until it is regular.
 """
 
@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.inference.chain import careful
+from pgm.inference.chain.certificate import MODERATE
 from pgm.inference.chain.flat import moments, solved
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reading import Taken, take
@@ -24,7 +25,7 @@ from pgm.kernels.arrays import Array
 from pgm.kernels.twofold import Twofold
 
 # The share of its variance below which a component counts as determined.
-REGULAR = 1e-8
+REGULAR = 1.0 / MODERATE
 # The part of a deviation that rounding of a mean may be.
 _TOLD = 1e-8
 

@@ -24,8 +24,6 @@ from pgm.kernels.arrays import Array
 from pgm.linearisers.single import Special
 from pgm.variables import Variable
 
-# What is not finite is found out without a warning. A decorator takes half as long as a block.
-_quiet = np.errstate(invalid="ignore", over="ignore", divide="ignore")
 # Kinds of input that a filter keeps steps for.
 _MOST = 64
 # Nothing was to iterate, and linearised once.
@@ -74,7 +72,6 @@ class Single:
         self._predictions: Kept[Predict] = Kept(ahead, Predict)
         self._updates: Kept[Update] = Kept(seen, Update)
 
-    @_quiet
     def predict(self, belief: OnlineBelief, inputs: Values) -> OnlineBelief | None:
         """The belief one step later."""
         given = ordinary(inputs)
@@ -93,7 +90,6 @@ class Single:
             return None
         return OnlineBelief(step, belief.layout, (), mean, cov, belief.log_evidence, _DONE)
 
-    @_quiet
     def update(self, belief: OnlineBelief, readings: Values) -> OnlineBelief | None:
         """The belief given readings."""
         given = ordinary(readings)

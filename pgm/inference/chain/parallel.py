@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.errors import NumericalError
-from pgm.inference.chain import forward, newton, segments
+from pgm.inference.chain import certificate, forward, newton, segments
 from pgm.inference.chain.backward import Ahead
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor
@@ -38,8 +38,8 @@ class Scanned:
     """What a forward scan leaves: `Forward`, whose log-densities are computed when asked for.
 
     They take the plan as it is linearised, so that they are to be asked for before it is again.
-    `agrees` says whether each belief follows from the one before it, which shows that composing
-    segments has cost no digits.
+    `agrees` says whether each belief follows from the one before it and variances are moderate,
+    which shows that composing segments costs no digits, neither here nor on the way back.
     """
 
     predicted_mean: Array
@@ -182,6 +182,7 @@ def _solve(
         else:
             predicted.mean[1:], predicted.cov[1:] = before[:2]
             agrees = _agree(pushed, take(predicted, slice(1, None)))
+        agrees = agrees and certificate.composes(predicted.cov, known.cov)
 
     def log_density() -> Array:
         total = evidence + readings.log_density(known.mean, predicted)

@@ -9,7 +9,7 @@ import numpy as np
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.update import Due, refuse_contradiction, refuse_indefinite
 from pgm.kernels import twofold
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, sandwich
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, quiet, sandwich
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
 
@@ -144,6 +144,16 @@ def variances(cov: Array) -> Array:
     return found
 
 
+def through(matrix: Array, bound: Array) -> Array:
+    """A bound, as a covariance, of F e from that of e; what cancels is not taken for certain."""
+    size = np.abs(matrix)
+    summed = ((size @ np.abs(bound)) * size).sum(axis=-1)
+    found: Array = sandwich(matrix, bound) + _LAST_DIGIT * summed[..., None] * np.eye(
+        size.shape[-2]
+    )
+    return found
+
+
 def reach(rounding: Array, vector: Array) -> Array:
     """What a matrix changed within a bound, as a covariance, may change its product with v by."""
     along = sandwich(vector[..., None, :], rounding)
@@ -167,6 +177,7 @@ class Taken(NamedTuple):
     log_density: Array
 
 
+@quiet()
 def update(due: Due, step: int, belief: Belief, mean: Array) -> Taken:
     """Take in the readings of a step; the rounded mean tells how large their numbers are."""
     rows, noises, seen = _decorrelated(due, step, mean)
@@ -185,7 +196,7 @@ def update(due: Due, step: int, belief: Belief, mean: Array) -> Taken:
         left[:, k] = np.where(seen[:, k] & ~read, np.abs(innovation.hi), 0.0)
         level = (innovation * innovation * weight).hi + np.log(np.where(read, predictive, 1.0))
         log_density -= np.where(read, 0.5 * (level + LOG_2PI), 0.0)
-    if not np.isfinite(log_density).all():
+    if not np.isfinite(log_density.sum()):
         refuse_indefinite(due)
     if left.any():
         refuse_contradiction(due, mean, left)
@@ -213,26 +224,35 @@ def _take(
     columns, cov, rounding, drift = belief
     size = cov.shape[-1]
     cross = (cov @ row[..., None])[..., 0]
-    predictive = row.dot(cross) + noise
+    spread = row.dot(cross)
     line, mean = row.hi[:, None, :], np.abs(columns.hi[..., 0])
     blurred = np.maximum(sandwich(line, rounding)[:, 0, 0], 0.0)
-    summed = rounded(line, cov.hi, noise.hi[:, None, None])[:, 0, 0]
-    floor = blurred + summed
-    indefinite = not np.isfinite(floor).all() or bool((predictive.hi < -CLEAR * floor).any())
-    read = seen & (predictive.hi > CLEAR * floor)
+    nothing = np.zeros_like(noise.hi)[:, None, None]
+    floor = blurred + rounded(line, cov.hi, nothing)[:, 0, 0]
+    negative = (np.minimum(spread.hi, spread.hi + noise.hi) < -CLEAR * floor).any()
+    indefinite = bool(negative) or not np.isfinite(floor).all()
+    # What the belief leaves open may be rounding alone; the noise is none.
+    open_ = spread.hi > CLEAR * floor
+    cross = twofold.where(open_[:, None], cross, 0.0)
+    predictive = twofold.where(open_, spread, 0.0) + noise
+    read = seen & (predictive.hi > 0.0)
     weight = twofold.where(read, 1.0 / twofold.where(read, predictive, 1.0), 0.0)
+    summed = floor - blurred + ROUNDING * np.abs(noise.hi)
     innovation = -(row[:, None, :] @ columns)[:, 0]
     innovation[:, 0] = innovation[:, 0] + value
     gain = cross * weight[:, None]
     keep = np.eye(size) - gain[..., None] * row[:, None, :]
     own = (gain * noise[:, None])[..., None] * gain[:, None, :]
     # A change E of P changes G by (1 − G h) E hᵀ/S.
-    kept = sandwich(keep.hi, rounding)
+    kept = through(keep.hi, rounding)
     blur = np.sqrt(np.maximum(variances(kept) * blurred[:, None], 0.0))
     blur = (blur + np.abs(gain.hi) * summed[:, None]) * weight.hi[:, None]
     added = (np.abs(row.hi) * mean).sum(axis=-1) + np.abs(value.hi)
     moved = blur * np.abs(innovation.hi[:, :1])
     moved = moved + ROUNDING * (mean + np.abs(gain.hi) * added[:, None])
+    unheard = np.where(read & ~open_, CLEAR * floor * weight.hi**2, 0.0)[:, None]
+    unheard = np.sqrt(unheard * np.maximum(variances(cov.hi), 0.0))
+    moved = moved + unheard * np.abs(innovation.hi[:, :1])
     # A noise that S does not tell from rounding leaves no digit of what float64 tells at all.
     untold = read & (noise.hi > 0.0) & (noise.hi < CLEAR * summed)
     if untold.any():
@@ -244,7 +264,7 @@ def _take(
     again = np.eye(size) + np.abs(gain.hi[..., None] * line)
     again = ROUNDING * rounded(again, cov.hi, np.zeros_like(cov.hi))
     rounding = kept + rounded(keep.hi, cov.hi, own.hi) + again
-    drift = sandwich(keep.hi, drift) + moved[..., None] ** 2 * np.eye(size)
+    drift = through(keep.hi, drift) + moved[..., None] ** 2 * np.eye(size)
     after = Belief(columns, keep @ cov @ keep.mT + own, rounding, drift).certain()
     component = Component(row, gain, innovation, weight, floor * weight.hi, blur, moved)
     return after, component, predictive.hi, indefinite
@@ -283,5 +303,8 @@ def _decorrelated(due: Due, step: int, mean: Array) -> tuple[Twofold, Twofold, M
             noise[:, place, place] = seen.noise[k]
             if seen.taken is not None:
                 taken[:, place] = seen.taken[k]
+    own = variances(noise)
+    if np.count_nonzero(noise) == np.count_nonzero(own):
+        return rows, Twofold(own.copy()), taken
     unit, noises = twofold.eliminated(noise, NEGLIGIBLE)
     return twofold.solve_unit(unit, rows), noises, taken

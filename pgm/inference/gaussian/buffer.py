@@ -11,6 +11,7 @@ from pgm.errors import NumericalError
 from pgm.factors.scope import names
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.potentials import Potentials, make_potentials
+from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.rounds import Rounds, Stack
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.rows import Eliminated, Rows, eliminate
@@ -31,6 +32,8 @@ class Buffer:
         The same for exact relations; None where there are none.
     log_scale : ndarray
         (V, clusters + messages + 1, N); the last is zero.
+    coarse, largest : float
+        The largest of the factors' `coarse`, and of their entries and all eliminations' `largest`.
     """
 
     rounds: Rounds
@@ -40,6 +43,8 @@ class Buffer:
     exact: Array | None
     exact_right: Array | None
     log_scale: Array
+    coarse: float = 0.0
+    largest: float = 0.0
 
     @classmethod
     def make(cls, rounds: Rounds, model: Model) -> Buffer:
@@ -66,6 +71,9 @@ class Buffer:
         self._put(make_potentials(self.model))
 
     def _put(self, potentials: Potentials) -> None:
+        self.coarse = float(np.maximum(self.coarse, potentials.coarse))
+        largest = np.abs(potentials.matrix).max(initial=0.0)
+        self.largest = float(np.maximum(self.largest, largest))
         entries, rows = potentials.matrix.shape[1], potentials.right.shape[1]
         self.matrix[:, :entries], self.right[:, :rows] = potentials.matrix, potentials.right
         if self.exact is None and potentials.exact is not None:
@@ -95,6 +103,7 @@ class Buffer:
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
         """What a stack's elimination leaves, and its log-scale, (V, B, N)."""
         done = eliminate(self.factor(stack), stack.drop)
+        self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
         if done.contradiction is not None and done.contradiction.any():
             self._refuse_contradiction(stack, done.contradiction)
         unit = np.log(self.model.frame.scale[stack.components[:, : stack.drop]]).sum(axis=1)
@@ -125,14 +134,7 @@ class Buffer:
     def _refuse_contradiction(self, stack: Stack, where: Mask) -> None:
         v, b, n = (int(axis[0]) for axis in np.nonzero(where))
         cluster = int(stack.clusters[b])
-        scope = self.rounds.layout.graph.clusters[cluster].scope
-        which = f", run {max(v, n)}" if self.model.lead else ""
-        raise NumericalError(
-            f"evidence contradicts an exact model at cluster {cluster}, {names(scope)}{which}: "
-            "CPDs without noise determine a value in two ways that differ; give one of them, or "
-            "the prior, some noise",
-            cluster=cluster,
-        )
+        raise contradiction(self.model, cluster, max(v, n))
 
     def require_finite(self, done: Array, clusters: Iterable[int]) -> None:
         """Refuse a belief that does not exist."""
@@ -141,6 +143,12 @@ class Buffer:
         bad = ~np.isfinite(done).all(axis=(0, *range(2, done.ndim)))
         cluster = list(clusters)[int(np.flatnonzero(bad)[0])]
         scope = self.rounds.layout.scopes[cluster]
+        if not scope:
+            raise NumericalError(
+                f"the density of the evidence in cluster {cluster} is beyond the range of float64: "
+                "a reading is more than 1e150 deviations from what the model expects",
+                cluster=cluster,
+            )
         raise NumericalError(
             f"cluster {cluster} has no proper belief over {names(scope)}: its information is "
             "singular in these numbers. Some noise is more than 1e11 times sharper than what else "

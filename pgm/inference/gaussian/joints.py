@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.inference.gaussian.beliefs import Beliefs
+from pgm.inference.gaussian.careful import DenseBeliefs
 from pgm.inference.gaussian.tree import TreeBeliefs, TreePlan
 from pgm.kernels.arrays import Array, Integers, transpose
 from pgm.kernels.pseudoinverse import regression
@@ -16,6 +17,8 @@ def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[A
     Given the sepset with its parent, a cluster is independent of what is above: walking down from
     the top, its covariance with all that is known goes through the regression on the sepset.
     """
+    if isinstance(beliefs, DenseBeliefs):
+        return beliefs.joint_mean[:, wanted], beliefs.joint_cov[:, wanted[:, None], wanted]
     walk = _walk(plan, wanted)
     places, layout = beliefs.places, plan.layout
     known: list[int] = []

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from pgm.evidence.continuous import BoundValues
 from pgm.inference.family import Family
 from pgm.inference.gaussian.layout import Group, Layout
-from pgm.inference.gaussian.prior import Frame, prior_predictive
+from pgm.inference.gaussian.prior import Frame, Predictive, prior_predictive
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Mask, deviation
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 
@@ -44,6 +44,11 @@ class Model:
     shared : bool
         Whether all runs have the same matrices and covariances, and the same components observed.
     frame : Frame
+    points : list of (ndarray, ndarray)
+        For each group, where its CPDs were linearised last: the means and deviations of their
+        hidden parents, (CPDs, runs, n).
+    first : bool
+        Whether that was at the prior's moments or at a start, which may be far from the posterior.
     """
 
     layout: Layout
@@ -54,10 +59,17 @@ class Model:
     taken: list[Mask | None]
     shared: bool
     frame: Frame
+    points: list[tuple[Array, Array]]
+    first: bool = True
 
     @classmethod
     def make(
-        cls, layout: Layout, bound: BoundValues, lineariser: Lineariser, start: Array | None
+        cls,
+        layout: Layout,
+        bound: BoundValues,
+        lineariser: Lineariser,
+        start: Array | None,
+        predictive: Predictive = prior_predictive,
     ) -> Model:
         """Bind evidence, and linearise at the prior predictive moments or at a start.
 
@@ -68,6 +80,8 @@ class Model:
         lineariser : Lineariser
         start : ndarray, optional
             (runs, size): means of all hidden parents.
+        predictive : callable
+            How the prior's moments are found, where there is no start.
         """
         for group in layout.groups:
             for cpd in group.cpds:
@@ -88,8 +102,16 @@ class Model:
             for group, family in zip(layout.groups, families, strict=True):
                 at = start[:, group.parents].swapaxes(0, 1)
                 family.linearise(slice(None), at, np.zeros((*at.shape, at.shape[-1])))
-        frame = prior_predictive(layout, families, bound.runs, shared=shared, start=start)
-        model = cls(layout, bound.lead, families, readings, [*readings], taken, shared, frame)
+        find = prior_predictive if start is not None else predictive
+        frame = find(layout, families, bound.runs, shared=shared, start=start)
+        spread = np.broadcast_to(frame.scale, frame.mean.shape)
+        points = [
+            (frame.mean[:, group.parents].swapaxes(0, 1), spread[:, group.parents].swapaxes(0, 1))
+            for group in layout.groups
+        ]
+        model = cls(
+            *(layout, bound.lead, families, readings, [*readings], taken, shared, frame), points
+        )
         model._follow(frame.mean, None)
         return model
 
@@ -109,7 +131,10 @@ class Model:
         return all(family.taylor for family in self.families)
 
     def relinearise(
-        self, mean: Array, parents: Sequence[tuple[Array, Array] | None], active: Mask
+        self,
+        mean: Array,
+        parents: Sequence[tuple[Array, Array] | None],
+        active: Mask,
     ) -> None:
         """Linearise every nonlinear CPD at a belief, one call a group.
 
@@ -123,10 +148,15 @@ class Model:
         active : ndarray of bool
             (runs,): which runs take the new linearisation.
         """
-        for family, at in zip(self.families, parents, strict=True):
+        for g, (family, at) in enumerate(zip(self.families, parents, strict=True)):
             if at is not None:
                 family.linearise(slice(None), *at, active)
+                new = at[0], deviation(at[1])
+                before, spread = self.points[g]
+                one = active[:, None]
+                self.points[g] = np.where(one, new[0], before), np.where(one, new[1], spread)
         self._follow(mean, active)
+        self.first = False
 
     def _follow(self, mean: Array, active: Mask | None) -> None:
         """Keep the angles of values and evidence on the chart of given means."""

@@ -13,13 +13,15 @@ from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference.gaussian.beliefs import Beliefs
 from pgm.inference.gaussian.buffer import Buffer
+from pgm.inference.gaussian.careful import Solution
 from pgm.inference.gaussian.joints import joint_moments
 from pgm.inference.gaussian.messages import RowMessages
+from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.tree import Calibrated, TreePlan
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
-from pgm.kernels.arrays import Array, Integers, apply, frozen, transpose
+from pgm.kernels.arrays import Array, Integers, apply, frozen, quiet, transpose
 from pgm.kernels.rows import Rows
 from pgm.variables import Variable
 
@@ -41,7 +43,8 @@ class GaussianPosterior(Posterior):
     graph: ClusterGraph
     status: Status
     _plan: TreePlan
-    _buffer: Buffer
+    _model: Model
+    _made: Buffer | None
     _beliefs: Beliefs
     _log_evidence: Array
     _loopy: RowMessages | None
@@ -52,7 +55,16 @@ class GaussianPosterior(Posterior):
     ) -> GaussianPosterior:
         """Of a calibrated tree."""
         graph = plan.layout.graph
-        return cls(graph, status, plan, buffer, done.beliefs, done.log_evidence, None)
+        model, beliefs = buffer.model, done.beliefs
+        return cls(graph, status, plan, model, buffer, beliefs, done.log_evidence, None)
+
+    @classmethod
+    def careful(
+        cls, plan: TreePlan, model: Model, done: Solution, status: Status
+    ) -> GaussianPosterior:
+        """Of a tree solved in more digits."""
+        graph = plan.layout.graph
+        return cls(graph, status, plan, model, None, done.beliefs, done.log_evidence, None)
 
     @classmethod
     def loopy(cls, plan: TreePlan, messages: RowMessages, status: Status) -> GaussianPosterior:
@@ -60,7 +72,14 @@ class GaussianPosterior(Posterior):
         beliefs, logs = messages.beliefs()
         messages.buffer.require_finite(logs, range(logs.shape[1]))
         value = messages.log_evidence(logs)
-        return cls(plan.layout.graph, status, plan, messages.buffer, beliefs, value, messages)
+        buffer = messages.buffer
+        graph, model = plan.layout.graph, buffer.model
+        return cls(graph, status, plan, model, buffer, beliefs, value, messages)
+
+    @cached_property
+    def _buffer(self) -> Buffer:
+        """The CPDs' factors; those of a tree solved in more digits are made when asked for."""
+        return self._made or Buffer.make(self._plan.rounds, self._model)
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a variable without evidence."""
@@ -91,14 +110,21 @@ class GaussianPosterior(Posterior):
     def _read(self, scope: Scope, cluster: int, columns: Integers) -> Gaussian:
         at = np.array([cluster]), columns[None]
         places = self._beliefs.places
-        mean, cov = self._beliefs.moments(
-            places.means(*at)[0], places.covs(*at)[0], self._plan.layout.components(scope)
-        )
+        with quiet():
+            mean, cov = self._beliefs.moments(
+                places.means(*at)[0], places.covs(*at)[0], self._plan.layout.components(scope)
+            )
         return self._gaussian(scope, mean, cov)
 
     def _gaussian(self, scope: Scope, mean: Array, cov: Array) -> Gaussian:
-        lead = self._buffer.model.lead
+        lead = self._model.lead
         size = mean.shape[-1]
+        if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
+            raise NumericalError(
+                f"the belief of {names(scope)} has moments beyond the range of float64; give the "
+                "model other units",
+                variable=scope[0],
+            )
         wide = np.broadcast_to(cov, (*mean.shape, size))
         return Gaussian._make(scope, mean.reshape(*lead, size), wide.reshape(*lead, size, size))
 
@@ -133,7 +159,8 @@ class GaussianPosterior(Posterior):
             )
         runs = self._beliefs.cov.shape[0]
         require_runs(wanted.size**2, runs, f"the joint of {len(scope)} variables")
-        mean, cov = joint_moments(self._plan, self._beliefs, wanted)
+        with quiet():
+            mean, cov = joint_moments(self._plan, self._beliefs, wanted)
         return self._gaussian(scope, mean, cov)
 
     @cached_property
@@ -141,7 +168,7 @@ class GaussianPosterior(Posterior):
         """All messages; those of a tree are sent when one is first asked for."""
         if self._loopy is not None:
             return self._loopy
-        messages = RowMessages.make(self._plan.rounds, self._plan.places, self._buffer.model, 0.0)
+        messages = RowMessages.make(self._plan.rounds, self._plan.places, self._model, 0.0)
         messages.send_once(self._plan.both_ways)
         return messages
 
@@ -168,7 +195,8 @@ class GaussianPosterior(Posterior):
                 cluster=i,
             )
         number = 2 * list(edges).index(edge) + (i > j)
-        factor, log_scale = self._messages.kept(number)
+        with quiet():
+            factor, log_scale = self._messages.kept(number)
         scope = self._plan.layout.sepsets[number // 2]
         return self._form(factor, log_scale, scope, f"the message from cluster {i} to {j}", i)
 
@@ -181,7 +209,8 @@ class GaussianPosterior(Posterior):
             If the belief has no canonical form, since its covariance is singular.
         """
         index = self.graph.index(cluster)
-        factor, log_scale = self._messages.belief(index)
+        with quiet():
+            factor, log_scale = self._messages.belief(index)
         scope = self._plan.layout.scopes[index]
         return self._form(factor, log_scale, scope, f"the belief of cluster {index}", index)
 
@@ -195,7 +224,20 @@ class GaussianPosterior(Posterior):
                 "determine a part of it; posterior[...] and joint(...) have its moments",
                 cluster=cluster,
             )
-        frame = self._buffer.model.frame
+        with quiet():
+            K, h, g = self._canonical(factor, log_scale, scope)
+        if not (np.isfinite(K).all() and np.isfinite(h).all() and np.isfinite(g).all()):
+            raise NumericalError(
+                f"{what}, over {names(scope)}, has no canonical form in float64: its information "
+                "is out of range; posterior[...] and joint(...) have its moments",
+                cluster=cluster,
+            )
+        return CanonicalForm._make(scope, K, h, g)
+
+    def _canonical(
+        self, factor: Rows, log_scale: Array, scope: Scope
+    ) -> tuple[Array, Array, Array]:
+        frame = self._model.frame
         places = self._plan.layout.components(scope)
         matrix = factor.matrix / frame.scale[places]
         at = frame.mean[:, places]
@@ -205,11 +247,9 @@ class GaussianPosterior(Posterior):
         K = transpose(matrix) @ matrix
         h = apply(transpose(matrix), right)
         g = (log_scale[0] if shared else log_scale[:, 0]) - 0.5 * (right * right).sum(axis=-1)
-        lead, size = self._buffer.model.lead, places.size
+        lead, size = self._model.lead, places.size
         K = np.broadcast_to(K, (at.shape[0], size, size))
-        return CanonicalForm._make(
-            scope, K.reshape(*lead, size, size), h.reshape(*lead, size), g.reshape(lead)
-        )
+        return K.reshape(*lead, size, size), h.reshape(*lead, size), g.reshape(lead)
 
     @property
     def log_evidence(self) -> Array:
@@ -217,15 +257,25 @@ class GaussianPosterior(Posterior):
 
         Exact readings that repeat one another have no joint density; what is then given is that
         of those that do not, in a unit that depends on the graph.
+
+        Raises
+        ------
+        NumericalError
+            If it is beyond the range of float64: readings some 10¹⁵⁰ deviations from the model's.
         """
         value = self._log_evidence
+        if not np.isfinite(value).all():
+            raise NumericalError(
+                "ln p(evidence) is beyond the range of float64: a reading is more than 1e150 "
+                "deviations from what the model expects; give its CPD more noise"
+            )
         flat = value[0] if value.shape[0] == 1 else value[:, 0]
-        return frozen(flat.reshape(self._buffer.model.lead))
+        return frozen(flat.reshape(self._model.lead))
 
     @property
     def log_evidence_kind(self) -> str:
         """What `log_evidence` is: exact, linearised, laplace or bethe."""
-        model = self._buffer.model
+        model = self._model
         sent = self._loopy is None or bool(self.status.converged.all())
         if not self.graph.is_tree or not sent:
             return "bethe"
@@ -234,5 +284,5 @@ class GaussianPosterior(Posterior):
         return "laplace" if model.taylor and bool(self.status.converged.all()) else "linearised"
 
     def __repr__(self) -> str:
-        lead = self._buffer.model.lead
+        lead = self._model.lead
         return f"GaussianPosterior({self.graph!r}{f', runs {lead}' if lead else ''})"

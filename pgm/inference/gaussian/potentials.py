@@ -7,11 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.cpds import ConditionalGaussian
-from pgm.errors import NumericalError
 from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.refusals import indefinite_noise
 from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, independent, transpose
 from pgm.kernels.rows import NEGLIGIBLE, largest_first
+
+# The size of a residual's summands that costs as many digits as an entry of one.
+COARSE = 1e-1
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +32,9 @@ class Potentials:
         Likewise, of rows without noise; None where there are none.
     log_scale : ndarray
         (V, CPDs, N).
+    coarse : float
+        The largest of the numbers that residuals are differences of, over the noise's deviations or
+        over a relation's size; infinite where a component may be certain by rounding alone.
     """
 
     matrix: Array
@@ -36,6 +42,7 @@ class Potentials:
     exact: Array | None
     exact_right: Array | None
     log_scale: Array
+    coarse: float
 
 
 def by_run(array: Array, *, shared: bool) -> Array:
@@ -55,7 +62,7 @@ def make_potentials(model: Model) -> Potentials:
     if not model.layout.shapes:
         stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
         none, empty = np.zeros((stacked, 0)), np.zeros((stacked, 0, sides))
-        return Potentials(none, empty, None, None, empty)
+        return Potentials(none, empty, None, None, empty, 0.0)
     parts = [_factor(_Linearised.of(model, groups)) for groups in model.layout.shapes]
     fixed = any(part.fixed.any() for part in parts)
     return Potentials(
@@ -64,6 +71,7 @@ def make_potentials(model: Model) -> Potentials:
         _flat([part.exact for part in parts]) if fixed else None,
         _rows([part.exact_right for part in parts]) if fixed else None,
         np.concatenate([part.log_scale for part in parts], axis=1),
+        max(part.coarse for part in parts),
     )
 
 
@@ -84,6 +92,8 @@ class _Linearised:
         Of the numbers that the residuals are sums of, (V, CPDs, d, N).
     missing : ndarray of int
         Components of evidence that are missing, and say nothing with unit variance, (V, CPDs).
+    doubtful : bool
+        Whether a child is certain though a parent is not: what cancels may not do so exactly.
     """
 
     cpds: list[ConditionalGaussian]
@@ -93,6 +103,7 @@ class _Linearised:
     known: Mask
     size: Array
     missing: Integers
+    doubtful: bool
 
     @classmethod
     def of(cls, model: Model, groups: range) -> _Linearised:
@@ -100,6 +111,7 @@ class _Linearised:
         frame, runs = model.frame, 1 if model.shared else model.runs
         matrices, residuals, noises, known, sizes, missing = [], [], [], [], [], []
         cpds: list[ConditionalGaussian] = []
+        doubtful = False
         for g in groups:
             group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
             at = frame.mean[:, group.parents].swapaxes(0, 1)
@@ -119,6 +131,10 @@ class _Linearised:
                 residual, size = np.where(taken, residual, 0.0), np.where(taken, size, 0.0)
                 noise, lost = independent(noise, taken), lost + (~taken).sum(axis=-1)
             certain = frame.certain[group.parents]
+            if frame.certain.any():
+                varying = (family.matrix[:, :runs] != 0.0) & ~certain[:, None, None]
+                fixed = frame.certain[group.child][:, None, :, None]
+                doubtful |= fixed.size > 0 and bool((varying & fixed).any())
             known.append(np.pad(certain, [(0, 0), (own.shape[-1] - certain.shape[1], 0)]))
             matrices.append(own)
             residuals.append(residual)
@@ -134,6 +150,7 @@ class _Linearised:
             np.concatenate(known),
             by_run(np.concatenate(sizes), shared=model.shared),
             np.concatenate(missing).T,
+            doubtful,
         )
 
 
@@ -147,6 +164,7 @@ class _Factor:
     exact_right: Array
     fixed: Mask
     log_scale: Array
+    coarse: float
 
 
 def _factor(given: _Linearised) -> _Factor:
@@ -160,13 +178,7 @@ def _factor(given: _Linearised) -> _Factor:
     lower = roots.root(correlation, negligible=NEGLIGIBLE)
     if not roots.is_proper(lower):
         bad = np.isnan(lower).any(axis=(0, 2, 3))
-        cpd = given.cpds[int(np.flatnonzero(bad)[0])]
-        raise NumericalError(
-            f"the noise of {cpd!r} plus the lineariser's approximation error is indefinite; use a "
-            "rule with positive weights, or more samples",
-            variable=cpd.child,
-            cpd=cpd,
-        )
+        raise indefinite_noise(given.cpds[int(np.flatnonzero(bad)[0])])
     own, residual, size = (
         np.take_along_axis(part / deviation, order, axis=-2)
         for part in (given.matrix, given.residual, given.size)
@@ -181,16 +193,22 @@ def _factor(given: _Linearised) -> _Factor:
     log_scale = np.broadcast_to(log_scale[..., None], (*log_scale.shape, right.shape[-1]))
     if not fixed.any():
         none = np.zeros_like(matrix), np.zeros_like(right)
-        return _Factor(matrix, right, *none, fixed, log_scale)
+        coarse = COARSE * float(size.max(initial=0.0))
+        return _Factor(matrix, right, *none, fixed, log_scale, coarse)
     exact = np.where(given.known[:, None], 0.0, matrix)
     length = np.sqrt(np.einsum("...ij,...ij->...i", exact, exact))
     # A row without variables left is evidence that is met or not, in units of its own size.
     weights = np.abs(roots.solve_lower(lower, np.broadcast_to(np.eye(height), lower.shape)))
     summands = np.sqrt(np.einsum("...ij,...ij->...i", own, own))
     nothing = fixed & (length <= roots.NEGLIGIBLE * apply(weights, summands))
-    size = np.maximum(weights @ size, 1.0)
+    numbers = weights @ size
+    size = np.maximum(numbers, 1.0)
     length = np.where(fixed & ~nothing, length, 1.0)
     share = (fixed & ~nothing)[..., None] / length[..., None]
+    coarse = COARSE * float((numbers / length[..., None]).max(initial=0.0))
+    # A pivot of a noise between what may be rounding and what may not leaves it open.
+    if given.doubtful or (roots.determined(roots.root(correlation)) != fixed).any():
+        coarse = np.inf
     return _Factor(
         matrix,
         right,
@@ -198,6 +216,7 @@ def _factor(given: _Linearised) -> _Factor:
         right * np.where(nothing[..., None], 1.0 / size, share),
         fixed,
         log_scale - np.log(length).sum(axis=-1)[..., None],
+        coarse,
     )
 
 

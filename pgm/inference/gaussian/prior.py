@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -35,6 +36,22 @@ class Frame:
     mean: Array
     scale: Array
     certain: Mask
+
+
+class Predictive(Protocol):
+    """How the prior's moments are found; see `prior_predictive`."""
+
+    def __call__(
+        self,
+        layout: Layout,
+        families: list[Family],
+        runs: int,
+        *,
+        shared: bool,
+        start: Array | None,
+    ) -> Frame:
+        """The frame that they make."""
+        ...
 
 
 def prior_predictive(

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import AffineCPD
-from pgm.errors import EvidenceError
+from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.evidence.continuous import BoundValues, bind_values
+from pgm.inference.gaussian import careful
 from pgm.inference.gaussian.beliefs import Beliefs, relinearise
 from pgm.inference.gaussian.buffer import Buffer
+from pgm.inference.gaussian.certificate import SAFE_DIGITS, kept_digits
 from pgm.inference.gaussian.layout import Layout, barren, known_parents
 from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
@@ -23,7 +29,7 @@ from pgm.inference.schedule import Calibration, Loopy, Schedule
 from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.inference.status import Status
 from pgm.kernels import moments
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 
@@ -48,15 +54,26 @@ def run(
     require_size(graph, squares, "covariances")
     require_runs(sum(squares), 1 if linear else bound.runs, "the covariances of all clusters")
     given = None if start is None else _start(plan.layout, bound, start)
-    model = Model.make(plan.layout, bound, lineariser, given)
     if isinstance(schedule, Loopy):
-        messages = RowMessages.make(plan.rounds, plan.places, model, schedule.damping)
-        status = run_loopy(messages, schedule, model.lead)
-        return GaussianPosterior.loopy(plan, messages, status)
+        with quiet():
+            model = Model.make(plan.layout, bound, lineariser, given)
+            messages = RowMessages.make(plan.rounds, plan.places, model, schedule.damping)
+            status = run_loopy(messages, schedule, model.lead)
+            return GaussianPosterior.loopy(plan, messages, status)
     calibration = schedule if isinstance(schedule, Calibration) else Calibration()
-    buffer = Buffer.make(plan.rounds, model)
-    done, status = _calibrate(plan, buffer, calibration)
-    return GaussianPosterior.tree(plan, buffer, done, status)
+    failure: NumericalError | None = None
+    with quiet():
+        try:
+            found, digits = _in_floats(plan, bound, lineariser, given, calibration)
+            if digits >= SAFE_DIGITS:
+                return found
+        except NumericalError as error:
+            failure = error
+        if careful.work(plan.layout, bound.runs, linear) <= careful.MOST_WORK:
+            return _in_digits(plan, bound, lineariser, given, calibration)
+    if failure is not None:
+        raise failure
+    return replace(found, status=found.status.with_digits(np.full(bound.lead, digits)))
 
 
 def _plan(
@@ -65,17 +82,54 @@ def _plan(
     return TreePlan(Layout(graph, observed, absent))
 
 
-def _calibrate(plan: TreePlan, buffer: Buffer, schedule: Calibration) -> tuple[Calibrated, Status]:
-    """Calibrate, linearise at the beliefs, and calibrate again, until the means stay."""
-    model = buffer.model
-    done = calibrate(plan, buffer)
+def _in_floats(
+    plan: TreePlan,
+    bound: BoundValues,
+    lineariser: Lineariser,
+    start: Array | None,
+    schedule: Calibration,
+) -> tuple[GaussianPosterior, float]:
+    """The posterior of a tree, and the digits of its means that float64 leaves at least."""
+    model = Model.make(plan.layout, bound, lineariser, start)
+    buffer = Buffer.make(plan.rounds, model)
+    done, status = _calibrate(lambda: calibrate(plan, buffer), buffer.refresh, model, schedule)
+    return GaussianPosterior.tree(plan, buffer, done, status), kept_digits(buffer, done)
+
+
+def _in_digits(
+    plan: TreePlan,
+    bound: BoundValues,
+    lineariser: Lineariser,
+    start: Array | None,
+    schedule: Calibration,
+) -> GaussianPosterior:
+    """The same in as many digits as it takes."""
+    model = Model.make(plan.layout, bound, lineariser, start, careful.predictive)
+    done, status = _calibrate(lambda: careful.solve(plan, model), None, model, schedule)
+    return GaussianPosterior.careful(
+        plan, model, done, status.with_digits(done.digits.reshape(model.lead))
+    )
+
+
+Solved = TypeVar("Solved", Calibrated, careful.Solution)
+
+
+def _calibrate(
+    solve: Callable[[], Solved],
+    refresh: Callable[[], None] | None,
+    model: Model,
+    schedule: Calibration,
+) -> tuple[Solved, Status]:
+    """Solve, linearise at the beliefs, and solve again, until the means stay."""
+    done = solve()
     residuals: list[Array] = []
     converged = np.full(model.runs, model.exact)
     while len(residuals) + 1 < schedule.iterations and not converged.all():
         before, _ = done.beliefs.components()
         relinearise(done.beliefs, model, ~converged)
-        buffer.refresh()
-        done = calibrate(plan, buffer)
+        if refresh is not None:
+            refresh()
+        done = solve()
         residuals.append(_move(before, done.beliefs))
         converged = converged | (residuals[-1] <= schedule.tolerance)
     return done, Status.of(residuals, converged, model.lead)

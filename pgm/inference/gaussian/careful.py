@@ -1,0 +1,258 @@
+"""Inference on a small network in as many digits as its numbers need, where float64 loses them.
+
+The CPDs, linearised, are the laws of a dense joint; see `dense`. Their parameters and the evidence
+are taken as they are, to all digits, so that only what a lineariser rounds is lost: of a value
+F μ + b the last places of its summands. Where these go, to first order, says how many digits of a
+posterior mean they leave.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal
+
+import numpy as np
+
+from pgm.inference.family import Family
+from pgm.inference.gaussian.beliefs import Beliefs
+from pgm.inference.gaussian.dense import Joint
+from pgm.inference.gaussian.laws import Law, Laws, Root
+from pgm.inference.gaussian.layout import Layout
+from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.prior import SHARE, Frame
+from pgm.inference.gaussian.refusals import contradiction
+from pgm.inference.gaussian.tree import TreePlan
+from pgm.kernels import decimals, differences
+from pgm.kernels.arrays import Array, apply
+from pgm.kernels.decimals import ONE, ZERO, Decimals
+from pgm.linearisers import Taylor
+from pgm.linearisers.regression import StatisticalRegression
+
+# How far a reading that a model without noise determines may miss it: in parts of the numbers that
+# it is a sum of, and of deviations of the prior. That much float64 leaves of a user's arithmetic.
+CONTRADICTION = Decimal("1e-12")
+# The same in parts of what rounding of linearised values comes to at most.
+OF_ROUNDING = 10
+# Rounding of a linearised value, in parts of its summands.
+ROUNDING = 2.0**-52
+# Digits of a mean that float64 holds.
+ALL_DIGITS = -np.log10(2.0**-52)
+# Element operations of a solution beyond which it would take longer than some ten seconds.
+MOST_WORK = 4 * 10**6
+# More digits are no longer calculated with; what is smaller than they show is zero.
+MOST_DIGITS = 6000
+# Digits for finding how many a solution takes, and for a prior before that is known.
+FEW, MANY = 30, 400
+
+
+def work(layout: Layout, runs: int, shared: bool) -> int:
+    """About how many element operations a solution takes."""
+    size = layout.size
+    read = sum(len(g.cpds) * g.height for g in layout.groups if g.observed)
+    return (size + read) * size * ((1 if shared else runs) * size + runs)
+
+
+@dataclass(frozen=True, eq=False)
+class DenseBeliefs(Beliefs):
+    """Moments of a tree's clusters, and those of all components together.
+
+    Attributes
+    ----------
+    joint_mean, joint_cov : ndarray
+        (runs, size) and (V, size, size).
+    """
+
+    joint_mean: Array
+    joint_cov: Array
+
+    @classmethod
+    def of(cls, plan: TreePlan, mean: Array, cov: Array) -> DenseBeliefs:
+        """About the means themselves, so that nothing is rounded again."""
+        places, size = plan.places, mean.shape[-1]
+        frame = Frame(mean, np.ones(size), np.zeros(size, dtype=bool))
+        stacked, runs = cov.shape[0], mean.shape[0]
+        blank = Beliefs.empty(places, frame, stacked, runs if stacked == 1 else 1)
+        blank.mean[...] = 0.0
+        for cluster, columns in enumerate(plan.layout.columns):
+            inside = np.array(list(columns), dtype=np.intp)
+            at = np.array([cluster]), np.array([list(columns.values())], dtype=np.intp)
+            blank.cov[:, places.covs(*at)[0]] = cov[:, inside[:, None], inside]
+        return cls(places, frame, blank.mean, blank.cov, mean, cov)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The beliefs, ln p(evidence), (V, N), and the digits that are left of each run's means."""
+
+    beliefs: DenseBeliefs
+    log_evidence: Array
+    digits: Array
+
+
+def predictive(
+    layout: Layout,
+    families: list[Family],
+    runs: int,
+    *,
+    shared: bool,
+    start: Array | None = None,
+) -> Frame:
+    """As `prior_predictive` without a start, but that moments are rounded once, at the end."""
+    laws = Laws(layout, families, runs, shared)
+    with decimals.digits(MANY):
+        joint = Joint.empty(
+            laws.stacked, layout.size, runs if shared else 1, Decimal(10) ** -(MANY // 2)
+        )
+        for g, row in layout.order:
+            group, family = layout.groups[g], families[g]
+            parents = group.parents[row]
+            if not family.exact:
+                inside = decimals.floats(joint.cov[:, parents[:, None], parents])
+                mean = laws.by_float(joint.mean[:, parents])
+                family.linearise(row, mean, np.broadcast_to(inside, (runs, *inside.shape[1:])))
+            if not group.observed:
+                law = laws.law(g, row)
+                joint.add(group.child[row], parents, law.matrix, law.offset, law.noise)
+        mean = laws.by_float(joint.mean)
+        variance = decimals.floats(np.diagonal(joint.cov, axis1=-2, axis2=-1))
+    scale = np.sqrt(variance.max(axis=0, initial=0.0))
+    scale = np.maximum(scale, SHARE * np.abs(mean).max(axis=0, initial=0.0))
+    return Frame(mean, np.where(scale > 0.0, scale, 1.0), (variance == 0.0).all(axis=0))
+
+
+def solve(plan: TreePlan, model: Model) -> Solution:
+    """The beliefs of a network as it is linearised."""
+    laws = Laws(plan.layout, model.families, model.runs, model.shared)
+    with decimals.digits(FEW):
+        count = min(2 * (2 * laws.span() + FEW), MOST_DIGITS)
+    with decimals.digits(count):
+        return _solve(plan, model, laws, Decimal(10) ** -(count // 2))
+
+
+def _solve(plan: TreePlan, model: Model, laws: Laws, nothing: Decimal) -> Solution:
+    layout = plan.layout
+    sides = model.runs if model.shared else 1
+    rounding = [None if f.exact else _rounding(model, g) for g, f in enumerate(model.families)]
+    columns = sum(
+        len(group.cpds) * group.height
+        for group, lost in zip(layout.groups, rounding, strict=True)
+        if lost is not None
+    )
+    height = max((group.height for group in layout.groups if group.observed), default=0)
+    joint = Joint.empty(laws.stacked, layout.size + height, sides + columns, nothing)
+    log_density, moved = np.zeros((laws.stacked, sides)), np.zeros(laws.stacked)
+    done = sides
+    for law in laws:
+        group, row, lost = law.group, law.row, rounding[law.g]
+        offset = np.concatenate(
+            [law.offset, decimals.zeros(laws.stacked, group.height, columns)], axis=-1
+        )
+        if lost is not None:
+            own = np.arange(group.height)
+            offset[:, own, done + own] = decimals.exact(lost[row])
+            done += group.height
+        parents = group.parents[row]
+        if not group.observed:
+            joint.add(group.child[row], parents, law.matrix, offset, law.noise)
+        else:
+            said, lost_of_it = _read(model, laws, law, joint, offset)
+            log_density += said
+            moved = np.maximum(moved, lost_of_it)
+    size = layout.size
+    mean, cov = joint.mean[:, :size, :sides], decimals.floats(joint.cov[:, :size, :size])
+    found = DenseBeliefs.of(plan, laws.by_float(mean), cov)
+    return Solution(found, log_density, _digits(model, joint, sides, moved))
+
+
+def _read(
+    model: Model, laws: Laws, law: Law, joint: Joint, offset: Decimals
+) -> tuple[Array, Array]:
+    """Condition on an observed child, its noise decorrelated.
+
+    Returns ln p of it, (V, N), and by how much rounding may move that, (V,).
+    """
+    group, row, g = law.group, law.row, law.g
+    reading, taken = model.moved[g], model.taken[g]
+    assert reading is not None
+    value = laws.by_run(decimals.exact(reading[row]))
+    matrix, noise = law.matrix, law.noise
+    open_ = np.ones((laws.stacked, group.height), dtype=bool)
+    if taken is not None:
+        # What is missing is read as a number of unit variance that nothing depends on.
+        open_ = np.broadcast_to(taken[row], open_.shape)
+        matrix = np.where(open_[..., None], matrix, ZERO)
+        offset = np.where(open_[..., None], offset, ZERO)
+        value = np.where(open_[..., None], value, ZERO)
+        alone = np.where(open_, ZERO, ONE)[..., None] * decimals.exact(np.eye(group.height))
+        noise = np.where(open_[..., None] & open_[..., None, :], noise, alone)
+    found = [Root.of(one) for one in noise]
+    each = [root for root in found if root is not None]
+    matrix, offset, value = (
+        np.stack([root.whitened(part) for root, part in zip(each, parts, strict=True)])
+        for parts in (matrix, offset, value)
+    )
+    open_ = np.stack([mask[root.order] for mask, root in zip(open_, each, strict=True)])
+    pivots = np.stack([root.pivots for root in each])
+    parents = group.parents[row]
+    places = np.arange(model.layout.size, model.layout.size + group.height)
+    diagonal = pivots[..., None] * decimals.exact(np.eye(group.height))
+    joint.add(places, parents, matrix, offset, diagonal)
+    sides = value.shape[-1]
+    total, moved = np.zeros((laws.stacked, sides)), np.zeros(laws.stacked)
+    for k, place in enumerate(places.tolist()):
+        at = np.abs(joint.mean[:, parents, :sides])
+        numbers = decimals.product(np.abs(matrix[:, k : k + 1]), at)[:, 0]
+        numbers = numbers + np.abs(offset[:, k, :sides]) + np.abs(value[:, k])
+        allowed = CONTRADICTION * (numbers + joint.edge[:, place, None])
+        rounded = decimals.total(np.abs(joint.mean[:, place, sides:]))
+        allowed = allowed + OF_ROUNDING * rounded[:, None]
+        read = joint.read(place, value[:, k], allowed)
+        if read.contradiction.any():
+            v, n = (int(axis[0]) for axis in np.nonzero(read.contradiction))
+            raise contradiction(model, int(group.clusters[row]), max(v, n))
+        total += np.where(open_[:, k, None], read.log_density, 0.0)
+        moved = np.maximum(moved, read.moved)
+    joint.forget(places)
+    return total, moved
+
+
+def _rounding(model: Model, g: int) -> Array:
+    """How much rounding F x + b of a linearised CPD may have, (CPDs, runs, d)."""
+    family = model.families[g]
+    rule, template = family.lineariser, family.template
+    assert template is not None
+    at, spread = model.points[g]
+    here: Array = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
+    away: Array = apply(np.abs(family.matrix), spread)
+    if not family.hidden:
+        return ROUNDING * here
+    if isinstance(rule, StatisticalRegression):
+        # The slope is a sum of values at all points, and so is the offset.
+        points = rule.points(at.shape[-1], template.child.name, 0)
+        slope = float(np.abs(points.cov_weights[:, None] * points.points).sum(axis=-2).max())
+        return ROUNDING * (float(np.abs(points.mean_weights).sum()) + slope) * (here + away)
+    share = np.ones((*at.shape[:-1], 1))
+    if isinstance(rule, Taylor):
+        some = list(template.numerical)
+        share += (spread / differences.steps(at, spread))[..., some].sum(axis=-1, keepdims=True)
+        away = away if some else np.zeros_like(away)
+    return ROUNDING * (here * share + away)
+
+
+def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
+    """The digits that rounding of linearised values leaves of each run's means, and of ln p."""
+    size = model.layout.size
+    lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))
+    if joint.mean.shape[-1] == sides:
+        return np.full(model.runs, ALL_DIGITS)
+    variance = np.diagonal(joint.cov[:, :size, :size], axis1=-2, axis2=-1)
+    std = decimals.floats(decimals.sqrt(np.maximum(variance, ZERO)))
+    # Where there is no deviation a billionth of the numbers is as good.
+    unit = np.where(std > 0.0, std, 1e-3 * model.frame.scale)
+    share = np.maximum((lost / unit).max(axis=-1, initial=0.0), moved)
+    if model.first:
+        # Far from where it was linearised a slope's rounding counts the more.
+        mean, frame = decimals.floats(joint.mean[:, :size, 0]), model.frame
+        share = share * (np.abs(mean - frame.mean) / frame.scale).max(axis=-1, initial=1.0)
+    digits = np.minimum(-np.log10(np.maximum(share, 1e-300)), ALL_DIGITS)
+    return np.broadcast_to(digits, (model.runs,)).copy()
