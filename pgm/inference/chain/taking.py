@@ -240,6 +240,8 @@ def _take(
     open_ = spread.hi > CLEAR * floor
     cross = twofold.where(open_[:, None], cross, 0.0)
     predictive = twofold.where(open_, spread, 0.0) + noise
+    # A lineariser's error may be negative, and take more than there is.
+    indefinite |= bool((seen & (noise.hi < 0.0) & (predictive.hi <= 0.0)).any())
     read = seen & (predictive.hi > 0.0)
     weight = twofold.where(read, 1.0 / twofold.where(read, predictive, 1.0), 0.0)
     summed = floor - blurred + ROUNDING * np.abs(noise.hi)
