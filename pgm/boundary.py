@@ -19,7 +19,7 @@ _DEEPEST = 64  # axes of an array
 _KINDS = {
     "c": "complex ones; take .real, if the imaginary part is to be lost",
     "M": "dates; take (dates - dates[0]) / np.timedelta64(1, 's') for seconds",
-    "m": "durations without a unit; take durations / np.timedelta64(1, 's') for seconds",
+    "m": "durations; take durations / np.timedelta64(1, 's') for seconds",
     "S": "texts (bytes)",
     "T": "texts (str)",
     "U": "texts (str)",

@@ -36,7 +36,7 @@ def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     ModelError
         If the truth or a component does not fit the belief.
     NumericalError
-        If a covariance is singular.
+        If a covariance is singular or infinite.
 
     References
     ----------
@@ -72,8 +72,8 @@ def _no_scale(belief: Gaussian, judged: list[str], faulty: Mask) -> NumericalErr
         found = f"{int(singular.sum())} of {singular.size}, the first{where}, in {found}"
         leave = ", or leave such beliefs out, with belief[..., kept] and truth[..., kept, :]"
     return NumericalError(
-        f"no NEES of {names(belief.scope)}: a covariance is singular ({found}), so that an error "
-        f"has no scale; judge components that vary, with components=(...){leave}",
+        f"no NEES of {names(belief.scope)}: a covariance is infinite or singular ({found}), so "
+        f"that an error has no scale; judge components that vary, with components=(...){leave}",
         variable=belief.scope[0],
         step=None if belief.steps is None else int(belief.steps[first[-1]]),
     )

@@ -219,6 +219,8 @@ class Gaussian(Immutable):
         ------
         ModelError
             If the draws would not fit into memory.
+        NumericalError
+            If a variance is infinite.
         """
         shape = (size,) if is_whole(size) else as_tuple(size)
         if shape is None or not all(is_whole(length) and length >= 0 for length in shape):
@@ -230,6 +232,10 @@ class Gaussian(Immutable):
             f"{size} draws of {self!r}",
             "draw fewer at a time",
         )
+        if not np.isfinite(self.cov).all():
+            raise NumericalError(
+                f"Gaussian over {names(self.scope)}: no draws, since a variance is infinite"
+            )
         noise = as_generator(rng).standard_normal((*shape, *self.mean.shape))
         return self.mean + apply(roots.root(self.cov), noise)
 
@@ -241,7 +247,7 @@ class Gaussian(Immutable):
         Raises
         ------
         NumericalError
-            If the covariance is singular.
+            If the covariance is singular or infinite.
         """
         value = moments.log_density(self._offset(x), self.cov)
         return self._exists(value, "log-density")
@@ -256,7 +262,7 @@ class Gaussian(Immutable):
         ModelError
             If the scopes differ.
         NumericalError
-            If a covariance is singular.
+            If a covariance is singular or infinite.
         """
         if as_gaussian(other).scope != self.scope:
             raise ModelError(
@@ -274,7 +280,8 @@ class Gaussian(Immutable):
     def _exists(self, value: Array, what: str) -> Array:
         if np.isnan(value).any():
             raise NumericalError(
-                f"Gaussian over {names(self.scope)}: no {what}, since a covariance is singular"
+                f"Gaussian over {names(self.scope)}: no {what}, since a covariance is singular or "
+                "infinite"
             )
         return value
 

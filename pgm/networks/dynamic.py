@@ -93,6 +93,7 @@ class DynamicBayesianNetwork(Immutable):
         observation = declaration.as_gaussian(observation, "observation")
         everything = (*prior, *transition, *observation)
         declaration.check_templates(everything)
+        declaration.check_flat((*transition, *observation))
         one_name_each(v for cpd in everything for v in cpd.scope)
         checks.one_cpd_each(prior)
         checks.one_cpd_each((*transition, *observation))

@@ -145,3 +145,15 @@ def compare(case):
         again = pgm.GaussianCPD(v, belief.mean, belief.cov)
         np.testing.assert_array_equal(again.cov, belief.cov)
     return True
+
+
+@pytest.mark.parametrize("seed", [11, 49, 51, 54, 79, 113, 117, 135, 137, 147, 148])
+def test_what_hardly_varies_has_a_covariance(seed):
+    """A state that exact readings have narrowed to 1e-15 can be handed back as a prior."""
+    rng = np.random.default_rng(seed)
+    size = int(rng.integers(2, 4))
+    push, row = rng.normal(size=(size, 1)), rng.normal(size=(1, size))
+    x, model = network(0.6 * rng.normal(size=(size, size)), push, row, np.eye(size))
+    seen = {z: model.sample({}, steps=15, rng=seed)[z]}
+    for posterior in (pgm.filter(model, seen), pgm.smooth(model, seen)):
+        pgm.GaussianCPD(x, posterior[x].mean, posterior[x].cov)

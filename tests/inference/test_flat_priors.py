@@ -177,6 +177,14 @@ def test_joints():
             assert_close(posterior.joint(*scope), *due.joint(*scope))
 
 
+def test_an_unknown_component_has_no_covariance_with_others():
+    """One place alone is read: where it was before, and how fast it moves, stays unknown."""
+    belief = pgm.smooth(MODEL, {z: pgm.sightings([[1.0]], [1])}, steps=3).joint(x.at(0), x.at(3))
+    unknown = np.isinf(np.diag(belief.cov))
+    assert unknown.all()
+    assert (belief.cov[~np.eye(4, dtype=bool)] == 0.0).all()
+
+
 def test_innovations():
     """None while a prediction is improper, then those of the predictions."""
     values = record()
@@ -383,6 +391,24 @@ ERRORS = [
         lambda: pgm.GaussianCPD(x, [0.0, 0.0], [[-INF, 0.0], [0.0, 1.0]]),
         pgm.ModelError,
         "NaN or infinite",
+    ),
+    refusal(
+        "flat motion",
+        lambda: MODEL.replace(transition=[pgm.GaussianCPD(x, [0.0, 0.0], INF)]),
+        pgm.ModelError,
+        "only the prior of a dynamic network takes flat priors",
+    ),
+    refusal(
+        "flat sensor",
+        lambda: MODEL.replace(observation=[pgm.GaussianCPD(z, 0.0, INF)]),
+        pgm.ModelError,
+        "only the prior of a dynamic network takes flat priors",
+    ),
+    refusal(
+        "draws",
+        lambda: pgm.filter(MODEL, {z: record()})[x].sample(2, rng=1),
+        pgm.NumericalError,
+        "no draws, since a variance is infinite",
     ),
     refusal(
         "motion",

@@ -238,11 +238,15 @@ def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Arr
     for i, first in enumerate(steps):
         mean[:, i], cov[:, i, :, i] = moments(slices[first].belief, known)
         for j, second in enumerate(steps[i + 1 :], i + 1):
-            total = _across(careful, slices, first, second)
-            total = total + known.between(slices[first].belief, slices[second].belief)
-            cov[:, i, :, j], cov[:, j, :, i] = total.hi, total.mT.hi
+            across = _across(careful, slices, first, second)
+            across = across + known.between(slices[first].belief, slices[second].belief)
+            cov[:, i, :, j], cov[:, j, :, i] = across.hi, across.mT.hi
     whole = len(steps) * size
-    return mean.reshape(runs, whole), cov.reshape(runs, whole, whole)
+    total = cov.reshape(runs, whole, whole)
+    unbounded = np.isinf(variances(total))
+    # As in the moments of a slice: an unknown component has no covariance with others.
+    total[(unbounded[:, None] | unbounded[..., None]) & ~np.eye(whole, dtype=bool)] = 0.0
+    return mean.reshape(runs, whole), total
 
 
 def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> Twofold:

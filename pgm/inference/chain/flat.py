@@ -6,11 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.chain.taking import CLEAR, ROUNDING, Belief
+from pgm.inference.chain.taking import CLEAR, ROUNDING, Belief, variances
 from pgm.kernels import twofold
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, symmetric
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
+
+# A share of the variances beyond which a negative eigenvalue is visible in float64.
+_VISIBLE = 1e-12
 
 
 class Solved(NamedTuple):
@@ -70,8 +73,8 @@ def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
     columns, cov, *_ = belief
     mean = (columns @ unknown.weights).hi[..., 0]
     if not unknown.open.shape[-1]:
-        return mean, cov.hi
-    total = (cov + unknown.between(belief, belief)).hi
+        return mean, _semidefinite(cov.hi)
+    total = _semidefinite((cov + unknown.between(belief, belief)).hi)
     slope = columns.hi[..., 1:]
     reach, size = np.abs(slope @ unknown.open), np.abs(slope) @ np.abs(unknown.open)
     lost = np.any(reach > NEGLIGIBLE * size, axis=-1)
@@ -80,3 +83,24 @@ def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
         diagonal = np.einsum("...ii->...i", total)
         diagonal[lost] = np.inf
     return mean, total
+
+
+def _semidefinite(cov: Array) -> Array:
+    """Covariances without the asymmetry and the negative eigenvalues that rounding has left.
+
+    Eigenvalues are in units of the variances, which are right to a hundredth (`CLEAR`): one that
+    is further below zero is no rounding.
+    """
+    cov = symmetric(cov)
+    unit = np.sqrt(np.maximum(variances(cov), 0.0))
+    unit = np.where(unit > 0.0, unit, 1.0)
+    scaled = cov / unit[..., None] / unit[..., None, :]
+    if not np.isfinite(scaled).all():
+        return cov
+    values, axes = np.linalg.eigh(scaled)
+    least = values.min(axis=-1, initial=0.0)
+    blurred = (least < -_VISIBLE) & (least > -1.0 / CLEAR)
+    if not blurred.any():
+        return cov
+    kept = (axes * np.maximum(values, 0.0)[..., None, :]) @ axes.mT
+    return np.where(blurred[:, None, None], kept * unit[..., None] * unit[..., None, :], cov)
