@@ -71,7 +71,7 @@ def as_mapping(value: Any, what: str, error: type[PgmError] = EvidenceError) -> 
 
 
 def as_generator(rng: Any) -> np.random.Generator:
-    """What draws: a generator, or one of a seed; refuses None, since draws must be repeatable."""
+    """The generator of draws, given or of a seed; None is refused: draws must be repeatable."""
     if isinstance(rng, np.random.Generator):
         return rng
     if not is_whole(rng) or rng < 0:
@@ -92,7 +92,7 @@ def as_floats(
     verb: str = "be",
     **about: Any,
 ) -> Array:
-    """What a user gives as an array of floats, which may be the user's own; truth is one.
+    """An array of floats of what a user gives, which may be the user's own; truth is one.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def as_floats(
 
 
 def as_wholes(value: Any, what: str, error: type[PgmError] = ModelError, **about: Any) -> Integers:
-    """What a user gives as an array of whole numbers; an empty one may be of any numbers."""
+    """An array of whole numbers of what a user gives; an empty one may be of any numbers."""
     try:
         numbers = _read(value, (), False)
     except _Unfit as fault:
@@ -135,7 +135,7 @@ def as_wholes(value: Any, what: str, error: type[PgmError] = ModelError, **about
 
 
 def masked_whole(value: Any) -> Any:
-    """What a user gives, nested lists that hold masked arrays being one masked array."""
+    """The user's value, nested lists that hold masked arrays being one masked array."""
     if isinstance(value, list | tuple):
         try:
             if any(issubclass(kind, np.ma.MaskedArray) for kind in _leaves(value)):
@@ -215,7 +215,7 @@ def _unmasked(value: Any, missing: bool) -> Array:
 
 
 def _number(entry: Any, missing: bool) -> float:
-    """What stands in an array of objects as a number."""
+    """An entry of an array of objects as a number."""
     if missing and (entry is None or type(entry).__name__ == "NAType"):
         return np.nan
     if is_number(entry):

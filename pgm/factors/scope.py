@@ -57,7 +57,7 @@ def one_name_each(variables: Iterable[Variable]) -> None:
 
 
 def kind(variable: Variable) -> tuple[object, ...]:
-    """What all copies of a variable share beside its name."""
+    """The parts that all copies of a variable share beside its name."""
     states = variable.states if isinstance(variable, Discrete) else None
     return variable.components, variable.angles, states
 

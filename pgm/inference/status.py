@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -24,6 +25,17 @@ def digits(error: Array, lead: tuple[int, ...]) -> Array:
     least = np.finfo(np.float64).eps
     error = np.where(np.isfinite(error), error, 1.0)
     return np.asarray(0.0 - np.log10(np.maximum(error, least)).reshape(lead))
+
+
+def _levels_to_user() -> int:
+    """How many calls up a user's own line stands, for a warning to point at."""
+    frame, levels = sys._getframe(1), 1
+    while frame.f_back is not None:
+        name = frame.f_globals.get("__name__", "")
+        if not name.startswith("pgm.") and name != "contextlib":  # which stands in decorators
+            break
+        frame, levels = frame.f_back, levels + 1
+    return levels
 
 
 class Status(Immutable):
@@ -96,7 +108,7 @@ class Status(Immutable):
                 "not known at all cov=np.inf in the prior of a chain, or read a repeated or "
                 "redundant measurement once"
             )
-            warnings.warn(message, PrecisionWarning, stacklevel=2)
+            warnings.warn(message, PrecisionWarning, stacklevel=_levels_to_user())
         return Status(self.iterations, self.residuals, self.converged, self.by_edge, digits)
 
     def __repr__(self) -> str:

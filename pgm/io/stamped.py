@@ -24,6 +24,7 @@ YEAR = 31_556_952.0
 # unit: since 1970, milliseconds are 1e12, microseconds 1e15 and nanoseconds 1e18.
 LATEST, WIDEST = 1e11, 1e5
 EPOCH = 1e8
+DAY = 86_400.0
 UNITS = (("nanoseconds", 1e9), ("microseconds", 1e6), ("milliseconds", 1e3))
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -101,14 +102,16 @@ def as_stamps(what: str, value: Any, variable: Variable | None = None) -> Array:
 def _require_seconds(what: str, stamps: Array, whole: bool, variable: Variable | None) -> None:
     """Refuse stamps of another unit, as far as numbers tell."""
     last = np.abs(stamps).max(initial=0.0)
+    gap = float(np.median(np.abs(np.diff(stamps)))) if stamps.size > 1 else 0.0
     if last > LATEST:
-        unit, share = next(found for found in UNITS if last >= found[1] * EPOCH)
+        # Since 1970, unless rows would then be days apart: fine ones may count from 0.
+        since = (u for u in UNITS if last >= u[1] * EPOCH and gap < u[1] * DAY)
+        unit, share = next(since, UNITS[0])
         raise EvidenceError(
             f"{what} go to {last:.3g} s, {last / YEAR:.0f} years; they seem to be {unit}: divide "
             f"them by {share:.0e}",
             variable=variable,
         )
-    gap = float(np.median(np.abs(np.diff(stamps)))) if stamps.size > 1 else 0.0
     if whole and gap >= WIDEST:
         raise EvidenceError(
             f"{what} are whole numbers {gap:.3g} apart (median), as nanoseconds are; seconds were "

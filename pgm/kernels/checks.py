@@ -32,7 +32,7 @@ def is_symmetric(matrix: Array) -> bool:
 
 
 def covariance_fault(cov: Array) -> str | None:
-    """What keeps stacked matrices, `symmetrised`, from being covariances; None if nothing."""
+    """The fault that keeps stacked matrices, `symmetrised`, from being covariances; or None."""
     if not np.isfinite(cov).all():
         return "has entries that are NaN or infinite"
     variances = np.diagonal(cov, axis1=-2, axis2=-1)

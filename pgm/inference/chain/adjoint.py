@@ -82,7 +82,7 @@ class Later(NamedTuple):
         return Later(vector, matrix, rounding, drift)
 
     def back(self, matrix: Twofold) -> Later:
-        """What it says of the slice before, through a transition."""
+        """The message to the slice before, through a transition."""
         slope, said = matrix.hi.mT, self.matrix
         rounding = through(slope, self.rounding) + rounded(slope, said.hi, np.zeros_like(slope))
         drift = through(slope, self.drift)

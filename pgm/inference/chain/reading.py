@@ -48,7 +48,7 @@ U = TypeVar("U", bound=Updated, covariant=True)
 
 @dataclass(frozen=True, eq=False)
 class Taken(Generic[U]):
-    """What readings make of the belief at a step.
+    """The belief at a step given its readings.
 
     Attributes
     ----------

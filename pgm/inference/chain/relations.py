@@ -44,7 +44,7 @@ class Relation(NamedTuple):
     value: Array
 
     def missed(self, mean: Array) -> tuple[Array, Array]:
-        """What a trajectory (T+1, runs, n) leaves of each row, and the size of its numbers."""
+        """The residual of each row at a trajectory (T+1, runs, n), and the size of its numbers."""
         here, earlier = mean[self.step], mean[self.step - 1]
         left = self.value - apply(self.own, here) - apply(self.before, earlier)
         size = np.abs(self.value) + apply(np.abs(self.own), np.abs(here))

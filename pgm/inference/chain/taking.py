@@ -90,7 +90,7 @@ class Belief(NamedTuple):
         return found
 
     def error(self, largest: Array, parts: Array | None = None) -> Array:
-        """What rounding may have changed a mean by, (runs,).
+        """The change of a mean that rounding may have made, (runs,).
 
         Counted from its deviation, or from 10⁻⁹ of the largest deviation that the component had,
         variance `largest` (runs, n), where that is more: float64 cannot tell less than 10⁻¹⁶ of it.
@@ -136,7 +136,7 @@ def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
 
 
 def rounded(matrix: Array, cov: Array, noise: Array) -> Array:
-    """What rounding may change F P Fᵀ + noise by."""
+    """A bound, as a covariance, of the rounding of F P Fᵀ + noise."""
     size = np.abs(matrix)
     summed = ((size @ np.abs(cov)) * size).sum(axis=-1) + np.abs(variances(noise))
     bound: Array = ROUNDING * summed[..., None] * np.eye(matrix.shape[-2])
@@ -160,14 +160,14 @@ def through(matrix: Array, bound: Array) -> Array:
 
 
 def reach(rounding: Array, vector: Array) -> Array:
-    """What a matrix changed within a bound, as a covariance, may change its product with v by."""
+    """The change of a product E v that a change of E within a bound, as a covariance, may make."""
     along = sandwich(vector[..., None, :], rounding)
     found: Array = np.sqrt(np.maximum(variances(rounding) * variances(along), 0.0))
     return found
 
 
 class Taken(NamedTuple):
-    """What readings make of a belief.
+    """A belief given readings.
 
     Attributes
     ----------

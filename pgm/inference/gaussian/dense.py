@@ -27,7 +27,7 @@ ROUNDED = Decimal(2) ** -51
 
 
 class Read(NamedTuple):
-    """What conditioning on a component says.
+    """The outcome of conditioning on a component.
 
     Attributes
     ----------
