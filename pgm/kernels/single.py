@@ -15,7 +15,7 @@ from pgm.kernels import roots
 from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import LOG_2PI, Array, Index, symmetric
 from pgm.kernels.roots import NEGLIGIBLE
-from pgm.kernels.straight import predicting, updating
+from pgm.kernels.straight import checking, predicting, updating
 
 # Below this part of its diagonal entry a pivot of a predictive covariance is left to `moments`.
 NEARLY_SINGULAR = 1e-6
@@ -33,15 +33,17 @@ def root(cov: Array) -> Array | None:
     return found
 
 
-def is_regular(cov: Array, least: float) -> bool:
-    """Whether no component is determined to `least` by those before it, if it has a variance."""
-    lower, fault = dpotrf(cov, 1)
-    if fault:
-        return roots.is_regular(cov, least)
-    for pivot, entry in zip(lower.diagonal().tolist(), cov.diagonal().tolist(), strict=True):
-        if not pivot * pivot > least * entry:
-            return False
-    return True
+def is_regular(cov: Array, before: Array, least: float) -> bool:
+    """Whether no component is determined to `least` by those before it, nor against another time.
+
+    Neither the share of its variance that those before it leave open, nor its variance beside that
+    of an earlier covariance is smaller. Components without a variance now and then do not count.
+    """
+    written = checking(len(cov), least)
+    if written is not None and written(cov, before):
+        return True
+    fell = np.diagonal(cov) < least * np.diagonal(before)
+    return not fell.any() and roots.is_regular(cov, least)
 
 
 def predict(cov: Array, matrix: Array, noise: Array) -> Array:

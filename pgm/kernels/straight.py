@@ -20,9 +20,10 @@ from pgm.kernels.arrays import LOG_2PI, Array
 # Of n components and d others, beyond n d (n + d) of this size LAPACK is the quicker.
 MOST = 90
 
-# As `single.predict` and `single.update`.
+# As `single.predict`, `single.update` and `single.is_regular`.
 Predict = Callable[[Array, Array, Array], Array]
 Update = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array, float] | None]
+Check = Callable[[Array, Array], bool]
 
 
 @lru_cache(maxsize=64)
@@ -46,6 +47,15 @@ def predicting(height: int, size: int) -> Predict | None:
         return None
     predict: Predict = _function("cov, matrix, noise", _predict(height, size), {})
     return predict
+
+
+@lru_cache(maxsize=64)
+def checking(size: int, least: float) -> Check | None:
+    """Whether a covariance is regular beside an earlier one; None where that is too large."""
+    if not 0 < size**3 <= MOST:
+        return None
+    check: Check = _function("cov, before", _check(size), {"least": least})
+    return check
 
 
 def _function(arguments: str, lines: list[str], names: dict[str, float]) -> Any:
@@ -117,6 +127,22 @@ def _update(size: int, height: int) -> list[str]:
     moved = _array((f"m{i} + {_sum(f'g{i}{k} * z{k}' for k in seen)}" for i in states), size)
     spread = _array((f"q{i}{j}" for i in states for j in states), size, size)
     return [*lines, f"return {moved}, {spread}, log_density"]
+
+
+def _check(size: int) -> list[str]:
+    """The pivots d of Q, beside its own diagonal and that of B."""
+    states = range(size)
+    lines = [
+        f"{_matrix('q', states, states)} = cov.tolist()",
+        f"{_matrix('b', states, states)} = before.tolist()",
+    ]
+    for i in states:
+        for k in range(i):
+            rest = f"q{i}{k}{_less(f'l{i}{m} * u{k}{m}' for m in range(k))}"
+            lines += [f"u{i}{k} = {rest}", f"l{i}{k} = u{i}{k} / d{k}"]
+        lines.append(f"d{i} = q{i}{i}{_less(f'l{i}{k} * u{i}{k}' for k in range(i))}")
+        lines.append(f"if not (d{i} > least * q{i}{i} and q{i}{i} > least * b{i}{i}): return False")
+    return [*lines, "return True"]
 
 
 def _white(name: str, rows: range, column: str = "") -> list[str]:

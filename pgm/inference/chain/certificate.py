@@ -51,13 +51,14 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
         if isinstance(swept, Filtered):
             return swept.closest * MODERATE > 1.0
         predicted, known = swept.predicted_cov, swept.cov
-        return (
+        if smoothed is not None and not _stands(known, smoothed, MODERATE):
+            return False
+        regular = swept.gentle or (
             _stands(predicted, known, MODERATE)
-            and (smoothed is None or _stands(known, smoothed, MODERATE))
             and _is_open(predicted, MODERATE)
             and _is_open(known, MODERATE)
-            and _told(plan, swept)
         )
+        return regular and _told(plan, swept)
 
 
 def composes(predicted: Array, known: Array) -> bool:
@@ -72,11 +73,15 @@ def _sinks(swept: Forward | Filtered, *, both: bool) -> bool:
 
     An error is as many deviations at other steps at most: later ones, or of both sides.
     """
-    mean, left = np.abs(swept.mean), _variances(swept.cov)
+    mean, left = swept.mean, _variances(swept.cov)
     axes = tuple(range(mean.ndim - 1))
-    known = left <= 0.0
-    least = np.where(known, np.inf, left).min(axis=axes) if known.any() else left.min(axis=axes)
-    if (_EPS * mean.max(axis=axes) <= _COUNTS * np.sqrt(least)).all():
+    farthest = np.maximum(mean.max(axis=axes), -mean.min(axis=axes))
+    least = left.min(axis=axes)
+    if (least > 0.0).all() and (_EPS * farthest <= _COUNTS * np.sqrt(least)).all():
+        return False
+    mean, known = np.abs(mean), left <= 0.0
+    least = np.where(known, np.inf, left).min(axis=axes)
+    if (_EPS * farthest <= _COUNTS * np.sqrt(least)).all():
         return False
     parts = _EPS * np.where(known, 0.0, mean / np.sqrt(np.where(known, 1.0, left))).max(axis=-1)
     largest = parts.max(axis=0) if both else np.maximum.accumulate(parts, axis=0)

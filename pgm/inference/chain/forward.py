@@ -34,6 +34,8 @@ class Forward:
         (T+1, runs, slice size, slice size).
     log_density : ndarray
         (T+1, runs): of each step's readings given those before.
+    gentle : bool
+        Whether segments have been composed to it, which takes variances that keep their digits.
     """
 
     predicted_mean: Array
@@ -41,6 +43,7 @@ class Forward:
     mean: Array
     cov: Array
     log_density: Array
+    gentle: bool = False
 
     @classmethod
     def empty(cls, plan: ChainPlan) -> Forward:

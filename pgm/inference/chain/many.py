@@ -28,8 +28,8 @@ Moments = tuple[Array, Array]
 MANY = 32
 # And so many at a time: what a step touches then stays in a cache of some megabytes.
 MOST = 10_000
-# Between readings that are mild, beliefs are looked at every so many steps, and where a
-# variance has grown by so much since.
+# Between readings that are mild, beliefs are looked at every so many steps, at the last, and where
+# a variance has grown by so much since.
 _EVERY, _GROWN = 8, 1e2
 
 
@@ -145,7 +145,9 @@ def _sweep(
             closest = min(closest, along_runs.open_share(belief[1].copy()))
         if not mild:
             closest = min(closest, along_runs.least_left(belief[1], known[1]))
-        if not (regular and step % _EVERY):
+        if not step:
+            level = np.einsum("iir->ir", known[1]).copy()
+        if not regular or step == plan.steps or (step and step % _EVERY == 0):
             level = np.minimum(level, np.einsum("iir->ir", known[1]))
             closest = min(closest, along_runs.open_share(known[1].copy()))
     return closest

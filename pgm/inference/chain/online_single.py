@@ -86,7 +86,7 @@ class Single:
             mean, cov = predict.predict((step, rows), belief.mean, belief.cov)
         except (PgmError, Special):
             return None
-        if not _finite(mean, cov) or not single.is_regular(cov, REGULAR):
+        if not _finite(mean, cov) or not single.is_regular(cov, cov, REGULAR):
             return None
         return OnlineBelief(step, belief.layout, (), mean, cov, belief.log_evidence, _DONE)
 
@@ -110,7 +110,7 @@ class Single:
         if found is None or not isfinite(found[2]):
             return None
         mean, cov, gained = found
-        if not _keeps_digits(belief.cov, cov):
+        if not single.is_regular(cov, belief.cov, REGULAR):
             return None
         log_evidence = np.array(belief.log_evidence.item() + gained)
         status = _DONE if update.linear else _LINEARISED
@@ -120,11 +120,3 @@ class Single:
 def _finite(mean: Array, cov: Array) -> bool:
     """Whether all is finite, which a sum of few numbers tells most quickly."""
     return isfinite(sum(mean.tolist()) + sum(cov.ravel().tolist()))
-
-
-def _keeps_digits(before: Array, after: Array) -> bool:
-    """Whether float64 has digits enough for an update, as `online_careful` has it."""
-    for variance, left in zip(before.diagonal().tolist(), after.diagonal().tolist(), strict=True):
-        if left < REGULAR * variance:
-            return False
-    return single.is_regular(after, REGULAR)

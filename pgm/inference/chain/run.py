@@ -76,6 +76,8 @@ def _refuse_infinite(posterior: ChainPosterior) -> None:
     A variance that is negative, by more than rounding explains, is no better.
     """
     swept, smoothed = posterior._swept, posterior._smoothed
+    if isinstance(swept, Filtered):  # whose numbers have been looked at
+        return
     parts = [swept.log_density, swept.mean, swept.cov]
     parts += [] if smoothed is None else [smoothed.mean, smoothed.cov]
     flat = certificate.is_flat(posterior._planned)
