@@ -13,6 +13,7 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 
 import numpy as np
+from drawn_chains import Node as Linear
 from drawn_chains import integers, named, root, scaled, unit
 from precise import EPS, NOTHING, eliminated, floats, mp, norms, precise, zeros
 
@@ -41,23 +42,17 @@ METHODS = [
 
 
 @dataclass
-class Node:
-    """A child: Σ M parent + offset + B e."""
+class Node(Linear):
+    """The same by a linear function, that is declared as any."""
 
-    child: pgm.Variable
-    given: dict
-    offset: np.ndarray
-    root: np.ndarray
     nonlinear: bool
     derivative: bool
 
     @property
     def cpd(self):
+        if not self.given or not self.nonlinear:
+            return super().cpd
         cov = self.root @ self.root.T
-        if not self.given:
-            return pgm.GaussianCPD(self.child, self.offset, cov)
-        if not self.nonlinear:
-            return pgm.LinearGaussianCPD(self.child, self.given, offset=self.offset, cov=cov)
         matrices = list(self.given.values())
 
         def function(*parents):
