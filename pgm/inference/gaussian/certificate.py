@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.inference.gaussian.beliefs import Beliefs
 from pgm.inference.gaussian.buffer import Buffer
-from pgm.inference.gaussian.tree import Calibrated
+from pgm.kernels.arrays import Array
 
 # What float64 holds; a sum of many roundings takes a digit of it.
 _DIGITS, _OF_SUMS = 15.6, 14.6
@@ -25,10 +26,10 @@ SAFE_DIGITS = 6.6
 _RANGE = 1e-140, 1e140
 
 
-def kept_digits(buffer: Buffer, done: Calibrated) -> float:
+def kept_digits(buffer: Buffer, beliefs: Beliefs, log_evidence: Array) -> float:
     """The digits, counted from the deviations."""
-    beliefs, frame = done.beliefs, buffer.model.frame
-    total = beliefs.cov.sum() + done.log_evidence.sum() + frame.mean.sum()
+    frame = buffer.model.frame
+    total = beliefs.cov.sum() + log_evidence.sum() + frame.mean.sum()
     scale = frame.scale
     if scale.size and not (_RANGE[0] < scale.min() and scale.max() < _RANGE[1]):
         return 0.0

@@ -59,7 +59,11 @@ def run(
             model = Model.make(plan.layout, bound, lineariser, given)
             messages = RowMessages.make(plan.rounds, plan.places, model, schedule.damping)
             status = run_loopy(messages, schedule, model.lead)
-            return GaussianPosterior.loopy(plan, messages, status)
+            found = GaussianPosterior.loopy(plan, messages, status)
+            digits = kept_digits(messages.buffer, found._beliefs, found._log_evidence)
+        if digits >= SAFE_DIGITS or not status.converged.all():
+            return found
+        return replace(found, status=status.with_digits(np.full(bound.lead, digits)))
     calibration = schedule if isinstance(schedule, Calibration) else Calibration()
     failure: NumericalError | None = None
     with quiet():
@@ -93,7 +97,9 @@ def _in_floats(
     model = Model.make(plan.layout, bound, lineariser, start)
     buffer = Buffer.make(plan.rounds, model)
     done, status = _calibrate(lambda: calibrate(plan, buffer), buffer.refresh, model, schedule)
-    return GaussianPosterior.tree(plan, buffer, done, status), kept_digits(buffer, done)
+    return GaussianPosterior.tree(plan, buffer, done, status), kept_digits(
+        buffer, done.beliefs, done.log_evidence
+    )
 
 
 def _in_digits(

@@ -229,3 +229,24 @@ def test_numbers_of_any_size_leak_no_warnings(chunk):
         except pgm.PgmError:
             continue
     assert answered
+
+
+@pytest.mark.parametrize("schedule", [pgm.Flooding(), pgm.Sequential(), pgm.Residual()], ids=repr)
+def test_schedules_for_any_graph_tell_what_float64_leaves(schedule):
+    """Deviations of 10⁶ beside 10⁻⁹; of moderate ones there is nothing to tell."""
+
+    def solved(sharp):
+        network = pgm.BayesianNetwork(
+            [
+                pgm.GaussianCPD(x, 0.0, 1e12),
+                pgm.LinearGaussianCPD(y, {x: 0.24}, cov=sharp**2),
+                pgm.LinearGaussianCPD(z, {x: 1.28}, cov=sharp**2),
+            ]
+        )
+        graph = pgm.compile(network, method=pgm.Bethe())
+        return pgm.infer(graph, {z: -2713270.3}, schedule=schedule)
+
+    with pytest.warns(pgm.PrecisionWarning, match="digits"):
+        lost = solved(1e-9)
+    assert lost.status.digits < 6
+    assert solved(1e5).status.digits is None
