@@ -100,9 +100,14 @@ def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
 
 
 def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
-    """An array with the runs as second axis, or a value made of such, from those of its parts."""
+    """An array with the runs as second axis, or a value made of such, from those of its parts.
+
+    What is said of parts is said of the whole if it holds of all of them.
+    """
     if parts[0] is None:
         return None
+    if kind is bool:
+        return all(parts)
     if issubclass(kind, np.ndarray):
         return np.concatenate(parts, axis=1)
     found = {}
