@@ -3,32 +3,68 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD
 from pgm.cpds.noise import evaluate
 from pgm.errors import LinearisationError, ModelError, PgmError
-from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.scope import Scope, dimension, names
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Integers, Mask, apply, cut, vacant
+from pgm.kernels.arrays import (
+    Array,
+    Integers,
+    Mask,
+    apply,
+    block_diagonal,
+    components_first,
+    components_last,
+    cut,
+    quiet,
+    times,
+    vacant,
+)
 from pgm.kernels.scan import by_rows
 from pgm.linearisers import (
-    Affine,
     ArrayLineariser,
     BoundFunction,
     FunctionTemplate,
+    Line,
     Lineariser,
     Taylor,
 )
+from pgm.linearisers.function import Source
+from pgm.linearisers.lineariser import Misfit, Prepared, needs_cov, prepare
 from pgm.variables import Variable
 
 Rows = int | slice
+
+
+class At(NamedTuple):
+    """A CPD at one step, its evidence bound: components first, and a batch of one run or of many.
+
+    Attributes
+    ----------
+    function : BoundFunction or None
+        To be linearised; None where it is affine, or as it was linearised before.
+    matrix, offset : ndarray or None
+        F (d, n, *batch) and b (d, *batch) then; one for all runs may have a batch of one.
+    noise : ndarray
+        (d, d, *batch): the CPD's own covariance, with that of the error where it was linearised.
+    first, last : int
+        Its rows.
+    """
+
+    function: BoundFunction | None
+    matrix: Array | None
+    offset: Array | None
+    noise: Array
+    first: int
+    last: int
 
 
 @dataclass(eq=False)
@@ -54,6 +90,10 @@ class Family:
         (rows, runs, d, d): the CPD's own and the lineariser's error.
     first_run : int
         What the first run is called in messages.
+    batch : tuple of int
+        The axes of runs in `at` and `line`: none of one run.
+    affine : (ndarray, ndarray)
+        F (d, n) and b (rows or 1, runs or 1, d) of an affine CPD.
     """
 
     cpd: ConditionalGaussian
@@ -67,6 +107,8 @@ class Family:
     timed: bool = True
     approximate: bool = False
     first_run: int = 0
+    batch: tuple[int, ...] = ()
+    affine: tuple[Array, Array] = field(init=False, repr=False)
 
     @classmethod
     def make(
@@ -93,11 +135,12 @@ class Family:
         elif not isinstance(cpd, AffineCPD):
             raise ModelError(f"{cpd!r} is of no kind that inference knows", cpd=cpd)
         known = (cpd, hidden, step, inputs, lineariser, template, noise, own_noise, timed)
-        made = cls(*known, first_run=first_run)
+        made = cls(*known, first_run=first_run, batch=() if runs == 1 else (runs,))
         if isinstance(cpd, AffineCPD):
             constant, shift = cpd._affine(hidden, inputs)
             if not cpd.given and shift.ndim > 1:
                 shift = np.broadcast_to(shift, (*lead, height)).reshape(1, runs, height)
+            made.affine = constant, shift if shift.ndim == 3 else shift[None, None]
             made.matrix = np.broadcast_to(constant, (rows, runs, height, width))
             made.offset = np.broadcast_to(shift, (rows, runs, height))
         return made
@@ -119,15 +162,18 @@ class Family:
 
     def of(self, runs: slice) -> Family:
         """Some of the runs, with views of these arrays; what is linearised is its own."""
+        count = runs.stop - runs.start
         part = replace(
             self,
             inputs={parent: cut(values, runs) for parent, values in self.inputs.items()},
             noise=cut(self.noise, runs),
             own_noise=cut(self.own_noise, runs),
             first_run=self.first_run + runs.start,
+            batch=() if count == 1 else (count,),
         )
         if self.exact:
             part.matrix, part.offset = cut(self.matrix, runs), cut(self.offset, runs)
+            part.affine = self.affine[0], cut(self.affine[1], runs)
         return part
 
     @property
@@ -140,6 +186,217 @@ class Family:
         """Whether the CPD is affine or expanded to first order at a point."""
         return self.exact or isinstance(self.lineariser, Taylor)
 
+    @property
+    def semidefinite(self) -> bool:
+        """Whether the approximation error cannot be indefinite."""
+        if self.taylor or not self.hidden:
+            return True
+        rule = self.lineariser
+        return isinstance(rule, ArrayLineariser) and rule.is_semidefinite(dimension(self.hidden))
+
+    @property
+    def needs_cov(self) -> bool:
+        """Whether a linearisation depends on the covariance of the belief."""
+        return self.template is not None and needs_cov(self.lineariser, self.template)
+
+    @property
+    def grouped(self) -> bool:
+        """Whether the sightings of a step are linearised as one vector."""
+        return isinstance(self.cpd, NonlinearGaussianCPD) and self.cpd.grouped
+
+    @cached_property
+    def bare(self) -> tuple[int, ...]:
+        """The components that the CPD's own noise leaves out at some row."""
+        variances = np.diagonal(self.own_noise, axis1=-2, axis2=-1)
+        return tuple(int(k) for k in np.flatnonzero((variances == 0.0).any(axis=(0, 1))))
+
+    @cached_property
+    def source(self) -> Source:
+        """Whose function it is, for messages."""
+        return Source(self.cpd, self.timed, self.first_run)
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """The lineariser, ready for the CPD's function."""
+        assert self.template is not None
+        return prepare(self.lineariser, self.template)
+
+    # --- one step after another ---------------------------------------------------------------
+
+    def at(self, first: int, last: int) -> At:
+        """Some rows, a step's, to be linearised as one."""
+        if self.template is None:
+            return self._affine_at(first, last)
+        count = last - first
+        rows: Any = first if count == 1 else slice(first, last)
+        inputs = [None if values is None else values[rows] for values in self._known]
+        if count > 1 and self.batch:
+            inputs = [None if values is None else values.swapaxes(0, 1) for values in inputs]
+        function = BoundFunction(
+            self.template,
+            inputs,
+            len(self.batch),
+            self._steps[first],
+            None if count == 1 else count,
+            self.grouped,
+            self.source,
+        )
+        return At(function, None, None, self._own(first, last), first, last)
+
+    def stored_at(self, first: int, last: int) -> At:
+        """Some rows as they were linearised."""
+        if self.template is None:
+            return self._affine_at(first, last)
+        height, width = self.shape[2:]
+        size = (last - first) * height
+        matrix, offset = self.matrix[first:last], self.offset[first:last]
+        if self.batch:
+            matrix = matrix.transpose(0, 2, 3, 1).reshape(size, width, *self.batch)
+            offset = offset.transpose(0, 2, 1).reshape(size, *self.batch)
+        else:
+            matrix, offset = matrix.reshape(size, width), offset.reshape(size)
+        return At(None, matrix, offset, self._noise_of(self.noise, first, last), first, last)
+
+    def given(self, step: int, inputs: Sequence[Array], count: int) -> At:
+        """The CPD of one run with values of its observed parents, (d,), or (count, d) each."""
+        known = dict(zip(self.inputs, inputs, strict=True))
+        wide = {v: values.reshape(count, 1, -1) for v, values in known.items()}
+        if isinstance(self.cpd.cov, Noise):
+            noise = self._noise_of(evaluate(self.cpd, wide, (count, 1), step), 0, count)
+        else:
+            noise = self._own(0, count)
+        if self.template is None:
+            assert isinstance(self.cpd, AffineCPD)
+            if not wide:
+                return self._affine_at(0, count)._replace(noise=noise)
+            matrix, shift = self.cpd._affine(self.hidden, wide)
+            offset = np.broadcast_to(shift, (count, 1, shift.shape[-1])).reshape(-1)
+            return At(None, np.tile(matrix, (count, 1)), offset, noise, 0, count)
+        arguments = [known.get(parent) for parent in self.template.given]
+        group = None if count == 1 else count
+        function = BoundFunction(
+            self.template, arguments, 0, step, group, self.grouped, self.source
+        )
+        return At(function, None, None, noise, 0, count)
+
+    def line(self, at: At, mean: Array, cov: Array) -> Line:
+        """Linearise at a belief over the hidden parents, (n, *batch) and (n, n, *batch)."""
+        function = at.function
+        if function is None:
+            assert at.matrix is not None
+            value = times(at.matrix, mean)
+            value += at.offset
+            return Line(at.matrix, value, None)
+        return self._linearised(function, mean, cov)
+
+    def keep(self, at: At, matrix: Array, offset: Array, noise: Array | None) -> None:
+        """Keep what some rows, a step's, were linearised to; the noise where it is not their own."""
+        first, last = at.first, at.last
+        count, (height, width) = last - first, self.shape[2:]
+        shape = (count, height)
+        if noise is not None:
+            self.keep_errors()
+            each = np.arange(count)
+            blocks = noise.reshape(*shape, *shape, *noise.shape[2:])[each, :, each]
+            self.noise[first:last] = blocks.transpose(0, 3, 1, 2) if self.batch else blocks[:, None]
+        if self.batch:
+            self.matrix[first:last] = matrix.reshape(*shape, width, -1).transpose(0, 3, 1, 2)
+            self.offset[first:last] = offset.reshape(*shape, -1).transpose(0, 2, 1)
+        else:
+            self.matrix[first:last, 0] = matrix.reshape(*shape, width)
+            self.offset[first:last, 0] = offset.reshape(shape)
+
+    @cached_property
+    def _known(self) -> list[Array | None]:
+        """Values of each argument with evidence by row, read-only, since users' functions see them.
+
+        Of one run they are (rows, d), of many (rows, runs, d).
+        """
+        assert self.template is not None
+        found: list[Array | None] = []
+        for parent in self.template.given:
+            values = self.inputs.get(parent)
+            if values is not None and self.batch:
+                values = np.broadcast_to(values, (len(values), *self.batch, values.shape[-1]))
+            elif values is not None:
+                values = np.ascontiguousarray(values[:, 0])
+                values.flags.writeable = False
+            found.append(values)
+        return found
+
+    @cached_property
+    def _steps(self) -> list[int]:
+        found: list[int] = self.step.tolist()
+        return found
+
+    def _own(self, first: int, last: int) -> Array:
+        """The CPD's own noise at some rows, as one."""
+        if len(self.own_noise) > 1:
+            return self._noise_of(self.own_noise, first, last)
+        count = last - first
+        found = self._constant_noise.get(count)
+        if found is None:
+            found = self._constant_noise[count] = self._noise_of(self.own_noise, 0, count)
+        return found
+
+    @cached_property
+    def _constant_noise(self) -> dict[int, Array]:
+        return {}
+
+    def _noise_of(self, noise: Array, first: int, last: int) -> Array:
+        """Covariances (rows or 1, runs or 1, d, d) of some rows along one diagonal."""
+        blocks = noise[first:last] if len(noise) > 1 else noise
+        blocks = blocks.transpose(0, 2, 3, 1) if self.batch else blocks[:, 0]
+        if last - first == 1:
+            return np.ascontiguousarray(blocks[0])
+        return block_diagonal(np.broadcast_to(blocks, (last - first, *blocks.shape[1:])))
+
+    def _affine_at(self, first: int, last: int) -> At:
+        constant, shift = self.affine
+        count = last - first
+        if len(shift) == 1 == len(self.own_noise):
+            found = self._constant_at.get(count)
+            if found is not None:
+                return found
+        offset = np.broadcast_to(
+            shift if len(shift) == 1 else shift[first:last], (count, *shift.shape[1:])
+        )
+        if self.batch:
+            matrix = np.tile(constant, (count, 1))[..., None]
+            offset = offset.transpose(0, 2, 1).reshape(-1, shift.shape[1])
+        else:
+            matrix, offset = np.tile(constant, (count, 1)), offset.reshape(-1)
+        made = At(None, matrix, offset, self._own(first, last), first, last)
+        if len(shift) == 1 == len(self.own_noise):
+            self._constant_at[count] = made
+        return made
+
+    @cached_property
+    def _constant_at(self) -> dict[int, At]:
+        return {}
+
+    def _linearised(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
+        """The line of a function, where the lineariser makes one."""
+        try:
+            if self.hidden:
+                return self.prepared(function, mean, cov)
+            value = components_first(function(components_last(mean, 1)), 1)
+            return Line(np.zeros((len(value), 0, *mean.shape[1:])), value.copy("C"), None)
+        except Misfit as fault:
+            raise self._fault(function, mean, *fault.args) from None
+        except Exception as error:
+            told = isinstance(self.lineariser, ArrayLineariser) or getattr(error, "cpd", None)
+            if not isinstance(error, PgmError) or not told:
+                said = f"{type(error).__name__}: {error}"
+                raise self._fault(function, mean, "failed", said, ModelError) from error
+            error.cpd = error.cpd or self.cpd
+            error.variable = error.variable or self.cpd.child
+            if self.timed and error.step is None and isinstance(function.step, int):
+                error.step = function.step
+            raise
+
+    # --- many rows at once ------------------------------------------------------------------------
+
     def linearise(self, rows: Rows, mean: Array, cov: Array, active: Mask | None = None) -> None:
         """Linearise some rows at beliefs over the hidden parents, (runs, n) or (k, runs, n).
 
@@ -147,8 +404,21 @@ class Family:
         """
         if self.template is not None:
             function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
-            affine = self.call(function, mean, cov)
-            self.store(rows, affine.F, affine.b, affine.cov, active)
+            line = self.checked(function, mean, cov)
+            at = components_first(mean, 1)
+            parts = line.matrix, line.value - times(line.matrix, at), line.error
+            self.store(rows, *map(_last, parts, (2, 1, 2)), active)
+
+    def checked(
+        self, function: BoundFunction, mean: Array, cov: Array, *, finite: bool = True
+    ) -> Line:
+        """A line at beliefs (*batch, n) and (*batch, n, n), which has to be finite."""
+        with quiet():  # what is not finite is refused
+            at = components_first(mean, 1)
+            line = self._linearised(function, at, components_first(cov, 2))
+            if finite:
+                self.require_finite(function, at, line)
+        return line
 
     def store(
         self,
@@ -181,16 +451,11 @@ class Family:
             room[...] = self.noise
             self.noise, self.approximate = room, True
 
-    def forget_errors(self) -> None:
-        """Have no room for approximation errors any more."""
-        if self.approximate:
+    def settle(self) -> None:
+        """Give up the room for approximation errors where there are none."""
+        if self.approximate and not (self.noise != self.own_noise).any():
             self.noise = np.broadcast_to(self.own_noise, self.noise.shape)
             self.approximate = False
-
-    @property
-    def erroneous(self) -> bool:
-        """Whether there is any approximation error."""
-        return self.approximate and bool((self.noise != self.own_noise).any())
 
     @staticmethod
     def _put(kept: Array, rows: Rows | Integers, new: Array, active: Mask | None) -> None:
@@ -211,24 +476,11 @@ class Family:
                 step = int(steps[0])
             else:
                 step = np.broadcast_to(steps[:, None], shape)
-        known = tuple(
+        known = [
             self.inputs[parent][rows] if place is None else None
             for parent, place in zip(self.template.given, self.template.places, strict=True)
-        )
-        return self.function(known, lead, step)
-
-    def function(
-        self,
-        known: tuple[Array | None, ...],
-        lead: int,
-        step: int | Integers,
-        group: int | None = None,
-    ) -> BoundFunction:
-        """The CPD's function with evidence bound."""
-        assert self.template is not None
-        return BoundFunction(
-            self.template, known, lead, step, group, self.timed, self.first_run, self.cpd
-        )
+        ]
+        return BoundFunction(self.template, known, lead, step, source=self.source)
 
     def value(self, rows: Rows, mean: Array) -> Array:
         """F mean + b of some rows."""
@@ -244,36 +496,7 @@ class Family:
             value = self.value(slice(None), parents)
             self.offset += nearest_branch(value, child, angles) - value
 
-    def call(
-        self, function: BoundFunction, mean: Array, cov: Array, *, finite: bool = True
-    ) -> Affine:
-        """What the lineariser makes of the function at a belief, checked."""
-        found: Any
-        try:
-            with np.errstate(
-                invalid="ignore", over="ignore", divide="ignore"
-            ):  # non-finite values: see below
-                if not self.hidden:
-                    value = function(mean)
-                    found = Affine(np.empty((*value.shape, 0)), value, None)
-                elif isinstance(self.lineariser, ArrayLineariser):
-                    found = self.lineariser.affine(function, mean, cov)
-                else:
-                    found = self.lineariser(function, Gaussian._make(self.hidden, mean, cov))
-        except Exception as error:
-            told = isinstance(self.lineariser, ArrayLineariser) or getattr(error, "cpd", None)
-            if not isinstance(error, PgmError) or not told:
-                said = f": {type(error).__name__}: {error}"
-                raise self._fault(function, mean, "failed", said, ModelError) from error
-            error.cpd = error.cpd or self.cpd
-            error.variable = error.variable or self.cpd.child
-            if self.timed and error.step is None and isinstance(function.step, int):
-                error.step = function.step
-            raise
-        affine = found if isinstance(found, Affine) else self._arrays(found, function, mean)
-        if finite and not np.isfinite(_total(affine)):
-            self._refuse_non_finite(function, mean, affine)
-        return affine
+    # --- refusals ---------------------------------------------------------------------------------
 
     def _fault(
         self,
@@ -286,48 +509,43 @@ class Family:
         """The error of a lineariser, whose one call may be for many runs."""
         step = function.step if self.timed and isinstance(function.step, int) else None
         first = self.first_run
-        last = first + (mean.shape[-2] if mean.ndim > 1 else 1) - 1
+        last = first + (mean.shape[-1] if mean.ndim > 1 else 1) - 1
         at = "" if step is None else f" at step {step}"
         runs = f", run {first}" if first == last else f", in a call for runs {first} to {last}"
+        separator = ": " if kind is ModelError else "; "
         return kind(
-            f"the lineariser {self.lineariser!r} {fault} for {self.cpd!r}{at}{runs}{more}",
+            f"the lineariser {self.lineariser!r} {fault} for {self.cpd!r}{at}{runs}{separator}{more}",
             variable=self.cpd.child,
             cpd=self.cpd,
             step=step,
             run=first if first == last else None,
         )
 
-    def _arrays(self, affine: Any, function: BoundFunction, mean: Array) -> Affine:
-        """What a lineariser that works on Gaussians has returned, its shapes checked."""
-        if not isinstance(affine, AffineGaussian):
-            more = "; it must return a pgm.AffineGaussian"
-            raise self._fault(function, mean, f"returned {type(affine).__name__}", more)
-        due = (function.angles.size, self.matrix.shape[-1])
-        if affine.F.shape[-2:] != due:
-            found, more = f"returned an F of shape {affine.F.shape}", f"; it must end in {due}"
-            raise self._fault(function, mean, found, more)
-        lead = np.broadcast_shapes(affine.F.shape[:-2], affine.b.shape[:-1], affine.cov.shape[:-2])
-        if lead and lead != mean.shape[:-1]:
-            more = f"; those of the belief are {mean.shape[:-1]}"
-            raise self._fault(function, mean, f"returned the leading axes {lead}", more)
-        return Affine(affine.F, affine.b, affine.cov)
-
-    def _refuse_non_finite(self, function: BoundFunction, mean: Array, affine: Affine) -> None:
-        shape = mean.shape[:-1]
-        bad = np.broadcast_to(~np.isfinite(affine.b).all(axis=-1), shape)
-        bad = bad | ~np.isfinite(affine.F).all(axis=(-2, -1))
-        if affine.cov is not None:
-            bad = bad | ~np.isfinite(affine.cov).all(axis=(-2, -1))
-        where = tuple(int(axis[0]) for axis in np.nonzero(bad))
+    def require_finite(self, function: BoundFunction, mean: Array, line: Line) -> None:
+        """Refuse a line at a mean (n, *batch) that has values of NaN or infinity."""
+        total = line.matrix.sum() + line.value.sum()
+        if line.error is not None:
+            total = total + line.error.sum()
+        if np.isfinite(total):
+            return
+        parts = [
+            np.abs(part).sum(axis=tuple(range(part.ndim - len(mean.shape[1:]))))
+            for part in line
+            if part is not None
+        ]
+        bad = np.broadcast_to(~np.isfinite(sum(parts)), mean.shape[1:])
+        if not bad.any():
+            return
+        where = tuple(int(axis[0]) for axis in np.nonzero(bad)) if bad.ndim else ()
         step = None
         if self.timed and function.step is not None:
-            step = int(np.broadcast_to(function.step, shape)[where])
+            step = int(np.broadcast_to(function.step, bad.shape)[where])
         at = "" if step is None else f" at step {step}"
-        run = self.first_run + where[-1]
+        run = self.first_run + (where[-1] if where else 0)
         raise LinearisationError(
             f"{self.cpd!r}: its linearisation{at}, run {run}, has values that are NaN or "
-            f"infinite, at {names(self.hidden)} = {mean[where]}; is the function defined there, "
-            "and its Jacobian?",
+            f"infinite, at {names(self.hidden)} = {mean[(slice(None), *where)]}; is the function "
+            "defined there, and its Jacobian?",
             variable=self.cpd.child,
             cpd=self.cpd,
             step=step,
@@ -341,23 +559,21 @@ class Family:
         axes = (2, 3)
         parts = [means.get(v.template, np.zeros(v.dimension)) for v in self.hidden]
         x = np.broadcast_to(np.concatenate([np.zeros(0), *parts]), (*axes, dimension(self.hidden)))
-        known = tuple(
+        known = [
             np.broadcast_to(self.inputs[parent][0, 0], (*axes, parent.dimension))
             if place is None
             else None
             for parent, place in zip(self.template.given, self.template.places, strict=True)
-        )
-        function = BoundFunction(self.template, known, 2, first_run=None, cpd=self.cpd)
+        ]
+        function = BoundFunction(self.template, known, 2, source=Source(self.cpd, True, None))
         with np.errstate(all="ignore"):
             function(x)
             if len(self.template.numerical) < self.template.size:
                 function.jacobian(x)
 
 
-def _total(affine: Affine) -> float:
-    """The sum of all entries, which is finite only if each of them is."""
-    total = affine.F.sum() + affine.b.sum()
-    return float(total if affine.cov is None else total + affine.cov.sum())
+def _last(part: Array | None, own: int) -> Array | None:
+    return None if part is None else components_last(part, own)
 
 
 def _own_noise(

@@ -44,6 +44,46 @@ def _last_to(memory: Array, place: int) -> Array:
     return memory.transpose(*range(place), last, *range(place, last))
 
 
+def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
+    """An array (own axes, *batch) with its own axes last, as users see it."""
+    axes = array.ndim
+    if axes == own:
+        return array
+    return array.transpose(*range(own, axes), *range(own))
+
+
+def components_first(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
+    """An array (*batch, own axes) with its own axes first, as kernels of batches take it."""
+    axes = array.ndim
+    if axes == own:
+        return array
+    return array.transpose(*range(axes - own, axes), *range(axes - own))
+
+
+def times(matrix: Array, vector: Array) -> Array:
+    """Matrix times vector, components first: (d, n, *batch) and (n, *batch) give (d, *batch)."""
+    if matrix.ndim == 2:
+        return matrix.dot(vector)
+    product: Array = np.einsum("ij...,j...->i...", matrix, vector)
+    return product
+
+
+def within(cov: Array, places: Index) -> Array:
+    """The block of some components, of covariances (n, n, *batch)."""
+    return cov[places][:, places]
+
+
+def block_diagonal(blocks: Array) -> Array:
+    """Blocks (k, d, d, *batch) along the diagonal of one matrix, (k d, k d, *batch)."""
+    count, size, _, *batch = blocks.shape
+    if count == 1:
+        return blocks[0]
+    each = np.arange(count)
+    joint = np.zeros((count, size, count, size, *batch))
+    joint[each, :, each] = blocks
+    return joint.reshape(count * size, count * size, *batch)
+
+
 def transpose(matrix: Array) -> Array:
     """Swap the last two axes."""
     return matrix.swapaxes(-1, -2)

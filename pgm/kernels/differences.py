@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
-from pgm.kernels.angles import difference
+from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import Array, Mask
 
 
@@ -22,14 +23,21 @@ def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: M
     Steps are max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|) a component; differences of values that are angles
     are wrapped. The std may be zero.
     """
-    size = x.shape[-1]
-    step = steps(x, std)
-    step = (x + step) - x  # the step that is taken in floating point
-    offsets = np.eye(size)[:, None, :] * np.array([1.0, -1.0, 2.0, -2.0])[:, None]
-    points = x[..., None, None, :] + offsets * step[..., None, None, :]
-    values = function(points.reshape(*x.shape[:-1], 4 * size, size))
-    values = values.reshape(*x.shape[:-1], size, 4, -1)
-    near = difference(values[..., 0, :], values[..., 1, :], angles)
-    far = difference(values[..., 2, :], values[..., 3, :], angles)
+    lead, size = x.shape[:-1], x.shape[-1]
+    step = (x + steps(x, std)) - x  # the step that is taken in floating point
+    values = function(x[..., None, :] + _stencil(size) * step[..., None, :])
+    each = values.reshape(*lead, size, 4, -1)
+    near, far = each[..., 0, :] - each[..., 1, :], each[..., 2, :] - each[..., 3, :]
+    for k in np.flatnonzero(angles):
+        near[..., k], far[..., k] = wrap(near[..., k]), wrap(far[..., k])
     slopes: Array = (8.0 * near - far) / (12.0 * step[..., None])
     return slopes.swapaxes(-1, -2)
+
+
+@lru_cache(maxsize=64)
+def _stencil(size: int) -> Array:
+    """The steps of each component, as parts of its own, (4n, n)."""
+    offsets = np.eye(size)[:, None, :] * np.array([1.0, -1.0, 2.0, -2.0])[:, None]
+    stencil: Array = offsets.reshape(4 * size, size)
+    stencil.flags.writeable = False
+    return stencil

@@ -45,7 +45,7 @@ def regress(
     return slope, value_mean - apply(slope, s_mean), noise
 
 
-class Line(NamedTuple):
+class Fit(NamedTuple):
     """The regression on points that do not change: linear in the values, but for a square.
 
     Attributes
@@ -61,7 +61,7 @@ class Line(NamedTuple):
     signed: Array
 
 
-def line(s: Array, mean_weights: Array, cov_weights: Array) -> Line:
+def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
     """The `regress` of points s (N, n) of which every component is used."""
     count, size = s.shape
     s_mean = mean_weights @ s
@@ -75,16 +75,7 @@ def line(s: Array, mean_weights: Array, cov_weights: Array) -> Line:
     largest = np.argsort(np.abs(values))[size + 1 :]
     root = (np.sqrt(np.abs(values)) * vectors)[:, largest].T
     moments = np.vstack([mean_weights - s_mean @ slope, slope])
-    return Line(moments, root, np.sign(values[largest])[:, None] * root)
-
-
-def regress_along_runs(fit: Line, values: Array) -> tuple[Array, Array, Array]:
-    """What `regress` returns, of values (runs, N, d) that are laid out by runs."""
-    along = values.transpose(2, 1, 0)
-    moments = fit.moments @ along
-    left, signed = fit.left @ along, fit.signed @ along
-    noise = np.einsum("ikr,jkr->rij", signed, left)
-    return moments[:, 1:].transpose(2, 0, 1), transpose(moments[:, 0]), noise
+    return Fit(moments, root, np.sign(values[largest])[:, None] * root)
 
 
 def range_inverse(lower: Array, std: Array) -> tuple[Array, Array]:

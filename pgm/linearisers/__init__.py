@@ -1,12 +1,7 @@
 """Linearisers: what turns a nonlinear CPD into an affine Gaussian one at a belief."""
 
-from pgm.linearisers.function import (
-    Affine,
-    ArrayLineariser,
-    BoundFunction,
-    FunctionTemplate,
-    Lineariser,
-)
+from pgm.linearisers.function import BoundFunction, FunctionTemplate
+from pgm.linearisers.lineariser import ArrayLineariser, Line, Lineariser, Prepared
 from pgm.linearisers.regression import Points, StatisticalRegression
 from pgm.linearisers.rules import Cubature, GaussHermite, Unscented
 from pgm.linearisers.sampled import MonteCarlo, QuasiMonteCarlo
@@ -14,15 +9,16 @@ from pgm.linearisers.taylor import TAYLOR, Taylor
 
 __all__ = [
     "TAYLOR",
-    "Affine",
     "ArrayLineariser",
     "BoundFunction",
     "Cubature",
     "FunctionTemplate",
     "GaussHermite",
+    "Line",
     "Lineariser",
     "MonteCarlo",
     "Points",
+    "Prepared",
     "QuasiMonteCarlo",
     "StatisticalRegression",
     "Taylor",

@@ -55,12 +55,26 @@ class Call:
         try:
             value = function(*arguments)
         except Exception as error:
-            said = f"{type(error).__name__}: {error}"
-            axes = f" on a trial call with arrays of leading axes {self.lead}"
-            fault = f"failed{axes if self.first_run is None else ''}: {said}"
-            raise self.error(fault, self._first(function, arguments)) from error
-        if type(value) is np.ndarray and value.dtype == np.float64 and value.shape == due:
-            return value
+            raise self.failure(function, arguments, error) from error
+        return self.array(function, arguments, value, due)
+
+    def failure(
+        self, function: Callable[..., Any], arguments: Sequence[Array], error: Exception
+    ) -> PgmError:
+        """The error of a call that has raised another one."""
+        axes = f" on a trial call with arrays of leading axes {self.lead}"
+        when = axes if self.first_run is None else ""
+        fault = f"failed{when}: {type(error).__name__}: {error}"
+        return self.error(fault, self._first(function, arguments))
+
+    def array(
+        self,
+        function: Callable[..., Any],
+        arguments: Sequence[Array],
+        value: Any,
+        due: tuple[int, ...],
+    ) -> Array:
+        """A value that a call has returned, as an array of the shape that is due."""
         try:
             array = as_floats(value, "it", verb="return")
         except ModelError as error:

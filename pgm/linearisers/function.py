@@ -2,65 +2,25 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
 from pgm.kernels import differences
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Index, Integers, Mask, laid_out_as
+from pgm.kernels.arrays import Array, Index, Integers, Mask
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
 Function = Callable[..., Any]
 
-
-class Lineariser(Protocol):
-    """Anything that makes an affine Gaussian of a function at a belief: a bare function will do."""
-
-    def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
-        """The affine Gaussian; its covariance is the approximation error alone."""
-        ...
-
-
-class Affine(NamedTuple):
-    """What a lineariser makes of a function, as arrays: y = F x + b + n, n ~ N(0, cov).
-
-    Attributes
-    ----------
-    F, b : ndarray
-        (..., d, n) and (..., d).
-    cov : ndarray or None
-        (..., d, d): the approximation error; None where there is none.
-    """
-
-    F: Array
-    b: Array
-    cov: Array | None
-
-
-class ArrayLineariser(ABC):
-    """A lineariser that works on arrays, so that engines need make no objects to call it."""
-
-    @abstractmethod
-    def affine(self, function: BoundFunction, mean: Array, cov: Array) -> Affine:
-        """Linearise a function at beliefs (..., n) and (..., n, n)."""
-
-    def is_semidefinite(self, dimension: int) -> bool:
-        """Whether the error's covariance cannot be indefinite, at beliefs of so many components."""
-        return False
-
-    def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
-        """Linearise a function at a belief."""
-        matrix, offset, cov = self.affine(function, at.mean, at.cov)
-        size = offset.shape[-1]
-        return AffineGaussian(matrix, offset, np.zeros((size, size)) if cov is None else cov)
+_FLOAT = np.dtype(np.float64)
+# Up to so many numbers are copied in less time than it takes to broadcast them.
+_FEW = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,18 +71,71 @@ class FunctionTemplate:
         )
 
     @cached_property
+    def cuts(self) -> tuple[Index | None, ...]:
+        """The same, None for a parent that is all there is too, which need not be cut out."""
+        everything = slice(0, self.size)
+        return tuple(None if place == everything else place for place in self.places)
+
+    @cached_property
+    def derivatives(self) -> tuple[tuple[str, int, Index, Function | None], ...]:
+        """Of each hidden parent: a name for messages, size, place, and the derivative if given."""
+        every = zip(self.given, self.places, self.jacobians, strict=True)
+        return tuple(
+            (f"jacobian by {parent!r}", parent.dimension, place, by)
+            for parent, place, by in every
+            if place is not None
+        )
+
+    @cached_property
+    def height(self) -> int:
+        """Number of components of the child."""
+        return self.child.dimension
+
+    @cached_property
+    def turning(self) -> list[int]:
+        """The places of those that are angles."""
+        return [int(k) for k in np.flatnonzero(self.angles)]
+
+    @cached_property
     def numerical(self) -> tuple[int, ...]:
         """The stacked components whose derivative has to be taken by differences."""
         return tuple(
             int(k)
-            for place, jacobian in zip(self.places, self.jacobians, strict=True)
-            if place is not None and jacobian is None
+            for _, _, place, jacobian in self.derivatives
+            if jacobian is None
             for k in np.arange(self.size)[place]
         )
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class BoundFunction:
+class Source(NamedTuple):
+    """Whose function it is, for messages.
+
+    Attributes
+    ----------
+    cpd : CPD
+        For programs that handle an error.
+    timed : bool
+        Whether the step is one in time.
+    first_run : int or None
+        The number of the first run; None in a trial call.
+    """
+
+    cpd: Any = None
+    timed: bool = True
+    first_run: int | None = 0
+
+
+class _Bound(NamedTuple):
+    template: FunctionTemplate
+    inputs: Sequence[Array | None]
+    lead: int
+    step: int | Integers | None = None
+    group: int | None = None
+    joint: bool = False
+    source: Source = Source()
+
+
+class BoundFunction(_Bound):
     """A CPD's function of its hidden parents alone, the evidence bound.
 
     Calling it maps (..., n) to (..., d); the leading axes are those of the belief at hand,
@@ -131,30 +144,21 @@ class BoundFunction:
     Parameters
     ----------
     template : FunctionTemplate
-    inputs : tuple of ndarray or None
+    inputs : sequence of ndarray or None
         Values of the parents with evidence, (*lead, d) each, None for the hidden ones.
     lead : int
         Number of leading axes of the belief.
     step : int, ndarray of int or None
         The step, or an array over the leading axes where one call covers many.
     group : int, optional
-        How many readings one value stacks; their axis is then the last but one of the inputs.
-    timed : bool
-        Whether the step is one in time, for messages.
-    first_run : int or None
-        The number of the first run in messages; None in a trial call.
-    cpd : CPD, optional
-        For programs that handle an error.
+        How many sightings one value stacks; their axis is then the last but one of the inputs.
+    joint : bool
+        Whether these are linearised as one vector, with the covariances between their errors.
+    source : Source
+        For messages.
     """
 
-    template: FunctionTemplate
-    inputs: tuple[Array | None, ...]
-    lead: int
-    step: int | Integers | None = None
-    group: int | None = None
-    timed: bool = True
-    first_run: int | None = 0
-    cpd: Any = None
+    __slots__ = ()
 
     @property
     def name(self) -> str:
@@ -166,6 +170,15 @@ class BoundFunction:
         """Which components of the value are angles, (d,)."""
         angles = self.template.angles
         return angles if self.group is None else np.tile(angles, self.group)
+
+    @property
+    def turning(self) -> list[int]:
+        """The places of these."""
+        template, group = self.template, self.group
+        if group is None or not template.turning:
+            return template.turning
+        height = template.height
+        return [k * height + angle for k in range(group) for angle in template.turning]
 
     @property
     def input_angles(self) -> Mask:
@@ -184,13 +197,7 @@ class BoundFunction:
     def __call__(self, x: Array) -> Array:
         """The value, (..., d), at stacked hidden parents x, (..., n)."""
         arguments, shape = self._arguments(x)
-        template = self.template
-        value = self._call("function", x)(
-            template.function, arguments, (*shape, template.child.dimension)
-        )
-        if self.group is not None:
-            return value.reshape(*x.shape[:-1], -1)
-        return laid_out_as(x, value, 1)
+        return self._value(x, arguments, shape)
 
     def jacobian(self, x: Array, std: Array | None = None) -> Array:
         """The derivative, (..., d, n), as the user gave it, else by central differences.
@@ -202,50 +209,83 @@ class BoundFunction:
         std : ndarray, optional
             Standard deviations, (..., n), which set the steps of the differences.
         """
+        return self._jacobian(x, std, *self._arguments(x))
+
+    def tangent(self, x: Array, std: Array | None = None) -> tuple[Array, Array]:
+        """The value and the derivative."""
+        arguments, shape = self._arguments(x)
+        return self._value(x, arguments, shape), self._jacobian(x, std, arguments, shape)
+
+    def apart(self) -> BoundFunction:
+        """The function of each sighting by itself: they are the first leading axis."""
+        inputs = [None if v is None else np.moveaxis(v, self.lead, 0) for v in self.inputs]
+        return self._replace(inputs=inputs, lead=self.lead + 1, group=None)
+
+    def _value(self, x: Array, arguments: list[Array], shape: tuple[int, ...]) -> Array:
+        template = self.template
+        due = (*shape, template.height)
+        value = self._call("function", template.function, x, arguments, due)
+        return value if self.group is None else value.reshape(*x.shape[:-1], -1)
+
+    def _jacobian(
+        self, x: Array, std: Array | None, arguments: list[Array], shape: tuple[int, ...]
+    ) -> Array:
         template = self.template
         if template.numerical:
             spread = np.zeros_like(x) if std is None else std
             numerical = differences.jacobian(self, x, spread, self.angles)
             if len(template.numerical) == template.size:
                 return numerical
-        arguments, shape = self._arguments(x)
-        height = template.child.dimension
         parts = []
-        for parent, place, derivative in zip(
-            template.given, template.places, template.jacobians, strict=True
-        ):
-            if place is None:
-                continue
+        for role, width, place, derivative in template.derivatives:
             if derivative is None:
                 parts.append(numerical[..., place])
                 continue
-            part = self._call(f"jacobian by {parent!r}", x)(
-                derivative, arguments, (*shape, height, parent.dimension)
-            )
+            due = (*shape, template.height, width)
+            part = self._call(role, derivative, x, arguments, due)
             if self.group is not None:
-                part = part.reshape(*x.shape[:-1], -1, parent.dimension)
+                part = part.reshape(*x.shape[:-1], -1, width)
             parts.append(part)
-        whole = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
-        return laid_out_as(x, whole, 2)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
     def _arguments(self, x: Array) -> tuple[list[Array], tuple[int, ...]]:
-        extra = (1,) * (x.ndim - 1 - self.lead)
-        shape = x.shape[:-1]
+        lead, shape = self.lead, x.shape[:-1]
+        extra = shape[lead:]
         if self.group is not None:
             x, shape = x[..., None, :], (*shape, self.group)
         arguments = []
-        for place, value in zip(self.template.places, self.inputs, strict=True):
-            if place is not None:
-                argument = x[..., place]
-            elif value is not None:
-                at = self.lead
-                argument = value.reshape(*value.shape[:at], *extra, *value.shape[at:])
+        for place, value in zip(self.template.cuts, self.inputs, strict=True):
+            if value is None:
+                argument = x if place is None else x[..., place]
+            else:
+                argument = value if not extra else _expanded(value, lead, extra)
             if argument.shape[:-1] != shape:
                 argument = np.broadcast_to(argument, (*shape, argument.shape[-1]))
             arguments.append(argument)
         return arguments, shape
 
-    def _call(self, what: str, x: Array) -> Call:
-        step = self.step if self.timed else None
+    def _call(
+        self, role: str, function: Function, x: Array, arguments: list[Array], due: tuple[int, ...]
+    ) -> Array:
+        try:
+            value = function(*arguments)
+        except Exception as error:
+            raise self._told(role, x).failure(function, arguments, error) from error
+        if type(value) is np.ndarray and value.dtype is _FLOAT and value.shape == due:
+            return value
+        return self._told(role, x).array(function, arguments, value, due)
+
+    def _told(self, role: str, x: Array) -> Call:
+        source = self.source
+        step = self.step if source.timed else None
         lead = x.shape[: self.lead]
-        return Call(self.template.child, what, lead, step, self.first_run, self.cpd)
+        return Call(self.template.child, role, lead, step, source.first_run, source.cpd)
+
+
+def _expanded(value: Array, lead: int, extra: tuple[int, ...]) -> Array:
+    """Values (*lead, ..., d), for each point of further axes."""
+    shape = value.shape
+    wide = value.reshape(*shape[:lead], *(1 for _ in extra), *shape[lead:])
+    if len(extra) == 1 and value.size * extra[0] <= _FEW:
+        return wide.repeat(extra[0], lead)
+    return np.broadcast_to(wide, (*shape[:lead], *extra, *shape[lead:]))

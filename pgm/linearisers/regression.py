@@ -5,23 +5,26 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
 from pgm.errors import LinearisationError, NumericalError
-from pgm.kernels import roots
+from pgm.kernels import gaussian, regression, roots
+from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import (
     Array,
     Integers,
-    apply,
-    by_runs,
+    components_first,
+    components_last,
     deviation,
+    times,
     times_transposed,
     transpose,
 )
-from pgm.kernels.regression import Line, line, range_inverse, regress, regress_along_runs
-from pgm.linearisers.function import Affine, ArrayLineariser, BoundFunction
+from pgm.kernels.regression import Fit, range_inverse, regress
+from pgm.linearisers.function import BoundFunction, FunctionTemplate
+from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared, apart
 from pgm.sizes import require_memory
 
 # An error of a larger share of a value's square is none of rounding.
@@ -51,9 +54,14 @@ class Points(_Points):
     """
 
     @cached_property
-    def line(self) -> Line:
+    def fit(self) -> Fit:
         """The regression on the points, where all beliefs share them."""
-        return line(self.points, self.mean_weights, self.cov_weights)
+        return regression.fit(self.points, self.mean_weights, self.cov_weights)
+
+    @cached_property
+    def with_centre(self) -> Array:
+        """The points after the origin, with whose value those of angles are compared."""
+        return np.concatenate([np.zeros((1, self.points.shape[1])), self.points])
 
     @cached_property
     def rounding(self) -> float:
@@ -113,99 +121,171 @@ class StatisticalRegression(ArrayLineariser):
         """Whether the mean and covariance of x are the belief's, rather than the points' own."""
         return False
 
-    def affine(self, function: BoundFunction, mean: Array, cov: Array) -> Affine:
-        """Linearise a function at beliefs (..., n) and (..., n, n)."""
-        lower = roots.root(cov)
-        if not roots.is_proper(lower):
-            when = f" at step {function.step}" if isinstance(function.step, int) else ""
-            fault = "an indefinite covariance; use a rule with positive weights or more samples"
-            if not np.isfinite(cov).all():
-                fault = "a covariance beyond the range of float64; give the model other units"
-            raise NumericalError(
-                f"the belief at which the CPD of {function.name} is linearised{when} has {fault}"
-            )
-        step = function.step
-        if self.fresh_per_run:
-            step = np.broadcast_to(0 if step is None else step, mean.shape[:-1])
-        points = self.points(mean.shape[-1], function.name, step)
-        s, mean_weights, cov_weights, centred = points
-        if s.shape[-2] > FEW:
-            require_memory(
-                mean.size * s.shape[-2],
-                f"{s.shape[-2]} points of {self!r} for the CPD of {function.name} at each of "
-                f"{mean.size // mean.shape[-1]} beliefs",
-                "use a rule with fewer points, or give fewer runs to a call",
-                error=LinearisationError,
-            )
-        offset, value = self._values(function, mean, cov, times_transposed(s, lower), centred)
-        if self._along_runs(s, offset, lower):
-            slope, centre, noise = regress_along_runs(points.line, offset)
-        else:
-            slope, centre, noise = regress(
-                s, offset, mean_weights, cov_weights, lower, known=self.prior_moments
-            )
-        matrix = _divide(slope, lower, function, mean, cov)
-        if not self.prior_moments:
-            # Of values that lie on their line the slope and one of them tell the size.
-            variance = np.einsum("...ii->...i", noise)
-            square = value * value + np.einsum("...ij,...ij->...i", slope, slope)
-            if not (variance > _PLAIN * square).all():
-                size = np.abs(value) + np.abs(offset).max(axis=-2, initial=0.0)
-                noise = _without_rounding(noise, size, matrix, mean, points.rounding)
-        return Affine(matrix, value + centre - apply(matrix, mean), noise)
+    def prepare(self, template: FunctionTemplate) -> Prepared:
+        """The rule for functions of a template."""
+        return _Regression(self, template)
 
     def is_semidefinite(self, dimension: int) -> bool:
         """Whether what a line leaves is weighted by no negative number."""
         weights = self.points(dimension, "", 0).cov_weights
         return not self.prior_moments and bool((weights >= 0.0).all())
 
-    def _along_runs(self, s: Array, values: Array, lower: Array) -> bool:
-        """Whether few points, shared by many runs, are used in every component."""
-        return (
-            s.ndim == 2
-            and len(s) <= FEW
-            and values.ndim == 3
-            and by_runs(values)
-            and not self.prior_moments
-            and not roots.determined(lower).any()
+
+class _Regression:
+    """A rule, ready for the functions of a template."""
+
+    def __init__(self, rule: StatisticalRegression, template: FunctionTemplate) -> None:
+        self.rule, self.size, self.name = rule, template.size, template.child.name
+
+    def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
+        """Linearise at beliefs (n, *batch) and (n, n, *batch)."""
+        rule, step = self.rule, function.step
+        if rule.fresh_per_run:
+            if function.group is not None and not function.joint:
+                return apart(self, function, mean, cov)
+            step = np.broadcast_to(0 if step is None else step, mean.shape[1:])
+        points = rule.points(self.size, self.name, step)
+        s = points.points
+        shared = s.ndim == 2 and len(s) <= FEW and not rule.prior_moments
+        lower = gaussian.root(cov) if shared else None
+        if lower is None:
+            line = self._generally(function, mean, cov, points)
+        else:
+            line = _fitted(function, mean, cov, points, lower)
+        if function.group is None or function.joint:
+            return line
+        return line._replace(error=_within(line.error, function.group))
+
+    def _generally(self, function: BoundFunction, mean: Array, cov: Array, points: Points) -> Line:
+        """With any points, at any covariance."""
+        rule, s = self.rule, points.points
+        at, spread = components_last(mean, 1), components_last(cov, 2)
+        lower = roots.root(spread)
+        if not roots.is_proper(lower):
+            _refuse(function, cov)
+        if s.shape[-2] > FEW:
+            require_memory(
+                at.size * s.shape[-2],
+                f"{s.shape[-2]} points of {rule!r} for the CPD of {function.name} at each of "
+                f"{at.size // at.shape[-1]} beliefs",
+                "use a rule with fewer points, or give fewer runs to a call",
+                error=LinearisationError,
+            )
+        offsets = times_transposed(s, lower)
+        x = at[..., None, :] + offsets
+        extra = bool(function.turning) and not points.centred
+        values = function(np.concatenate([at[..., None, :], x], axis=-2) if extra else x)
+        reference = values[..., 0, :]
+        raw = values[..., int(extra) :, :] - reference[..., None, :]
+        if any(np.abs(raw[..., k]).max() > np.pi for k in function.turning):
+            slopes = function.jacobian(at, deviation(spread))
+            for k in function.turning:
+                line = (offsets @ slopes[..., k, :, None])[..., 0]
+                raw[..., k] = _about(raw[..., k], line, axis=-1)
+        slope, centre, noise = regress(
+            s, raw, points.mean_weights, points.cov_weights, lower, known=rule.prior_moments
         )
-
-    @staticmethod
-    def _values(
-        function: BoundFunction, mean: Array, cov: Array, offsets: Array, centred: bool
-    ) -> tuple[Array, Array]:
-        """Offsets of the values from a reference, (..., N, d), angles wrapped; the reference."""
-        points = mean[..., None, :] + offsets
-        angles = function.angles
-        extra = angles.any() and not centred
-        if extra:
-            points = np.concatenate([mean[..., None, :], points], axis=-2)
-        values = function(points)
-        reference = values[..., :1, :]
-        if extra:
-            values = values[..., 1:, :]
-        raw = values - reference
-        turning = np.flatnonzero(angles)
-        if any(np.abs(raw[..., k]).max() > np.pi for k in turning):
-            wide = np.asarray((np.abs(raw[..., turning]) > np.pi).any(axis=(-2, -1)))
-            # An angle that turns far with the state, as a heading does, is wrapped about its line.
-            line = offsets @ transpose(function.jacobian(mean, deviation(cov)))
-            line = np.where(wide[..., None, None], line, 0.0)
-            raw = function.residual(raw, line) + line
-        return raw, reference[..., 0, :]
+        matrix = components_first(_divide(slope, lower, function, at, spread), 2)
+        value, noise = components_first(reference + centre, 1), components_first(noise, 2)
+        if not rule.prior_moments:
+            size = components_first(np.abs(raw).max(axis=-2, initial=0.0), 1)
+            known = components_first(slope, 2), components_first(reference, 1)
+            noise = _without_rounding(noise, *known, size, matrix, mean, points.rounding)
+        return Line(matrix, value, noise)
 
 
-def _without_rounding(noise: Array, size: Array, matrix: Array, mean: Array, share: float) -> Array:
+def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array) -> Line:
+    """With few points, shared by all beliefs, of regular covariances: the regression is at hand."""
+    batch = mean.shape[1:]
+    if len(batch) > 1:
+        mean, lower = mean.reshape(len(mean), -1), lower.reshape(*lower.shape[:2], -1)
+    extra = int(bool(function.turning) and not points.centred)
+    called = points.with_centre if extra else points.points
+    offsets = np.matmul(called, lower) if batch else lower.dot(called.T)
+    values = _values(function, offsets + mean[:, None], batch)
+    reference = values[:, 0]
+    raw = values[:, extra:] - reference[:, None]
+    if any(np.abs(raw[k]).max() > np.pi for k in function.turning):
+        at = components_last(mean.reshape(-1, *batch), 1)
+        slopes = function.jacobian(at, components_last(gaussian.deviations(cov), 1))
+        slopes = components_first(slopes, 2).reshape(-1, *mean.shape)
+        for k in function.turning:
+            line = np.einsum("i...,iN...->N...", slopes[k], offsets[:, extra:])
+            raw[k] = _about(raw[k], line, axis=0)
+    fit = points.fit
+    if batch:
+        both, left, signed = fit.moments @ raw, fit.left @ raw, fit.signed @ raw
+        noise = np.einsum("ikr,jkr->ijr", signed, left)
+    else:
+        both = raw.dot(fit.moments.T)
+        noise = raw.dot(fit.signed.T).dot(fit.left.dot(raw.T))
+    slope, value = both[:, 1:], reference + both[:, 0]
+    matrix = gaussian.divide(slope, lower)
+    size = np.abs(raw).max(axis=1)
+    noise = _without_rounding(noise, slope, reference, size, matrix, mean, points.rounding)
+    if len(batch) < 2:
+        return Line(matrix, value, noise)
+    return Line(*(part.reshape(*part.shape[:-1], *batch) for part in (matrix, value, noise)))
+
+
+def _values(function: BoundFunction, x: Array, batch: tuple[int, ...]) -> Array:
+    """The values (d, N, batch as one axis) at points (n, N, batch as one axis)."""
+    if len(batch) < 2:
+        return function(x.T).T
+    points = x.reshape(*x.shape[:2], *batch)
+    values = function(points.transpose(*range(2, points.ndim), 1, 0))
+    last = values.ndim - 1
+    return values.transpose(last, last - 1, *range(last - 1)).reshape(-1, *x.shape[1:])
+
+
+def _about(raw: Array, line: Array, axis: int) -> Array:
+    """Offsets of an angle of which some exceed half a turn, wrapped about their line."""
+    wide = (np.abs(raw) > np.pi).any(axis=axis, keepdims=True)
+    return np.where(wide, wrap(raw - line) + line, raw)
+
+
+def _within(error: Array | None, count: int) -> Array | None:
+    """The covariance of the errors of several sightings, each independent of the others."""
+    if error is None:
+        return None
+    height = len(error) // count
+    mask = np.kron(np.eye(count), np.ones((height, height)))
+    return error * mask.reshape(*mask.shape, *(1 for _ in error.shape[2:]))
+
+
+def _refuse(function: BoundFunction, cov: Array) -> NoReturn:
+    when = f" at step {function.step}" if isinstance(function.step, int) else ""
+    fault = "an indefinite covariance; use a rule with positive weights or more samples"
+    if not np.isfinite(cov).all():
+        fault = "a covariance beyond the range of float64; give the model other units"
+    raise NumericalError(
+        f"the belief at which the CPD of {function.name} is linearised{when} has {fault}"
+    )
+
+
+def _without_rounding(
+    noise: Array,
+    slope: Array,
+    reference: Array,
+    size: Array,
+    matrix: Array,
+    mean: Array,
+    share: float,
+) -> Array:
     """The error of a line, zero in components in which it may be rounding of the values.
 
-    A value of a size has summands of |F| |μ| besides, of which it may be the difference.
+    Of values that lie on their line the slope and one of them tell the size. A value has summands
+    of |F| |μ| besides, of which it may be the difference.
     """
-    variance = np.abs(np.diagonal(noise, axis1=-2, axis2=-1))  # weights may be negative
-    summands = size + apply(np.abs(matrix), np.abs(mean))
-    real = variance > (share * summands) ** 2
+    variance = np.einsum("ii...->i...", noise)
+    square = reference * reference + np.einsum("ij...,ij...->i...", slope, slope)
+    if (variance > _PLAIN * square).all():
+        return noise
+    summands = np.abs(reference) + size + times(np.abs(matrix), np.abs(mean))
+    real = np.abs(variance) > (share * summands) ** 2  # weights may be negative
     if real.all():
         return noise
-    return np.where(real[..., :, None] & real[..., None, :], noise, 0.0)
+    return np.where(real[:, None] & real[None], noise, 0.0)
 
 
 def _divide(slope: Array, lower: Array, function: BoundFunction, mean: Array, cov: Array) -> Array:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pgm.kernels.arrays import Array, apply, deviation
-from pgm.linearisers.function import Affine, ArrayLineariser, BoundFunction
+from pgm.kernels.arrays import Array, components_first, components_last
+from pgm.kernels.gaussian import deviations
+from pgm.linearisers.function import BoundFunction, FunctionTemplate
+from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared
 
 
 @dataclass(frozen=True)
@@ -17,11 +19,22 @@ class Taylor(ArrayLineariser):
     iterated smoothing is Gauss–Newton on the posterior.
     """
 
-    def affine(self, function: BoundFunction, mean: Array, cov: Array) -> Affine:
-        """Linearise a function at beliefs (..., n) and (..., n, n)."""
-        value = function(mean)
-        slope = function.jacobian(mean, None if function.analytic else deviation(cov))
-        return Affine(slope, value - apply(slope, mean), None)
+    def prepare(self, template: FunctionTemplate) -> Prepared:
+        """Nothing is to be made ready."""
+        return _tangent
+
+    @staticmethod
+    def needs_cov(template: FunctionTemplate) -> bool:
+        """Whether derivatives are taken by differences, whose steps depend on the deviations."""
+        return bool(template.numerical)
+
+
+def _tangent(function: BoundFunction, mean: Array, cov: Array) -> Line:
+    x = components_last(mean, 1)
+    std = None if function.analytic else components_last(deviations(cov), 1)
+    value, slope = function.tangent(x, std)
+    # A function may return an array that it uses again.
+    return Line(components_first(slope, 2).copy("C"), components_first(value, 1).copy("C"), None)
 
 
 # The default of everything that takes a lineariser.

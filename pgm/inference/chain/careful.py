@@ -25,13 +25,14 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.errors import LinearisationError, NumericalError
-from pgm.inference.chain import forward
 from pgm.inference.chain.certificate import is_flat
 from pgm.inference.chain.flat import Solved, moments, solved
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Point
+from pgm.inference.chain.moments import MomentChain, Moments, largest
 from pgm.inference.chain.plan import ChainPlan, Link
-from pgm.inference.chain.reading import Reading, Updated, take
+from pgm.inference.chain.reading import StepReading, take
+from pgm.inference.chain.readings import Reading
 from pgm.inference.chain.taking import (
     ROUNDING,
     Belief,
@@ -44,13 +45,12 @@ from pgm.inference.chain.taking import (
     update,
     variances,
 )
-from pgm.inference.chain.update import linearise_sensor, sensors_due
 from pgm.inference.chain.whitened import distinct
 from pgm.inference.family import Family
-from pgm.inference.schedule import Filtering
+from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
 from pgm.kernels import roots, twofold
-from pgm.kernels.arrays import Array, Mask, block, quiet
+from pgm.kernels.arrays import Array, Mask, quiet
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
 
@@ -149,15 +149,14 @@ def sweep(
         predicted = belief
         mean, cov = out.predicted_mean[step], out.predicted_cov[step]
         mean[...], cov[...] = moments(belief, unknown)
-        reading = CarefulReading(
-            sensors_due(plan.sensors, step), step, mean, cov, belief, information
-        )
+        reading = CarefulReading.of(plan, step, (mean, cov), belief, information, schedule)
         if schedule is None:
             found = reading.solve(None if anchor is None else anchor.at(step))
         else:
             taken = take(reading, schedule)
+            reading.keep()
             found = taken.solution.at(taken.mean)
-            record = forward.largest(record, taken.residuals)
+            record = largest(record, taken.residuals)
             converged &= taken.converged
         belief, information, unknown = found.belief, found.information, found.unknown
         out.mean[step], out.cov[step] = found.mean, found.cov
@@ -168,12 +167,31 @@ def sweep(
 
 
 @dataclass(frozen=True, eq=False)
-class CarefulUpdate(Updated):
-    """The belief that an update leaves."""
+class CarefulUpdate:
+    """The belief that an update leaves, and the log-density of its readings.
 
+    Attributes
+    ----------
+    mean, cov, log_density : ndarray
+        (runs, n), (runs, n, n) and (runs,).
+    """
+
+    mean: Array
+    cov: Array
+    log_density: Array
     taken: Taken
     information: Twofold
     unknown: Solved
+
+    @property
+    def means(self) -> Array:
+        """The mean, (1, runs, n)."""
+        return self.mean[None]
+
+    @property
+    def point(self) -> Point:
+        """Its moments."""
+        return Point(self.mean[None], self.cov[None])
 
     @property
     def components(self) -> list[Component]:
@@ -193,24 +211,39 @@ class CarefulUpdate(Updated):
         return replace(self, mean=mean, taken=taken)
 
 
-@dataclass(frozen=True, eq=False)
-class CarefulReading(Reading[CarefulUpdate]):
-    """The readings of a step, to be linearised anywhere and taken into the predicted belief."""
+class CarefulReading(StepReading[CarefulUpdate]):
+    """The readings of a step, taken in in twice the digits."""
 
     belief: Belief
     information: Twofold
 
-    def linearise(self, at: Point, active: Mask | None) -> None:
-        """Linearise each sensor, for the runs that are active."""
-        for sensor, _ in self.due:
-            cov = _proper(sensor.family, self.step, at.cov[0])
-            linearise_sensor(sensor, self.step, at.mean[0], cov, active)
+    @classmethod
+    def of(
+        cls,
+        plan: ChainPlan,
+        step: int,
+        moments: tuple[Array, Array],
+        belief: Belief,
+        information: Twofold,
+        schedule: Filtering | None,
+    ) -> CarefulReading:
+        """Of a plan's step, at a belief of these moments, (runs, n) and (runs, n, n)."""
+        parts = MomentChain(plan, schedule).readings(step)
+        at = Moments.of(plan, *moments)
+        made = cls(parts, plan.first + step, at.mean, at.cov)
+        made.belief, made.information = belief, information
+        return made
+
+    def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
+        """Linearise a sensor's readings."""
+        cov = _proper(part.sensor.family, self.step, cov)
+        part.linearise(mean, cov, active)
 
     def solve(self, anchor: Anchor | None = None) -> CarefulUpdate:
         """The belief given the readings as they are linearised."""
-        taken = Taken(self.belief, [], np.zeros(len(self.mean)))
-        if self.due:
-            taken = update(self.due, self.step, self.belief, self.mean)
+        taken = Taken(self.belief, [], np.zeros(len(self.belief.cov.hi)))
+        if self.parts:
+            taken = update(self.measured, self.step, self.belief, self.mean)
         if anchor is not None:
             taken = hold(anchor, taken)
         information = self.information
@@ -242,9 +275,10 @@ class Move(NamedTuple):
 
 def prior_mean(plan: ChainPlan) -> Array:
     """The means of the states at step 0, (runs, n); those of flat components are as declared."""
+    states = plan.layout.state_places
     if not is_flat(plan):
-        return forward.start(plan, linearise=True)[0]
-    return start(plan, linearise=True).columns.hi[:, plan.layout.state_places, 0]
+        return MomentChain(plan, ONCE).start().by_run[0][:, states]
+    return start(plan, linearise=True).columns.hi[:, states, 0]
 
 
 def start(plan: ChainPlan, *, linearise: bool) -> Belief:
@@ -259,15 +293,16 @@ def start(plan: ChainPlan, *, linearise: bool) -> Belief:
                 cpd=nonlinear.cpd,
                 step=0,
             )
-        forward.start(plan, linearise=True)
+        MomentChain(plan, ONCE).start()
     first = _conditional(plan.prior, slice(None), 0, plan.layout.state_size, plan.runs).at(0)
     size, states = plan.layout.slice_size, plan.layout.state_places
     columns = Twofold.zeros((plan.runs, size, 1 + first.columns.shape[-1]))
     columns[:, states, 0] = first.offset
     columns[:, states, 1:] = first.columns
     cov = Twofold.zeros((plan.runs, size, size))
-    forward.put(cov.hi, states, np.broadcast_to(first.cov.hi, (plan.runs, *first.cov.shape[1:])))
-    forward.put(cov.lo, states, np.broadcast_to(first.cov.lo, (plan.runs, *first.cov.shape[1:])))
+    where = np.arange(size)[states]
+    for whole, part in ((cov.hi, first.cov.hi), (cov.lo, first.cov.lo)):
+        whole[:, where[:, None], where] = part
     eye = np.eye(size)
     drift = (ROUNDING * columns.hi[..., 0]) ** 2
     rounding = rounded(eye, cov.hi, np.zeros_like(cov.hi))
@@ -346,10 +381,9 @@ def predict(belief: Belief, move: Move) -> Belief:
 def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
     """The transition to a step, linearised at the belief before it."""
     if not all(link.family.exact for link in plan.transition):
-        states = plan.layout.state_places
         for link in plan.transition:
             cov = _proper(link.family, step, cov)
-        forward.predict(plan, step - 1, mean[:, states], block(cov, states, states), linearise=True)
+        MomentChain(plan, ONCE, check=True).predict(step, Moments.of(plan, mean, cov))
     return _transition(plan, slice(step - 1, step)).at(0)
 
 
@@ -363,7 +397,7 @@ def require_proper(plan: ChainPlan, step: int, *beliefs: Belief) -> None:
                     "of a size that float64 can hold?",
                     step=step,
                 )
-    rough = forward.rough(plan)
+    rough = [family for family in plan.families if not family.semidefinite]
     if not rough or all(roots.is_proper(roots.root(belief.cov.hi)) for belief in beliefs):
         return
     blamed = next((family for family in rough if step in family.step), rough[0])

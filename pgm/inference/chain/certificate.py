@@ -22,8 +22,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.inference.chain.forward import Forward
-from pgm.inference.chain.many import Filtered
+from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.stacks import stacks
 from pgm.kernels import along_runs, roots

@@ -14,7 +14,7 @@ from pgm.inference.family import Family
 from pgm.inference.schedule import Filtering, Smoothing
 from pgm.kernels import roots
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, apply, block, inner
+from pgm.kernels.arrays import Array, block, components_last, inner
 
 
 def trajectory(plan: ChainPlan, at: Point) -> Array:
@@ -131,5 +131,4 @@ def _expected(family: Family, rows: slice, mean: Array, cov: Array) -> Array:
     if family.exact:
         return family.value(rows, mean)
     function = family.bound(rows, mean.ndim - 1, mean.shape[:-1])
-    affine = family.call(function, mean, cov, finite=False)
-    return apply(affine.F, mean) + affine.b
+    return components_last(family.checked(function, mean, cov, finite=False).value, 1)

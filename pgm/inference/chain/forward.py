@@ -1,25 +1,29 @@
-"""The forward sweep: messages in moment form, from cluster 0 to cluster T."""
+"""The forward pass: messages in moment form, from cluster 0 to cluster T, and what is kept of them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from pgm.errors import NumericalError
+from pgm.errors import PgmError
+from pgm.inference.chain import sweep
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.iteration import Anchor
-from pgm.inference.chain.plan import ChainPlan, Link
-from pgm.inference.chain.reading import MomentReading, take
-from pgm.inference.chain.update import sensors_due, update
-from pgm.inference.family import Family
-from pgm.inference.schedule import Filtering
+from pgm.inference.chain.moments import MomentChain, Moments
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.watch import Watch
+from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
-from pgm.kernels import moments, roots
-from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import Array, Index, block, stacked
-from pgm.linearisers import ArrayLineariser
+from pgm.kernels import memory
+from pgm.kernels.arrays import Array, stacked
+
+# From this many runs on, only the beliefs of a filter are kept until something else is asked for.
+MANY = 32
+# And so many runs at a time: what a step touches then stays in a cache of some megabytes.
+MOST = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,209 +60,134 @@ class Forward:
         return cls(*moments(), *moments(), np.zeros(shape))
 
 
-def sweep(plan: ChainPlan, anchor: Anchor | None = None) -> Forward:
-    """Run the forward sweep with every CPD as it is laid out."""
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """The beliefs of a filter, from which all else that a sweep leaves is found when asked for.
+
+    Attributes
+    ----------
+    mean, cov, log_density : ndarray
+        As of a `Forward`.
+    closest : float
+        The smallest share of a variance that the components before it leave open, as far as a
+        `Watch` has looked.
+    """
+
+    plan: ChainPlan
+    mean: Array
+    cov: Array
+    log_density: Array
+    closest: float = 1.0
+
+    @cached_property
+    def whole(self) -> Forward:
+        """What a sweep leaves; the plan holds its linearisations only then."""
+        return run(self.plan, ONCE)[0]
+
+
+class _Record:
+    """Rows of a sweep's arrays, in its own layout; those of predictions may be left out."""
+
+    def __init__(
+        self, plan: ChainPlan, known: tuple[Array, Array, Array], predicted: tuple[Array, ...] = ()
+    ) -> None:
+        self.plan, self.reached, self.watch = plan, 0, Watch()
+        self.predicted = [_rows(plan, part, own) for own, part in enumerate(predicted, 1)]
+        self.mean, self.cov = _rows(plan, known[0], 1), _rows(plan, known[1], 2)
+        self.log_density = known[2] if plan.batch else known[2][:, 0]
+
+    def keep(
+        self, step: int, predicted: Moments, known: Moments, log_density: Array | float
+    ) -> None:
+        """Keep a step."""
+        self.mean[step], self.cov[step] = known.mean, known.cov
+        self.log_density[step] = log_density
+        self.reached = step + 1
+        if self.predicted:
+            self.predicted[0][step], self.predicted[1][step] = predicted.mean, predicted.cov
+        else:
+            self.watch.look(predicted.cov, known.cov, known.mild, last=step == self.plan.steps)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all numbers are; a covariance that is not stays so from one step to the next."""
+        total = self.mean.sum() + self.cov[-1].sum() + self.log_density.sum()
+        return bool(np.isfinite(total + sum(part.sum() for part in self.predicted)))
+
+    def refuse(self, schedule: Filtering | None) -> None:
+        """Go again through the first step that has left a number that is not finite, looking at all.
+
+        A sweep that has failed later than that has failed because of it.
+        """
+        rows = slice(0, self.reached)
+        lost = ~np.isfinite(self.cov[rows]).reshape(self.reached, -1).all(axis=1)
+        lost |= ~np.isfinite(self.mean[rows]).reshape(self.reached, -1).all(axis=1)
+        lost |= ~np.isfinite(self.log_density[rows]).reshape(self.reached, -1).all(axis=1)
+        step = int(np.flatnonzero(lost)[0]) if lost.any() else self.reached
+        if step > self.plan.steps:
+            return
+        chain = MomentChain(self.plan, schedule, keep=False, check=True)
+        if not step:
+            belief = chain.start()
+        else:
+            belief = chain.predict(step, Moments(self.mean[step - 1], self.cov[step - 1]))
+        chain.take(step, belief)
+
+
+def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
+    """An array (T+1, runs, ...) in a sweep's layout, (T+1, ..., *batch)."""
+    if not plan.batch:
+        return array[:, 0]
+    return array.transpose(0, *range(2, 2 + own), 1)
+
+
+def stored(plan: ChainPlan, anchor: Anchor | None = None) -> Forward:
+    """The forward pass with every CPD as it is laid out."""
     out = Forward.empty(plan)
-    for step in _predictions(plan, out, linearise=False):
-        mean, cov, out.log_density[step] = update(
-            sensors_due(plan.sensors, step),
-            step,
-            out.predicted_mean[step],
-            out.predicted_cov[step],
-        )
-        if anchor is not None:
-            mean, cov = anchor.hold(step, mean, cov)
-        out.mean[step], out.cov[step] = mean, cov
+    _swept(plan, MomentChain(plan, None, anchor=anchor), _whole(plan, out), None)
     return out
 
 
 def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
-    """Run the forward sweep, linearising each CPD at its incoming belief."""
+    """The forward pass, each CPD linearised at its incoming belief."""
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
-    once = is_single_pass(plan, schedule)
-    from pgm.inference.chain import many
-
-    if plan.lean and once:
-        from pgm.inference.chain import single  # here, since LAPACK is slow to import
-
-        done = single.run(plan)
-        if done is not None:
-            return done[0], Status.of([], done[1], plan.lead)
-    if once and many.suits(plan):
-        found = many.run(plan)
-        if found is not None:
-            return found, once_status(plan)
     out = Forward.empty(plan)
-    record: list[Array] = []
-    converged = np.ones(plan.runs, dtype=bool)
-    for step in _predictions(plan, out, linearise=True):
-        mean, cov = out.predicted_mean[step], out.predicted_cov[step]
-        taken = take(MomentReading(sensors_due(plan.sensors, step), step, mean, cov), schedule)
-        last = taken.solution
-        out.mean[step], out.cov[step], out.log_density[step] = (
-            taken.mean,
-            last.cov,
-            last.log_density,
-        )
-        record = largest(record, taken.residuals)
-        converged &= taken.converged
-    return out, Status.of(record, converged, plan.lead)
+    chain = MomentChain(plan, schedule)
+    _swept(plan, chain, _whole(plan, out), schedule)
+    for family in plan.families:
+        family.settle()
+    return out, Status.of(chain.residuals, chain.converged, plan.lead)
 
 
-def is_single_pass(plan: ChainPlan, schedule: Filtering) -> bool:
-    """Whether each CPD is linearised once."""
-    return schedule.iterations == 1 or all(sensor.family.exact for sensor in plan.sensors)
+def filtered(plan: ChainPlan) -> tuple[Filtered, Status]:
+    """The beliefs of `run` alone, each CPD linearised once."""
+    size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
+    mean, cov, log_density = stacked(shape, (size,)), stacked(shape, (size, size)), np.empty(shape)
+    parts, closest, converged = math.ceil(plan.runs / MOST), 1.0, np.ones(plan.runs, dtype=bool)
+    edges = [part * plan.runs // parts for part in range(parts + 1)]
+    for runs in map(slice, edges, edges[1:]):
+        part = plan.of(runs) if parts > 1 else plan
+        chain = MomentChain(part, ONCE, keep=False)
+        record = _Record(part, (mean[:, runs], cov[:, runs], log_density[:, runs]))
+        _swept(part, chain, record, ONCE)
+        closest, converged[runs] = min(closest, record.watch.closest), chain.converged
+    found = Filtered(plan, mean, cov, log_density, closest)
+    return found, Status.of([], converged, plan.lead)
 
 
-def once_status(plan: ChainPlan) -> Status:
-    """How it went with one linearisation of each CPD."""
-    linear = all(s.family.exact for s in plan.sensors if s.family.step.size)
-    return Status.of([], np.full(plan.runs, linear), plan.lead)
+def _whole(plan: ChainPlan, out: Forward) -> _Record:
+    known = out.mean, out.cov, out.log_density
+    return _Record(plan, known, (out.predicted_mean, out.predicted_cov))
 
 
-def _predictions(plan: ChainPlan, out: Forward, *, linearise: bool) -> Iterator[int]:
-    """Predict each step in turn, once the step before has taken its readings."""
-    states = plan.layout.state_places
-    mean, cov = start(plan, linearise=linearise)
-    out.predicted_mean[0][:, states] = mean
-    put(out.predicted_cov[0], states, cov)
-    yield 0
-    for step in range(1, plan.steps + 1):
-        mean = out.mean[step - 1][:, states]
-        cov = block(out.cov[step - 1], states, states)
-        out.predicted_mean[step], out.predicted_cov[step] = predict(
-            plan, step - 1, mean, cov, linearise=linearise
-        )
-        yield step
-
-
-def largest(record: list[Array], residuals: list[Array]) -> list[Array]:
-    """The largest residuals of all steps; a step that was done earlier keeps its last one."""
-    if not record or not residuals:
-        return record or residuals
-    length = max(len(record), len(residuals))
-    ours, others = (each + each[-1:] * (length - len(each)) for each in (record, residuals))
-    return [np.maximum(a, b) for a, b in zip(ours, others, strict=True)]
-
-
-def put(cov: Array, places: Index, value: Array) -> None:
-    """Write the block of some components."""
-    if isinstance(places, slice):
-        cov[:, places, places] = value
-    else:
-        cov[:, places[:, None], places] = value
-
-
-def start(plan: ChainPlan, *, linearise: bool) -> tuple[Array, Array]:
-    """Moments of the states at step 0; read-only where they are one for all runs."""
-    size, runs = plan.layout.state_size, plan.runs
-    once = 1 if all(_shared(link.family) for link in plan.prior) else runs
-    mean, cov = stacked((once,), (size,)), stacked((once,), (size, size))
-    for link in plan.prior:
-        _extend(link, 0, 0, mean, cov, linearise)
-    return np.broadcast_to(mean, (runs, size)), np.broadcast_to(cov, (runs, size, size))
-
-
-def _shared(family: Family) -> bool:
-    """Whether an affine CPD is the same for all runs."""
-    parts = family.matrix, family.offset, family.noise
-    return family.exact and all(part.strides[1] == 0 or part.size == 0 for part in parts)
-
-
-def predict(
-    plan: ChainPlan, row: int, mean: Array, cov: Array, *, linearise: bool
-) -> tuple[Array, Array]:
-    """Moments of the slice from those of the states before it."""
-    if plan.layout.single:
-        link = plan.transition[0]
-        family = link.family
-        if linearise and not family.exact:
-            family.linearise(row, mean, cov)
-        conditional = moments.Conditional(family.matrix[row], family.offset[row], family.noise[row])
-        slice_mean, slice_cov = moments.predict(mean, cov, conditional)
-        keep_chart(link, row, mean, slice_mean)
-        _check_predicted(link, row, slice_cov)
-        return slice_mean, slice_cov
-    front = plan.layout.state_size
-    size = front + plan.layout.slice_size
-    pair_mean, pair_cov = stacked((plan.runs,), (size,)), stacked((plan.runs,), (size, size))
-    pair_mean[:, :front] = mean
-    pair_cov[:, :front, :front] = cov
-    for link in plan.transition:
-        _extend(link, row, row + 1, pair_mean, pair_cov, linearise)
-    return pair_mean[:, front:], pair_cov[:, front:, front:]
-
-
-def _extend(link: Link, row: int, step: int, mean: Array, cov: Array, linearise: bool) -> None:
-    family, parents = link.family, link.parents
-    if linearise and not family.exact:
-        family.linearise(row, mean[:, parents], block(cov, parents, parents))
-    moments.extend(
-        mean,
-        cov,
-        link.child,
-        parents,
-        family.matrix[row][: len(mean)],
-        family.offset[row][: len(mean)],
-        family.noise[row][: len(mean)],
-    )
-    keep_chart(link, row, mean, mean[:, link.child])
-    _check_predicted(link, row, block(cov, link.child, link.child))
-
-
-def keep_chart(link: Link, row: int, before: Array, child: Array) -> None:
-    """Undo, in place, whole turns that a function which wraps its angles has made in a step.
-
-    Beliefs live on one unwrapped chart.
-    """
-    if not link.before.size:
-        return
-    places = zip(link.angles, link.before, strict=True)
-    if any(np.abs(child[:, new] - before[:, old]).max() > np.pi for new, old in places):
-        turned = child[:, link.angles] - before[:, link.before]
-        # A function that wraps gives the same for an angle a whole turn on; another turns too.
-        further = before.copy()
-        further[:, link.before] += TURN
-        function = link.family.bound(row, 1, before.shape[:1])
-        gained = function(further[:, link.parents]) - function(before[:, link.parents])
-        wraps = np.abs(gained[:, link.angles]) < 0.5 * TURN
-        turns = np.where(wraps, TURN * np.round(turned / TURN), 0.0)
-        child[:, link.angles] -= turns
-        link.family.offset[row][:, link.angles] -= turns
-
-
-def is_semidefinite(family: Family) -> bool:
-    """Whether the lineariser's error is never indefinite."""
-    lineariser, width = family.lineariser, family.shape[-1]
-    if not width:  # no hidden parent, and no error
-        return True
-    return isinstance(lineariser, ArrayLineariser) and lineariser.is_semidefinite(width)
-
-
-def rough(plan: ChainPlan) -> list[Family]:
-    """The CPDs whose linearisation may make a belief indefinite."""
-    return [f for f in plan.families if not (f.taylor or is_semidefinite(f))]
-
-
-def _check_predicted(link: Link, row: int, cov: Array) -> None:
-    """Refuse what is too large, or indefinite, which only a lineariser's error can make it."""
-    family = link.family
-    if not np.isfinite(cov).all():
-        fault = (
-            "not finite; are the belief before it, its inputs and its noise of a size that float64 "
-            "can hold?"
-        )
-    elif not family.approximate or is_semidefinite(family) or roots.is_proper(roots.root(cov)):
-        return
-    else:
-        fault = (
-            f"indefinite with {family.lineariser!r}; use a rule with positive weights or more "
-            "samples"
-        )
-    step = int(family.step[row])
-    raise NumericalError(
-        f"{family.cpd!r}: the predicted covariance at step {step} is {fault}",
-        variable=family.cpd.child,
-        cpd=family.cpd,
-        step=step,
-    )
+def _swept(
+    plan: ChainPlan, chain: MomentChain, record: _Record, schedule: Filtering | None
+) -> None:
+    memory.retain()
+    try:
+        sweep.forward(chain, plan.steps, record)
+    except PgmError:
+        record.refuse(schedule)
+        raise
+    if not record.is_finite:
+        record.refuse(schedule)

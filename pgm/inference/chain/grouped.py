@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.inference.chain.plan import Sensor
-from pgm.kernels.arrays import Array, Integers, Mask, block
+from pgm.kernels.arrays import Array, Integers, Mask, apply, block, components_last
+from pgm.linearisers import BoundFunction
 
 
 def linearise(
@@ -29,15 +30,16 @@ def linearise(
     bounds = np.array(sensor.bounds)
     count = int(bounds[steps[0] + 1] - bounds[steps[0]])
     rows = bounds[steps][:, None] + np.arange(count)
-    known = tuple(
+    known = [
         np.moveaxis(family.inputs[parent][rows], 1, 2) if place is None else None
         for parent, place in zip(template.given, template.places, strict=True)
-    )
+    ]
     at = mean[..., parents]
     numbers = family.step[rows[:, 0]]
     step = int(numbers[0]) if numbers.size == 1 else np.broadcast_to(numbers[:, None], at.shape[:2])
-    function = family.function(known, 2, step, count)
-    affine = family.call(function, at, block(cov, parents, parents))
+    function = BoundFunction(template, known, 2, step, count, True, family.source)
+    line = family.checked(function, at, block(cov, parents, parents))
+    value, error = components_last(line.value, 1), line.error
     groups, runs, height = len(steps), at.shape[1], template.child.dimension
     full = (groups, runs, count, height)
 
@@ -45,11 +47,11 @@ def linearise(
         """One sighting a row: (G k, runs, ...)."""
         return np.moveaxis(stacked, 2, 1).reshape(groups * count, runs, *stacked.shape[3:])
 
-    matrix = np.broadcast_to(affine.F, (groups, runs, count * height, at.shape[-1]))
-    offset = np.broadcast_to(affine.b, (groups, runs, count * height))
+    matrix = components_last(line.matrix, 2)
+    offset = value - apply(matrix, at)
     own = None
-    if affine.cov is not None:
-        error = np.broadcast_to(affine.cov, (groups, runs, count * height, count * height))
+    if error is not None:
+        error = components_last(error, 2)
         own = each(np.einsum("grkikj->grkij", error.reshape(*full, count, height)))
     family.store(
         rows.reshape(-1),
@@ -58,7 +60,7 @@ def linearise(
         own,
         active,
     )
-    if affine.cov is None or not error.any():
+    if error is None or not error.any():
         return
     between = np.kron(1.0 - np.eye(count), np.ones((height, height)))
     for index, number in enumerate(steps.tolist()):

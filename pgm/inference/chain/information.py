@@ -11,7 +11,7 @@ import numpy as np
 from pgm.inference.chain.backward import transition
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.update import sensors_due, stack
+from pgm.inference.chain.readings import stored
 from pgm.kernels import canonical, roots
 from pgm.kernels.arrays import LOG_2PI, Array, apply, inner, sandwich, transpose
 from pgm.kernels.canonical import Canonical
@@ -58,12 +58,9 @@ def absorbed(
     predicted = forward.predicted_mean[later]
     offset = np.zeros_like(predicted)
     likelihood: Canonical | None = None
-    due = sensors_due(plan.sensors, later)
-    if due:
-        h_matrix, residual, reading_noise, missing = stack(due, later, predicted)
-        matrix, offset, noise, likelihood = absorb_readings(
-            matrix, noise, h_matrix, residual, reading_noise, missing
-        )
+    found = stored(plan, later, predicted)
+    if found is not None:
+        matrix, offset, noise, likelihood = absorb_readings(matrix, noise, *found)
     shift = offset + predicted - forward.mean[later]
     return Conditional(select @ matrix, apply(select, shift), sandwich(select, noise)), likelihood
 

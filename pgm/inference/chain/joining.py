@@ -11,8 +11,7 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.evidence import BoundEvidence
 from pgm.inference.chain.backward import Beliefs, Reverse
-from pgm.inference.chain.forward import Forward
-from pgm.inference.chain.many import Filtered
+from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan, Sensor
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.family import Family

@@ -11,13 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.chain import forward, segments
+from pgm.inference.chain import segments
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.likelihoods import Readings
+from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.whitened import distinct
 from pgm.kernels import banded, canonical, roots
-from pgm.kernels.arrays import Array, apply, multiply, transpose
+from pgm.kernels.arrays import Array, apply, block, multiply, transpose
 from pgm.kernels.banded import System
 from pgm.kernels.scan import in_chunks
 
@@ -75,7 +76,8 @@ def _equations(plan: ChainPlan, readings: Readings) -> System | None:
     """In deviations from the readings' reference."""
     layout = plan.layout
     states = layout.state_places
-    mean, cov = forward.start(plan, linearise=False)
+    mean, cov = MomentChain(plan, None).start().by_run
+    mean, cov = mean[:, states], block(cov, states, states)
     lower = canonical.strict_root(cov)
     matrix, offset, noise = segments.about(segments.steps(plan), readings.reference)
     noise_lower = canonical.strict_root(distinct(noise))

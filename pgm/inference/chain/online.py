@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from math import isfinite
+from typing import Any
 
 import numpy as np
 
@@ -13,25 +14,23 @@ from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
 from pgm.evidence.arrays import as_rows
 from pgm.immutable import Immutable
-from pgm.inference.chain import forward, online_careful
+from pgm.inference.chain import online_careful
 from pgm.inference.chain.cost import require_cost
+from pgm.inference.chain.moments import MomentChain, Moments
 from pgm.inference.chain.online_belief import OnlineBelief
-from pgm.inference.chain.online_careful import CarefulBelief, is_regular
+from pgm.inference.chain.online_careful import REGULAR, CarefulBelief
+from pgm.inference.chain.online_layouts import Layouts
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.reading import MomentReading, Taken, Updated, take
-from pgm.inference.chain.taking import variances
-from pgm.inference.chain.update import sensors_due
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status, digits
-from pgm.kernels.arrays import Array, block
+from pgm.kernels import gaussian
+from pgm.kernels.arrays import Array
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
-if TYPE_CHECKING:
-    from pgm.inference.chain.online_single import Single
-
-
+# Of one robot: nothing was to iterate, and linearised once.
+_DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged in (True, False))
 # Numbers too large for float64 are refused where they end up, so that NumPy need not warn. A
 # decorator takes half as long as a block.
 _quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -84,13 +83,14 @@ class OnlineFilter(Immutable):
         return compile(self.model, 1)
 
     @cached_property
-    def _single(self) -> Single | None:
-        """The lean steps of a single robot; None where readings are linearised several times."""
-        if self.schedule.iterations > 1:
-            return None
-        from pgm.inference.chain.online_single import Single  # here, since LAPACK is slow to import
+    def _motions(self) -> Layouts:
+        """The transition, laid out for each kind of inputs of one robot."""
+        return Layouts(self._ahead)
 
-        return Single(self._ahead, self._seen)
+    @cached_property
+    def _sensors(self) -> Layouts:
+        """Sensors, laid out for each kind of readings of one robot."""
+        return Layouts(self._seen)
 
     def __getstate__(self) -> dict[str, Any]:
         # What was prepared is not part of the value.
@@ -99,17 +99,12 @@ class OnlineFilter(Immutable):
     @_quiet
     def initial(self) -> OnlineBelief:
         """The prior, at step 0."""
-        layout, lead = self._graph.layout, self.model.lead
+        lead = self.model.lead
         plan = self._plan(BoundEvidence(0, lead, (), ()), 0, prior=True)
-        states = layout.state_places
-        slice_mean = np.zeros((plan.runs, layout.slice_size))
-        slice_cov = np.zeros((plan.runs, layout.slice_size, layout.slice_size))
-        mean, cov = forward.start(plan, linearise=True)
-        slice_mean[:, states] = mean
-        forward.put(slice_cov, states, cov)
+        found = MomentChain(plan, ONCE, keep=False).start()
         log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
-        if is_regular(slice_cov):
-            return _belief(plan, 0, slice_mean, slice_cov, log_evidence, status)
+        if gaussian.is_regular(found.cov, found.cov, REGULAR):
+            return _belief(plan, 0, found, log_evidence, status)
         return _carried(plan, 0, online_careful.first(plan), log_evidence, status)
 
     @_quiet
@@ -132,27 +127,25 @@ class OnlineFilter(Immutable):
         self._check(belief)
         if type(inputs) is not dict:
             inputs = {} if inputs is None else _mapping(inputs, "predict", "inputs to values")
-        single = self._single
-        if single is not None and not belief.lead and belief.careful is None:
-            after = single.predict(belief, inputs)
-            if after is not None:
-                return after
-        return self._predicted(belief, inputs)
-
-    def _predicted(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> OnlineBelief:
-        plan = self._ahead(belief, inputs)
-        step, status = belief.step + 1, _nothing_to_iterate(plan.lead)
-        log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
+        step = belief.step + 1
         if belief.careful is None:
-            mean, cov = _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2)
-            states = plan.layout.state_places
-            mean, cov = forward.predict(
-                plan, 0, mean[:, states], block(cov, states, states), linearise=True
-            )
-            if is_regular(cov):
-                return _belief(plan, step, mean, cov, log_evidence, status)
-        found = online_careful.predict(plan, step, _careful(belief, plan))
-        return _carried(plan, step, found, log_evidence, status)
+            laid = None if belief.lead else self._motions.motion(belief, inputs)
+            plan, ats = laid or (self._ahead(belief, inputs), None)
+            chain, known = MomentChain(plan, ONCE, keep=False), _moments(belief, plan)
+            ats = chain.motion(1) if ats is None else ats
+            found = chain.predicted(ats, step, known)
+            if not _is_finite(found):
+                MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
+            if gaussian.is_regular(found.cov, found.cov, REGULAR):
+                log_evidence, status = belief.log_evidence, _DONE
+                if laid is None:
+                    log_evidence = np.broadcast_to(log_evidence, plan.lead)
+                    status = _nothing_to_iterate(plan.lead)
+                return _belief(plan, step, found, log_evidence, status)
+        plan = self._ahead(belief, inputs)
+        carried = online_careful.predict(plan, step, _careful(belief, plan))
+        log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
+        return _carried(plan, step, carried, log_evidence, _nothing_to_iterate(plan.lead))
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of a prediction, its inputs checked."""
@@ -190,37 +183,45 @@ class OnlineFilter(Immutable):
         self._check(belief)
         if type(readings) is not dict:
             readings = _mapping(readings, "update", "sensors to readings")
-        single = self._single
-        if single is not None and not belief.lead and belief.careful is None:
-            after = single.update(belief, readings)
-            if after is not None:
-                return after
-        return self._updated(belief, readings)
-
-    def _updated(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
-        plan = self._seen(belief, readings)
-        ordinary = self._update(belief, plan) if belief.careful is None else None
-        if ordinary is not None:
-            return ordinary
-        # A plan keeps what was linearised; one laid out anew begins at the belief.
+        if belief.careful is None:
+            ordinary = self._updated(belief, readings)
+            if ordinary is not None:
+                return ordinary
         plan = self._seen(belief, readings)
         known = _careful(belief, plan)
         found, taken = online_careful.update(plan, belief.step, known, self.schedule)
-        log_evidence, status = _told(belief, plan, taken)
+        log_density = taken.solution.log_density.reshape(plan.lead)
+        log_evidence = np.asarray(belief.log_evidence + log_density)
+        status = Status.of(taken.residuals, taken.converged, plan.lead)
         return _carried(plan, belief.step, found, log_evidence, status)
 
-    def _update(self, belief: OnlineBelief, plan: ChainPlan) -> OnlineBelief | None:
+    def _updated(
+        self, belief: OnlineBelief, readings: Mapping[Variable, Any]
+    ) -> OnlineBelief | None:
         """In float64; None where it has too few digits."""
-        mean, cov = _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2)
-        try:
-            taken = take(MomentReading(sensors_due(plan.sensors, 0), 0, mean, cov), self.schedule)
-        except NumericalError:
-            return None  # with twice the digits there may be an answer; if not, the same is refused
-        after = taken.solution.cov
-        if online_careful.fell(variances(cov), variances(after)) or not is_regular(after):
+        laid = None if belief.lead else self._sensors.sensors(belief, readings)
+        plan, parts = laid or (self._seen(belief, readings), None)
+        chain, known = MomentChain(plan, self.schedule, keep=False), _moments(belief, plan)
+        if parts is None:
+            parts = chain.readings(0)
+        if not parts:
+            found, log_density = known, 0.0
+        else:
+            try:
+                found, log_density = chain.taken(parts, belief.step, known)
+            except NumericalError:
+                return None  # with twice the digits there may be an answer; if not, it is refused
+        if not gaussian.is_regular(found.cov, known.cov, REGULAR):
             return None
-        log_evidence, status = _told(belief, plan, taken)
-        return _belief(plan, belief.step, taken.mean, after, log_evidence, status)
+        if belief.lead or plan.lead:
+            log_evidence = np.asarray(belief.log_evidence + np.reshape(log_density, plan.lead))
+        else:
+            log_evidence = np.array(belief.log_evidence.item() + float(log_density))
+        if chain.residuals or plan.lead:
+            status = Status.of(chain.residuals, chain.converged, plan.lead)
+        else:
+            status = _DONE if chain.converged[0] else _LINEARISED
+        return _belief(plan, belief.step, found, log_evidence, status)
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its readings checked."""
@@ -282,10 +283,18 @@ def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
     return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)
 
 
-def _told(belief: OnlineBelief, plan: ChainPlan, taken: Taken[Updated]) -> tuple[Array, Status]:
-    """The log-evidence with readings that were taken, and how that went."""
-    log_evidence = belief.log_evidence + taken.solution.log_density.reshape(plan.lead)
-    return np.asarray(log_evidence), Status.of(taken.residuals, taken.converged, plan.lead)
+def _moments(belief: OnlineBelief, plan: ChainPlan) -> Moments:
+    """Moments for the runs of a plan."""
+    if not plan.lead:
+        return Moments(belief.mean, belief.cov)
+    return Moments.of(plan, _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
+
+
+def _is_finite(found: Moments) -> bool:
+    if found.mean.ndim > 1:
+        return bool(np.isfinite(found.mean.sum() + found.cov.sum()))
+    # A sum of few numbers tells it most quickly.
+    return isfinite(sum(found.mean.tolist()) + sum(found.cov.ravel().tolist()))
 
 
 def _careful(belief: OnlineBelief, plan: ChainPlan) -> CarefulBelief:
@@ -300,34 +309,28 @@ def _carried(
 ) -> OnlineBelief:
     """A belief with the digits that it has, carried in twice those of float64 while it must be."""
     mean, cov = found.moments
-    _refuse_infinite(step, mean, cov, log_evidence)
     status = status.with_digits(digits(found.error, plan.lead))
     kept = None if found.is_ordinary else found
-    return _belief(plan, step, mean, cov, log_evidence, status, kept)
+    return _belief(plan, step, Moments.of(plan, mean, cov), log_evidence, status, kept)
 
 
 def _belief(
     plan: ChainPlan,
     step: int,
-    mean: Array,
-    cov: Array,
+    found: Moments,
     log_evidence: Array,
     status: Status,
     careful: CarefulBelief | None = None,
 ) -> OnlineBelief:
     """A belief with the runs as the user's axes."""
-    _refuse_infinite(step, mean, cov, log_evidence)
-    lead, size = plan.lead, mean.shape[-1]
-    mean, cov = mean.reshape(*lead, size), cov.reshape(*lead, size, size)
-    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status, careful)
-
-
-def _refuse_infinite(step: int, *parts: Array) -> None:
-    """Refuse what float64 cannot hold."""
-    if not all(np.isfinite(part).all() for part in parts):
+    if not (_is_finite(found) and np.isfinite(log_evidence).all()):
         raise NumericalError(
             f"the belief at step {step} or its log-evidence is not finite: numbers of the model or "
             "the evidence are larger, or further apart, than float64 can hold; give them in other "
             "units",
             step=step,
         )
+    lead, (mean, cov, _) = plan.lead, found
+    if lead:
+        mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in found.by_run)
+    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status, careful)

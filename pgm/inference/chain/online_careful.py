@@ -18,7 +18,6 @@ from pgm.inference.chain.flat import moments, solved
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reading import Taken, take
 from pgm.inference.chain.taking import Belief, variances
-from pgm.inference.chain.update import sensors_due
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array
@@ -97,9 +96,10 @@ def update(
     plan: ChainPlan, step: int, known: CarefulBelief, schedule: Filtering
 ) -> tuple[CarefulBelief, Taken[careful.CarefulUpdate]]:
     """Given the readings of its step."""
-    due, (mean, cov) = sensors_due(plan.sensors, 0), known.moments
     nothing = _nothing(known.belief)
-    taken = take(careful.CarefulReading(due, 0, mean, cov, known.belief, nothing), schedule)
+    taken = take(
+        careful.CarefulReading.of(plan, 0, known.moments, known.belief, nothing, schedule), schedule
+    )
     belief = taken.solution.at(taken.mean).belief
     careful.require_proper(plan, step, belief)
     return CarefulBelief(belief, known.largest), taken

@@ -37,9 +37,8 @@ def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
             rows.append(row)
             key += id(variable), row.shape
             continue
-        # A reading that is not finite leaves no density, which is found out where it is used.
         row = _view(value.values, 2)
-        if row is None or value.step is not None:
+        if row is None or value.step is not None or not isfinite(sum(row.ravel().tolist())):
             return None
         rows.append(row)
         key += id(variable), _SIGHTED, row.shape

@@ -14,8 +14,8 @@ from pgm.inference.chain.backward import Ahead
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.likelihoods import Readings, know
+from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.update import sensors_due, update
 from pgm.inference.schedule import ONCE
 from pgm.kernels import conditionals, elements, moments
 from pgm.kernels.arrays import Array, apply, deviation, room
@@ -65,7 +65,7 @@ def filtered(
     anchor: Anchor | None = None,
     readings: Readings | None = None,
 ) -> Ahead:
-    """The forward pass with every CPD as it is laid out, as `forward.sweep` gives it.
+    """The forward pass with every CPD as it is laid out, as `forward.stored` gives it.
 
     Where composing segments costs digits, that is what it is.
 
@@ -81,7 +81,7 @@ def filtered(
     """
     readings = Readings.of(plan, reference) if readings is None else readings
     found = _solve(plan, segments.steps(plan), _first(plan, anchor), readings, anchor)
-    return found if found.agrees else forward.sweep(plan, anchor)
+    return found if found.agrees else forward.stored(plan, anchor)
 
 
 def run(plan: ChainPlan) -> Ahead:
@@ -108,7 +108,7 @@ def run(plan: ChainPlan) -> Ahead:
 
 def _guess(plan: ChainPlan, moves: Conditional) -> Array:
     """Means near the beliefs: the solution for means alone, or what the prior's means lead to."""
-    start = _start(plan).mean
+    start = MomentChain(plan, None).start().by_run[0]
     if not any(sensor.variable.angle_mask.any() for sensor in plan.sensors):
         found = newton.step(plan, np.broadcast_to(start, (plan.steps + 1, *start.shape)))
         if found is not None:
@@ -139,20 +139,10 @@ class _First(NamedTuple):
 
 
 def _first(plan: ChainPlan, anchor: Anchor | None) -> _First:
-    predicted = _start(plan)
-    mean, cov, log_density = update(sensors_due(plan.sensors, 0), 0, predicted.mean, predicted.cov)
-    if anchor is not None:
-        mean, cov = anchor.hold(0, mean, cov)
-    return _First(predicted, Belief(mean, cov), log_density)
-
-
-def _start(plan: ChainPlan) -> Belief:
-    """The slice at step 0 before its readings."""
-    size, states = plan.layout.slice_size, plan.layout.state_places
-    mean, cov = np.zeros((plan.runs, size)), np.zeros((plan.runs, size, size))
-    mean[:, states], known = forward.start(plan, linearise=False)
-    forward.put(cov, states, known)
-    return Belief(mean, cov)
+    chain = MomentChain(plan, None, anchor=anchor)
+    predicted = chain.start()
+    known, log_density = chain.take(0, predicted)
+    return _First(Belief(*predicted.by_run), Belief(*known.by_run), np.asarray(log_density))
 
 
 def _solve(

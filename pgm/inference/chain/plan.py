@@ -13,18 +13,28 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.compile import DynamicGraph, SliceLayout
 from pgm.compile.layout import Place
-from pgm.cpds import AffineCPD, NonlinearGaussianCPD
+from pgm.cpds import AffineCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic_layout import Inputs
 from pgm.factors.scope import Scope
-from pgm.inference.family import Family
-from pgm.kernels import roots
+from pgm.inference.family import At, Family
+from pgm.kernels import along_runs, roots
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Index, Integers, Mask, cut, independent
+from pgm.kernels.arrays import (
+    Array,
+    Index,
+    Integers,
+    Kind,
+    Mask,
+    components_first,
+    cut,
+    independent,
+)
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 
@@ -49,6 +59,11 @@ class Link:
     child: slice
     angles: Integers
     before: Integers
+
+    @cached_property
+    def turning(self) -> list[tuple[int, int]]:
+        """Each of these angles, and where that of the step before stands."""
+        return list(zip(self.angles.tolist(), self.before.tolist(), strict=True))
 
 
 class Seen(NamedTuple):
@@ -94,6 +109,8 @@ class Sensor:
     cross : dict of int to ndarray
         By step, the covariances between different sightings' approximation errors, (runs, D, D),
         of a grouped sensor.
+    whole : bool
+        Whether its hidden parents are all of the slice.
     """
 
     family: Family
@@ -103,12 +120,12 @@ class Sensor:
     values: Array
     bounds: list[int]
     cross: dict[int, Array]
+    whole: bool
 
     @property
     def grouped(self) -> bool:
         """Whether the sightings of a step are linearised as one vector."""
-        cpd = self.family.cpd
-        return isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped
+        return self.family.grouped
 
     @cached_property
     def moved(self) -> Array:
@@ -133,6 +150,76 @@ class Sensor:
     def variable(self) -> Variable:
         """The reading's variable."""
         return self.family.cpd.child
+
+    def turning(self, height: int) -> list[int]:
+        """The places of angles among so many components of sightings."""
+        if not self._angles or height == self.variable.dimension:
+            return self._angles
+        return [
+            first + angle
+            for first in range(0, height, self.variable.dimension)
+            for angle in self._angles
+        ]
+
+    @cached_property
+    def _angles(self) -> list[int]:
+        return [int(k) for k in np.flatnonzero(self.variable.angle_mask)]
+
+    def sharpness(self, noise: Array) -> Array | None:
+        """The `along_runs.sharpness` of a noise that is the same at all steps."""
+        if not (self.family.taylor and noise is self._constant):
+            return None
+        return self._sharpness
+
+    @cached_property
+    def _constant(self) -> Array | None:
+        return self.family._own(0, 1) if len(self.family.own_noise) == 1 else None
+
+    @cached_property
+    def _sharpness(self) -> Array:
+        assert self._constant is not None
+        return along_runs.sharpness(self._constant)
+
+    def at(self, step: int, *, stored: bool) -> tuple[At, Array, Mask | None] | None:
+        """The CPD at a step's readings, their values, and which components are there.
+
+        The latter two, (D, *batch), one for all with a batch of one; None where nothing is read.
+        Readings that are stored are as they were linearised, and their angles where they were moved.
+        """
+        first, last = self.bounds[step], self.bounds[step + 1]
+        if first == last:
+            return None
+        taken = self._taken(slice(first, last))
+        flat = None if taken is None else self._flat(taken)
+        if not stored:
+            return self.family.at(first, last), self._flat(self.values[first:last]), flat
+        at = self.family.stored_at(first, last)
+        cross = self.cross.get(step)
+        if cross is not None:
+            at = at._replace(
+                noise=at.noise + (components_first(cross, 2) if self.family.batch else cross[0])
+            )
+        return at, self._flat(self.moved[first:last]), flat
+
+    def _flat(self, rows: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
+        """Some rows (k, runs or 1, d) as one vector, (k d, *batch)."""
+        if not self.family.batch:
+            return rows.reshape(-1)
+        return rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
+
+    def keep(self, at: At, reading: Array, noise: Array | None) -> None:
+        """Keep where the angles of readings were moved, and the covariances between their errors."""
+        count, height = at.last - at.first, self.variable.dimension
+        if self._angles:
+            wide = reading.reshape(count, height, -1)
+            self.moved[at.first : at.last] = wide.transpose(0, 2, 1)
+        if noise is None or count == 1 or not self.grouped:
+            return
+        within = np.kron(np.eye(count), np.ones((height, height)))
+        runs = noise.transpose(2, 0, 1) if noise.ndim > 2 else noise[None]
+        self.cross[int(np.searchsorted(self.bounds, at.first, side="right")) - 1] = runs * (
+            1.0 - within
+        )
 
     def move(self, rows: slice, predicted: Array, active: Mask | None = None) -> None:
         """Move angles to the branch nearest the CPD's values at the point of linearisation."""
@@ -191,6 +278,8 @@ class ChainPlan:
         The axes of runs as the user gave them.
     prior, transition : list of Link
     sensors : list of Sensor
+    first : int
+        The number of the plan's first step: other than zero online, where it is the only one.
     """
 
     layout: SliceLayout
@@ -199,6 +288,7 @@ class ChainPlan:
     prior: list[Link]
     transition: list[Link]
     sensors: list[Sensor]
+    first: int = 0
 
     @property
     def runs(self) -> int:
@@ -206,9 +296,9 @@ class ChainPlan:
         return math.prod(self.lead)
 
     @property
-    def lean(self) -> bool:
-        """Whether there is a single run, which is swept without an axis of runs."""
-        return self.runs == 1
+    def batch(self) -> tuple[int, ...]:
+        """The axes of runs in a sweep: none of one run."""
+        return () if self.runs == 1 else (self.runs,)
 
     @property
     def families(self) -> list[Family]:
@@ -299,7 +389,7 @@ class ChainPlan:
             for cpd, inputs in zip(layout.model.transition, bound.transition, strict=False)
         ]
         sensors = [sensor(reading) for reading in bound.readings]
-        plan = cls(layout, bound.steps, lead, links, transition, sensors)
+        plan = cls(layout, bound.steps, lead, links, transition, sensors, first)
         if not probe:
             return plan
         means = {
@@ -337,4 +427,5 @@ def _sensor(
         reading.values,
         bounds,
         {},
+        isinstance(place.parents, slice) and place.parents == slice(0, layout.slice_size),
     )

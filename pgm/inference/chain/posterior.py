@@ -16,11 +16,10 @@ from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference.chain import adjoint, backward
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Careful
-from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.information import backward_messages
 from pgm.inference.chain.innovations import BySensor, Innovations, innovations
 from pgm.inference.chain.joints import joint_moments
-from pgm.inference.chain.many import Filtered
 from pgm.inference.chain.marginals import Marginals, located
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.limits import require_runs

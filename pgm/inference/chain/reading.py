@@ -1,49 +1,48 @@
-"""The readings of a step taken into a belief: linearised once, or again at what they say."""
+"""The readings of a step as a problem to be iterated on: linearised anywhere, and solved."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
 
-from pgm.inference.chain import cost
-from pgm.inference.chain.iteration import Anchor, Point, iterate
-from pgm.inference.chain.update import Due, linearise_sensor, update
+from pgm.inference.chain import cost, readings
+from pgm.inference.chain.iteration import Anchor, Point, Solution, iterate
+from pgm.inference.chain.readings import Known, Reading
+from pgm.inference.chain.vector import Measured
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Mask, inner
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Mask, components_first, components_last, inner
 
 
 @dataclass(frozen=True, eq=False)
 class Updated:
-    """The belief that an update leaves, and the log-density of its readings.
+    """The belief that an update leaves.
 
     Attributes
     ----------
-    mean, cov : ndarray
-        (runs, n), (runs, n, n).
-    log_density : ndarray
-        (runs,).
+    known : Known
+        In the layout of a sweep.
     """
 
-    mean: Array
-    cov: Array
-    log_density: Array
+    known: Known
 
     @property
     def means(self) -> Array:
-        """With an axis of steps."""
-        return self.mean[None]
+        """The mean, (1, runs, n)."""
+        return _as_point(self.known.mean, 1)
 
     @property
     def point(self) -> Point:
         """Its moments."""
-        return Point(self.mean[None], self.cov[None])
+        return Point(self.means, _as_point(self.known.cov, 2))
 
 
-U = TypeVar("U", bound=Updated, covariant=True)
+U = TypeVar("U", bound=Solution, covariant=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,28 +67,40 @@ class Taken(Generic[U]):
     converged: Mask
 
 
-@dataclass(frozen=True, eq=False)
-class Reading(ABC, Generic[U]):
-    """The readings of a step, to be linearised anywhere and taken into the predicted belief.
+class StepReading(ABC, Generic[U]):
+    """The readings of a step, which can be linearised anywhere and taken into the predicted belief.
 
-    Attributes
+    Parameters
     ----------
-    due : list
-        The sensors that read at the step, with the rows of their readings.
+    parts : sequence of Reading
     step : int
     mean, cov : ndarray
-        (runs, n), (runs, n, n): the predicted belief.
+        (n, *batch), (n, n, *batch): the predicted belief.
     """
 
-    due: Due
-    step: int
-    mean: Array
-    cov: Array
+    def __init__(self, parts: Sequence[Reading], step: int, mean: Array, cov: Array) -> None:
+        self.parts, self.step, self.mean, self.cov = parts, step, mean, cov
+
+    @property
+    def measured(self) -> list[Measured]:
+        """The readings as they were linearised last."""
+        return [part.seen for part in self.parts]
+
+    def keep(self) -> None:
+        """Keep how they were linearised, in the plan."""
+        for part in self.parts:
+            part.keep()
 
     def linearise(self, at: Point, active: Mask | None) -> None:
         """Linearise each sensor, for the runs that are active."""
-        for sensor, _ in self.due:
-            linearise_sensor(sensor, self.step, at.mean[0], at.cov[0], active)
+        mean, cov = self._moments(at)
+        some = None if active is None or active.all() else active
+        for part in self.parts:
+            self.move(part, mean, cov, some)
+
+    def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
+        """Linearise a sensor's readings."""
+        part.linearise(mean, cov, active)
 
     @abstractmethod
     def solve(self, anchor: Anchor | None = None) -> U:
@@ -97,40 +108,71 @@ class Reading(ABC, Generic[U]):
 
     def cost(self, at: Point) -> Array:
         """The cost of means, (runs,)."""
-        white = roots.whiten(roots.root(self.cov), at.mean[0] - self.mean)
-        total = inner(white, white)
-        for sensor, rows in self.due:
-            count = rows.stop - rows.start
-            mean = np.broadcast_to(at.mean, (count, *at.mean.shape[1:]))
-            cov = np.broadcast_to(at.cov, (count, *at.cov.shape[1:]))
-            total = total + cost.readings(sensor, rows, mean, cov)
+        mean, cov = self._moments(at)
+        spread = _as_point(self.cov, 2)[0]
+        white = roots.whiten(roots.root(spread), at.mean[0] - _as_point(self.mean, 1)[0])
+        total: Array = inner(white, white)
+        for part in self.parts:
+            seen = part.seen
+            family = seen.sensor.family
+            expected = part.expected(mean, cov)
+            left = _as_point(part.values - expected, 1)
+            angles = np.tile(family.cpd.child.angle_mask, len(expected) // family.shape[2])
+            left = difference(left, np.zeros_like(left), angles)
+            noise = _as_point(seen.noise, 2)
+            if seen.taken is not None:
+                taken = _as_point(seen.taken, 1)
+                left = np.where(taken, left, 0.0)
+                both = taken[..., None] & taken[..., None, :]
+                noise = np.where(both, noise, np.eye(noise.shape[-1]))
+            total = total + cost.weighted(family, left, noise)
         return total
 
     def feasible(self, mean: Array, found: Point) -> Array:
         """The predicted means, given the exact readings alone."""
-        exact = [(sensor, rows) for sensor, rows in self.due if sensor.exact]
-        return update(exact, self.step, mean[0], self.cov)[0][None]
+        exact = [seen for seen in self.measured if seen.sensor.exact]
+        first = self._moments(found._replace(mean=mean))[0]
+        return _as_point(readings.update(exact, self.step, first, self.cov).mean, 1)
+
+    def _moments(self, at: Point) -> tuple[Array, Array]:
+        """In the layout of a sweep."""
+        if self.mean.ndim == 1:
+            return at.mean[0, 0], at.cov[0, 0]
+        return components_first(at.mean[0], 1), components_first(at.cov[0], 2)
 
 
-@dataclass(frozen=True, eq=False)
-class MomentReading(Reading[Updated]):
+class MomentReading(StepReading[Updated]):
     """Readings taken in as one vector, in float64."""
 
     def solve(self, anchor: Anchor | None = None) -> Updated:
         """The belief given the readings as they are linearised."""
-        mean, cov, log_density = update(self.due, self.step, self.mean, self.cov)
+        known = readings.update(self.measured, self.step, self.mean, self.cov)
         if anchor is not None:
-            mean, cov = anchor.hold(0, mean, cov)
-        return Updated(mean, cov, log_density)
+            mean, cov = anchor.hold(0, _as_point(known.mean, 1)[0], _as_point(known.cov, 2)[0])
+            shape = known.mean.shape, known.cov.shape
+            mean = components_first(mean, 1).reshape(shape[0])
+            known = known._replace(mean=mean, cov=components_first(cov, 2).reshape(shape[1]))
+        return Updated(known)
 
 
-def take(reading: Reading[U], schedule: Filtering) -> Taken[U]:
-    """Take the readings of a step into the predicted belief, as often linearised as is due."""
-    due, predicted = reading.due, Point(reading.mean[None], reading.cov[None])
+def _as_point(array: Array, own: int) -> Array:
+    """An array (own axes, *batch) as that of one step, (1, runs, own axes)."""
+    if array.ndim == own:
+        return array[None, None]
+    return components_last(array, own)[None]
+
+
+def take(reading: StepReading[U], schedule: Filtering) -> Taken[U]:
+    """Take the readings of a step into the predicted belief, as often linearised as is due.
+
+    They are linearised at the predicted belief.
+    """
+    predicted = Point(_as_point(reading.mean, 1), _as_point(reading.cov, 2))
     reading.linearise(predicted, None)
     once = reading.solve()
-    nothing = np.full(once.mean.shape[0], all(sensor.family.exact for sensor, _ in due))
-    if schedule.iterations == 1 or nothing.all():
-        return Taken(once, once.mean, [], nothing)
+    linear = all(part.sensor.family.exact for part in reading.parts)
+    nothing = np.full(predicted.mean.shape[1], linear)
+    if schedule.iterations == 1 or linear:
+        return Taken(once, once.means[0], [], nothing)
     result = iterate(reading, once, schedule, nothing, predicted)
     return Taken(result.solution, result.mean[0], result.residuals, result.converged)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.inference.chain import careful
-from pgm.inference.chain.forward import keep_chart
 from pgm.inference.chain.iteration import Point
+from pgm.inference.chain.moments import on_chart
 from pgm.inference.chain.plan import ChainPlan
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, components_first, components_last, times
 
 
 def dead(plan: ChainPlan) -> Point:
@@ -17,17 +17,18 @@ def dead(plan: ChainPlan) -> Point:
     front, states = layout.state_size, layout.state_places
     mean = np.zeros((plan.steps + 1, plan.runs, layout.slice_size))
     mean[0][:, states] = careful.prior_mean(plan)
-    pair = np.empty((plan.runs, front + layout.slice_size))
+    rows = mean.transpose(0, 2, 1) if plan.batch else mean[:, 0]
+    pair = np.empty((front + layout.slice_size, *plan.batch))
     for row in range(plan.steps):
-        pair[:, :front] = mean[row][:, states]
+        pair[:front] = rows[row][states]
         for link in plan.transition:
-            family, parents = link.family, pair[:, link.parents]
-            if family.exact:
-                pair[:, link.child] = family.value(row, parents)
+            at, parents = link.family.at(row, row + 1), pair[link.parents]
+            if at.function is None:
+                pair[link.child] = times(at.matrix, parents) + at.offset
             else:
-                pair[:, link.child] = family.bound(row, 1, parents.shape[:1])(parents)
-                keep_chart(link, row, pair, pair[:, link.child])
-        mean[row + 1] = pair[:, front:]
+                value = components_first(at.function(components_last(parents, 1)), 1)
+                pair[link.child] = on_chart(link, at, pair, value)
+        rows[row + 1] = pair[front:]
     return without_spread(plan, mean)
 
 

@@ -13,10 +13,9 @@ from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.factors.scope import positions
-from pgm.inference.chain import careful, certificate, forward, many, parallel, smoother
+from pgm.inference.chain import careful, certificate, forward, parallel, smoother
 from pgm.inference.chain.balanced import BalancedPosterior
-from pgm.inference.chain.forward import Forward
-from pgm.inference.chain.many import Filtered
+from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
@@ -145,10 +144,9 @@ def _smoothing(schedule: Calibration) -> Smoothing:
 
 def _sweep(plan: ChainPlan, schedule: Filtering) -> tuple[Forward | Filtered, Status]:
     """Filter; of many runs only the beliefs, as long as nothing else is asked for."""
-    if forward.is_single_pass(plan, schedule) and many.suits(plan):
-        found = many.filtered(plan)
-        if found is not None:
-            return found, forward.once_status(plan)
+    once = schedule.iterations == 1 or all(sensor.family.exact for sensor in plan.sensors)
+    if once and plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
+        return forward.filtered(plan)
     return forward.run(plan, schedule)
 
 

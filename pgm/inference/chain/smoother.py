@@ -29,13 +29,11 @@ from pgm.inference.chain.likelihoods import Readings
 from pgm.inference.chain.newton import Means
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.damping import LevenbergMarquardt
-from pgm.inference.family import Family
 from pgm.inference.schedule import ONCE, Smoothing
 from pgm.inference.status import Status
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, block
 from pgm.kernels.scan import gather
-from pgm.linearisers import Taylor
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +156,7 @@ def _iterated(
 def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
     """Whether iterations need no covariances."""
     several = schedule.iterations > 1 and not isinstance(schedule.damping, LevenbergMarquardt)
-    return several and all(map(_pointwise, plan.families))
+    return several and not any(family.needs_cov for family in plan.families)
 
 
 def _newton(
@@ -174,7 +172,7 @@ def _newton(
 
 
 def _swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    return Smoothed.of(plan, forward.sweep(plan, anchor))
+    return Smoothed.of(plan, forward.stored(plan, anchor))
 
 
 def _scanned(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
@@ -273,16 +271,10 @@ def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
                 steps = np.flatnonzero(counts == count)
                 grouped.linearise(sensor, steps, at.mean[steps], at.cov[steps], active)
         elif not family.exact:
-            cov = at.cov[:1] if _pointwise(family) else gather(at.cov, family.step)
+            cov = at.cov[:1] if not family.needs_cov else gather(at.cov, family.step)
             cov = np.broadcast_to(cov, (family.step.size, *cov.shape[1:]))
             family.linearise(everything, mean, block(cov, parents, parents), active)
         sensor.move(everything, family.value(everything, mean), active)
-
-
-def _pointwise(family: Family) -> bool:
-    """Whether a linearisation does not depend on the covariance."""
-    template = family.template
-    return template is None or (isinstance(family.lineariser, Taylor) and not template.numerical)
 
 
 def _start(plan: ChainPlan, start: Array) -> Point:

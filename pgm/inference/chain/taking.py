@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from pgm.inference.chain import refusals
 from pgm.inference.chain.iteration import Anchor
-from pgm.inference.chain.update import Due, refuse_contradiction, refuse_indefinite
+from pgm.inference.chain.vector import Measured
 from pgm.kernels import twofold
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, quiet, sandwich
+from pgm.kernels.arrays import (
+    LOG_2PI,
+    Array,
+    Kind,
+    Mask,
+    components_last,
+    independent,
+    quiet,
+    sandwich,
+)
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
 
@@ -183,18 +195,19 @@ class Taken(NamedTuple):
 
 
 @quiet()
-def update(due: Due, step: int, belief: Belief, mean: Array) -> Taken:
-    """Take in the readings of a step; the rounded mean tells how large their numbers are."""
-    rows, noises, seen = _decorrelated(due, step, mean)
+def update(parts: Sequence[Measured], step: int, belief: Belief, mean: Array) -> Taken:
+    """Take in the readings of a step; the rounded mean, (n, *batch), tells the numbers' size."""
+    runs = len(belief.cov.hi)
+    rows, noises, seen = _decorrelated(parts, runs, len(mean))
     components: list[Component] = []
-    log_density = np.zeros(len(mean))
+    log_density = np.zeros(runs)
     left = np.zeros(seen.shape)
     for k in range(seen.shape[-1]):
         belief, component, predictive, indefinite = _take(
             belief, rows[:, k, :-1], rows[:, k, -1], noises[:, k], seen[:, k]
         )
         if indefinite:
-            refuse_indefinite(due)
+            refusals.indefinite(parts, step)
         components.append(component)
         innovation, weight = component.innovation[:, 0], component.weight
         read = weight.hi > 0.0
@@ -202,9 +215,9 @@ def update(due: Due, step: int, belief: Belief, mean: Array) -> Taken:
         level = (innovation * innovation * weight).hi + np.log(np.where(read, predictive, 1.0))
         log_density -= np.where(read, 0.5 * (level + LOG_2PI), 0.0)
     if not np.isfinite(log_density).all():
-        refuse_indefinite(due)
+        refusals.indefinite(parts, step)
     if left.any():
-        refuse_contradiction(due, mean, left)
+        refusals.contradiction(parts, step, mean, left.T if mean.ndim > 1 else left[0])
     return Taken(belief, components, log_density)
 
 
@@ -277,8 +290,10 @@ def _take(
     return after, component, predictive.hi, indefinite
 
 
-def _decorrelated(due: Due, step: int, mean: Array) -> tuple[Twofold, Twofold, Mask]:
-    """The components of the readings of a step, each with an error of its own.
+def _decorrelated(
+    parts: Sequence[Measured], runs: int, width: int
+) -> tuple[Twofold, Twofold, Mask]:
+    """The components of readings, each with an error of its own.
 
     Returns
     -------
@@ -289,29 +304,28 @@ def _decorrelated(due: Due, step: int, mean: Array) -> tuple[Twofold, Twofold, M
     taken : ndarray of bool
         (runs, D).
     """
-    runs, width = mean.shape
-    parts = [(sensor, sensor.reading(own)) for sensor, own in due]
-    height = sum(seen.value.shape[0] * seen.value.shape[2] for _, seen in parts)
+    height = sum(len(seen.value) for seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))
     noise = np.zeros((runs, height, height))
     taken = np.ones((runs, height), dtype=bool)
     top = 0
-    for sensor, seen in parts:
-        count, _, size = seen.value.shape
-        between = sensor.between(step)
-        if between is not None:
-            every = slice(top, top + count * size)
-            noise[:, every, every] = between
-        for k in range(count):
-            place = slice(top, top + size)
-            top += size
-            rows.hi[:, place, :-1][..., sensor.parents] = seen.matrix[k]
-            rows[:, place, -1] = Twofold(seen.value[k]) - seen.offset[k]
-            noise[:, place, place] = seen.noise[k]
-            if seen.taken is not None:
-                taken[:, place] = seen.taken[k]
+    for seen in parts:
+        place = slice(top, top := top + len(seen.value))
+        rows.hi[:, place, :-1][..., seen.sensor.parents] = _by_run(seen.matrix, 2)
+        rows[:, place, -1] = Twofold(_by_run(seen.reading, 1)) - _by_run(seen.constant, 1)
+        noise[:, place, place] = _by_run(seen.noise, 2)
+        if seen.taken is not None:
+            there = _by_run(seen.taken, 1)
+            taken[:, place] = there
+            rows[:, place] = twofold.where(there[..., None], rows[:, place], 0.0)
+            noise[:, place, place] = independent(noise[:, place, place], there)
     own = variances(noise)
     if np.count_nonzero(noise) == np.count_nonzero(own):
         return rows, Twofold(own.copy()), taken
     unit, noises = twofold.eliminated(noise, NEGLIGIBLE)
     return twofold.solve_unit(unit, rows), noises, taken
+
+
+def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
+    """An array (own axes, *batch) with an axis of runs first."""
+    return array[None] if array.ndim == own else components_last(array, own)

@@ -1,0 +1,267 @@
+"""The Gaussian family of a chain: messages in moment form, of one run or of many.
+
+Everything has its components first and the batch last: no axis of one run, one of many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.inference.chain import readings, refusals
+from pgm.inference.chain.iteration import Anchor
+from pgm.inference.chain.plan import ChainPlan, Link
+from pgm.inference.chain.reading import MomentReading, take
+from pgm.inference.chain.readings import Reading
+from pgm.inference.family import At
+from pgm.inference.schedule import Filtering
+from pgm.kernels import gaussian
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, components_first, components_last, times, within
+
+_HALF_TURN = 0.5 * TURN
+
+
+class Moments(NamedTuple):
+    """Mean (n, *batch) and covariance (n, n, *batch) of a slice.
+
+    `mild` says whether no variance is known to have fallen by more than a thousand in an update.
+    """
+
+    mean: Array
+    cov: Array
+    mild: bool = True
+
+    @classmethod
+    def of(cls, plan: ChainPlan, mean: Array, cov: Array) -> Moments:
+        """Of arrays with an axis of runs first, (runs, n) and (runs, n, n)."""
+        if not plan.batch:
+            return cls(mean[0], cov[0])
+        return cls(components_first(mean, 1), components_first(cov, 2))
+
+    @property
+    def by_run(self) -> tuple[Array, Array]:
+        """With an axis of runs first, (runs, n) and (runs, n, n)."""
+        if self.mean.ndim == 1:
+            return self.mean[None], self.cov[None]
+        return components_last(self.mean, 1), components_last(self.cov, 2)
+
+
+class MomentChain:
+    """The forward half of the family.
+
+    Parameters
+    ----------
+    plan : ChainPlan
+    schedule : Filtering or None
+        How often readings are linearised; None leaves all CPDs as they were linearised before.
+    keep : bool
+        Whether the plan keeps the linearisations.
+    anchor : Anchor, optional
+        What holds the beliefs.
+    check : bool
+        Whether all numbers are looked at, and refused where they are not finite.
+
+    Attributes
+    ----------
+    residuals : list of ndarray
+        (runs,) for each relinearisation, the largest of all steps.
+    converged : ndarray of bool
+        (runs,).
+    """
+
+    def __init__(
+        self,
+        plan: ChainPlan,
+        schedule: Filtering | None,
+        *,
+        keep: bool = True,
+        anchor: Anchor | None = None,
+        check: bool = False,
+    ) -> None:
+        layout = plan.layout
+        self.plan, self.schedule, self.anchor, self.check = plan, schedule, anchor, check
+        self.linearises, self.keeps = schedule is not None, keep and schedule is not None
+        self.states = layout.state_places if layout.control_places.size else None
+        self.residuals: list[Array] = []
+        self.converged = np.ones(plan.runs, dtype=bool)
+
+    def start(self) -> Moments:
+        """The slice at step 0 before its readings; there are no controls."""
+        plan = self.plan
+        size, places = plan.layout.state_size, plan.layout.state_places
+        mean, cov = np.zeros((size, *plan.batch)), np.zeros((size, size, *plan.batch))
+        for link in plan.prior:
+            self._extend(link, self._at(link, 0), 0, mean, cov)
+        if self.states is None:
+            return Moments(mean, cov)
+        width = plan.layout.slice_size
+        whole, spread = np.zeros((width, *plan.batch)), np.zeros((width, width, *plan.batch))
+        whole[places] = mean
+        where = np.arange(width)[places]
+        spread[where[:, None], where] = cov
+        return Moments(whole, spread)
+
+    def predict(self, step: int, belief: Moments) -> Moments:
+        """The slice of a step, from that of the step before."""
+        number = int(self.plan.transition[0].family.step[step - 1])
+        return self.predicted(self.motion(step), number, belief)
+
+    def take(self, step: int, belief: Moments) -> tuple[Moments, Array | float]:
+        """The belief given the readings of its step."""
+        parts = self.readings(step)
+        if not parts and self.anchor is None:
+            return belief, 0.0
+        return self.taken(parts, self.plan.first + step, belief)
+
+    def motion(self, step: int) -> list[At]:
+        """The CPDs of the transition to a step."""
+        return [self._at(link, step - 1) for link in self.plan.transition]
+
+    def readings(self, step: int) -> list[Reading]:
+        """The readings of a step."""
+        found = []
+        for sensor in self.plan.sensors:
+            due = sensor.at(step, stored=not self.linearises)
+            if due is not None:
+                found.append(Reading(sensor, *due))
+        return found
+
+    def predicted(self, ats: Sequence[At], step: int, belief: Moments) -> Moments:
+        """The slice of a step, with the transition's CPDs bound to its evidence."""
+        layout, (mean, cov, _) = self.plan.layout, belief
+        if self.states is not None:
+            mean, cov = mean[self.states], within(cov, self.states)
+        if layout.single:
+            link, at = self.plan.transition[0], ats[0]
+            matrix, value, noise, bare = self._linearised(link, at, mean, mean, cov)
+            after = gaussian.predict(cov, matrix, noise, bare)
+            self._require(link, step, after)
+            return Moments(value, after)
+        front, batch = layout.state_size, self.plan.batch
+        size = front + layout.slice_size
+        pair, spread = np.zeros((size, *batch)), np.zeros((size, size, *batch))
+        pair[:front] = mean
+        spread[:front, :front] = cov
+        for link, at in zip(self.plan.transition, ats, strict=True):
+            self._extend(link, at, step, pair, spread)
+        return Moments(pair[front:], spread[front:, front:])
+
+    def taken(
+        self, parts: Sequence[Reading], step: int, belief: Moments
+    ) -> tuple[Moments, Array | float]:
+        """The belief given readings of its step."""
+        mean, cov, _ = belief
+        schedule = self.schedule
+        linear = all(part.sensor.family.exact for part in parts)
+        if schedule is None or schedule.iterations == 1 or linear or self.check:
+            self.converged &= linear
+            seen = [part.linearise(mean, cov) for part in parts]
+            if self.check:
+                for part in parts:
+                    part.require_finite()
+            known = readings.update(seen, step, mean, cov)
+            after, density = Moments(known.mean, known.cov, known.mild), known.log_density
+        else:
+            after, density = self._iterated(parts, step, mean, cov, schedule)
+        if self.keeps:
+            for part in parts:
+                part.keep()
+        return (after if self.anchor is None else self._held(step, after)), density
+
+    def _iterated(
+        self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
+    ) -> tuple[Moments, Array | float]:
+        found = take(MomentReading(parts, step, mean, cov), schedule)
+        self.residuals = largest(self.residuals, found.residuals)
+        self.converged &= found.converged
+        known = found.solution.known
+        shown = found.mean.T if self.plan.batch else found.mean[0]
+        return Moments(shown, known.cov, False), known.log_density
+
+    def _held(self, step: int, belief: Moments) -> Moments:
+        assert self.anchor is not None
+        return Moments.of(self.plan, *self.anchor.hold(step, *belief.by_run))._replace(mild=False)
+
+    def _at(self, link: Link, row: int) -> At:
+        if self.linearises:
+            return link.family.at(row, row + 1)
+        return link.family.stored_at(row, row + 1)
+
+    def _extend(self, link: Link, at: At, step: int, mean: Array, cov: Array) -> None:
+        """Write the child of a CPD into the joint that its parents stand in."""
+        parents = mean[link.parents]
+        matrix, value, noise, bare = self._linearised(
+            link, at, mean, parents, within(cov, link.parents)
+        )
+        gaussian.extend(mean, cov, link.child, link.parents, matrix, value, noise, bare)
+        self._require(link, step, cov[link.child, link.child])
+
+    def _linearised(
+        self, link: Link, at: At, before: Array, mean: Array, cov: Array
+    ) -> tuple[Array, Array, Array, tuple[int, ...]]:
+        """F, F μ + b, the noise, and which components have none, at a belief over the parents.
+
+        `before` is the vector in which the parents stand.
+        """
+        family, bare = link.family, link.family.bare
+        line = family.line(at, mean, cov)
+        matrix, value, error = line
+        if self.check and at.function is not None:
+            family.require_finite(at.function, mean, line)
+        noise = at.noise
+        if error is not None:
+            noise = noise + error
+            bare = tuple(k for k in bare if not noise[k, k].any())
+        if at.function is not None:
+            value = on_chart(link, at, before, value)
+            if self.keeps:
+                offset = value - times(matrix, mean)
+                family.keep(at, matrix, offset, None if error is None else noise)
+        return matrix, value, noise, bare
+
+    def _require(self, link: Link, step: int, cov: Array) -> None:
+        if self.check or not link.family.semidefinite:
+            refusals.prediction(link, step, cov, finite=self.check)
+
+
+def _turns(link: Link, before: Array, value: Array) -> bool:
+    """Whether an angle is more than half a turn from where it was."""
+    if value.ndim == 1:
+        return any(
+            abs(value.item(new) - before.item(old)) > _HALF_TURN for new, old in link.turning
+        )
+    return any(
+        bool((np.abs(value[new] - before[old]) > _HALF_TURN).any()) for new, old in link.turning
+    )
+
+
+def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
+    """A value without whole turns that a function which wraps its angles has made in a step.
+
+    Beliefs live on one unwrapped chart. `before` is the vector in which the CPD's parents stand.
+    """
+    if at.function is None or not (link.turning and _turns(link, before, value)):
+        return value
+    turned = value[link.angles] - before[link.before]
+    # A function that wraps gives the same for an angle a whole turn on; another turns too.
+    further = before.copy()
+    further[link.before] += TURN
+    ends = [at.function(components_last(x[link.parents], 1)) for x in (further, before)]
+    gained = components_first(ends[0] - ends[1], 1)
+    wraps = np.abs(gained[link.angles]) < 0.5 * TURN
+    moved = value.copy()
+    moved[link.angles] -= np.where(wraps, TURN * np.round(turned / TURN), 0.0)
+    return moved
+
+
+def largest(record: list[Array], residuals: Iterable[Array]) -> list[Array]:
+    """The largest residuals of all steps; a step that was done earlier keeps its last one."""
+    residuals = list(residuals)
+    if not record or not residuals:
+        return record or residuals
+    length = max(len(record), len(residuals))
+    ours, others = (each + each[-1:] * (length - len(each)) for each in (record, residuals))
+    return [np.maximum(a, b) for a, b in zip(ours, others, strict=True)]

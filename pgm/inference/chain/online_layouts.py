@@ -1,0 +1,133 @@
+"""Steps of one robot online, laid out once for each kind of input and then only carried out.
+
+Inputs that are out of the ordinary are None here, and bound anew each time: batches of robots,
+missing readings, values of odd shapes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pgm.cpds import Noise
+from pgm.inference.chain.online_belief import OnlineBelief
+from pgm.inference.chain.online_given import Key, ordinary, places
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.readings import Reading
+from pgm.inference.family import At, Family
+from pgm.kernels import gaussian
+from pgm.kernels.arrays import Array
+from pgm.variables import Variable
+
+# Kinds of input that a filter keeps layouts for.
+_MOST = 64
+Values = Mapping[Variable, Any]
+
+
+class _Local(NamedTuple):
+    """A CPD, and which of the rows given are its inputs; of those shared by sightings, tiled."""
+
+    family: Family
+    inputs: list[tuple[int, bool]]
+    count: int
+    reading: int
+
+    def at(self, step: int, rows: list[Array]) -> At | None:
+        """The CPD at rows; None where its noise there is singular."""
+        values = [
+            np.tile(rows[k], (self.count, 1)) if shared else rows[k] for k, shared in self.inputs
+        ]
+        found = self.family.given(step, values, self.count)
+        if isinstance(self.family.cpd.cov, Noise) and gaussian.root(found.noise) is None:
+            return None
+        return found
+
+
+class _Layout(NamedTuple):
+    """A plan, its CPDs, and the values that it was made of.
+
+    These keep alive the variables that a kind of input tells by identity.
+    """
+
+    plan: ChainPlan
+    locals: list[_Local]
+    values: Values
+
+
+class Layouts:
+    """Layouts of a step, by the kind of input.
+
+    Parameters
+    ----------
+    make : callable
+        Makes a plan, or refuses what is given.
+    """
+
+    def __init__(self, make: Callable[[OnlineBelief, Values], ChainPlan]) -> None:
+        self._make = make
+        self._known: dict[Key, _Layout] = {}
+
+    def motion(self, belief: OnlineBelief, inputs: Values) -> tuple[ChainPlan, list[At]] | None:
+        """The plan of a prediction, and its CPDs."""
+        given = ordinary(inputs)
+        if given is None:
+            return None
+        key, rows = given
+        layout = self._known.get(key) or self._add(key, belief, inputs)
+        ats = [local.at(belief.step + 1, rows) for local in layout.locals]
+        if None in ats:
+            return None
+        return layout.plan, ats  # type: ignore[return-value]
+
+    def sensors(
+        self, belief: OnlineBelief, readings: Values
+    ) -> tuple[ChainPlan, list[Reading]] | None:
+        """The plan of an update, and its readings."""
+        given = ordinary(readings)
+        if given is None:
+            return None
+        key, rows = given
+        if not belief.step:  # there are no controls, and readings of them are refused
+            key = *key, 0
+        layout = self._known.get(key) or self._add(key, belief, readings)
+        parts = []
+        for sensor, local in zip(layout.plan.sensors, layout.locals, strict=True):
+            if not local.count:
+                continue
+            at = local.at(belief.step, rows)
+            if at is None:
+                return None
+            reading = rows[local.reading]
+            parts.append(
+                Reading(sensor, at, reading if local.count == 1 else reading.reshape(-1), None)
+            )
+        return layout.plan, parts
+
+    def _add(self, key: Key, belief: OnlineBelief, values: Values) -> _Layout:
+        plan, where = self._make(belief, values), places(values)
+        locals_ = [_local(link.family, None, 1, where) for link in plan.transition]
+        if plan.sensors:
+            locals_ = [
+                _local(sensor.family, sensor.variable, len(sensor.values), where)
+                for sensor in plan.sensors
+            ]
+        if len(self._known) >= _MOST:
+            self._known.clear()
+        layout = self._known[key] = _Layout(plan, locals_, dict(values))
+        return layout
+
+
+def _local(
+    family: Family,
+    sensor: Variable | None,
+    count: int,
+    where: Mapping[tuple[Variable | None, Variable], int],
+) -> _Local:
+    inputs = []
+    for parent in family.inputs:
+        own = sensor is not None and (sensor, parent) in where
+        # What is given beside several sightings holds for each of them.
+        inputs.append((where[sensor if own else None, parent], count > 1 and not own))
+    return _Local(family, inputs, count, where[None, sensor] if sensor is not None else -1)

@@ -1,0 +1,193 @@
+"""The readings of a step: linearised at a belief, and taken in.
+
+Everything has its components first and the batch last: no axis of one run, one of many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf, isfinite
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.inference.chain import refusals
+from pgm.inference.chain.plan import ChainPlan, Sensor
+from pgm.inference.chain.vector import Measured, Vector, vector
+from pgm.inference.family import At
+from pgm.kernels import gaussian
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, components_first, components_last, within
+from pgm.kernels.gaussian import NEARLY_SINGULAR
+from pgm.kernels.roots import NEGLIGIBLE
+from pgm.linearisers import Line
+
+_HALF_TURN = 0.5 * TURN
+
+
+class Known(NamedTuple):
+    """A belief given measurements, (n, *batch) and (n, n, *batch), and their log-density.
+
+    `mild` says whether no variance is known to have fallen by more than a thousand.
+    """
+
+    mean: Array
+    cov: Array
+    log_density: Array | float
+    mild: bool
+
+
+def update(parts: Sequence[Measured], step: int, mean: Array, cov: Array) -> Known:
+    """The belief given sightings of a step.
+
+    Several sharp readings of what is hardly known are better taken in one by one, which is equal
+    but for rounding.
+    """
+    if not parts:
+        return Known(mean, cov, 0.0, True)
+    several = sum(len(each.value) for each in parts) > parts[0].sensor.variable.dimension
+    found = _absorb(parts, step, mean, cov, NEARLY_SINGULAR if several else NEGLIGIBLE)
+    if found is not None:
+        return found
+    exact = [seen for seen in parts if seen.sensor.exact]
+    rest = [[one] for seen in parts if not seen.sensor.exact for one in seen.each()]
+    known = Known(mean, cov, 0.0, False)
+    for some in [exact, *rest] if exact else rest:
+        then = _absorb(some, step, known.mean, known.cov, 0.0)
+        assert then is not None
+        known = then._replace(log_density=known.log_density + then.log_density, mild=False)
+    return known
+
+
+def _absorb(
+    parts: Sequence[Measured], step: int, mean: Array, cov: Array, least: float
+) -> Known | None:
+    """Take in sightings as one; None where their joint covariance is too nearly singular.
+
+    That is told where a component has to have more than the `least` share left, if any.
+    """
+    exact = any(seen.sensor.exact for seen in parts)
+    matrix, residual, noise, missing = vector(parts, mean)
+    sharp = parts[0].sensor.sharpness(noise) if len(parts) == 1 and mean.ndim > 1 else None
+    found = gaussian.update(
+        mean, cov, matrix, residual, noise, exact=exact, sharp=sharp, least=least or NEGLIGIBLE
+    )
+    density = found.log_density
+    finite = isfinite(density) if isinstance(density, float) else np.isfinite(density.sum())
+    if not finite:
+        refusals.indefinite(parts, step)
+    if least == NEARLY_SINGULAR and not found.regular:
+        return None
+    if found.left is not None:
+        refusals.contradiction(parts, step, mean, found.left)
+    if missing is not None:
+        density = density + 0.5 * LOG_2PI * (missing if mean.ndim > 1 else int(missing))
+    return Known(found.mean, found.cov, density, found.mild)
+
+
+class Reading:
+    """The sightings of one sensor at a step, to be linearised anywhere.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    at : At
+        The sensor's CPD at the sightings.
+    values : ndarray
+        (D, *batch), as given; one for all may have a batch of one.
+    taken : ndarray of bool or None
+        As of `Measured`.
+    """
+
+    __slots__ = ("at", "erroneous", "seen", "sensor", "taken", "values")
+
+    seen: Measured
+
+    def __init__(self, sensor: Sensor, at: At, values: Array, taken: Mask | None) -> None:
+        self.sensor, self.at, self.values, self.taken = sensor, at, values, taken
+        self.erroneous = False
+
+    def linearise(self, mean: Array, cov: Array, active: Mask | None = None) -> Measured:
+        """Linearise at a belief over the slice; runs that are not active keep what they have."""
+        sensor, at = self.sensor, self.at
+        if not sensor.whole:
+            mean, cov = mean[sensor.parents], within(cov, sensor.parents)
+        matrix, value, error = sensor.family.line(at, mean, cov)
+        noise = at.noise
+        if error is not None:
+            noise, self.erroneous = noise + error, True
+        reading = _nearest(self.values, value, sensor.turning(len(value)))
+        seen = Measured(sensor, matrix, value, noise, mean, reading, self.taken, at.offset)
+        if active is not None:
+            both = _either(active, seen[1:6], self.seen[1:6])
+            seen = Measured(sensor, *both, self.taken, at.offset)
+        self.seen = seen
+        return seen
+
+    def expected(self, mean: Array, cov: Array) -> Array:
+        """The values at a belief over the slice, as the lineariser sees them; NaN outside domains."""
+        sensor = self.sensor
+        if not sensor.whole:
+            mean, cov = mean[sensor.parents], within(cov, sensor.parents)
+        return sensor.family.line(self.at, mean, cov).value
+
+    def require_finite(self) -> None:
+        """Refuse values of NaN or infinity."""
+        function, seen = self.at.function, self.seen
+        if function is not None:
+            error = seen.noise if self.erroneous else None
+            line = Line(seen.matrix, seen.value, error)
+            self.sensor.family.require_finite(function, seen.point, line)
+
+    def keep(self) -> None:
+        """Keep how the sightings were linearised, in the plan."""
+        seen, sensor = self.seen, self.sensor
+        if self.at.function is not None:
+            noise = seen.noise if self.erroneous else None
+            sensor.family.keep(self.at, seen.matrix, seen.constant, noise)
+        sensor.keep(self.at, seen.reading, seen.noise if self.erroneous else None)
+
+
+def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
+    """Readings, their angles moved by whole turns to the branch nearest to values."""
+    moved = reading
+    for k in turning:
+        if reading.ndim == 1:
+            off = reading.item(k) - value.item(k)
+            if not _HALF_TURN < abs(off) < inf:
+                continue
+        else:
+            off = reading[k] - value[k]
+            if not np.abs(off).max(initial=0.0) > _HALF_TURN:
+                continue
+        if moved is reading:
+            moved = np.empty_like(value)
+            moved[...] = reading
+        moved[k] -= TURN * np.round(off / TURN)
+    return moved
+
+
+def _either(mask: Mask, ours: Sequence[Array], theirs: Sequence[Array]) -> list[Array]:
+    return [np.where(mask, a, b) for a, b in zip(ours, theirs, strict=True)]
+
+
+def stored(plan: ChainPlan, step: int, mean: Array) -> Vector | None:
+    """The readings of a step as they were linearised, at means (runs, n), as one vector by runs.
+
+    None where nothing is read.
+    """
+    at = components_first(mean, 1) if plan.batch else mean[0]
+    nothing = np.zeros((len(at), len(at), *plan.batch))
+    due = [(sensor, sensor.at(step, stored=True)) for sensor in plan.sensors]
+    parts = [Reading(sensor, *each).linearise(at, nothing) for sensor, each in due if each]
+    if not parts:
+        return None
+    matrix, residual, noise, missing = vector(parts, at)
+    if not plan.batch:
+        lost = None if missing is None else missing[None]
+        return Vector(matrix[None], residual[None], noise[None], lost)
+    noise = np.broadcast_to(noise, (*noise.shape[:2], *plan.batch))
+    matrix = np.broadcast_to(matrix, (*matrix.shape[:2], *plan.batch))
+    return Vector(
+        components_last(matrix, 2), components_last(residual, 1), components_last(noise, 2), missing
+    )

@@ -1,0 +1,88 @@
+"""Beliefs and readings that are refused: who says what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NoReturn
+
+import numpy as np
+
+from pgm.errors import NumericalError
+from pgm.inference.chain.plan import Link
+from pgm.inference.chain.vector import Measured
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, components_last, times
+
+# A reading this far from what an exact model says, as a part of the numbers' size, contradicts it.
+CONTRADICTION = 1e-8
+
+
+def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
+    """Refuse readings whose predictive covariance is indefinite or not finite."""
+    names = ", ".join(seen.sensor.variable.name for seen in parts)
+    blamed = [seen.sensor for seen in parts if not seen.sensor.family.taylor]
+    sensor = blamed[0] if blamed else parts[0].sensor
+    advice = (
+        f"with {sensor.family.lineariser!r} it may be: use positive weights or more samples"
+        if blamed
+        else "are the belief before it and the reading of a size that float64 can hold?"
+    )
+    raise NumericalError(
+        f"the predictive covariance of {names} at step {step} is indefinite or not "
+        f"finite; {advice}",
+        variable=sensor.variable,
+        cpd=sensor.family.cpd,
+        step=step,
+    )
+
+
+def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array) -> None:
+    """Refuse readings, (D, *batch) from values that an exact model has determined already."""
+    sizes = []
+    for seen in parts:
+        # Numbers of this size are summed up to the expected value.
+        expected = times(np.abs(seen.matrix), np.abs(mean[seen.sensor.parents]))
+        sizes.append((np.abs(seen.reading) + expected + np.abs(seen.constant)).max(axis=0))
+    far = left > CONTRADICTION * np.max(sizes, axis=0)
+    if not far.any():
+        return
+    where = tuple(int(axis[0]) for axis in np.nonzero(far.T))
+    run, place = where if far.ndim > 1 else (0, *where)
+    heights = [len(seen.value) for seen in parts]
+    sensor = parts[int(np.searchsorted(np.cumsum(heights), place, side="right"))].sensor
+    run, off = sensor.family.first_run + run, float(far.T[where] and left.T[where])
+    raise NumericalError(
+        f"a reading of {sensor.variable!r} at step {step}, run {run}, contradicts an exact "
+        f"model: it is {off:.3g} from a value that is certain; give the sensor, the "
+        "motion or the prior some noise",
+        variable=sensor.variable,
+        cpd=sensor.family.cpd,
+        step=step,
+        run=run,
+    )
+
+
+def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
+    """Refuse what is too large, or indefinite, which only a lineariser's error can make it.
+
+    `finite` says whether the former is looked for.
+    """
+    family = link.family
+    if finite and not np.isfinite(cov).all():
+        fault = (
+            "not finite; are the belief before it, its inputs and its noise of a size that float64 "
+            "can hold?"
+        )
+    elif family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2))):
+        return
+    else:
+        fault = (
+            f"indefinite with {family.lineariser!r}; use a rule with positive weights or more "
+            "samples"
+        )
+    raise NumericalError(
+        f"{family.cpd!r}: the predicted covariance at step {step} is {fault}",
+        variable=family.cpd.child,
+        cpd=family.cpd,
+        step=step,
+    )

@@ -1,0 +1,127 @@
+"""The measurements of a step as one vector: the one place where they are stacked.
+
+Everything has its components first and the batch last: no axis of one run, one of many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.inference.chain.plan import Sensor
+from pgm.kernels.arrays import Array, Mask, times
+
+
+class Measured(NamedTuple):
+    """Sightings of one sensor at a step, as they are linearised: z = value + H (x − point) + n.
+
+    Attributes
+    ----------
+    sensor : Sensor
+    matrix, value, noise : ndarray
+        H over the sensor's parents, (D, m, *batch), and the value and noise, (D, *batch) and
+        (D, D, *batch); a batch may be one for all.
+    point : ndarray
+        (m, *batch): the mean of the parents at which they were linearised.
+    reading : ndarray
+        (D, *batch): z, its angles on the branch nearest the value.
+    taken : ndarray of bool or None
+        (D, *batch): which components are there; None where none is missing.
+    offset : ndarray or None
+        The constant of an affine CPD, (D, *batch).
+    """
+
+    sensor: Sensor
+    matrix: Array
+    value: Array
+    noise: Array
+    point: Array
+    reading: Array
+    taken: Mask | None
+    offset: Array | None
+
+    @property
+    def constant(self) -> Array:
+        """The b of E[z] = H x + b."""
+        if self.offset is not None:
+            return self.offset
+        return self.value - times(self.matrix, self.point)
+
+    def residual(self, mean: Array) -> Array:
+        """Z − E[z] for a belief over the parents, (D, *batch)."""
+        if mean is self.point:
+            return self.reading - self.value
+        return self.reading - (self.value + times(self.matrix, mean - self.point))
+
+    def each(self) -> list[Measured]:
+        """One sighting after another; together where their errors are correlated."""
+        height = self.sensor.variable.dimension
+        count = len(self.value) // height
+        if count == 1 or self.sensor.family.grouped:
+            return [self]
+        rows = [slice(k * height, (k + 1) * height) for k in range(count)]
+        return [
+            self._replace(
+                matrix=self.matrix[own],
+                value=self.value[own],
+                noise=self.noise[own, own],
+                reading=self.reading[own],
+                taken=None if self.taken is None else self.taken[own],
+                offset=None if self.offset is None else self.offset[own],
+            )
+            for own in rows
+        ]
+
+
+class Vector(NamedTuple):
+    """Measurements as one: z = H x + n, over the slice.
+
+    A missing component is one of unit variance that says nothing.
+
+    Attributes
+    ----------
+    matrix, residual, noise : ndarray
+        H (D, n, *batch), z − H x̂ (D, *batch) and (D, D, *batch).
+    missing : ndarray or None
+        (*batch): how many components are missing; None where none is.
+    """
+
+    matrix: Array
+    residual: Array
+    noise: Array
+    missing: Array | None
+
+
+def vector(parts: Sequence[Measured], mean: Array) -> Vector:
+    """Sightings as one vector, at a belief over the slice of mean (n, *batch)."""
+    size, batch = len(mean), mean.shape[1:]
+    found = [_masked(seen, mean) for seen in parts]
+    lost = [each.missing for each in found if each.missing is not None]
+    missing = sum(lost[1:], lost[0]) if lost else None
+    if len(found) == 1 and parts[0].sensor.whole:
+        return found[0]
+    height = sum(len(each.residual) for each in found)
+    matrix, noise = np.zeros((height, size, *batch)), np.zeros((height, height, *batch))
+    residual, top = np.empty((height, *batch)), 0
+    for seen, each in zip(parts, found, strict=True):
+        rows = slice(top, top := top + len(each.residual))
+        matrix[rows, seen.sensor.parents] = each.matrix
+        residual[rows], noise[rows, rows] = each.residual, each.noise
+    return Vector(matrix, residual, noise, missing)
+
+
+def _masked(seen: Measured, mean: Array) -> Vector:
+    """A sensor's sightings, over its own parents."""
+    residual = seen.residual(mean if seen.sensor.whole else mean[seen.sensor.parents])
+    if seen.taken is None:
+        return Vector(seen.matrix, residual, seen.noise, None)
+    taken = seen.taken
+    eye = np.eye(len(taken)).reshape(*seen.noise.shape[:2], *(1 for _ in mean.shape[1:]))
+    return Vector(
+        np.where(taken[:, None], seen.matrix, 0.0),
+        np.where(taken, residual, 0.0),
+        np.where(taken[:, None] & taken[None], seen.noise, eye),
+        np.broadcast_to((~taken).sum(axis=0), mean.shape[1:]),
+    )

@@ -1,0 +1,261 @@
+"""Gaussians in moment form, one or a batch: components first, mean (n, *batch).
+
+An empty batch is one Gaussian, whose few numbers take less time than the calls around them: small
+ones go through straight lines of Python, larger ones through LAPACK. One axis is many runs, and each
+operation goes along rows of them. Where a pivot is nearly lost, any batch goes through `moments`,
+which tells singular covariances from rounding.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import log, sqrt
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.kernels import along_runs, moments, roots
+from pgm.kernels.arrays import (
+    LOG_2PI,
+    Array,
+    Index,
+    components_first,
+    components_last,
+    symmetric,
+)
+from pgm.kernels.moments import ROUNDING
+from pgm.kernels.roots import NEGLIGIBLE
+from pgm.kernels.straight import checking, predicting, updating
+
+# Below this part of its diagonal entry a pivot of several readings together costs too many digits.
+NEARLY_SINGULAR = 1e-6
+
+
+@lru_cache(maxsize=1)
+def _lapack() -> ModuleType:
+    from scipy.linalg import lapack  # here, since it is slow to import
+
+    return lapack  # type: ignore[no-any-return]
+
+
+def deviations(cov: Array) -> Array:
+    """Standard deviations, (n, *batch); zero where rounding has left a variance below zero."""
+    return np.sqrt(np.maximum(np.einsum("ii...->i...", cov), 0.0))
+
+
+def root(cov: Array) -> Array | None:
+    """The lower triangular L with P = L Lᵀ; None where a pivot is negligible, or there is none."""
+    if cov.ndim > 3:
+        shape = cov.shape
+        flat = along_runs.root(cov.reshape(*shape[:2], -1))
+        return None if flat is None else flat.reshape(shape)
+    if cov.ndim == 3:
+        return along_runs.root(cov)
+    lower, fault = _lapack().dpotrf(cov, 1)
+    if fault:
+        return None
+    for pivot, entry in zip(lower.diagonal().tolist(), cov.diagonal().tolist(), strict=True):
+        if not pivot * pivot > NEGLIGIBLE * entry:
+            return None
+    found: Array = lower
+    return found
+
+
+def divide(matrix: Array, lower: Array) -> Array:
+    """The F with F L = J, for J (d, n, *batch)."""
+    if lower.ndim == 2:
+        found: Array = _lapack().dtrtrs(lower, matrix.T, 1, 1)[0].T
+        return found
+    return along_runs.divide(matrix, lower)
+
+
+def is_regular(cov: Array, before: Array, least: float) -> bool:
+    """Whether no component is determined to `least` by those before it, nor against another time.
+
+    Neither the share of its variance that those before it leave open, nor its variance beside that
+    of an earlier covariance is smaller. Components without a variance now and then do not count.
+    """
+    if cov.ndim == 2:
+        written = checking(len(cov), least)
+        if written is not None and written(cov, before):
+            return True
+    fell = np.einsum("ii...->i...", cov) < least * np.einsum("ii...->i...", before)
+    return not fell.any() and roots.is_regular(components_last(cov, 2), least)
+
+
+def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ()) -> Array:
+    """The covariance F P Fᵀ + noise, (d, d, *batch).
+
+    Parameters
+    ----------
+    cov, matrix, noise : ndarray
+        P (n, n, *batch), exactly symmetric; F and the noise, one or as many.
+    bare : tuple of int
+        The components without noise, whose zeros have to be told from rounding.
+    """
+    if cov.ndim == 2:
+        written = predicting(len(noise), len(cov))
+        if written is not None:
+            spread = written(cov, matrix, noise)
+        else:
+            spread = symmetric(matrix.dot(cov).dot(matrix.T) + noise)
+    else:
+        spread = np.empty((len(matrix), len(matrix), *cov.shape[2:]))
+        along_runs.push(cov, matrix, noise, spread)
+    return _certain(spread, cov, matrix, bare) if bare else spread
+
+
+def _certain(spread: Array, cov: Array, matrix: Array, bare: tuple[int, ...]) -> Array:
+    """A prediction with zeros where a component without noise has no more than rounding left."""
+    variances = np.einsum("ii...->i...", cov)
+    if cov.ndim == 2:
+        std = [sqrt(max(v, 0.0)) for v in variances.tolist()]
+        rows = (matrix[list(bare)]).tolist()
+        # |F| σ bounds what is summed up.
+        most = (sum(abs(f) * s for f, s in zip(row, std, strict=True)) for row in rows)
+        if all(spread.item(i, i) > ROUNDING * m * m for i, m in zip(bare, most, strict=True)):
+            return spread
+    else:
+        std = np.sqrt(np.maximum(variances, 0.0))
+        for i in bare:
+            most = np.einsum("jr,jr->r", np.abs(matrix[i]), std)
+            if not (spread[i, i] > ROUNDING * most * most).all():
+                break
+        else:
+            return spread
+    size = np.abs(matrix)
+    summed = np.einsum("ij...,jk...,ik...->i...", size, np.abs(cov), size)
+    open_ = np.einsum("ii...->i...", spread) > ROUNDING * summed
+    open_[[i for i in range(len(matrix)) if i not in bare]] = True
+    return np.where(open_[:, None] & open_[None], spread, 0.0)
+
+
+def extend(
+    mean: Array,
+    cov: Array,
+    child: slice,
+    parents: Index,
+    matrix: Array,
+    value: Array,
+    noise: Array,
+    bare: tuple[int, ...] = (),
+) -> None:
+    """Write the child y = F x + b + n, of mean value, into a joint that it is a part of, in place.
+
+    The joint's covariance must be zero where its components are not yet written.
+    """
+    rows = cov[parents]
+    mean[child] = value
+    if cov.ndim == 2:
+        cross = matrix.dot(rows)
+    else:
+        cross = np.einsum("ijr,jkr->ikr", matrix, rows)
+    own = predict(rows[:, parents], matrix, noise, bare)
+    for i in bare:
+        if not own[i, i].all():
+            cross[i] = np.where(own[i, i] > 0.0, cross[i], 0.0)
+    cov[child] = cross
+    cov[:, child] = cross.swapaxes(0, 1)
+    cov[child, child] = own
+
+
+class Update(NamedTuple):
+    """A belief given a reading.
+
+    Attributes
+    ----------
+    mean, cov : ndarray
+        (n, *batch), (n, n, *batch).
+    log_density : ndarray or float
+        (*batch): of the reading; a component that an exact model determines adds nothing.
+    regular : bool
+        Whether no component of the reading is determined by those before it to 10⁻⁶ of its
+        variance.
+    mild : bool
+        Whether no variance is known to have fallen by more than a thousand.
+    left : ndarray or None
+        (d, *batch): how far each determined component is from what the model says it is; None
+        where nothing is determined.
+    """
+
+    mean: Array
+    cov: Array
+    log_density: Array | float
+    regular: bool
+    mild: bool
+    left: Array | None
+
+
+def update(
+    mean: Array,
+    cov: Array,
+    matrix: Array,
+    residual: Array,
+    noise: Array,
+    *,
+    exact: bool = False,
+    sharp: Array | None = None,
+    least: float = NEARLY_SINGULAR,
+) -> Update:
+    """Condition N(mean, cov) on a reading z = H x + n, n ~ N(0, noise), of residual z − H mean.
+
+    The covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of semidefinite terms, with the
+    gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise.
+
+    Parameters
+    ----------
+    mean, cov, matrix, residual, noise : ndarray
+        With the batch last; H and the noise may be one for all. The covariance is exactly symmetric.
+    exact : bool
+        Whether the noise is singular, so that zeros have to be told from rounding.
+    sharp : ndarray, optional
+        `along_runs.sharpness` of the noise, where it is at hand.
+    least : float
+        The share of a component that those before it have to leave open in a regular reading.
+    """
+    if not exact:
+        if cov.ndim > 2:
+            many = along_runs.update(mean, cov, matrix, residual, noise, sharp=sharp, least=least)
+            if many is not None:
+                return Update(many.mean, many.cov, many.log_density, True, many.mild, None)
+        else:
+            one = _update_one(mean, cov, matrix, residual, noise)
+            if one is not None:
+                return Update(*one, True, False, None)
+    parts = components_last(mean, 1), components_last(cov, 2), components_last(matrix, 2)
+    found = moments.update(
+        *parts, components_last(residual, 1), components_last(noise, 2), exact=exact
+    )
+    left = None if found.left is None else components_first(found.left, 1)
+    after = components_first(found.mean, 1), components_first(found.cov, 2)
+    regular = roots.smallest_pivot(found.lower) >= NEARLY_SINGULAR
+    density = found.log_density if cov.ndim > 2 else float(found.log_density)
+    return Update(*after, density, regular, False, left)
+
+
+def _update_one(
+    mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
+) -> tuple[Array, Array, float] | None:
+    """The update of one Gaussian by a regular reading."""
+    written = updating(len(mean), len(residual), NEARLY_SINGULAR)
+    if written is not None:
+        return written(mean, cov, matrix, residual, noise)
+    cross = matrix.dot(cov)
+    predictive = cross.dot(matrix.T)
+    predictive += noise
+    lower, gain, fault = _lapack().dposv(predictive, cross, 1)
+    if fault:
+        return None
+    volume = 0.0
+    for pivot, entry in zip(lower.diagonal().tolist(), predictive.diagonal().tolist(), strict=True):
+        if not pivot * pivot > NEARLY_SINGULAR * entry:
+            return None
+        volume += log(pivot)
+    white = _lapack().dtrtrs(lower, residual, 1)[0]
+    gain = gain.T
+    keep = np.eye(len(mean)) - gain.dot(matrix)
+    posterior = keep.dot(cov).dot(keep.T)
+    posterior += gain.dot(noise).dot(gain.T)
+    log_density = -0.5 * (float(white.dot(white)) + len(residual) * LOG_2PI) - volume
+    return mean + gain.dot(residual), symmetric(posterior), log_density

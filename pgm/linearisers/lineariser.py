@@ -1,0 +1,160 @@
+"""Linearisers, and the form in which they are ready for many calls.
+
+An engine prepares a lineariser for each function once, and calls the prepared form at one belief
+after another. Its arrays have components first and the batch last: an empty batch is one run, others
+are runs, or steps and runs. A plain callable of a user is wrapped; a lineariser that has a method
+``prepare`` brings its own form.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+
+from pgm.factors import AffineGaussian, Gaussian
+from pgm.kernels.arrays import (
+    Array,
+    block_diagonal,
+    components_first,
+    components_last,
+    times,
+)
+from pgm.linearisers.function import BoundFunction, FunctionTemplate
+
+
+class Lineariser(Protocol):
+    """Anything that makes an affine Gaussian of a function at a belief: a bare function will do."""
+
+    def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
+        """The affine Gaussian; its covariance is the approximation error alone."""
+        ...
+
+
+class Line(NamedTuple):
+    """A linearisation at a belief of mean μ: y = value + F (x − μ) + n, n ~ N(0, error).
+
+    Attributes
+    ----------
+    matrix : ndarray
+        F, (d, n, *batch).
+    value : ndarray
+        (d, *batch).
+    error : ndarray or None
+        (d, d, *batch): the covariance of the approximation error; None where there is none.
+    """
+
+    matrix: Array
+    value: Array
+    error: Array | None
+
+
+class Prepared(Protocol):
+    """A lineariser that is ready for the functions of one template."""
+
+    def __call__(self, function: BoundFunction, mean: Array, cov: Array, /) -> Line:
+        """Linearise at beliefs (n, *batch) and (n, n, *batch).
+
+        ``function`` takes points with the batch first, (*batch, ..., n). Where its ``group`` is k,
+        a value stacks k sightings, d components each: unless they are ``joint``, each is to be
+        linearised by itself, as `apart` does it.
+        """
+        ...
+
+
+def prepare(lineariser: Lineariser, template: FunctionTemplate) -> Prepared:
+    """A lineariser's own prepared form, or a plain callable wrapped as one."""
+    own = getattr(lineariser, "prepare", None)
+    if own is None:
+        return _Wrapped(lineariser, template)
+    prepared: Prepared = own(template)
+    return prepared
+
+
+def needs_cov(lineariser: Lineariser, template: FunctionTemplate) -> bool:
+    """Whether a linearisation depends on the belief's covariance; it does unless it says not."""
+    need: Any = getattr(lineariser, "needs_cov", True)
+    return bool(need(template) if callable(need) else need)
+
+
+class ArrayLineariser(ABC):
+    """A lineariser that works on arrays, so that engines need make no objects to call it.
+
+    A subclass gives `prepare`.
+    """
+
+    needs_cov: ClassVar[Any] = True
+
+    @abstractmethod
+    def prepare(self, template: FunctionTemplate) -> Prepared:
+        """The form that is ready for many calls."""
+
+    def is_semidefinite(self, dimension: int) -> bool:
+        """Whether the error's covariance cannot be indefinite, at beliefs of so many components."""
+        return False
+
+    def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
+        """Linearise a function at a belief."""
+        mean, cov = components_first(at.mean, 1), components_first(at.cov, 2)
+        matrix, value, error = self.prepare(function.template)(function, mean, cov)
+        offset = value - times(matrix, mean)
+        size = len(value)
+        spread = np.zeros((size, size)) if error is None else components_last(error, 2)
+        return AffineGaussian(components_last(matrix, 2), components_last(offset, 1), spread)
+
+
+class Misfit(Exception):
+    """An answer of a lineariser that is none: what it is, and what was due."""
+
+
+class _Wrapped:
+    """A plain callable, called with a `Gaussian` over the hidden parents."""
+
+    def __init__(self, lineariser: Lineariser, template: FunctionTemplate) -> None:
+        self.lineariser, self.scope = lineariser, template.hidden
+
+    def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
+        if function.group is not None and not function.joint:
+            return apart(self, function, mean, cov)
+        at = Gaussian._make(self.scope, components_last(mean, 1), components_last(cov, 2))
+        found = self.lineariser(function, at)
+        batch = mean.shape[1:]
+        if not isinstance(found, AffineGaussian):
+            raise Misfit(f"returned {type(found).__name__}", "it must return a pgm.AffineGaussian")
+        matrix, offset, error = found.F, found.b, found.cov
+        due = (function.template.height * (function.group or 1), len(mean))
+        if matrix.shape[-2:] != due:
+            raise Misfit(f"returned an F of shape {matrix.shape}", f"it must end in {due}")
+        if matrix.ndim != 2 or offset.ndim != 1 or error.ndim != 2:
+            lead = np.broadcast_shapes(matrix.shape[:-2], offset.shape[:-1], error.shape[:-2])
+            if lead not in ((), batch):
+                raise Misfit(f"returned the leading axes {lead}", f"the belief has {batch}")
+        if batch:
+            matrix = components_first(np.broadcast_to(matrix, (*batch, *due)), 2)
+            offset = components_first(np.broadcast_to(offset, (*batch, *due[:1])), 1)
+            error = components_first(np.broadcast_to(error, (*batch, *due[:1], *due[:1])), 2)
+        value = times(matrix, mean)
+        value += offset
+        return Line(matrix, value, error if error.any() else None)
+
+
+def apart(prepared: Prepared, function: BoundFunction, mean: Array, cov: Array) -> Line:
+    """Linearise each of several sightings by itself, at one belief for all: their errors differ."""
+    count = function.group
+    assert count is not None
+    size, *batch = mean.shape
+    at = np.broadcast_to(mean[:, None], (size, count, *batch))
+    spread = np.broadcast_to(cov[:, :, None], (size, size, count, *batch))
+    matrix, value, error = prepared(function.apart(), at, spread)
+    height = len(value)
+    # The sightings first, then the components of each.
+    slope = np.moveaxis(np.broadcast_to(matrix, (height, size, count, *batch)), 2, 0)
+    values = np.moveaxis(np.broadcast_to(value, (height, count, *batch)), 1, 0)
+    whole = None
+    if error is not None:
+        blocks = np.broadcast_to(error, (height, height, count, *batch))
+        whole = block_diagonal(np.moveaxis(blocks, 2, 0))
+    return Line(
+        slope.reshape(count * height, size, *batch), values.reshape(count * height, *batch), whole
+    )
