@@ -1,12 +1,12 @@
-"""Linearisers at many runs: what they make is that of each run alone, laid out as beliefs are."""
+"""Linearisers at many runs: what they make is that of each run alone."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
-from pgm.kernels.arrays import by_runs, stacked
-from pgm.kernels.regression import line, regress, regress_along_runs
+from pgm.kernels.regression import fit, regress
+from pgm.linearisers.lineariser import prepare
 from tests.dense import bound_function, random_covariance
 
 X = pgm.Variable("x", components=("east", "north", "heading"))
@@ -39,11 +39,10 @@ def seen_by_x(x):
 
 @pytest.fixture(name="beliefs", params=["regular", "one certain component", "wide heading"])
 def fixture_beliefs(request):
-    """Of 40 runs, laid out by runs."""
+    """Of 40 runs."""
     rng = np.random.default_rng(3)
-    mean, cov = stacked((40,), (3,)), stacked((40,), (3, 3))
-    mean[...] = 0.5 * rng.normal(size=(40, 3))
-    cov[...] = np.stack([0.02 * random_covariance(rng, 3) for _ in range(40)])
+    mean = 0.5 * rng.normal(size=(40, 3))
+    cov = np.stack([0.02 * random_covariance(rng, 3) for _ in range(40)])
     if request.param == "one certain component":
         cov[5, 1], cov[5, :, 1] = 0.0, 0.0
     if request.param == "wide heading":
@@ -57,46 +56,54 @@ def test_many_runs_are_each_run_alone(rule, analytic, beliefs):
     mean, cov = beliefs
     jacobian = {X: seen_by_x} if analytic else None
     cpd = pgm.NonlinearGaussianCPD(Y, (X,), seen, np.eye(2), jacobian=jacobian)
-    many = rule.affine(bound_function(cpd, lead=1), mean, cov)
+    many = rule(bound_function(cpd, lead=1), pgm.Gaussian(X, mean, cov))
     for k in range(40):
         alone = rule(bound_function(cpd), pgm.Gaussian(X, mean[k], cov[k]))
         assert_allclose(many.F[k], alone.F, atol=1e-9)
         assert_allclose(many.b[k], alone.b, atol=1e-9)
-        if many.cov is not None:
-            assert_allclose(many.cov[k], alone.cov, atol=1e-9)
+        assert_allclose(np.broadcast_to(many.cov, (40, 2, 2))[k], alone.cov, atol=1e-9)
 
 
-def test_results_that_a_function_interleaves_are_laid_out_as_its_arguments(beliefs):
-    mean = beliefs[0]
-    cpd = pgm.NonlinearGaussianCPD(Y, (X,), seen, np.eye(2), jacobian={X: seen_by_x})
-    function = bound_function(cpd, lead=1)
-    assert seen(mean).strides == (16, 8)
-    assert function(mean).strides == (8, 320)
-    assert by_runs(function.jacobian(mean))
-    points = np.zeros((3, 7, 40)).T
-    assert function(points).strides == (8, 320, 2240)
-    assert_array_equal(function(mean), seen(mean))
-    assert_array_equal(function.jacobian(mean), seen_by_x(mean))
+@rules
+def test_steps_and_runs_are_each_run_alone(rule, beliefs):
+    """The prepared form takes any batch: here five steps of eight runs."""
+    mean, cov = beliefs
+    cpd = pgm.NonlinearGaussianCPD(Y, (X,), seen, np.eye(2))
+    first = mean.T.reshape(3, 5, 8), np.moveaxis(cov, 0, -1).reshape(3, 3, 5, 8)
+    function = bound_function(cpd, lead=2)
+    line = prepare(rule, function.template)(function, *first)
+    for k in range(40):
+        alone = rule(bound_function(cpd), pgm.Gaussian(X, mean[k], cov[k]))
+        step, run = divmod(k, 8)
+        assert_allclose(line.matrix[..., step, run], alone.F, atol=1e-9)
+        assert_allclose(line.value[..., step, run], alone.F @ mean[k] + alone.b, atol=1e-9)
+        if line.error is not None:
+            assert_allclose(line.error[..., step, run], alone.cov, atol=1e-9)
+
+
+def fitted(prepared, values):
+    """Slope, value at the centre and what is left, of values (N, d) by the prepared regression."""
+    both = prepared.moments @ values
+    return both[1:].T, both[0], (prepared.signed @ values).T @ (prepared.left @ values)
 
 
 @pytest.mark.parametrize("name", ["unscented", "unscented alpha", "cubature", "gauss hermite"])
-def test_a_prepared_line_is_the_regression(name):
+def test_a_prepared_fit_is_the_regression(name):
     points = RULES[name].points(3, "y", 0)
-    values = stacked((40,), (len(points.points), 2))
-    values[...] = np.random.default_rng(4).normal(size=values.shape)
-    found = regress_along_runs(points.line, values)
+    values = np.random.default_rng(4).normal(size=(len(points.points), 2))
+    found = fitted(points.fit, values)
     due = regress(*points[:1], values, *points[1:3], np.eye(3))
     for one, other in zip(found, due, strict=True):
         assert_allclose(one, other, atol=1e-12)
 
 
 def test_negative_weights_subtract():
-    """A prepared line keeps the sign of what a negative weight adds."""
+    """A prepared fit keeps the sign of what a negative weight adds."""
     rng = np.random.default_rng(5)
     s, mean_weights = rng.normal(size=(6, 2)), np.full(6, 1 / 6)
     weights = np.array([-0.1, 0.1, 0.2, 0.3, 0.2, 0.3])
-    values = rng.normal(size=(40, 6, 2)) * np.array([9.0, 1, 1, 1, 1, 1])[:, None]
-    found = regress_along_runs(line(s, mean_weights, weights), values)
+    values = rng.normal(size=(6, 2)) * np.array([9.0, 1, 1, 1, 1, 1])[:, None]
+    found = fitted(fit(s, mean_weights, weights), values)
     due = regress(s, values, mean_weights, weights, np.eye(2))
     for one, other in zip(found, due, strict=True):
         assert_allclose(one, other, atol=1e-10)
@@ -119,7 +126,7 @@ def test_only_sums_of_squares_are_never_indefinite(rule, due):
     assert rule.is_semidefinite(3) is due
 
 
-def test_a_prepared_line_is_made_once():
-    one, other = (pgm.Unscented().points(3, "y", k).line for k in (0, 1))
+def test_a_prepared_fit_is_made_once():
+    one, other = (pgm.Unscented().points(3, "y", k).fit for k in (0, 1))
     assert one is other
     assert_array_equal(one.left.shape, (3, 7))

@@ -232,6 +232,9 @@ class CarefulReading(StepReading[CarefulUpdate]):
         at = Moments.of(plan, *moments)
         made = cls(parts, plan.first + step, at.mean, at.cov)
         made.belief, made.information = belief, information
+        if schedule is None:
+            for part in parts:
+                part.linearise(at.mean, at.cov)
         return made
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:

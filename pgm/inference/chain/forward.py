@@ -119,10 +119,10 @@ class _Record:
 
         A sweep that has failed later than that has failed because of it.
         """
-        rows = slice(0, self.reached)
-        lost = ~np.isfinite(self.cov[rows]).reshape(self.reached, -1).all(axis=1)
-        lost |= ~np.isfinite(self.mean[rows]).reshape(self.reached, -1).all(axis=1)
-        lost |= ~np.isfinite(self.log_density[rows]).reshape(self.reached, -1).all(axis=1)
+        lost = np.zeros(self.reached, dtype=bool)
+        for part in (self.mean, self.cov, self.log_density):
+            rows = part[: self.reached]
+            lost |= ~np.isfinite(rows).all(axis=tuple(range(1, rows.ndim)))
         step = int(np.flatnonzero(lost)[0]) if lost.any() else self.reached
         if step > self.plan.steps:
             return

@@ -126,7 +126,7 @@ class MomentChain:
         for sensor in self.plan.sensors:
             due = sensor.at(step, stored=not self.linearises)
             if due is not None:
-                found.append(Reading(sensor, *due))
+                found.append(Reading(sensor, *due, fixed=not self.linearises))
         return found
 
     def predicted(self, ats: Sequence[At], step: int, belief: Moments) -> Moments:

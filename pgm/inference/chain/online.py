@@ -214,7 +214,9 @@ class OnlineFilter(Immutable):
         if not gaussian.is_regular(found.cov, known.cov, REGULAR):
             return None
         if belief.lead or plan.lead:
-            log_evidence = np.asarray(belief.log_evidence + np.reshape(log_density, plan.lead))
+            log_evidence = np.asarray(
+                belief.log_evidence + np.broadcast_to(log_density, plan.runs).reshape(plan.lead)
+            )
         else:
             log_evidence = np.array(belief.log_evidence.item() + float(log_density))
         if chain.residuals or plan.lead:

@@ -97,15 +97,19 @@ class Reading:
         (D, *batch), as given; one for all may have a batch of one.
     taken : ndarray of bool or None
         As of `Measured`.
+    fixed : bool
+        Whether angles are on their branch already.
     """
 
-    __slots__ = ("at", "erroneous", "seen", "sensor", "taken", "values")
+    __slots__ = ("at", "erroneous", "fixed", "seen", "sensor", "taken", "values")
 
     seen: Measured
 
-    def __init__(self, sensor: Sensor, at: At, values: Array, taken: Mask | None) -> None:
+    def __init__(
+        self, sensor: Sensor, at: At, values: Array, taken: Mask | None, *, fixed: bool = False
+    ) -> None:
         self.sensor, self.at, self.values, self.taken = sensor, at, values, taken
-        self.erroneous = False
+        self.fixed, self.erroneous = fixed, False
 
     def linearise(self, mean: Array, cov: Array, active: Mask | None = None) -> Measured:
         """Linearise at a belief over the slice; runs that are not active keep what they have."""
@@ -116,7 +120,9 @@ class Reading:
         noise = at.noise
         if error is not None:
             noise, self.erroneous = noise + error, True
-        reading = _nearest(self.values, value, sensor.turning(len(value)))
+        reading = self.values
+        if not self.fixed:
+            reading = _nearest(reading, value, sensor.turning(len(value)))
         seen = Measured(sensor, matrix, value, noise, mean, reading, self.taken, at.offset)
         if active is not None:
             both = _either(active, seen[1:6], self.seen[1:6])
@@ -179,7 +185,9 @@ def stored(plan: ChainPlan, step: int, mean: Array) -> Vector | None:
     at = components_first(mean, 1) if plan.batch else mean[0]
     nothing = np.zeros((len(at), len(at), *plan.batch))
     due = [(sensor, sensor.at(step, stored=True)) for sensor in plan.sensors]
-    parts = [Reading(sensor, *each).linearise(at, nothing) for sensor, each in due if each]
+    parts = [
+        Reading(sensor, *each, fixed=True).linearise(at, nothing) for sensor, each in due if each
+    ]
     if not parts:
         return None
     matrix, residual, noise, missing = vector(parts, at)
