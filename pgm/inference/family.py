@@ -186,7 +186,7 @@ class Family:
         """Whether the CPD is affine or expanded to first order at a point."""
         return self.exact or isinstance(self.lineariser, Taylor)
 
-    @property
+    @cached_property
     def semidefinite(self) -> bool:
         """Whether the approximation error cannot be indefinite."""
         if self.taylor or not self.hidden:
@@ -199,7 +199,12 @@ class Family:
         """Whether a linearisation depends on the covariance of the belief."""
         return self.template is not None and needs_cov(self.lineariser, self.template)
 
-    @property
+    @cached_property
+    def noisy(self) -> bool:
+        """Whether the noise depends on observed parents."""
+        return isinstance(self.cpd.cov, Noise)
+
+    @cached_property
     def grouped(self) -> bool:
         """Whether the sightings of a step are linearised as one vector."""
         return isinstance(self.cpd, NonlinearGaussianCPD) and self.cpd.grouped
@@ -219,7 +224,7 @@ class Family:
     def prepared(self) -> Prepared:
         """The lineariser, ready for the CPD's function."""
         assert self.template is not None
-        return prepare(self.lineariser, self.template)
+        return prepare(self.lineariser, self.template) if self.hidden else _value
 
     # --- one step after another ---------------------------------------------------------------
 
@@ -259,25 +264,35 @@ class Family:
 
     def given(self, step: int, inputs: Sequence[Array], count: int) -> At:
         """The CPD of one run with values of its observed parents, (d,), or (count, d) each."""
-        known = dict(zip(self.inputs, inputs, strict=True))
-        wide = {v: values.reshape(count, 1, -1) for v, values in known.items()}
-        if isinstance(self.cpd.cov, Noise):
+        if self.noisy:
+            wide = self._wide(inputs, count)
             noise = self._noise_of(evaluate(self.cpd, wide, (count, 1), step), 0, count)
         else:
             noise = self._own(0, count)
         if self.template is None:
             assert isinstance(self.cpd, AffineCPD)
-            if not wide:
+            if not inputs:
                 return self._affine_at(0, count)._replace(noise=noise)
-            matrix, shift = self.cpd._affine(self.hidden, wide)
+            matrix, shift = self.cpd._affine(self.hidden, self._wide(inputs, count))
             offset = np.broadcast_to(shift, (count, 1, shift.shape[-1])).reshape(-1)
             return At(None, np.tile(matrix, (count, 1)), offset, noise, 0, count)
-        arguments = [known.get(parent) for parent in self.template.given]
+        arguments = [None if place is None else inputs[place] for place in self._order]
         group = None if count == 1 else count
         function = BoundFunction(
             self.template, arguments, 0, step, group, self.grouped, self.source
         )
         return At(function, None, None, noise, 0, count)
+
+    def _wide(self, inputs: Sequence[Array], count: int) -> dict[Variable, Array]:
+        every = zip(self.inputs, inputs, strict=True)
+        return {parent: values.reshape(count, 1, -1) for parent, values in every}
+
+    @cached_property
+    def _order(self) -> list[int | None]:
+        """Which of the inputs each argument of the function is; None for a hidden parent."""
+        assert self.template is not None
+        places = {parent: k for k, parent in enumerate(self.inputs)}
+        return [places.get(parent) for parent in self.template.given]
 
     def line(self, at: At, mean: Array, cov: Array) -> Line:
         """Linearise at a belief over the hidden parents, (n, *batch) and (n, n, *batch)."""
@@ -287,12 +302,21 @@ class Family:
             value = times(at.matrix, mean)
             value += at.offset
             return Line(at.matrix, value, None)
-        return self._linearised(function, mean, cov)
+        try:
+            return self.prepared(function, mean, cov)
+        except Exception as error:
+            raise self._failure(function, mean, error) from error
 
     def keep(self, at: At, matrix: Array, offset: Array, noise: Array | None) -> None:
         """Keep what some rows, a step's, were linearised to; the noise where it is not their own."""
         first, last = at.first, at.last
         count, (height, width) = last - first, self.shape[2:]
+        if count == 1 and not self.batch:
+            self.matrix[first, 0], self.offset[first, 0] = matrix, offset
+            if noise is not None:
+                self.keep_errors()
+                self.noise[first, 0] = noise
+            return
         shape = (count, height)
         if noise is not None:
             self.keep_errors()
@@ -375,26 +399,6 @@ class Family:
     def _constant_at(self) -> dict[int, At]:
         return {}
 
-    def _linearised(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
-        """The line of a function, where the lineariser makes one."""
-        try:
-            if self.hidden:
-                return self.prepared(function, mean, cov)
-            value = components_first(function(components_last(mean, 1)), 1)
-            return Line(np.zeros((len(value), 0, *mean.shape[1:])), value.copy("C"), None)
-        except Misfit as fault:
-            raise self._fault(function, mean, *fault.args) from None
-        except Exception as error:
-            told = isinstance(self.lineariser, ArrayLineariser) or getattr(error, "cpd", None)
-            if not isinstance(error, PgmError) or not told:
-                said = f"{type(error).__name__}: {error}"
-                raise self._fault(function, mean, "failed", said, ModelError) from error
-            error.cpd = error.cpd or self.cpd
-            error.variable = error.variable or self.cpd.child
-            if self.timed and error.step is None and isinstance(function.step, int):
-                error.step = function.step
-            raise
-
     # --- many rows at once ------------------------------------------------------------------------
 
     def linearise(self, rows: Rows, mean: Array, cov: Array, active: Mask | None = None) -> None:
@@ -415,7 +419,7 @@ class Family:
         """A line at beliefs (*batch, n) and (*batch, n, n), which has to be finite."""
         with quiet():  # what is not finite is refused
             at = components_first(mean, 1)
-            line = self._linearised(function, at, components_first(cov, 2))
+            line = self.line(_unplaced(function), at, components_first(cov, 2))
             if finite:
                 self.require_finite(function, at, line)
         return line
@@ -498,6 +502,20 @@ class Family:
 
     # --- refusals ---------------------------------------------------------------------------------
 
+    def _failure(self, function: BoundFunction, mean: Array, error: Exception) -> Exception:
+        """The error to raise of a lineariser that has failed."""
+        if isinstance(error, Misfit):
+            return self._fault(function, mean, *error.args)
+        told = isinstance(self.lineariser, ArrayLineariser) or getattr(error, "cpd", None)
+        if not isinstance(error, PgmError) or not told:
+            said = f"{type(error).__name__}: {error}"
+            return self._fault(function, mean, "failed", said, ModelError)
+        error.cpd = error.cpd or self.cpd
+        error.variable = error.variable or self.cpd.child
+        if self.timed and error.step is None and isinstance(function.step, int):
+            error.step = function.step
+        return error
+
     def _fault(
         self,
         function: BoundFunction,
@@ -570,6 +588,17 @@ class Family:
             function(x)
             if len(self.template.numerical) < self.template.size:
                 function.jacobian(x)
+
+
+def _unplaced(function: BoundFunction) -> At:
+    """A function to be linearised, of which nothing else is asked."""
+    return At(function, None, None, np.zeros(0), 0, 0)
+
+
+def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
+    """The value of a function without hidden parents."""
+    value = components_first(function(components_last(mean, 1)), 1)
+    return Line(np.zeros((len(value), 0, *mean.shape[1:])), value.copy("C"), None)
 
 
 def _last(part: Array | None, own: int) -> Array | None:

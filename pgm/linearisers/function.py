@@ -87,6 +87,11 @@ class FunctionTemplate:
         )
 
     @cached_property
+    def derivative(self) -> Function | None:
+        """The derivative, where there is a single hidden parent."""
+        return self.derivatives[0][3] if len(self.derivatives) == 1 else None
+
+    @cached_property
     def height(self) -> int:
         """Number of components of the child."""
         return self.child.dimension
@@ -214,7 +219,14 @@ class BoundFunction(_Bound):
     def tangent(self, x: Array, std: Array | None = None) -> tuple[Array, Array]:
         """The value and the derivative."""
         arguments, shape = self._arguments(x)
-        return self._value(x, arguments, shape), self._jacobian(x, std, arguments, shape)
+        template = self.template
+        if template.derivative is None or self.group is not None:
+            return self._value(x, arguments, shape), self._jacobian(x, std, arguments, shape)
+        # Of a single hidden parent the derivative is all of the Jacobian.
+        due = (*shape, template.height)
+        value = self._call("function", template.function, x, arguments, due)
+        role, width, _, _ = template.derivatives[0]
+        return value, self._call(role, template.derivative, x, arguments, (*due, width))
 
     def apart(self) -> BoundFunction:
         """The function of each sighting by itself: they are the first leading axis."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
+from math import hypot
 from typing import NamedTuple, NoReturn
 
 import numpy as np
@@ -187,10 +188,10 @@ class _Regression:
         )
         matrix = components_first(_divide(slope, lower, function, at, spread), 2)
         value, noise = components_first(reference + centre, 1), components_first(noise, 2)
-        if not rule.prior_moments:
+        first = components_first(reference, 1)
+        if not rule.prior_moments and not _is_plain(noise, components_first(slope, 2), first):
             size = components_first(np.abs(raw).max(axis=-2, initial=0.0), 1)
-            known = components_first(slope, 2), components_first(reference, 1)
-            noise = _without_rounding(noise, *known, size, matrix, mean, points.rounding)
+            noise = _without_rounding(noise, first, size, matrix, mean, points.rounding)
         return Line(matrix, value, noise)
 
 
@@ -205,7 +206,7 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
     values = _values(function, offsets + mean[:, None], batch)
     reference = values[:, 0]
     raw = values[:, extra:] - reference[:, None]
-    if any(np.abs(raw[k]).max() > np.pi for k in function.turning):
+    if _exceeds(raw, function.turning):
         at = components_last(mean.reshape(-1, *batch), 1)
         slopes = function.jacobian(at, components_last(gaussian.deviations(cov), 1))
         slopes = components_first(slopes, 2).reshape(-1, *mean.shape)
@@ -221,8 +222,9 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
         noise = raw.dot(fit.signed.T).dot(fit.left.dot(raw.T))
     slope, value = both[:, 1:], reference + both[:, 0]
     matrix = gaussian.divide(slope, lower)
-    size = np.abs(raw).max(axis=1)
-    noise = _without_rounding(noise, slope, reference, size, matrix, mean, points.rounding)
+    if not _is_plain(noise, slope, reference):
+        size = np.abs(raw).max(axis=1)
+        noise = _without_rounding(noise, reference, size, matrix, mean, points.rounding)
     if len(batch) < 2:
         return Line(matrix, value, noise)
     return Line(*(part.reshape(*part.shape[:-1], *batch) for part in (matrix, value, noise)))
@@ -236,6 +238,14 @@ def _values(function: BoundFunction, x: Array, batch: tuple[int, ...]) -> Array:
     values = function(points.transpose(*range(2, points.ndim), 1, 0))
     last = values.ndim - 1
     return values.transpose(last, last - 1, *range(last - 1)).reshape(-1, *x.shape[1:])
+
+
+def _exceeds(raw: Array, turning: list[int]) -> bool:
+    """Whether an angle's offset, (d, N, *batch), exceeds half a turn."""
+    if raw.ndim == 2:
+        # Few numbers are compared more quickly one by one.
+        return any(abs(value) > np.pi for k in turning for value in raw[k].tolist())
+    return any(np.abs(raw[k]).max() > np.pi for k in turning)
 
 
 def _about(raw: Array, line: Array, axis: int) -> Array:
@@ -263,24 +273,27 @@ def _refuse(function: BoundFunction, cov: Array) -> NoReturn:
     )
 
 
+def _is_plain(noise: Array, slope: Array, reference: Array) -> bool:
+    """Whether the error of a line is much more than rounding of the values may be.
+
+    Of values that lie on their line the slope and one of them tell the size.
+    """
+    if noise.ndim == 2:
+        sizes = map(hypot, reference.tolist(), *slope.T.tolist())
+        variances = noise.diagonal().tolist()
+        return all(v > _PLAIN * r * r for v, r in zip(variances, sizes, strict=True))
+    square = reference * reference + np.einsum("ij...,ij...->i...", slope, slope)
+    return bool((np.einsum("ii...->i...", noise) > _PLAIN * square).all())
+
+
 def _without_rounding(
-    noise: Array,
-    slope: Array,
-    reference: Array,
-    size: Array,
-    matrix: Array,
-    mean: Array,
-    share: float,
+    noise: Array, reference: Array, size: Array, matrix: Array, mean: Array, share: float
 ) -> Array:
     """The error of a line, zero in components in which it may be rounding of the values.
 
-    Of values that lie on their line the slope and one of them tell the size. A value has summands
-    of |F| |μ| besides, of which it may be the difference.
+    A value of a size has summands of |F| |μ| besides, of which it may be the difference.
     """
     variance = np.einsum("ii...->i...", noise)
-    square = reference * reference + np.einsum("ij...,ij...->i...", slope, slope)
-    if (variance > _PLAIN * square).all():
-        return noise
     summands = np.abs(reference) + size + times(np.abs(matrix), np.abs(mean))
     real = np.abs(variance) > (share * summands) ** 2  # weights may be negative
     if real.all():

@@ -30,6 +30,9 @@ class Taylor(ArrayLineariser):
 
 
 def _tangent(function: BoundFunction, mean: Array, cov: Array) -> Line:
+    if mean.ndim == 1 and function.analytic:
+        value, slope = function.tangent(mean)
+        return Line(slope.copy(), value.copy(), None)
     x = components_last(mean, 1)
     std = None if function.analytic else components_last(deviations(cov), 1)
     value, slope = function.tangent(x, std)

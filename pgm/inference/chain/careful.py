@@ -29,10 +29,10 @@ from pgm.inference.chain.certificate import is_flat
 from pgm.inference.chain.flat import Solved, moments, solved
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Point
-from pgm.inference.chain.moments import MomentChain, Moments, largest
+from pgm.inference.chain.moments import MomentChain, largest
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.reading import StepReading, take
-from pgm.inference.chain.readings import Reading
+from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.taking import (
     ROUNDING,
     Belief,

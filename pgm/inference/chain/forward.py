@@ -12,8 +12,9 @@ from pgm.errors import PgmError
 from pgm.inference.chain import sweep
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.iteration import Anchor
-from pgm.inference.chain.moments import MomentChain, Moments
+from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.watch import Watch
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status

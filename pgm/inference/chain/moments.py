@@ -6,7 +6,6 @@ Everything has its components first and the batch last: no axis of one run, one 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,39 +13,14 @@ from pgm.inference.chain import readings, refusals
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.reading import MomentReading, take
-from pgm.inference.chain.readings import Reading
+from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.family import At
 from pgm.inference.schedule import Filtering
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import Array, components_first, components_last, times, within
+from pgm.kernels.arrays import Array, Mask, components_first, components_last, times, within
 
 _HALF_TURN = 0.5 * TURN
-
-
-class Moments(NamedTuple):
-    """Mean (n, *batch) and covariance (n, n, *batch) of a slice.
-
-    `mild` says whether no variance is known to have fallen by more than a thousand in an update.
-    """
-
-    mean: Array
-    cov: Array
-    mild: bool = True
-
-    @classmethod
-    def of(cls, plan: ChainPlan, mean: Array, cov: Array) -> Moments:
-        """Of arrays with an axis of runs first, (runs, n) and (runs, n, n)."""
-        if not plan.batch:
-            return cls(mean[0], cov[0])
-        return cls(components_first(mean, 1), components_first(cov, 2))
-
-    @property
-    def by_run(self) -> tuple[Array, Array]:
-        """With an axis of runs first, (runs, n) and (runs, n, n)."""
-        if self.mean.ndim == 1:
-            return self.mean[None], self.cov[None]
-        return components_last(self.mean, 1), components_last(self.cov, 2)
 
 
 class MomentChain:
@@ -68,8 +42,6 @@ class MomentChain:
     ----------
     residuals : list of ndarray
         (runs,) for each relinearisation, the largest of all steps.
-    converged : ndarray of bool
-        (runs,).
     """
 
     def __init__(
@@ -85,8 +57,16 @@ class MomentChain:
         self.plan, self.schedule, self.anchor, self.check = plan, schedule, anchor, check
         self.linearises, self.keeps = schedule is not None, keep and schedule is not None
         self.states = layout.state_places if layout.control_places.size else None
+        self.iterates = schedule is not None and schedule.iterations > 1 and not check
         self.residuals: list[Array] = []
-        self.converged = np.ones(plan.runs, dtype=bool)
+        self._settled: Mask | None = None
+
+    @property
+    def converged(self) -> Mask:
+        """Whether runs have settled at each step, or had nothing to iterate, (runs,)."""
+        if self._settled is not None:
+            return self._settled
+        return np.full(self.plan.runs, self.plan.linear)
 
     def start(self) -> Moments:
         """The slice at step 0 before its readings; there are no controls."""
@@ -138,7 +118,8 @@ class MomentChain:
             link, at = self.plan.transition[0], ats[0]
             matrix, value, noise, bare = self._linearised(link, at, mean, mean, cov)
             after = gaussian.predict(cov, matrix, noise, bare)
-            self._require(link, step, after)
+            if self.check or not link.family.semidefinite:
+                refusals.prediction(link, step, after, finite=self.check)
             return Moments(value, after)
         front, batch = layout.state_size, self.plan.batch
         size = front + layout.slice_size
@@ -155,35 +136,30 @@ class MomentChain:
         """The belief given readings of its step."""
         mean, cov, _ = belief
         schedule = self.schedule
-        linear = all(part.sensor.family.exact for part in parts)
-        if schedule is None or schedule.iterations == 1 or linear or self.check:
-            self.converged &= linear
+        if schedule is None or not self.iterates or self.plan.linear:
             seen = [part.linearise(mean, cov) for part in parts]
             if self.check:
                 for part in parts:
                     part.require_finite()
-            known = readings.update(seen, step, mean, cov)
-            after, density = Moments(known.mean, known.cov, known.mild), known.log_density
+            after, density = readings.update(seen, step, belief)
         else:
             after, density = self._iterated(parts, step, mean, cov, schedule)
         if self.keeps:
             for part in parts:
                 part.keep()
-        return (after if self.anchor is None else self._held(step, after)), density
+        return (after if self.anchor is None else after.held(self.anchor, step)), density
 
     def _iterated(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
     ) -> tuple[Moments, Array | float]:
         found = take(MomentReading(parts, step, mean, cov), schedule)
         self.residuals = largest(self.residuals, found.residuals)
-        self.converged &= found.converged
-        known = found.solution.known
+        self._settled = (
+            found.converged if self._settled is None else self._settled & found.converged
+        )
+        last = found.solution
         shown = found.mean.T if self.plan.batch else found.mean[0]
-        return Moments(shown, known.cov, False), known.log_density
-
-    def _held(self, step: int, belief: Moments) -> Moments:
-        assert self.anchor is not None
-        return Moments.of(self.plan, *self.anchor.hold(step, *belief.by_run))._replace(mild=False)
+        return Moments(shown, last.known.cov, False), last.log_density
 
     def _at(self, link: Link, row: int) -> At:
         if self.linearises:
@@ -197,7 +173,9 @@ class MomentChain:
             link, at, mean, parents, within(cov, link.parents)
         )
         gaussian.extend(mean, cov, link.child, link.parents, matrix, value, noise, bare)
-        self._require(link, step, cov[link.child, link.child])
+        if self.check or not link.family.semidefinite:
+            own = cov[link.child, link.child]
+            refusals.prediction(link, step, own, finite=self.check)
 
     def _linearised(
         self, link: Link, at: At, before: Array, mean: Array, cov: Array
@@ -222,17 +200,14 @@ class MomentChain:
                 family.keep(at, matrix, offset, None if error is None else noise)
         return matrix, value, noise, bare
 
-    def _require(self, link: Link, step: int, cov: Array) -> None:
-        if self.check or not link.family.semidefinite:
-            refusals.prediction(link, step, cov, finite=self.check)
-
 
 def _turns(link: Link, before: Array, value: Array) -> bool:
     """Whether an angle is more than half a turn from where it was."""
     if value.ndim == 1:
-        return any(
-            abs(value.item(new) - before.item(old)) > _HALF_TURN for new, old in link.turning
-        )
+        for new, old in link.turning:
+            if abs(value.item(new) - before.item(old)) > _HALF_TURN:
+                return True
+        return False
     return any(
         bool((np.abs(value[new] - before[old]) > _HALF_TURN).any()) for new, old in link.turning
     )

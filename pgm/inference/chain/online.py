@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from math import isfinite
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -16,11 +16,12 @@ from pgm.evidence.arrays import as_rows
 from pgm.immutable import Immutable
 from pgm.inference.chain import online_careful
 from pgm.inference.chain.cost import require_cost
-from pgm.inference.chain.moments import MomentChain, Moments
+from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.online_belief import OnlineBelief
 from pgm.inference.chain.online_careful import REGULAR, CarefulBelief
 from pgm.inference.chain.online_layouts import Layouts
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.readings import Moments
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status, digits
 from pgm.kernels import gaussian
@@ -136,6 +137,7 @@ class OnlineFilter(Immutable):
             found = chain.predicted(ats, step, known)
             if not _is_finite(found):
                 MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
+                _refuse(step)
             if gaussian.is_regular(found.cov, found.cov, REGULAR):
                 log_evidence, status = belief.log_evidence, _DONE
                 if laid is None:
@@ -219,6 +221,8 @@ class OnlineFilter(Immutable):
             )
         else:
             log_evidence = np.array(belief.log_evidence.item() + float(log_density))
+        if not _is_finite(found):
+            _refuse(belief.step)
         if chain.residuals or plan.lead:
             status = Status.of(chain.residuals, chain.converged, plan.lead)
         else:
@@ -311,9 +315,19 @@ def _carried(
 ) -> OnlineBelief:
     """A belief with the digits that it has, carried in twice those of float64 while it must be."""
     mean, cov = found.moments
+    if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
+        _refuse(step)
     status = status.with_digits(digits(found.error, plan.lead))
     kept = None if found.is_ordinary else found
     return _belief(plan, step, Moments.of(plan, mean, cov), log_evidence, status, kept)
+
+
+def _refuse(step: int) -> NoReturn:
+    raise NumericalError(
+        f"the belief at step {step} or its log-evidence is not finite: numbers of the model or the "
+        "evidence are larger, or further apart, than float64 can hold; give them in other units",
+        step=step,
+    )
 
 
 def _belief(
@@ -325,13 +339,6 @@ def _belief(
     careful: CarefulBelief | None = None,
 ) -> OnlineBelief:
     """A belief with the runs as the user's axes."""
-    if not (_is_finite(found) and np.isfinite(log_evidence).all()):
-        raise NumericalError(
-            f"the belief at step {step} or its log-evidence is not finite: numbers of the model or "
-            "the evidence are larger, or further apart, than float64 can hold; give them in other "
-            "units",
-            step=step,
-        )
     lead, (mean, cov, _) = plan.lead, found
     if lead:
         mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in found.by_run)

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgm.cpds import Noise
 from pgm.inference.chain.online_belief import OnlineBelief
 from pgm.inference.chain.online_given import Key, ordinary, places
 from pgm.inference.chain.plan import ChainPlan
@@ -40,7 +39,7 @@ class _Local(NamedTuple):
             np.tile(rows[k], (self.count, 1)) if shared else rows[k] for k, shared in self.inputs
         ]
         found = self.family.given(step, values, self.count)
-        if isinstance(self.family.cpd.cov, Noise) and gaussian.root(found.noise) is None:
+        if self.family.noisy and gaussian.root(found.noise) is None:
             return None
         return found
 

@@ -146,7 +146,7 @@ class Sensor:
         """The readings of a step."""
         return slice(self.bounds[step], self.bounds[step + 1])
 
-    @property
+    @cached_property
     def variable(self) -> Variable:
         """The reading's variable."""
         return self.family.cpd.child
@@ -290,12 +290,17 @@ class ChainPlan:
     sensors: list[Sensor]
     first: int = 0
 
-    @property
+    @cached_property
+    def linear(self) -> bool:
+        """Whether no sensor that is read needs a linearisation."""
+        return all(s.family.exact for s in self.sensors if s.family.step.size)
+
+    @cached_property
     def runs(self) -> int:
         """Number of runs."""
         return math.prod(self.lead)
 
-    @property
+    @cached_property
     def batch(self) -> tuple[int, ...]:
         """The axes of runs in a sweep: none of one run."""
         return () if self.runs == 1 else (self.runs,)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pgm.inference.chain import cost, readings
 from pgm.inference.chain.iteration import Anchor, Point, Solution, iterate
-from pgm.inference.chain.readings import Known, Reading
+from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.vector import Measured
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
@@ -25,11 +25,14 @@ class Updated:
 
     Attributes
     ----------
-    known : Known
+    known : Moments
         In the layout of a sweep.
+    log_density : ndarray or float
+        Of the readings, (*batch).
     """
 
-    known: Known
+    known: Moments
+    log_density: Array | float
 
     @property
     def means(self) -> Array:
@@ -132,7 +135,7 @@ class StepReading(ABC, Generic[U]):
         """The predicted means, given the exact readings alone."""
         exact = [seen for seen in self.measured if seen.sensor.exact]
         first = self._moments(found._replace(mean=mean))[0]
-        return _as_point(readings.update(exact, self.step, first, self.cov).mean, 1)
+        return _as_point(readings.update(exact, self.step, Moments(first, self.cov))[0].mean, 1)
 
     def _moments(self, at: Point) -> tuple[Array, Array]:
         """In the layout of a sweep."""
@@ -146,13 +149,8 @@ class MomentReading(StepReading[Updated]):
 
     def solve(self, anchor: Anchor | None = None) -> Updated:
         """The belief given the readings as they are linearised."""
-        known = readings.update(self.measured, self.step, self.mean, self.cov)
-        if anchor is not None:
-            mean, cov = anchor.hold(0, _as_point(known.mean, 1)[0], _as_point(known.cov, 2)[0])
-            shape = known.mean.shape, known.cov.shape
-            mean = components_first(mean, 1).reshape(shape[0])
-            known = known._replace(mean=mean, cov=components_first(cov, 2).reshape(shape[1]))
-        return Updated(known)
+        known, density = readings.update(self.measured, self.step, Moments(self.mean, self.cov))
+        return Updated(known if anchor is None else known.held(anchor, 0), density)
 
 
 def _as_point(array: Array, own: int) -> Array:

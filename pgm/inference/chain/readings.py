@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.inference.chain import refusals
+from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Sensor
 from pgm.inference.chain.vector import Measured, Vector, vector
 from pgm.inference.family import At
@@ -25,50 +26,75 @@ from pgm.linearisers import Line
 _HALF_TURN = 0.5 * TURN
 
 
-class Known(NamedTuple):
-    """A belief given measurements, (n, *batch) and (n, n, *batch), and their log-density.
+class Moments(NamedTuple):
+    """Mean (n, *batch) and covariance (n, n, *batch) of a slice.
 
-    `mild` says whether no variance is known to have fallen by more than a thousand.
+    `mild` says whether no variance is known to have fallen by more than a thousand in an update.
     """
 
     mean: Array
     cov: Array
-    log_density: Array | float
-    mild: bool
+    mild: bool = True
+
+    @classmethod
+    def of(cls, plan: ChainPlan, mean: Array, cov: Array) -> Moments:
+        """Of arrays with an axis of runs first, (runs, n) and (runs, n, n)."""
+        if not plan.batch:
+            return cls(mean[0], cov[0])
+        return cls(components_first(mean, 1), components_first(cov, 2))
+
+    def held(self, anchor: Anchor, step: int) -> Moments:
+        """The belief held by the reading of an anchor."""
+        mean, cov = anchor.hold(step, *self.by_run)
+        if self.mean.ndim == 1:
+            return Moments(mean[0], cov[0], False)
+        return Moments(components_first(mean, 1), components_first(cov, 2), False)
+
+    @property
+    def by_run(self) -> tuple[Array, Array]:
+        """With an axis of runs first, (runs, n) and (runs, n, n)."""
+        if self.mean.ndim == 1:
+            return self.mean[None], self.cov[None]
+        return components_last(self.mean, 1), components_last(self.cov, 2)
 
 
-def update(parts: Sequence[Measured], step: int, mean: Array, cov: Array) -> Known:
-    """The belief given sightings of a step.
+def update(parts: Sequence[Measured], step: int, belief: Moments) -> tuple[Moments, Array | float]:
+    """The belief given sightings of a step, and their log-density.
 
     Several sharp readings of what is hardly known are better taken in one by one, which is equal
     but for rounding.
     """
     if not parts:
-        return Known(mean, cov, 0.0, True)
-    several = sum(len(each.value) for each in parts) > parts[0].sensor.variable.dimension
-    found = _absorb(parts, step, mean, cov, NEARLY_SINGULAR if several else NEGLIGIBLE)
+        return belief, 0.0
+    several = len(parts) > 1 or len(parts[0].value) > parts[0].sensor.variable.dimension
+    found = _absorb(parts, step, belief, NEARLY_SINGULAR if several else NEGLIGIBLE)
     if found is not None:
         return found
     exact = [seen for seen in parts if seen.sensor.exact]
     rest = [[one] for seen in parts if not seen.sensor.exact for one in seen.each()]
-    known = Known(mean, cov, 0.0, False)
+    total: Array | float = 0.0
     for some in [exact, *rest] if exact else rest:
-        then = _absorb(some, step, known.mean, known.cov, 0.0)
+        then = _absorb(some, step, belief, 0.0)
         assert then is not None
-        known = then._replace(log_density=known.log_density + then.log_density, mild=False)
-    return known
+        belief, total = then[0], total + then[1]
+    return belief._replace(mild=False), total
 
 
 def _absorb(
-    parts: Sequence[Measured], step: int, mean: Array, cov: Array, least: float
-) -> Known | None:
+    parts: Sequence[Measured], step: int, belief: Moments, least: float
+) -> tuple[Moments, Array | float] | None:
     """Take in sightings as one; None where their joint covariance is too nearly singular.
 
     That is told where a component has to have more than the `least` share left, if any.
     """
-    exact = any(seen.sensor.exact for seen in parts)
+    mean, cov, _ = belief
+    sharp, first = None, parts[0]
+    if len(parts) > 1:
+        exact = any(seen.sensor.exact for seen in parts)
+    else:
+        exact = first.sensor.exact
+        sharp = first.sensor.sharpness(first.noise) if mean.ndim > 1 else None
     matrix, residual, noise, missing = vector(parts, mean)
-    sharp = parts[0].sensor.sharpness(noise) if len(parts) == 1 and mean.ndim > 1 else None
     found = gaussian.update(
         mean, cov, matrix, residual, noise, exact=exact, sharp=sharp, least=least or NEGLIGIBLE
     )
@@ -82,7 +108,7 @@ def _absorb(
         refusals.contradiction(parts, step, mean, found.left)
     if missing is not None:
         density = density + 0.5 * LOG_2PI * (missing if mean.ndim > 1 else int(missing))
-    return Known(found.mean, found.cov, density, found.mild)
+    return Moments(found.mean, found.cov, found.mild), density
 
 
 class Reading:

@@ -96,12 +96,12 @@ class Vector(NamedTuple):
 
 def vector(parts: Sequence[Measured], mean: Array) -> Vector:
     """Sightings as one vector, at a belief over the slice of mean (n, *batch)."""
+    if len(parts) == 1 and parts[0].sensor.whole:
+        return _masked(parts[0], mean)
     size, batch = len(mean), mean.shape[1:]
     found = [_masked(seen, mean) for seen in parts]
     lost = [each.missing for each in found if each.missing is not None]
     missing = sum(lost[1:], lost[0]) if lost else None
-    if len(found) == 1 and parts[0].sensor.whole:
-        return found[0]
     height = sum(len(each.residual) for each in found)
     matrix, noise = np.zeros((height, size, *batch)), np.zeros((height, height, *batch))
     residual, top = np.empty((height, *batch)), 0
