@@ -598,7 +598,7 @@ def _unplaced(function: BoundFunction) -> At:
 def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
     """The value of a function without hidden parents."""
     value = components_first(function(components_last(mean, 1)), 1)
-    return Line(np.zeros((len(value), 0, *mean.shape[1:])), value.copy("C"), None)
+    return Line(np.zeros((len(value), 0, *mean.shape[1:])), value, None)
 
 
 def _last(part: Array | None, own: int) -> Array | None:

@@ -220,7 +220,7 @@ def update(
             if many is not None:
                 return Update(many.mean, many.cov, many.log_density, True, many.mild, None)
         else:
-            one = _update_one(mean, cov, matrix, residual, noise)
+            one = update_one(mean, cov, matrix, residual, noise)
             if one is not None:
                 return Update(*one, True, False, None)
     parts = components_last(mean, 1), components_last(cov, 2), components_last(matrix, 2)
@@ -234,10 +234,13 @@ def update(
     return Update(*after, density, regular, False, left)
 
 
-def _update_one(
+def update_one(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
 ) -> tuple[Array, Array, float] | None:
-    """The update of one Gaussian by a regular reading."""
+    """The `update` of one Gaussian by a regular reading: its moments, and the log-density.
+
+    None where a component of the reading is nearly determined by those before it.
+    """
     written = updating(len(mean), len(residual), NEARLY_SINGULAR)
     if written is not None:
         return written(mean, cov, matrix, residual, noise)

@@ -50,15 +50,15 @@ class Fit(NamedTuple):
 
     Attributes
     ----------
-    moments : ndarray
-        (1 + n, N): what makes the line's value at s = 0 and its slope of N values.
-    left, signed : ndarray
-        (N − n − 1, N): the covariance of what the line leaves is (signed Y)ᵀ (left Y).
+    rows : ndarray
+        (N, N): of N values Y the product has the line's value at s = 0, its slope in n rows, and
+        N − n − 1 rows R: what the line leaves has the covariance Rᵀ diag(signs) R.
+    signs : ndarray or None
+        (N − n − 1,); None where all are one.
     """
 
-    moments: Array
-    left: Array
-    signed: Array
+    rows: Array
+    signs: Array | None
 
 
 def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
@@ -75,7 +75,8 @@ def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
     largest = np.argsort(np.abs(values))[size + 1 :]
     root = (np.sqrt(np.abs(values)) * vectors)[:, largest].T
     moments = np.vstack([mean_weights - s_mean @ slope, slope])
-    return Fit(moments, root, np.sign(values[largest])[:, None] * root)
+    signs = np.sign(values[largest])
+    return Fit(np.vstack([moments, root]), None if (signs > 0.0).all() else signs)
 
 
 def range_inverse(lower: Array, std: Array) -> tuple[Array, Array]:

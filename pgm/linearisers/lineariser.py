@@ -38,7 +38,7 @@ class Line(NamedTuple):
     Attributes
     ----------
     matrix : ndarray
-        F, (d, n, *batch).
+        F, (d, n, *batch). Like the value it may be an array that a function of the user keeps.
     value : ndarray
         (d, *batch).
     error : ndarray or None

@@ -213,14 +213,16 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
         for k in function.turning:
             line = np.einsum("i...,iN...->N...", slopes[k], offsets[:, extra:])
             raw[k] = _about(raw[k], line, axis=0)
-    fit = points.fit
+    rows, signs = points.fit
+    first = 1 + len(mean)
+    found = rows @ raw if batch else raw.dot(rows.T)
+    left = found[:, first:]
     if batch:
-        both, left, signed = fit.moments @ raw, fit.left @ raw, fit.signed @ raw
+        signed = left if signs is None else signs[:, None] * left
         noise = np.einsum("ikr,jkr->ijr", signed, left)
     else:
-        both = raw.dot(fit.moments.T)
-        noise = raw.dot(fit.signed.T).dot(fit.left.dot(raw.T))
-    slope, value = both[:, 1:], reference + both[:, 0]
+        noise = (left if signs is None else signs * left).dot(left.T)
+    slope, value = found[:, 1:first], reference + found[:, 0]
     matrix = gaussian.divide(slope, lower)
     if not _is_plain(noise, slope, reference):
         size = np.abs(raw).max(axis=1)

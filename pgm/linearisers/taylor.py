@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from pgm.kernels.arrays import Array, components_first, components_last
 from pgm.kernels.gaussian import deviations
 from pgm.linearisers.function import BoundFunction, FunctionTemplate
@@ -32,12 +34,12 @@ class Taylor(ArrayLineariser):
 def _tangent(function: BoundFunction, mean: Array, cov: Array) -> Line:
     if mean.ndim == 1 and function.analytic:
         value, slope = function.tangent(mean)
-        return Line(slope.copy(), value.copy(), None)
+        return Line(slope, value, None)
     x = components_last(mean, 1)
     std = None if function.analytic else components_last(deviations(cov), 1)
     value, slope = function.tangent(x, std)
-    # A function may return an array that it uses again.
-    return Line(components_first(slope, 2).copy("C"), components_first(value, 1).copy("C"), None)
+    slope, value = components_first(slope, 2), components_first(value, 1)
+    return Line(np.ascontiguousarray(slope), np.ascontiguousarray(value), None)
 
 
 # The default of everything that takes a lineariser.

@@ -81,17 +81,19 @@ def test_steps_and_runs_are_each_run_alone(rule, beliefs):
             assert_allclose(line.error[..., step, run], alone.cov, atol=1e-9)
 
 
-def fitted(prepared, values):
+def fitted(prepared, values, size):
     """Slope, value at the centre and what is left, of values (N, d) by the prepared regression."""
-    both = prepared.moments @ values
-    return both[1:].T, both[0], (prepared.signed @ values).T @ (prepared.left @ values)
+    found = prepared.rows @ values
+    slope, left = found[1 : 1 + size], found[1 + size :]
+    signs = 1.0 if prepared.signs is None else prepared.signs[:, None]
+    return slope.T, found[0], (signs * left).T @ left
 
 
 @pytest.mark.parametrize("name", ["unscented", "unscented alpha", "cubature", "gauss hermite"])
 def test_a_prepared_fit_is_the_regression(name):
     points = RULES[name].points(3, "y", 0)
     values = np.random.default_rng(4).normal(size=(len(points.points), 2))
-    found = fitted(points.fit, values)
+    found = fitted(points.fit, values, 3)
     due = regress(*points[:1], values, *points[1:3], np.eye(3))
     for one, other in zip(found, due, strict=True):
         assert_allclose(one, other, atol=1e-12)
@@ -103,7 +105,7 @@ def test_negative_weights_subtract():
     s, mean_weights = rng.normal(size=(6, 2)), np.full(6, 1 / 6)
     weights = np.array([-0.1, 0.1, 0.2, 0.3, 0.2, 0.3])
     values = rng.normal(size=(6, 2)) * np.array([9.0, 1, 1, 1, 1, 1])[:, None]
-    found = fitted(fit(s, mean_weights, weights), values)
+    found = fitted(fit(s, mean_weights, weights), values, 2)
     due = regress(s, values, mean_weights, weights, np.eye(2))
     for one, other in zip(found, due, strict=True):
         assert_allclose(one, other, atol=1e-10)
@@ -129,4 +131,4 @@ def test_only_sums_of_squares_are_never_indefinite(rule, due):
 def test_a_prepared_fit_is_made_once():
     one, other = (pgm.Unscented().points(3, "y", k).fit for k in (0, 1))
     assert one is other
-    assert_array_equal(one.left.shape, (3, 7))
+    assert_array_equal(one.rows.shape, (7, 7))

@@ -137,7 +137,8 @@ class MomentChain:
         mean, cov, _ = belief
         schedule = self.schedule
         if schedule is None or not self.iterates or self.plan.linear:
-            seen = [part.linearise(mean, cov) for part in parts]
+            several = len(parts) > 1
+            seen = [part.linearise(mean, cov, None, several) for part in parts]
             if self.check:
                 for part in parts:
                     part.require_finite()
@@ -194,7 +195,10 @@ class MomentChain:
             noise = noise + error
             bare = tuple(k for k in bare if not noise[k, k].any())
         if at.function is not None:
-            value = on_chart(link, at, before, value)
+            # A function may return an array that it uses again.
+            value = on_chart(link, at, before, value) if link.turning else value
+            if value is line.value:
+                value = value.copy()
             if self.keeps:
                 offset = value - times(matrix, mean)
                 family.keep(at, matrix, offset, None if error is None else noise)
@@ -218,7 +222,7 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
 
     Beliefs live on one unwrapped chart. `before` is the vector in which the CPD's parents stand.
     """
-    if at.function is None or not (link.turning and _turns(link, before, value)):
+    if at.function is None or not _turns(link, before, value):
         return value
     turned = value[link.angles] - before[link.before]
     # A function that wraps gives the same for an angle a whole turn on; another turns too.

@@ -95,6 +95,10 @@ def _absorb(
         exact = first.sensor.exact
         sharp = first.sensor.sharpness(first.noise) if mean.ndim > 1 else None
     matrix, residual, noise, missing = vector(parts, mean)
+    if mean.ndim == 1 and not exact and missing is None:
+        one = gaussian.update_one(mean, cov, matrix, residual, noise)
+        if one is not None and isfinite(one[2]):
+            return Moments(one[0], one[1], False), one[2]
     found = gaussian.update(
         mean, cov, matrix, residual, noise, exact=exact, sharp=sharp, least=least or NEGLIGIBLE
     )
@@ -137,12 +141,19 @@ class Reading:
         self.sensor, self.at, self.values, self.taken = sensor, at, values, taken
         self.fixed, self.erroneous = fixed, False
 
-    def linearise(self, mean: Array, cov: Array, active: Mask | None = None) -> Measured:
-        """Linearise at a belief over the slice; runs that are not active keep what they have."""
+    def linearise(
+        self, mean: Array, cov: Array, active: Mask | None = None, copy: bool = True
+    ) -> Measured:
+        """Linearise at a belief over the slice; runs that are not active keep what they have.
+
+        Without a copy an array may be one that a function of the user uses again.
+        """
         sensor, at = self.sensor, self.at
         if not sensor.whole:
             mean, cov = mean[sensor.parents], within(cov, sensor.parents)
         matrix, value, error = sensor.family.line(at, mean, cov)
+        if copy:
+            matrix, value = matrix.copy(), value.copy()
         noise = at.noise
         if error is not None:
             noise, self.erroneous = noise + error, True
