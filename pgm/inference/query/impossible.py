@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.errors import EvidenceError
-from pgm.evidence.indices import in_run
+from pgm.factors.indices import in_run
 from pgm.factors.axes import States
 from pgm.factors.scope import listed, names
 from pgm.inference.discrete.evidence import some_runs

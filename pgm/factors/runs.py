@@ -1,4 +1,4 @@
-"""The leading axes of evidence: the runs they broadcast to, and arrays with these axes as one."""
+"""The leading axes of values: the runs they broadcast to, and arrays with these axes as one."""
 
 from __future__ import annotations
 
