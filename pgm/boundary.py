@@ -70,6 +70,18 @@ def as_mapping(value: Any, what: str, error: type[PgmError] = EvidenceError) -> 
     return value
 
 
+def as_lengths(size: Any, what: str) -> tuple[int, ...]:
+    """The lengths of axes of draws, one or several; `what` says how many draws they are."""
+    shape = (size,) if is_whole(size) else as_tuple(size)
+    if (
+        shape is None
+        or is_unordered(size)
+        or not all(is_whole(length) and length >= 0 for length in shape)
+    ):
+        raise ModelError(f"size is how many draws {what}, or a tuple of such; not {size!r}")
+    return tuple(map(int, shape))
+
+
 def as_generator(rng: Any) -> np.random.Generator:
     """The generator of draws, given or of a seed; None is refused: draws must be repeatable."""
     if isinstance(rng, np.random.Generator):

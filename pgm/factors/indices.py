@@ -8,6 +8,7 @@ import numpy as np
 
 from pgm.boundary import is_whole, masked_whole
 from pgm.errors import EvidenceError, ModelError
+from pgm.factors.runs import in_run
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers, Mask
 from pgm.variables import Discrete
@@ -107,9 +108,3 @@ def _malformed(variable: Discrete, found: str) -> _Unfit:
 
 def _words(array: Any) -> str:
     return f"an array of shape {array.shape}" if array.ndim else "a value"
-
-
-def in_run(bad: Mask | np.bool_) -> str:
-    """Where the first bad one of some runs is, for messages."""
-    first = tuple(map(int, np.argwhere(bad)[0]))
-    return f" (first in run {first[0] if len(first) == 1 else first})" if first else ""

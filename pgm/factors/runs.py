@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import EvidenceError
-from pgm.kernels.arrays import frozen
+from pgm.kernels.arrays import Mask, frozen
 
 Shape = tuple[int, ...]
 
@@ -64,3 +64,9 @@ def flat(array: npt.NDArray[Any], lead: Shape, own: int) -> npt.NDArray[Any]:
         runs = math.prod(lead)
         array = np.broadcast_to(array, (*lead, *rest))
     return frozen(np.ascontiguousarray(array.reshape(runs, *rest)))
+
+
+def in_run(bad: Mask | np.bool_) -> str:
+    """Where the first bad one of some runs is, for messages."""
+    first = tuple(map(int, np.argwhere(bad)[0]))
+    return f" (first in run {first[0] if len(first) == 1 else first})" if first else ""

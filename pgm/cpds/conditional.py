@@ -1,0 +1,130 @@
+"""CPDs that are a function of the parents plus Gaussian noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.cpds.base import CPD
+from pgm.cpds.noise import Noise, as_covariance, evaluate
+from pgm.cpds.values import Known, Values
+from pgm.errors import LinearisationError, ModelError
+from pgm.factors.runs import flat
+from pgm.factors.scope import Scope
+from pgm.kernels import normal, roots
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, quiet
+from pgm.linearisers.calls import Call
+from pgm.variables import Variable
+
+
+class ConditionalGaussian(CPD):
+    """A CPD that is a function of the parents plus Gaussian noise.
+
+    Attributes
+    ----------
+    cov : ndarray or Noise
+        Covariance of the noise.
+    """
+
+    cov: Array | Noise
+
+    def _set_family(
+        self,
+        child: Variable,
+        given: Variable | Iterable[Variable],
+        cov: npt.ArrayLike | Noise,
+        *,
+        lead: bool = False,
+        flat: bool = False,
+    ) -> None:
+        self._set_scope(child, given, cov.given if isinstance(cov, Noise) else ())
+        if not isinstance(cov, Noise):
+            cov = as_covariance(child, cov, lead=lead, flat=flat)
+        self._set(cov=cov)
+
+    def require_proper(self, what: str) -> None:
+        """Refuse an infinite variance where there is no use for it."""
+        if not isinstance(self.cov, Noise) and np.isinf(self.cov).any():
+            raise ModelError(
+                f"{self!r} has an infinite variance: {what}; give it a finite one",
+                variable=self.child,
+                cpd=self,
+            )
+
+    @property
+    def noise_given(self) -> Scope:
+        """The parents that the noise covariance depends on."""
+        return self.cov.given if isinstance(self.cov, Noise) else ()
+
+    def _log_density(self, child: Values, known: Known) -> Array:
+        self.require_proper("it has no density")
+        mean, cov = self._moments(known.values, known.lead, (known.runs,), self.child.step)
+        lower, size = roots.root(cov), self._summed(known.values, mean)
+        wide = (*known.lead, self.child.dimension)
+        with quiet():  # what is too far off to be squared has no density that float64 can hold
+            residual = difference(child, mean.reshape(wide), self.child.angle_mask)
+            size = np.broadcast_to(np.abs(child) + size.reshape(wide), residual.shape)
+            if lower.ndim == 2:
+                points = -1, self.child.dimension
+            else:
+                points = *residual.shape[:-1], 1, self.child.dimension
+                lower = np.broadcast_to(lower, (known.runs, *lower.shape[1:])).reshape(
+                    *known.lead, *lower.shape[1:]
+                )
+            white, left = normal.whitened(lower, residual.reshape(points))
+            value = normal.log_density(lower, white)
+            if left is not None:
+                value = np.where(normal.off(lower, left, size.reshape(points)), -np.inf, value)
+        value = np.where(np.isnan(value), -np.inf, value)
+        return value.reshape(residual.shape[:-1])
+
+    def _draw(
+        self,
+        known: Mapping[Variable, Array],
+        lead: tuple[int, ...],
+        shape: tuple[int, ...],
+        step: npt.ArrayLike | None,
+        rng: np.random.Generator,
+        size: tuple[int, ...] = (),
+    ) -> Array:
+        self.require_proper("there is no drawing from it")
+        mean, cov = self._moments(known, lead, shape, step)
+        return normal.draw(mean, cov, rng.standard_normal((*size, *mean.shape)))
+
+    def _moments(
+        self,
+        known: Mapping[Variable, Array],
+        lead: tuple[int, ...],
+        shape: tuple[int, ...],
+        step: npt.ArrayLike | None,
+    ) -> tuple[Array, Array]:
+        """The mean, (*shape, d), and the noise covariance, (..., d, d); arguments as of `_draw`."""
+        steps = None if step is None else np.asarray(step)
+        wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in known.items()}
+        call = Call(self.child, "function", shape, steps, 0, self)
+        with quiet():  # non-finite values are refused below
+            mean = np.broadcast_to(self._mean(wide, lead, call), (*shape, self.child.dimension))
+        if not np.isfinite(mean).all():
+            index = tuple(int(k) for k in np.argwhere(~np.isfinite(mean))[0, :-1])
+            raise call.error("has values that are NaN or infinite", index, kind=LinearisationError)
+        if isinstance(self.cov, Noise):
+            return mean, evaluate(self, wide, shape, steps)
+        return mean, self.cov if self.cov.ndim == 2 else flat(self.cov, lead, 2)
+
+    def _mean(self, known: Mapping[Variable, Array], lead: tuple[int, ...], call: Call) -> Array:
+        """The mean at values of all parents, which broadcasts to (*call.lead, d)."""
+        raise ModelError(f"{self!r} is of a kind that has no mean here", cpd=self)
+
+    def _summed(self, known: Mapping[Variable, Array], mean: Array) -> Array:
+        """The size of the numbers that are added up to the mean, as far as is known."""
+        return np.abs(mean)
+
+    def _placed(self, step: int) -> dict[str, Any]:
+        placed = super()._placed(step)
+        if isinstance(self.cov, Noise):
+            placed["cov"] = Noise(self.cov.function, tuple(v.at(step) for v in self.cov.given))
+        return placed

@@ -1,0 +1,62 @@
+"""Normal densities by the root L of the covariance; a singular one has its density on a subspace.
+
+A component that those before it determine (`roots.determined`) adds nothing to the density, which
+is that of the others. Points stand along the last axis but one, (..., S, d), so that one root
+(..., d, d) serves all of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels import roots
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, apply, transpose
+
+# The part of the numbers that were added up by which rounding may take a point off a subspace.
+ROUNDING = 1e-9
+# The part of its deviation by which a component may differ from what those before it determine:
+# three times what a root takes for zero.
+SLACK = 3.0 * roots.NEGLIGIBLE**0.5
+
+
+def draw(mean: Array, cov: Array, white: Array) -> Array:
+    """Points of N(mean, cov) for white noise, (..., d), which all have leading axes."""
+    return mean + apply(roots.root(cov), white)
+
+
+def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
+    """White residuals, (..., S, d), zero where determined; and what is left there, if anything is.
+
+    For a residual that N(0, L Lᵀ) can give, what is left is zero up to rounding.
+    """
+    white = transpose(roots.solve_lower(lower, transpose(residual)))
+    fixed = roots.determined(lower)[..., None, :]
+    if not fixed.any():
+        return white, None
+    return np.where(fixed, 0.0, white), np.where(fixed, white, 0.0)
+
+
+def log_density(lower: Array, white: Array) -> Array:
+    """The log-density −½ (|s|² + ln |2π L Lᵀ|) of the open components, (..., S), at white s."""
+    dimension = (~roots.determined(lower)).sum(axis=-1)
+    constant = roots.log_determinant(lower) + dimension * LOG_2PI
+    value: Array = -0.5 * ((white * white).sum(axis=-1) + constant[..., None])
+    return value
+
+
+def off(lower: Array, left: Array, size: Array) -> Mask:
+    """Where what is left, (..., S, d), is more than rounding: off the subspace, (..., S).
+
+    Parameters
+    ----------
+    lower, left : ndarray
+        Of `whitened`.
+    size : ndarray
+        (..., S, d): the size of the numbers whose difference the residuals are.
+    """
+    # What is left depends linearly on the residuals: by this matrix.
+    spread = np.abs(roots.solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))
+    deviations = np.sqrt((lower * lower).sum(axis=-1))
+    allowed = ROUNDING * (size @ transpose(spread)) + SLACK * deviations[..., None, :]
+    far: Mask = (np.abs(left) > allowed).any(axis=-1)
+    return far
