@@ -12,7 +12,7 @@ from pgm.cpds.base import CPD
 from pgm.cpds.noise import Noise, as_covariance, evaluate
 from pgm.cpds.values import Known, Values
 from pgm.errors import LinearisationError, ModelError
-from pgm.factors.runs import flat
+from pgm.factors.runs import flat, unflat
 from pgm.factors.scope import Scope
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference
@@ -63,22 +63,20 @@ class ConditionalGaussian(CPD):
     def _log_density(self, child: Values, known: Known) -> Array:
         self.require_proper("it has no density")
         mean, cov = self._moments(known.values, known.lead, (known.runs,), self.child.step)
-        lower, size = roots.root(cov), self._summed(known.values, mean)
-        wide = (*known.lead, self.child.dimension)
+        lower, center = roots.root(cov), unflat(mean, known.lead, 1)
         with quiet():  # what is too far off to be squared has no density that float64 can hold
-            residual = difference(child, mean.reshape(wide), self.child.angle_mask)
-            size = np.broadcast_to(np.abs(child) + size.reshape(wide), residual.shape)
+            residual = difference(child, center, self.child.angle_mask)
             if lower.ndim == 2:
                 points = -1, self.child.dimension
             else:
+                lower = unflat(lower, known.lead, 2)
                 points = *residual.shape[:-1], 1, self.child.dimension
-                lower = np.broadcast_to(lower, (known.runs, *lower.shape[1:])).reshape(
-                    *known.lead, *lower.shape[1:]
-                )
             white, left = normal.whitened(lower, residual.reshape(points))
             value = normal.log_density(lower, white)
             if left is not None:
-                value = np.where(normal.off(lower, left, size.reshape(points)), -np.inf, value)
+                size = np.abs(child) + unflat(self._summed(known.values, mean), known.lead, 1)
+                size = np.broadcast_to(size, residual.shape).reshape(points)
+                value = np.where(normal.off(lower, left, size), -np.inf, value)
         value = np.where(np.isnan(value), -np.inf, value)
         return value.reshape(residual.shape[:-1])
 
@@ -93,7 +91,8 @@ class ConditionalGaussian(CPD):
     ) -> Array:
         self.require_proper("there is no drawing from it")
         mean, cov = self._moments(known, lead, shape, step)
-        return normal.draw(mean, cov, rng.standard_normal((*size, *mean.shape)))
+        white = rng.standard_normal((*size, *shape, self.child.dimension))
+        return normal.draw(mean, cov, white)
 
     def _moments(
         self,
@@ -102,12 +101,15 @@ class ConditionalGaussian(CPD):
         shape: tuple[int, ...],
         step: npt.ArrayLike | None,
     ) -> tuple[Array, Array]:
-        """The mean, (*shape, d), and the noise covariance, (..., d, d); arguments as of `_draw`."""
+        """The mean and the noise covariance, which broadcast to (*shape, d) and (*shape, d, d).
+
+        Arguments as of `_draw`.
+        """
         steps = None if step is None else np.asarray(step)
         wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in known.items()}
         call = Call(self.child, "function", shape, steps, 0, self)
-        with quiet():  # non-finite values are refused below
-            mean = np.broadcast_to(self._mean(wide, lead, call), (*shape, self.child.dimension))
+        with np.errstate(all="ignore"):  # non-finite values are refused below
+            mean = self._mean(wide, lead, call)
         if not np.isfinite(mean).all():
             index = tuple(int(k) for k in np.argwhere(~np.isfinite(mean))[0, :-1])
             raise call.error("has values that are NaN or infinite", index, kind=LinearisationError)

@@ -53,7 +53,7 @@ class AffineCPD(ConditionalGaussian):
         if not self.given:
             return np.abs(mean)
         parts = (apply(np.abs(self.matrices[p]), np.abs(known[p])) for p in self.given)
-        return np.broadcast_to(sum(parts, np.abs(self.offset)), mean.shape)
+        return sum(parts, np.abs(self.offset))
 
     def _placed(self, step: int) -> dict[str, Any]:
         matrices = {parent.at(step): matrix for parent, matrix in self.matrices.items()}

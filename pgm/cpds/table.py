@@ -12,6 +12,7 @@ from pgm.boundary import as_floats
 from pgm.cpds.base import CPD
 from pgm.cpds.values import Known, Values
 from pgm.errors import ModelError
+from pgm.factors.runs import unflat
 from pgm.factors.scope import names
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.variables import Discrete, Variable
@@ -95,8 +96,7 @@ class TableCPD(CPD):
         self._set(table=frozen(array))
 
     def _log_density(self, child: Values, known: Known) -> Array:
-        rows = (np.broadcast_to(known.values[v], known.runs) for v in self.given)
-        places = (row.reshape(known.lead) for row in rows)
+        places = (unflat(known.values[v], known.lead, 0) for v in self.given)
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(self.table[(*places, child)]))
 

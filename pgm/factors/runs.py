@@ -66,6 +66,12 @@ def flat(array: npt.NDArray[Any], lead: Shape, own: int) -> npt.NDArray[Any]:
     return frozen(np.ascontiguousarray(array.reshape(runs, *rest)))
 
 
+def unflat(array: npt.NDArray[Any], lead: Shape, own: int) -> npt.NDArray[Any]:
+    """An array (runs or 1, own axes) with its axes of runs."""
+    rest = array.shape[array.ndim - own :]
+    return np.broadcast_to(array, (math.prod(lead), *rest)).reshape(*lead, *rest)
+
+
 def in_run(bad: Mask | np.bool_) -> str:
     """Where the first bad one of some runs is, for messages."""
     first = tuple(map(int, np.argwhere(bad)[0]))

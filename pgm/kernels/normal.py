@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.kernels import roots
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, apply, transpose
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, transpose
 
 # The part of the numbers that were added up by which rounding may take a point off a subspace.
 ROUNDING = 1e-9
@@ -30,15 +30,22 @@ def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
     For a residual that N(0, L Lᵀ) can give, what is left is zero up to rounding.
     """
     white = transpose(roots.solve_lower(lower, transpose(residual)))
-    fixed = roots.determined(lower)[..., None, :]
+    fixed = roots.determined(lower)
     if not fixed.any():
         return white, None
-    return np.where(fixed, 0.0, white), np.where(fixed, white, 0.0)
+    return _without(fixed, white), _without(~fixed, white)
+
+
+def _without(gone: Mask, vectors: Array) -> Array:
+    return np.where(gone[..., None, :], 0.0, vectors)
 
 
 def log_density(lower: Array, white: Array) -> Array:
     """The log-density −½ (|s|² + ln |2π L Lᵀ|) of the open components, (..., S), at white s."""
-    dimension = (~roots.determined(lower)).sum(axis=-1)
+    fixed = roots.determined(lower)
+    dimension: int | Integers = lower.shape[-1]
+    if fixed.any():
+        dimension = dimension - fixed.sum(axis=-1)
     constant = roots.log_determinant(lower) + dimension * LOG_2PI
     value: Array = -0.5 * ((white * white).sum(axis=-1) + constant[..., None])
     return value

@@ -55,6 +55,8 @@ class Proposal:
         """Draws (runs, S, n) given others (runs, S, m), and their log-densities (runs, S)."""
         lower = self.lower[row]
         white = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
-        white = np.where(roots.determined(lower)[:, None, :], 0.0, white)
+        fixed = roots.determined(lower)
+        if fixed.any():
+            white = np.where(fixed[:, None, :], 0.0, white)
         mean = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
         return mean + white @ transpose(lower), normal.log_density(lower, white)
