@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,13 @@ import numpy.typing as npt
 from pgm.cpds.base import CPD
 from pgm.cpds.noise import Noise, as_covariance, evaluate
 from pgm.cpds.values import Known, Values
-from pgm.errors import LinearisationError, ModelError
+from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.factors.runs import flat, unflat
 from pgm.factors.scope import Scope
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, quiet
+from pgm.kernels.checks import IMPROPER
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
@@ -61,9 +63,8 @@ class ConditionalGaussian(CPD):
         return self.cov.given if isinstance(self.cov, Noise) else ()
 
     def _log_density(self, child: Values, known: Known) -> Array:
-        self.require_proper("it has no density")
-        mean, cov = self._moments(known.values, known.lead, (known.runs,), self.child.step)
-        lower, center = roots.root(cov), unflat(mean, known.lead, 1)
+        mean, lower = self._law(known.values, known.lead, (known.runs,), self.child.step)
+        center = unflat(mean, known.lead, 1)
         with quiet():  # what is too far off to be squared has no density that float64 can hold
             residual = difference(child, center, self.child.angle_mask)
             if lower.ndim == 2:
@@ -77,7 +78,7 @@ class ConditionalGaussian(CPD):
                 size = np.abs(child) + unflat(self._summed(known.values, mean), known.lead, 1)
                 size = np.broadcast_to(size, residual.shape).reshape(points)
                 value = np.where(normal.off(lower, left, size), -np.inf, value)
-        value = np.where(np.isnan(value), -np.inf, value)
+        value = np.where(np.isnan(value), -np.inf, value) + 0.0  # no -0
         return value.reshape(residual.shape[:-1])
 
     def _draw(
@@ -89,19 +90,18 @@ class ConditionalGaussian(CPD):
         rng: np.random.Generator,
         size: tuple[int, ...] = (),
     ) -> Array:
-        self.require_proper("there is no drawing from it")
-        mean, cov = self._moments(known, lead, shape, step)
+        mean, lower = self._law(known, lead, shape, step)
         white = rng.standard_normal((*size, *shape, self.child.dimension))
-        return normal.draw(mean, cov, white)
+        return normal.draw(mean, lower, white)
 
-    def _moments(
+    def _law(
         self,
         known: Mapping[Variable, Array],
         lead: tuple[int, ...],
         shape: tuple[int, ...],
         step: npt.ArrayLike | None,
     ) -> tuple[Array, Array]:
-        """The mean and the noise covariance, which broadcast to (*shape, d) and (*shape, d, d).
+        """The mean, and the root of the noise: they broadcast to (*shape, d) and (*shape, d, d).
 
         Arguments as of `_draw`.
         """
@@ -113,9 +113,28 @@ class ConditionalGaussian(CPD):
         if not np.isfinite(mean).all():
             index = tuple(int(k) for k in np.argwhere(~np.isfinite(mean))[0, :-1])
             raise call.error("has values that are NaN or infinite", index, kind=LinearisationError)
-        if isinstance(self.cov, Noise):
-            return mean, evaluate(self, wide, shape, steps)
-        return mean, self.cov if self.cov.ndim == 2 else flat(self.cov, lead, 2)
+        if not isinstance(self.cov, Noise):
+            return mean, self._lower if self._lower.ndim == 2 else flat(self._lower, lead, 2)
+        lower = roots.root(evaluate(self, wide, shape, steps))
+        if not roots.is_proper(lower):
+            index = tuple(int(k) for k in np.argwhere(np.isnan(lower))[0, :-2])
+            call = Call(self.child, "noise", shape, steps, 0, self)
+            raise call.error(f"cannot be used: {IMPROPER}", index, kind=NumericalError)
+        return mean, lower
+
+    @cached_property
+    def _lower(self) -> Array:
+        """The root of a constant covariance."""
+        self.require_proper("it has neither a density nor draws")
+        assert not isinstance(self.cov, Noise)
+        lower = roots.root(self.cov)
+        if not roots.is_proper(lower):
+            raise NumericalError(
+                f"{self!r} has neither a density nor draws: {IMPROPER}",
+                variable=self.child,
+                cpd=self,
+            )
+        return lower
 
     def _mean(self, known: Mapping[Variable, Array], lead: tuple[int, ...], call: Call) -> Array:
         """The mean at values of all parents, which broadcasts to (*call.lead, d)."""

@@ -15,7 +15,6 @@ from pgm.errors import ModelError
 from pgm.factors.indices import as_known
 from pgm.factors.runs import Shape, clash, flat
 from pgm.factors.scope import as_value, listed
-from pgm.factors.strangers import stranger
 from pgm.sizes import require_memory
 from pgm.variables import Discrete, Variable
 
@@ -49,12 +48,10 @@ class Known:
 
 def as_parents(cpd: CPD, given: Any) -> Known:
     """The values of a CPD's parents, checked: none missing, none of another variable."""
-    found = as_mapping(given, f"the parents' values of {cpd!r}", ModelError)
+    found = as_mapping(given, f"the second argument, parents, of {cpd!r}", ModelError)
     for key in found:
         if key not in cpd.parents:
-            why = stranger(key, cpd.parents, "it") if cpd.parents else "since it has no parents"
-            variable = key if isinstance(key, Variable) else None
-            raise ModelError(f"{cpd!r}: a value of {key!r}, {why}", variable=variable, cpd=cpd)
+            raise _stranger(cpd, key)
     for parent in cpd.parents:
         if parent not in found:
             raise ModelError(
@@ -76,12 +73,24 @@ def as_parents(cpd: CPD, given: Any) -> Known:
     return Known(lead, {v: flat(array, lead, own) for v, array in arrays.items()})
 
 
+def _stranger(cpd: CPD, key: object) -> ModelError:
+    """The error of a value of what is no parent."""
+    if key == cpd.child:
+        why = "its child, among those of its parents; it is the first argument of log_density"
+    elif not cpd.parents:
+        why = "but it has no parents"
+    else:
+        why = f"which is none of its parents ({listed(cpd.parents)})"
+        why += "" if isinstance(key, Variable) else "; give the variable itself"
+    variable = key if isinstance(key, Variable) else None
+    return ModelError(f"{cpd!r}: a value of {key!r}, {why}", variable=variable, cpd=cpd)
+
+
 def as_values(cpd: CPD, variable: Variable, value: Any) -> Values:
     """Values of a variable of a CPD's family, (..., d), or indices of states (...)."""
-    about = {"variable": variable, "cpd": cpd}
     if isinstance(variable, Discrete):
-        return as_known(variable, value, f"the value of {variable!r} in {cpd!r}", **about)
-    return as_value(variable, value, f"value in {cpd!r}", **about)
+        return as_known(variable, value, f"the value of {variable!r} in {cpd!r}", cpd=cpd)
+    return as_value(variable, value, f"value in {cpd!r}", cpd=cpd)
 
 
 def shape_of(variable: Variable, values: Values) -> Shape:

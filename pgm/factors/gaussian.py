@@ -23,10 +23,10 @@ from pgm.factors.arrays import as_matrix, as_points, as_vector
 from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, labels, names, positions
 from pgm.factors.stacking import lead_index
 from pgm.immutable import Immutable
-from pgm.kernels import moments, normal
+from pgm.kernels import moments, normal, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, block, deviation, frozen
-from pgm.kernels.checks import covariance_fault
+from pgm.kernels.checks import IMPROPER, covariance_fault
 from pgm.sizes import require_memory
 from pgm.variables import Variable
 
@@ -228,7 +228,8 @@ class Gaussian(Immutable):
         ModelError
             If the draws would not fit into memory.
         NumericalError
-            If a variance is infinite.
+            If a variance is infinite, or the covariance all but singular and off by more than
+            rounding.
         """
         shape = as_lengths(size, "of each Gaussian")
         require_memory(
@@ -240,8 +241,11 @@ class Gaussian(Immutable):
             raise NumericalError(
                 f"Gaussian over {names(self.scope)}: no draws, since a variance is infinite"
             )
+        lower = roots.root(self.cov)
+        if not roots.is_proper(lower):
+            raise NumericalError(f"Gaussian over {names(self.scope)}: no draws, since {IMPROPER}")
         white = as_generator(rng).standard_normal((*shape, *self.mean.shape))
-        return normal.draw(self.mean, self.cov, white)
+        return normal.draw(self.mean, lower, white)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
         """The log-density ln N(x; mean, cov), (...), at values (..., n).

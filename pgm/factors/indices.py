@@ -39,7 +39,7 @@ def as_known(variable: Discrete, value: Any, what: str, **about: Any) -> Integer
         indices = _indices(variable, value)
         _refuse(variable, indices, indices == MISSING)
     except _Unfit as fault:
-        raise ModelError(f"{what} {fault.args[0]}", **about) from None
+        raise ModelError(f"{what} {fault.args[0]}", variable=variable, **about) from None
     return indices
 
 

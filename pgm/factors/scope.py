@@ -115,7 +115,7 @@ def positions(scope: Sequence[Variable], wanted: Iterable[Variable]) -> Index:
 
 def as_value(variable: Variable, value: object, what: str = "value", **about: Any) -> Array:
     """A value of a variable as an array (..., dimension); a scalar may be a Python number."""
-    what, about = f"{variable!r}: the {what}", {"variable": variable, **about}
+    what, about = f"{variable!r}: the {what}", {**about, "variable": variable}
     array = as_floats(value, what, labels=variable.components, **about)
     if array.ndim == 0 and variable.dimension == 1:
         array = array[None]

@@ -19,9 +19,9 @@ ROUNDING = 1e-9
 SLACK = 3.0 * roots.NEGLIGIBLE**0.5
 
 
-def draw(mean: Array, cov: Array, white: Array) -> Array:
-    """Points of N(mean, cov) for white noise, (..., d), which all have leading axes."""
-    return mean + apply(roots.root(cov), white)
+def draw(mean: Array, lower: Array, white: Array) -> Array:
+    """Points of N(mean, L Lᵀ), (..., d), for white noise."""
+    return mean + apply(lower, white)
 
 
 def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
