@@ -61,12 +61,16 @@ def is_unordered(value: object) -> bool:
     return isinstance(value, set | frozenset) and len(value) > 1
 
 
-def as_mapping(value: Any, what: str, error: type[PgmError] = EvidenceError) -> Mapping[Any, Any]:
+def as_mapping(
+    value: Any, what: str, error: type[PgmError] = EvidenceError, **about: Any
+) -> Mapping[Any, Any]:
     """A mapping, the empty one in place of None."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):
-        raise error(f"{what} is a mapping of variables to values, not {type(value).__name__}")
+        raise error(
+            f"{what} is a mapping of variables to values, not {type(value).__name__}", **about
+        )
     return value
 
 

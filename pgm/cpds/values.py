@@ -48,7 +48,7 @@ class Known:
 
 def as_parents(cpd: CPD, given: Any) -> Known:
     """The values of a CPD's parents, checked: none missing, none of another variable."""
-    found = as_mapping(given, f"the second argument, parents, of {cpd!r}", ModelError)
+    found = as_mapping(given, f"the second argument, parents, of {cpd!r}", ModelError, cpd=cpd)
     for key in found:
         if key not in cpd.parents:
             raise _stranger(cpd, key)
@@ -63,25 +63,15 @@ def as_parents(cpd: CPD, given: Any) -> Known:
     arrays = {parent: as_values(cpd, parent, found[parent]) for parent in cpd.parents}
     shapes = [(parent, shape_of(parent, array)) for parent, array in arrays.items()]
     lead = common(cpd, [*shapes, ("the CPD itself", cpd._lead())])
-    require_memory(
-        math.prod(lead) * sum(max(v.dimension, 1) for v in cpd.scope),
-        f"{cpd!r} at all of {lead} values of its parents",
-        "give it fewer at a time",
-        cpd=cpd,
-    )
     own = 0 if cpd.discrete else 1
     return Known(lead, {v: flat(array, lead, own) for v, array in arrays.items()})
 
 
 def _stranger(cpd: CPD, key: object) -> ModelError:
     """The error of a value of what is no parent."""
-    if key == cpd.child:
-        why = "its child, among those of its parents; it is the first argument of log_density"
-    elif not cpd.parents:
-        why = "but it has no parents"
-    else:
-        why = f"which is none of its parents ({listed(cpd.parents)})"
-        why += "" if isinstance(key, Variable) else "; give the variable itself"
+    why = f"which is none of its parents ({listed(cpd.parents)})"
+    if not isinstance(key, Variable):
+        why += "; give the variable itself"
     variable = key if isinstance(key, Variable) else None
     return ModelError(f"{cpd!r}: a value of {key!r}, {why}", variable=variable, cpd=cpd)
 
@@ -99,12 +89,19 @@ def shape_of(variable: Variable, values: Values) -> Shape:
 
 
 def common(cpd: CPD, shapes: Sequence[tuple[object, Shape]]) -> Shape:
-    """The leading axes that values broadcast to, from whose axes each are."""
+    """The leading axes that values broadcast to, from whose axes each are, if they fit."""
     try:
-        return np.broadcast_shapes(*(shape for _, shape in shapes))
+        lead = np.broadcast_shapes(*(shape for _, shape in shapes))
     except ValueError:
         raise ModelError(
             f"{cpd!r}: the leading axes of the values do not broadcast: {clash(shapes)}; "
             "give them the same, or 1",
             cpd=cpd,
         ) from None
+    require_memory(
+        math.prod(lead) * sum(max(v.dimension, 1) for v in cpd.scope),
+        f"{cpd!r} at all of {lead} values",
+        "give it fewer at a time",
+        cpd=cpd,
+    )
+    return lead

@@ -69,7 +69,7 @@ def flat(array: npt.NDArray[Any], lead: Shape, own: int) -> npt.NDArray[Any]:
 def unflat(array: npt.NDArray[Any], lead: Shape, own: int) -> npt.NDArray[Any]:
     """An array (runs or 1, own axes) with its axes of runs."""
     rest = array.shape[array.ndim - own :]
-    return np.broadcast_to(array, (math.prod(lead), *rest)).reshape(*lead, *rest)
+    return np.broadcast_to(array, (math.prod(lead), *rest)).reshape((*lead, *rest))
 
 
 def in_run(bad: Mask | np.bool_) -> str:
