@@ -109,9 +109,10 @@ class CPD(Immutable):
               ln N(y; f, R) = −½ (rᵀ R⁻¹ r + ln |2πR|),    r = y − f,
 
           the residual r of components that are angles wrapped to [−π, π). Where R is singular, it
-          is the density of the components that those before them leave free, and −∞ where one of
-          the others is not what these make it, by more than rounding (1e-9 of the numbers that are
-          subtracted, 1e-6 of its standard deviation). With R = 0 it is 0 at f, else −∞.
+          is the density of the components that those before them leave free (by their order, then),
+          and −∞ where one of the others is not what these make it by more than rounding: 1e-9 of
+          the numbers that are subtracted, or 1e-6 of its standard deviation. With R = 0 it is 0 at
+          f, −∞ elsewhere.
         - Of a table, its entry's logarithm; −∞ where the entry is zero.
 
         Parameters
@@ -136,10 +137,11 @@ class CPD(Immutable):
             fails, returns a wrong shape or a noise that is no covariance.
         LinearisationError
             If a function is NaN or infinite.
+        NumericalError
+            If a covariance is singular but for errors larger than rounding.
 
         Examples
         --------
-        >>> import numpy as np
         >>> from pgm import LinearGaussianCPD, Variable
         >>> x, y = Variable("x"), Variable("y")
         >>> cpd = LinearGaussianCPD(y, given={x: 2.0}, cov=1.0)
@@ -148,8 +150,8 @@ class CPD(Immutable):
         """
         values = as_values(self, self.child, child)
         known = as_parents(self, parents)
-        own = shape_of(self.child, values)
-        common(self, [("the child", own), ("the parents", known.lead)])
+        leads = ("the child", shape_of(self.child, values)), ("the parents", known.lead)
+        common(self, leads)
         return self._log_density(values, known)
 
     def sample(
@@ -184,8 +186,8 @@ class CPD(Immutable):
         ModelError
             As of `log_density`; and if `size` is no number of draws or would not fit into memory,
             or `rng` is neither a generator nor a seed.
-        LinearisationError
-            If a function is NaN or infinite.
+        LinearisationError, NumericalError
+            As of `log_density`.
 
         Examples
         --------
