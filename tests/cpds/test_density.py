@@ -228,6 +228,16 @@ def test_draws_of_others_lie_on_the_subspace(scale, far):
     assert_array_equal(cpd.log_density(away), -np.inf)
 
 
+def test_rounding_of_a_large_coordinate_reaches_what_it_determines():
+    """A step of 1e-6 beside 1e6 has four digits; the other component is ten thousand times it."""
+    cov = 1e-12 * np.array([[1.0, 1e4], [1e4, 1e8]])
+    white = np.random.default_rng(0).normal(size=100)
+    points = np.stack([1e6 + 1e-6 * white, 1e-2 * white], axis=-1)
+    found = pgm.GaussianCPD(Y, [1e6, 0.0], cov).log_density(points)
+    due = -0.5 * (white**2 + np.log(2 * np.pi * 1e-12))
+    assert_allclose(found, due, atol=1e-3)
+
+
 def test_no_noise_is_a_point():
     cpd = pgm.LinearGaussianCPD(A, {B: 0.1, W: 0.2}, cov=0.0)
     assert 0.1 * 3 + 0.2 * 3 != 0.9
@@ -235,8 +245,10 @@ def test_no_noise_is_a_point():
     assert not np.signbit(cpd.log_density(0.9, {B: 3.0, W: 3.0}))
     # A difference of large numbers has the rounding of these.
     close = pgm.LinearGaussianCPD(A, {B: 1e6, W: -1e6}, cov=0.0)
-    values = {B: 1234.1, W: 1234.0}
-    assert_array_equal(close.log_density([[1e5], [1e5 + 10.0]], values), [0.0, -np.inf])
+    values = {B: 1e6 + 1e-3, W: 1e6}
+    child = 1e6 * (values[B] - values[W])
+    assert abs(child - (1e6 * values[B] - 1e6 * values[W])) > 1e-5
+    assert_array_equal(close.log_density([[child], [2e4]], values), [0.0, -np.inf])
     square = pgm.NonlinearGaussianCPD(
         Y, B, lambda b: np.concatenate([b, b**2], -1), np.zeros((2, 2))
     )
