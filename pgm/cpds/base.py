@@ -110,9 +110,8 @@ class CPD(Immutable):
 
           the residual r of components that are angles wrapped to [−π, π). Where R is singular, it
           is the density of the components that those before them leave free (by their order, then),
-          and −∞ where one of the others is not what these make it by more than rounding: 1e-9 of
-          the numbers that are subtracted, or 1e-6 of its standard deviation. With R = 0 it is 0 at
-          f, −∞ elsewhere.
+          and −∞ where one of the others is not what these make it by more than rounding: 1e-9 of y
+          and f, or 1e-6 of its standard deviation. With R = 0 it is 0 at f, −∞ elsewhere.
         - Of a table, its entry's logarithm; −∞ where the entry is zero.
 
         Parameters

@@ -19,6 +19,7 @@ from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, quiet
 from pgm.kernels.checks import IMPROPER
+from pgm.kernels.moments import ROUNDING
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
@@ -75,9 +76,10 @@ class ConditionalGaussian(CPD):
             white, left = normal.whitened(lower, residual.reshape(points))
             value = normal.log_density(lower, white)
             if left is not None:
-                size = np.abs(child) + unflat(self._summed(known.values, mean), known.lead, 1)
-                size = np.broadcast_to(size, residual.shape).reshape(points)
-                value = np.where(normal.off(lower, left, size), -np.inf, value)
+                error = normal.INEXACT * (np.abs(child) + np.abs(center))
+                error = error + ROUNDING * unflat(self._summed(known.values), known.lead, 1)
+                error = np.broadcast_to(error, residual.shape).reshape(points)
+                value = np.where(normal.off(lower, left, error), -np.inf, value)
         value = np.where(np.isnan(value), -np.inf, value) + 0.0  # no -0
         return value.reshape(residual.shape[:-1])
 
@@ -140,9 +142,9 @@ class ConditionalGaussian(CPD):
         """The mean at values of all parents, which broadcasts to (*call.lead, d)."""
         raise ModelError(f"{self!r} is of a kind that has no mean here", cpd=self)
 
-    def _summed(self, known: Mapping[Variable, Array], mean: Array) -> Array:
-        """The size of the numbers that are added up to the mean, as far as is known."""
-        return np.abs(mean)
+    def _summed(self, known: Mapping[Variable, Array]) -> Array:
+        """The size of the numbers that are added up to the mean, as far as is known, (..., d)."""
+        return np.zeros((1, self.child.dimension))
 
     def _placed(self, step: int) -> dict[str, Any]:
         placed = super()._placed(step)

@@ -49,9 +49,9 @@ class AffineCPD(ConditionalGaussian):
     def _mean(self, known: Mapping[Variable, Array], lead: tuple[int, ...], call: Call) -> Array:
         return self._affine((), known)[1] if self.given else flat(self.offset, lead, 1)
 
-    def _summed(self, known: Mapping[Variable, Array], mean: Array) -> Array:
+    def _summed(self, known: Mapping[Variable, Array]) -> Array:
         if not self.given:
-            return np.abs(mean)
+            return super()._summed(known)
         parts = (apply(np.abs(self.matrices[p]), np.abs(known[p])) for p in self.given)
         return sum(parts, np.abs(self.offset))
 

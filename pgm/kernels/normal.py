@@ -12,8 +12,8 @@ import numpy as np
 from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, transpose
 
-# The part of the numbers that were added up by which rounding may take a point off a subspace.
-ROUNDING = 1e-9
+# The part of a point and of the mean by which what users compute may take it off a subspace.
+INEXACT = 1e-9
 # The part of its deviation by which a component may differ from what those before it determine:
 # three times what a root takes for zero.
 SLACK = 3.0 * roots.NEGLIGIBLE**0.5
@@ -51,19 +51,19 @@ def log_density(lower: Array, white: Array) -> Array:
     return value
 
 
-def off(lower: Array, left: Array, size: Array) -> Mask:
+def off(lower: Array, left: Array, error: Array) -> Mask:
     """Where what is left, (..., S, d), is more than rounding: off the subspace, (..., S).
 
     Parameters
     ----------
     lower, left : ndarray
         Of `whitened`.
-    size : ndarray
-        (..., S, d): the size of the numbers whose difference the residuals are.
+    error : ndarray
+        (..., S, d): by how much rounding may have changed the residuals.
     """
     # What is left depends linearly on the residuals: by this matrix.
     spread = np.abs(roots.solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))
     deviations = np.sqrt((lower * lower).sum(axis=-1))
-    allowed = ROUNDING * (size @ transpose(spread)) + SLACK * deviations[..., None, :]
+    allowed = error @ transpose(spread) + SLACK * deviations[..., None, :]
     far: Mask = (np.abs(left) > allowed).any(axis=-1)
     return far
