@@ -33,7 +33,7 @@ class Row:
     most : mapping
         The largest size that a slow library is given, whose cost a unit does not depend on it.
     unchecked : frozenset
-        Contenders that do a part of the work only.
+        Contenders that do a part of the work only, or find something else.
     repeats : int, optional
         Timed calls at the most, where one takes long.
     """
