@@ -67,7 +67,7 @@ class Choice:
         )
 
 
-def quick() -> Choice:
+def short() -> Choice:
     """What the quick run is of."""
     return Choice(rows=[row for row in ROWS if row.quick], networks=())
 
@@ -76,7 +76,9 @@ def _listed(asked: str, known: Sequence[str], fits: Callable[[str, str], bool] =
     names = [name.strip() for name in asked.split(",")]
     strangers = [name for name in names if not any(fits(each, name) for each in known)]
     if strangers:
-        raise ValueError(f"there is no {', '.join(map(repr, strangers))}, but {', '.join(known)}")
+        raise ValueError(
+            f"there is no {', '.join(map(repr, strangers))}, but {', '.join(known) or 'none'}"
+        )
     return names
 
 

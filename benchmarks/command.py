@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import cliffs, figure, memory
-from benchmarks.choice import Choice
-from benchmarks.choice import quick as quick_choice
+from benchmarks.choice import Choice, short
 from benchmarks.row import Row
 from benchmarks.timing import medians
 from benchmarks.verdicts import verdicts
@@ -78,7 +77,7 @@ def chosen_by(options: argparse.Namespace) -> Choice:
     ValueError
         Where there is nothing of a name.
     """
-    chosen = quick_choice() if options.quick else Choice()
+    chosen = short() if options.quick else Choice()
     if options.only is not None:
         chosen = Choice().only(options.only)
     return chosen if options.against is None else chosen.against(options.against)
