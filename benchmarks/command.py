@@ -12,7 +12,6 @@ from typing import Any
 from benchmarks import cliffs, figure, memory
 from benchmarks.choice import Choice, short
 from benchmarks.row import Row
-from benchmarks.timing import medians
 from benchmarks.verdicts import verdicts
 from experiments.record import folder, note, table, versions
 from pgm.io.whole import whole
@@ -94,7 +93,7 @@ def run(row: Row, quick: bool, repeats: int) -> tuple[dict[str, float], dict[str
         note(f"{row.name} is left out: {missing['pgm']}")
         return {}, {}
     row.agree(ready, size)
-    times = medians(ready, min(repeats, row.repeats or repeats))
+    times = row.timed(ready, min(repeats, row.repeats or repeats))
     compiling = {k: each.compiling for k, each in ready.items() if each.compiling is not None}
     table(
         f"{row.name}: microseconds a {row.unit}",

@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from benchmarks import choice, command, curves, figure, memory, page, timing
+from benchmarks import choice, cliffs, command, curves, figure, memory, page, timing
 from benchmarks.row import part
 from benchmarks.timing import Contender, medians
 from benchmarks.verdicts import verdicts
@@ -81,6 +81,14 @@ def test_short_calls_are_repeated_and_times_are_of_a_unit(monkeypatch):
     # One to see that it takes 4 ms; then 5 at a time, which the clock takes for one tick.
     assert len(calls) == 1 + 2 * 5
     assert found["a"] == pytest.approx(0.004 / 5 / 10)
+
+
+def test_rows_say_which_of_their_turns_count(monkeypatch):
+    times = {"a": [5.0, 1.0, 2.0], "b": [4.0, 7.0, 9.0]}
+    monkeypatch.setattr(timing, "turns", lambda contenders, repeats: times)
+    assert medians({}, 3) == {"a": 2.0, "b": 7.0}
+    assert timing.least({}, 3) == {"a": 1.0, "b": 4.0}
+    assert all(row.timed is timing.least for row in cliffs.ROWS)
 
 
 def test_curves_have_every_size_of_every_library_that_is_here(tmp_path):
