@@ -31,6 +31,7 @@ def joined(
     return type(found[0])(
         graph,
         one_status((each.status for each in found), bound.lead),
+        found[0].kind,
         plan,
         _swept(plan, found),
         _along_runs(Beliefs, [each._smoothed for each in found]),

@@ -17,6 +17,7 @@ from pgm.inference.chain.kept import KeptPosterior
 from pgm.inference.chain.parts import Part, each, split
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run as run_chain
+from pgm.inference.kind import Kind
 from pgm.inference.schedule import Filtering, Schedule
 from pgm.inference.start import Start
 from pgm.inference.status import Status
@@ -70,22 +71,25 @@ def run(
     room = {variable: _room(graph.layout, bound, variable) for variable in kept}
     log_evidence = np.empty(bound.runs)
 
-    def reduce(part: Part) -> tuple[Status, str]:
+    def reduce(part: Part) -> tuple[Status, Kind, str]:
         found = solve(part)
         for variable, (mean, cov) in room.items():
             belief = found[variable]
             mean[part.runs] = belief.mean.reshape(mean[part.runs].shape)
             cov[part.runs] = belief.cov.reshape(cov[part.runs].shape)
         log_evidence[part.runs] = found.log_evidence.reshape(-1)
-        return found.status, found.log_evidence_kind
+        return found.status, found.kind, found.log_evidence_kind
 
-    statuses, kinds = zip(*each(reduce, parts, threads), strict=True)
+    statuses, kinds, evidence = zip(*each(reduce, parts, threads), strict=True)
     return KeptPosterior(
         graph,
         one_status(statuses, bound.lead),
+        kinds[0],
         _gaussians(room, bound),
         frozen(log_evidence.reshape(bound.lead)),
-        kinds[0] if len(set(kinds)) == 1 else "linearised",  # a fixed point is one of all runs
+        evidence[0]
+        if len(set(evidence)) == 1
+        else "linearised",  # a fixed point is one of all runs
     )
 
 

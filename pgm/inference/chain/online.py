@@ -22,6 +22,7 @@ from pgm.inference.chain.online_careful import REGULAR, CarefulBelief
 from pgm.inference.chain.online_layouts import Layouts
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
+from pgm.inference.kind import FILTERED, PREDICTED, Kind
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status, digits
 from pgm.kernels import gaussian
@@ -105,8 +106,8 @@ class OnlineFilter(Immutable):
         found = MomentChain(plan, ONCE, keep=False).start()
         log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
         if gaussian.is_regular(found.cov, found.cov, REGULAR):
-            return _belief(plan, 0, found, log_evidence, status)
-        return _carried(plan, 0, online_careful.first(plan), log_evidence, status)
+            return _belief(plan, 0, found, log_evidence, status, PREDICTED)
+        return _carried(plan, 0, online_careful.first(plan), log_evidence, status, PREDICTED)
 
     @_quiet
     def predict(
@@ -143,11 +144,12 @@ class OnlineFilter(Immutable):
                 if laid is None:
                     log_evidence = np.broadcast_to(log_evidence, plan.lead)
                     status = _nothing_to_iterate(plan.lead)
-                return _belief(plan, step, found, log_evidence, status)
+                return _belief(plan, step, found, log_evidence, status, PREDICTED)
         plan = self._ahead(belief, inputs)
         carried = online_careful.predict(plan, step, _careful(belief, plan))
         log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
-        return _carried(plan, step, carried, log_evidence, _nothing_to_iterate(plan.lead))
+        status = _nothing_to_iterate(plan.lead)
+        return _carried(plan, step, carried, log_evidence, status, PREDICTED)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of a prediction, its inputs checked."""
@@ -195,7 +197,7 @@ class OnlineFilter(Immutable):
         log_density = taken.solution.log_density.reshape(plan.lead)
         log_evidence = np.asarray(belief.log_evidence + log_density)
         status = Status.of(taken.residuals, taken.converged, plan.lead)
-        return _carried(plan, belief.step, found, log_evidence, status)
+        return _carried(plan, belief.step, found, log_evidence, status, FILTERED)
 
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
@@ -227,7 +229,7 @@ class OnlineFilter(Immutable):
             status = Status.of(chain.residuals, chain.converged, plan.lead)
         else:
             status = _DONE if chain.converged[0] else _LINEARISED
-        return _belief(plan, belief.step, found, log_evidence, status)
+        return _belief(plan, belief.step, found, log_evidence, status, FILTERED)
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its readings checked."""
@@ -311,7 +313,12 @@ def _careful(belief: OnlineBelief, plan: ChainPlan) -> CarefulBelief:
 
 
 def _carried(
-    plan: ChainPlan, step: int, found: CarefulBelief, log_evidence: Array, status: Status
+    plan: ChainPlan,
+    step: int,
+    found: CarefulBelief,
+    log_evidence: Array,
+    status: Status,
+    kind: Kind,
 ) -> OnlineBelief:
     """A belief with the digits that it has, carried in twice those of float64 while it must be."""
     mean, cov = found.moments
@@ -319,7 +326,7 @@ def _carried(
         _refuse(step)
     status = status.with_digits(digits(found.error, plan.lead))
     kept = None if found.is_ordinary else found
-    return _belief(plan, step, Moments.of(plan, mean, cov), log_evidence, status, kept)
+    return _belief(plan, step, Moments.of(plan, mean, cov), log_evidence, status, kind, kept)
 
 
 def _refuse(step: int) -> NoReturn:
@@ -336,10 +343,11 @@ def _belief(
     found: Moments,
     log_evidence: Array,
     status: Status,
+    kind: Kind,
     careful: CarefulBelief | None = None,
 ) -> OnlineBelief:
     """A belief with the runs as the user's axes."""
     lead, (mean, cov, _) = plan.lead, found
     if lead:
         mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in found.by_run)
-    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status, careful)
+    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status, kind, careful)
