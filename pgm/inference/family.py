@@ -305,7 +305,10 @@ class Family:
         try:
             return self.prepared(function, mean, cov)
         except Exception as error:
-            raise self._failure(function, mean, error) from error
+            failure = self._failure(function, mean, error)
+            if failure is error:
+                raise
+            raise failure from (None if isinstance(error, Misfit) else error)
 
     def keep(self, at: At, matrix: Array, offset: Array, noise: Array | None) -> None:
         """Keep what some rows, a step's, were linearised to; the noise where it is not their own."""
@@ -324,8 +327,9 @@ class Family:
             blocks = noise.reshape(*shape, *shape, *noise.shape[2:])[each, :, each]
             self.noise[first:last] = blocks.transpose(0, 3, 1, 2) if self.batch else blocks[:, None]
         if self.batch:
-            self.matrix[first:last] = matrix.reshape(*shape, width, -1).transpose(0, 3, 1, 2)
-            self.offset[first:last] = offset.reshape(*shape, -1).transpose(0, 2, 1)
+            slope = matrix.reshape(*shape, width, *self.batch)
+            self.matrix[first:last] = slope.transpose(0, 3, 1, 2)
+            self.offset[first:last] = offset.reshape(*shape, *self.batch).transpose(0, 2, 1)
         else:
             self.matrix[first:last, 0] = matrix.reshape(*shape, width)
             self.offset[first:last, 0] = offset.reshape(shape)

@@ -108,8 +108,8 @@ class Call:
             step = int(np.broadcast_to(self.step, self.lead)[index])
         elif self.step is not None and np.size(self.step) == 1:
             step = int(np.reshape(self.step, ()))
-        if index and self.first_run is not None:
-            run = self.first_run + index[-1]
+        if index is not None and self.first_run is not None:
+            run = self.first_run + (index[-1] if index else 0)
         at = "" if step is None else f" at step {step}"
         which = "" if run is None else f", run {run},"
         return kind(

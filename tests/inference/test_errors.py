@@ -580,8 +580,8 @@ DURING = [
         for way in (pgm.filter, pgm.smooth)
     ),
     lineariser_row("a lineariser of tuples", ("x", "step 1", "tuple", "AffineG"), by_tuple, step=1),
-    lineariser_row("one of 2 rows", ("x", "step 1", "(1, 2, 3)", "(3, 3)"), turned, step=1),
-    lineariser_row("one of 6 columns", ("x", "step 1", "(1, 3, 6)", "(3, 3)"), too_wide, step=1),
+    lineariser_row("one of 2 rows", ("x", "step 1", "(2, 3)", "(3, 3)"), turned, step=1),
+    lineariser_row("one of 6 columns", ("x", "step 1", "(3, 6)", "(3, 3)"), too_wide, step=1),
     lineariser_row("a lineariser of NaN", ("x", "step 1", "NaN"), blank, step=1),
     refusal(
         "too few samples",

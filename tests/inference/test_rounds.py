@@ -59,7 +59,7 @@ def test_rounds_give_what_the_sweep_gives(drive, rule, damping, started, monkeyp
     seen, start = drive
     asked = {"lineariser": rule, "damping": damping, "start": start if started else None}
     asked |= {"iterations": 60, "tolerance": 1e-8}
-    sweeps = calls(monkeypatch, forward, "sweep")
+    sweeps = calls(monkeypatch, forward, "stored")
     found = pgm.smooth(network(SIGHT.cpd()), seen, **asked)
     assert not sweeps
     stepwise(monkeypatch)
@@ -133,7 +133,7 @@ def twice(values, cov):
 
 def test_sharp_and_exact_readings_go_step_by_step(monkeypatch):
     """Rounds would cost these digits, or do not exist."""
-    rounds, sweeps = calls(monkeypatch, parallel, "filtered"), calls(monkeypatch, forward, "sweep")
+    rounds, sweeps = calls(monkeypatch, parallel, "filtered"), calls(monkeypatch, forward, "stored")
     fine = calls(monkeypatch, careful, "sweep")
     y = pgm.Variable("y")
     told = pgm.LinearGaussianCPD(y, {s: 1.0}, cov=0.0)
