@@ -299,6 +299,7 @@ class Family:
         function = at.function
         if function is None:
             assert at.matrix is not None
+            assert at.offset is not None
             value = times(at.matrix, mean)
             value += at.offset
             return Line(at.matrix, value, None)
@@ -311,7 +312,7 @@ class Family:
             raise failure from (None if isinstance(error, Misfit) else error)
 
     def keep(self, at: At, matrix: Array, offset: Array, noise: Array | None) -> None:
-        """Keep what some rows, a step's, were linearised to; the noise where it is not their own."""
+        """Keep the linearisation of some rows, a step's; the noise where there is an error."""
         first, last = at.first, at.last
         count, (height, width) = last - first, self.shape[2:]
         if count == 1 and not self.batch:
@@ -414,8 +415,11 @@ class Family:
             function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
             line = self.checked(function, mean, cov)
             at = components_first(mean, 1)
-            parts = line.matrix, line.value - times(line.matrix, at), line.error
-            self.store(rows, *map(_last, parts, (2, 1, 2)), active)
+            offset = line.value - times(line.matrix, at)
+            error = None if line.error is None else components_last(line.error, 2)
+            self.store(
+                rows, components_last(line.matrix, 2), components_last(offset, 1), error, active
+            )
 
     def checked(
         self, function: BoundFunction, mean: Array, cov: Array, *, finite: bool = True
@@ -534,9 +538,9 @@ class Family:
         last = first + (mean.shape[-1] if mean.ndim > 1 else 1) - 1
         at = "" if step is None else f" at step {step}"
         runs = f", run {first}" if first == last else f", in a call for runs {first} to {last}"
-        separator = ": " if kind is ModelError else "; "
+        after = f": {more}" if kind is ModelError else f"; {more}"
         return kind(
-            f"the lineariser {self.lineariser!r} {fault} for {self.cpd!r}{at}{runs}{separator}{more}",
+            f"the lineariser {self.lineariser!r} {fault} for {self.cpd!r}{at}{runs}{after}",
             variable=self.cpd.child,
             cpd=self.cpd,
             step=step,
@@ -550,12 +554,10 @@ class Family:
             total = total + line.error.sum()
         if np.isfinite(total):
             return
-        parts = [
-            np.abs(part).sum(axis=tuple(range(part.ndim - len(mean.shape[1:]))))
-            for part in line
-            if part is not None
-        ]
-        bad = np.broadcast_to(~np.isfinite(sum(parts)), mean.shape[1:])
+        bad = np.zeros(mean.shape[1:], dtype=bool)
+        for part in line:
+            if part is not None:
+                bad |= ~np.isfinite(part).all(axis=tuple(range(part.ndim - bad.ndim)))
         if not bad.any():
             return
         where = tuple(int(axis[0]) for axis in np.nonzero(bad)) if bad.ndim else ()
@@ -566,7 +568,7 @@ class Family:
         run = self.first_run + (where[-1] if where else 0)
         raise LinearisationError(
             f"{self.cpd!r}: its linearisation{at}, run {run}, has values that are NaN or "
-            f"infinite, at {names(self.hidden)} = {mean[(slice(None), *where)]}; is the function "
+            f"infinite, at {names(self.hidden)} = {mean.T[where[::-1]]}; is the function "
             "defined there, and its Jacobian?",
             variable=self.cpd.child,
             cpd=self.cpd,
@@ -603,10 +605,6 @@ def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
     """The value of a function without hidden parents."""
     value = components_first(function(components_last(mean, 1)), 1)
     return Line(np.zeros((len(value), 0, *mean.shape[1:])), value, None)
-
-
-def _last(part: Array | None, own: int) -> Array | None:
-    return None if part is None else components_last(part, own)
 
 
 def _own_noise(

@@ -49,7 +49,8 @@ def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
     axes = array.ndim
     if axes == own:
         return array
-    return array.transpose(*range(own, axes), *range(own))
+    found: npt.NDArray[Kind] = array.transpose(*range(own, axes), *range(own))
+    return found
 
 
 def components_first(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
@@ -57,14 +58,16 @@ def components_first(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
     axes = array.ndim
     if axes == own:
         return array
-    return array.transpose(*range(axes - own, axes), *range(axes - own))
+    found: npt.NDArray[Kind] = array.transpose(*range(axes - own, axes), *range(axes - own))
+    return found
 
 
 def times(matrix: Array, vector: Array) -> Array:
     """Matrix times vector, components first: (d, n, *batch) and (n, *batch) give (d, *batch)."""
-    if matrix.ndim == 2:
-        return matrix.dot(vector)
-    product: Array = np.einsum("ij...,j...->i...", matrix, vector)
+    product: Array
+    product = (
+        matrix.dot(vector) if matrix.ndim == 2 else np.einsum("ij...,j...->i...", matrix, vector)
+    )
     return product
 
 
@@ -81,7 +84,8 @@ def block_diagonal(blocks: Array) -> Array:
     each = np.arange(count)
     joint = np.zeros((count, size, count, size, *batch))
     joint[each, :, each] = blocks
-    return joint.reshape(count * size, count * size, *batch)
+    whole: Array = joint.reshape(count * size, count * size, *batch)
+    return whole
 
 
 def transpose(matrix: Array) -> Array:

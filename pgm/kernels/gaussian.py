@@ -1,7 +1,7 @@
 """Gaussians in moment form, one or a batch: components first, mean (n, *batch).
 
 An empty batch is one Gaussian, whose few numbers take less time than the calls around them: small
-ones go through straight lines of Python, larger ones through LAPACK. One axis is many runs, and each
+ones go through straight lines of Python, larger ones through LAPACK. One axis is many runs: each
 operation goes along rows of them. Where a pivot is nearly lost, any batch goes through `moments`,
 which tells singular covariances from rounding.
 """
@@ -36,12 +36,14 @@ NEARLY_SINGULAR = 1e-6
 def _lapack() -> ModuleType:
     from scipy.linalg import lapack  # here, since it is slow to import
 
-    return lapack  # type: ignore[no-any-return]
+    module: ModuleType = lapack
+    return module
 
 
 def deviations(cov: Array) -> Array:
     """Standard deviations, (n, *batch); zero where rounding has left a variance below zero."""
-    return np.sqrt(np.maximum(np.einsum("ii...->i...", cov), 0.0))
+    found: Array = np.sqrt(np.maximum(np.einsum("ii...->i...", cov), 0.0))
+    return found
 
 
 def root(cov: Array) -> Array | None:
@@ -147,10 +149,7 @@ def extend(
     """
     rows = cov[parents]
     mean[child] = value
-    if cov.ndim == 2:
-        cross = matrix.dot(rows)
-    else:
-        cross = np.einsum("ijr,jkr->ikr", matrix, rows)
+    cross = matrix.dot(rows) if cov.ndim == 2 else np.einsum("ijr,jkr->ikr", matrix, rows)
     own = predict(rows[:, parents], matrix, noise, bare)
     for i in bare:
         if not own[i, i].all():
@@ -193,6 +192,7 @@ def update(
     matrix: Array,
     residual: Array,
     noise: Array,
+    out: tuple[Array, Array] | None = None,
     *,
     exact: bool = False,
     sharp: Array | None = None,
@@ -206,7 +206,9 @@ def update(
     Parameters
     ----------
     mean, cov, matrix, residual, noise : ndarray
-        With the batch last; H and the noise may be one for all. The covariance is exactly symmetric.
+        With the batch last; H and the noise may be one for all. P is exactly symmetric.
+    out : tuple of ndarray, optional
+        Room for the mean and the covariance of many, which may be left unused.
     exact : bool
         Whether the noise is singular, so that zeros have to be told from rounding.
     sharp : ndarray, optional
@@ -216,7 +218,9 @@ def update(
     """
     if not exact:
         if cov.ndim > 2:
-            many = along_runs.update(mean, cov, matrix, residual, noise, sharp=sharp, least=least)
+            many = along_runs.update(
+                mean, cov, matrix, residual, noise, out, sharp=sharp, least=least
+            )
             if many is not None:
                 return Update(many.mean, many.cov, many.log_density, True, many.mild, None)
         else:

@@ -1,9 +1,9 @@
 """Linearisers, and the form in which they are ready for many calls.
 
 An engine prepares a lineariser for each function once, and calls the prepared form at one belief
-after another. Its arrays have components first and the batch last: an empty batch is one run, others
-are runs, or steps and runs. A plain callable of a user is wrapped; a lineariser that has a method
-``prepare`` brings its own form.
+after another. Its arrays have components first and the batch last: no axis for one run, or an axis
+of runs, or one of steps before that. A plain callable of a user is wrapped; a lineariser that has a
+method ``prepare`` brings its own form.
 """
 
 from __future__ import annotations

@@ -242,8 +242,8 @@ class CarefulReading(StepReading[CarefulUpdate]):
         cov = _proper(part.sensor.family, self.step, cov)
         part.linearise(mean, cov, active)
 
-    def solve(self, anchor: Anchor | None = None) -> CarefulUpdate:
-        """The belief given the readings as they are linearised."""
+    def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
+        """The belief given the readings."""
         taken = Taken(self.belief, [], np.zeros(len(self.belief.cov.hi)))
         if self.parts:
             taken = update(self.measured, self.step, self.belief, self.mean)

@@ -1,4 +1,4 @@
-"""The forward pass: messages in moment form, from cluster 0 to cluster T, and what is kept of them."""
+"""The forward pass: messages in moment form, from cluster 0 to cluster T, and their record."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.readings import Moments
+from pgm.inference.chain.readings import Moments, Room
 from pgm.inference.chain.watch import Watch
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
@@ -96,12 +96,19 @@ class _Record:
         self.predicted = [_rows(plan, part, own) for own, part in enumerate(predicted, 1)]
         self.mean, self.cov = _rows(plan, known[0], 1), _rows(plan, known[1], 2)
         self.log_density = known[2] if plan.batch else known[2][:, 0]
+        self._room: Room | None = None
+
+    def room(self, step: int) -> Room:
+        """Where the moments of a step go, which need not be copied then."""
+        self._room = self.mean[step], self.cov[step]
+        return self._room
 
     def keep(
         self, step: int, predicted: Moments, known: Moments, log_density: Array | float
     ) -> None:
         """Keep a step."""
-        self.mean[step], self.cov[step] = known.mean, known.cov
+        if self._room is None or known.mean is not self._room[0]:
+            self.mean[step], self.cov[step] = known.mean, known.cov
         self.log_density[step] = log_density
         self.reached = step + 1
         if self.predicted:
@@ -116,9 +123,9 @@ class _Record:
         return bool(np.isfinite(total + sum(part.sum() for part in self.predicted)))
 
     def refuse(self, schedule: Filtering | None) -> None:
-        """Go again through the first step that has left a number that is not finite, looking at all.
+        """Go again through the first step that has left a number that is not finite.
 
-        A sweep that has failed later than that has failed because of it.
+        There each number is looked at. A sweep that has failed later has failed because of it.
         """
         lost = np.zeros(self.reached, dtype=bool)
         for part in (self.mean, self.cov, self.log_density):
@@ -168,8 +175,8 @@ def filtered(plan: ChainPlan) -> tuple[Filtered, Status]:
     edges = [part * plan.runs // parts for part in range(parts + 1)]
     for runs in map(slice, edges, edges[1:]):
         part = plan.of(runs) if parts > 1 else plan
-        chain = MomentChain(part, ONCE, keep=False)
         record = _Record(part, (mean[:, runs], cov[:, runs], log_density[:, runs]))
+        chain = MomentChain(part, ONCE, keep=False, room=record.room)
         _swept(part, chain, record, ONCE)
         closest, converged[runs] = min(closest, record.watch.closest), chain.converged
     found = Filtered(plan, mean, cov, log_density, closest)

@@ -5,7 +5,7 @@ Everything has its components first and the batch last: no axis of one run, one 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from pgm.inference.chain import readings, refusals
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.reading import MomentReading, take
-from pgm.inference.chain.readings import Moments, Reading
+from pgm.inference.chain.readings import Moments, Reading, Room
 from pgm.inference.family import At
 from pgm.inference.schedule import Filtering
 from pgm.kernels import gaussian
@@ -35,6 +35,8 @@ class MomentChain:
         Whether the plan keeps the linearisations.
     anchor : Anchor, optional
         What holds the beliefs.
+    room : callable, optional
+        Where the moments of a step may go, in a sweep of many runs.
     check : bool
         Whether all numbers are looked at, and refused where they are not finite.
 
@@ -51,9 +53,11 @@ class MomentChain:
         *,
         keep: bool = True,
         anchor: Anchor | None = None,
+        room: Callable[[int], Room] | None = None,
         check: bool = False,
     ) -> None:
         layout = plan.layout
+        self.room = room
         self.plan, self.schedule, self.anchor, self.check = plan, schedule, anchor, check
         self.linearises, self.keeps = schedule is not None, keep and schedule is not None
         self.states = layout.state_places if layout.control_places.size else None
@@ -142,7 +146,8 @@ class MomentChain:
             if self.check:
                 for part in parts:
                     part.require_finite()
-            after, density = readings.update(seen, step, belief)
+            room = None if self.room is None else self.room(step)
+            after, density = readings.update(seen, step, belief, room)
         else:
             after, density = self._iterated(parts, step, mean, cov, schedule)
         if self.keeps:

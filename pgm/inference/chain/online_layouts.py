@@ -30,15 +30,16 @@ class _Local(NamedTuple):
 
     family: Family
     inputs: list[tuple[int, bool]]
-    count: int
+    sightings: int
     reading: int
 
     def at(self, step: int, rows: list[Array]) -> At | None:
         """The CPD at rows; None where its noise there is singular."""
         values = [
-            np.tile(rows[k], (self.count, 1)) if shared else rows[k] for k, shared in self.inputs
+            np.tile(rows[k], (self.sightings, 1)) if shared else rows[k]
+            for k, shared in self.inputs
         ]
-        found = self.family.given(step, values, self.count)
+        found = self.family.given(step, values, self.sightings)
         if self.family.noisy and gaussian.root(found.noise) is None:
             return None
         return found
@@ -93,14 +94,14 @@ class Layouts:
         layout = self._known.get(key) or self._add(key, belief, readings)
         parts = []
         for sensor, local in zip(layout.plan.sensors, layout.locals, strict=True):
-            if not local.count:
+            if not local.sightings:
                 continue
             at = local.at(belief.step, rows)
             if at is None:
                 return None
             reading = rows[local.reading]
             parts.append(
-                Reading(sensor, at, reading if local.count == 1 else reading.reshape(-1), None)
+                Reading(sensor, at, reading if local.sightings == 1 else reading.reshape(-1), None)
             )
         return layout.plan, parts
 

@@ -184,7 +184,7 @@ class Sensor:
         """The CPD at a step's readings, their values, and which components are there.
 
         The latter two, (D, *batch), one for all with a batch of one; None where nothing is read.
-        Readings that are stored are as they were linearised, and their angles where they were moved.
+        Stored readings are as they were linearised, their angles where they were moved to.
         """
         first, last = self.bounds[step], self.bounds[step + 1]
         if first == last:
@@ -208,7 +208,7 @@ class Sensor:
         return rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
 
     def keep(self, at: At, reading: Array, noise: Array | None) -> None:
-        """Keep where the angles of readings were moved, and the covariances between their errors."""
+        """Keep where angles were moved to, and the covariances between sightings' errors."""
         count, height = at.last - at.first, self.variable.dimension
         if self._angles:
             wide = reading.reshape(count, height, *(self.family.batch or (1,)))

@@ -1,7 +1,7 @@
 """Chain families: kinds of belief that messages along a chain of slices can carry.
 
 A family says how a belief starts, is predicted, takes the measurements of a step, is reversed, and
-flows back; `sweep` knows nothing else. Moments of Gaussians are one family, tables would be another.
+flows back; `sweep` knows nothing else. Moments of Gaussians are one family, tables are another.
 """
 
 from __future__ import annotations

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
+from pgm.errors import NumericalError
 from pgm.inference.chain import cost, readings
 from pgm.inference.chain.iteration import Anchor, Point, Solution, iterate
 from pgm.inference.chain.readings import Moments, Reading
@@ -16,7 +18,7 @@ from pgm.inference.chain.vector import Measured
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Mask, components_first, components_last, inner
+from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, inner
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +107,18 @@ class StepReading(ABC, Generic[U]):
         """Linearise a sensor's readings."""
         part.linearise(mean, cov, active)
 
-    @abstractmethod
     def solve(self, anchor: Anchor | None = None) -> U:
         """The belief given the readings as they are linearised."""
+        try:
+            return self.taken_in(anchor)
+        except NumericalError:
+            for part in self.parts:
+                part.require_finite()
+            raise
+
+    @abstractmethod
+    def taken_in(self, anchor: Anchor | None) -> U:
+        """The belief given the readings, which may be refused."""
 
     def cost(self, at: Point) -> Array:
         """The cost of means, (runs,)."""
@@ -147,13 +158,13 @@ class StepReading(ABC, Generic[U]):
 class MomentReading(StepReading[Updated]):
     """Readings taken in as one vector, in float64."""
 
-    def solve(self, anchor: Anchor | None = None) -> Updated:
-        """The belief given the readings as they are linearised."""
+    def taken_in(self, anchor: Anchor | None) -> Updated:
+        """The belief given the readings."""
         known, density = readings.update(self.measured, self.step, Moments(self.mean, self.cov))
         return Updated(known if anchor is None else known.held(anchor, 0), density)
 
 
-def _as_point(array: Array, own: int) -> Array:
+def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
     """An array (own axes, *batch) as that of one step, (1, runs, own axes)."""
     if array.ndim == own:
         return array[None, None]

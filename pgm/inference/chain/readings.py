@@ -26,6 +26,10 @@ from pgm.linearisers import Line
 _HALF_TURN = 0.5 * TURN
 
 
+# Where a mean and a covariance may go.
+Room = tuple[Array, Array]
+
+
 class Moments(NamedTuple):
     """Mean (n, *batch) and covariance (n, n, *batch) of a slice.
 
@@ -58,8 +62,12 @@ class Moments(NamedTuple):
         return components_last(self.mean, 1), components_last(self.cov, 2)
 
 
-def update(parts: Sequence[Measured], step: int, belief: Moments) -> tuple[Moments, Array | float]:
+def update(
+    parts: Sequence[Measured], step: int, belief: Moments, room: Room | None = None
+) -> tuple[Moments, Array | float]:
     """The belief given sightings of a step, and their log-density.
+
+    There may be room for its moments, which is used where that saves a copy.
 
     Several sharp readings of what is hardly known are better taken in one by one, which is equal
     but for rounding.
@@ -67,7 +75,7 @@ def update(parts: Sequence[Measured], step: int, belief: Moments) -> tuple[Momen
     if not parts:
         return belief, 0.0
     several = len(parts) > 1 or len(parts[0].value) > parts[0].sensor.variable.dimension
-    found = _absorb(parts, step, belief, NEARLY_SINGULAR if several else NEGLIGIBLE)
+    found = _absorb(parts, step, belief, NEARLY_SINGULAR if several else NEGLIGIBLE, room)
     if found is not None:
         return found
     exact = [seen for seen in parts if seen.sensor.exact]
@@ -81,7 +89,7 @@ def update(parts: Sequence[Measured], step: int, belief: Moments) -> tuple[Momen
 
 
 def _absorb(
-    parts: Sequence[Measured], step: int, belief: Moments, least: float
+    parts: Sequence[Measured], step: int, belief: Moments, least: float, room: Room | None = None
 ) -> tuple[Moments, Array | float] | None:
     """Take in sightings as one; None where their joint covariance is too nearly singular.
 
@@ -99,8 +107,9 @@ def _absorb(
         one = gaussian.update_one(mean, cov, matrix, residual, noise)
         if one is not None and isfinite(one[2]):
             return Moments(one[0], one[1], False), one[2]
+    least_share = least or NEGLIGIBLE
     found = gaussian.update(
-        mean, cov, matrix, residual, noise, exact=exact, sharp=sharp, least=least or NEGLIGIBLE
+        mean, cov, matrix, residual, noise, room, exact=exact, sharp=sharp, least=least_share
     )
     density = found.log_density
     finite = isfinite(density) if isinstance(density, float) else np.isfinite(density.sum())
@@ -162,13 +171,15 @@ class Reading:
             reading = _nearest(reading, value, sensor.turning(len(value)))
         seen = Measured(sensor, matrix, value, noise, mean, reading, self.taken, at.offset)
         if active is not None:
-            both = _either(active, seen[1:6], self.seen[1:6])
-            seen = Measured(sensor, *both, self.taken, at.offset)
+            seen = seen.where(active, self.seen)
         self.seen = seen
         return seen
 
     def expected(self, mean: Array, cov: Array) -> Array:
-        """The values at a belief over the slice, as the lineariser sees them; NaN outside domains."""
+        """The values at a belief over the slice, as the lineariser sees them.
+
+        NaN where the function is not defined.
+        """
         sensor = self.sensor
         if not sensor.whole:
             mean, cov = mean[sensor.parents], within(cov, sensor.parents)
@@ -208,10 +219,6 @@ def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
             moved[...] = reading
         moved[k] -= TURN * np.round(off / TURN)
     return moved
-
-
-def _either(mask: Mask, ours: Sequence[Array], theirs: Sequence[Array]) -> list[Array]:
-    return [np.where(mask, a, b) for a, b in zip(ours, theirs, strict=True)]
 
 
 def stored(plan: ChainPlan, step: int, mean: Array) -> Vector | None:

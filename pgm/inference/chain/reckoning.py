@@ -8,7 +8,7 @@ from pgm.inference.chain import careful
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.moments import on_chart
 from pgm.inference.chain.plan import ChainPlan
-from pgm.kernels.arrays import Array, components_first, components_last, times
+from pgm.kernels.arrays import Array, components_first, components_last
 
 
 def dead(plan: ChainPlan) -> Point:
@@ -24,7 +24,7 @@ def dead(plan: ChainPlan) -> Point:
         for link in plan.transition:
             at, parents = link.family.at(row, row + 1), pair[link.parents]
             if at.function is None:
-                pair[link.child] = times(at.matrix, parents) + at.offset
+                pair[link.child] = link.family.line(at, parents, parents).value
             else:
                 value = components_first(at.function(components_last(parents, 1)), 1)
                 pair[link.child] = on_chart(link, at, pair, value)

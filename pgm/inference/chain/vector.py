@@ -55,6 +55,16 @@ class Measured(NamedTuple):
             return self.reading - self.value
         return self.reading - (self.value + times(self.matrix, mean - self.point))
 
+    def where(self, mask: Mask, other: Measured) -> Measured:
+        """The linearisation in some runs, that of another in the rest."""
+        return self._replace(
+            matrix=np.where(mask, self.matrix, other.matrix),
+            value=np.where(mask, self.value, other.value),
+            noise=np.where(mask, self.noise, other.noise),
+            point=np.where(mask, self.point, other.point),
+            reading=np.where(mask, self.reading, other.reading),
+        )
+
     def each(self) -> list[Measured]:
         """One sighting after another; together where their errors are correlated."""
         height = self.sensor.variable.dimension
