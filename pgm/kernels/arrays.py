@@ -80,7 +80,8 @@ def block_diagonal(blocks: Array) -> Array:
     """Blocks (k, d, d, *batch) along the diagonal of one matrix, (k d, k d, *batch)."""
     count, size, _, *batch = blocks.shape
     if count == 1:
-        return blocks[0]
+        only: Array = blocks[0]
+        return only
     each = np.arange(count)
     joint = np.zeros((count, size, count, size, *batch))
     joint[each, :, each] = blocks

@@ -245,7 +245,7 @@ class BoundFunction(_Bound):
         template = self.template
         if template.numerical:
             spread = np.zeros_like(x) if std is None else std
-            numerical = differences.jacobian(self, x, spread, self.angles)
+            numerical = differences.jacobian(self.__call__, x, spread, self.angles)
             if len(template.numerical) == template.size:
                 return numerical
         parts = []

@@ -208,9 +208,9 @@ class OnlineFilter(Immutable):
         chain, known = MomentChain(plan, self.schedule, keep=False), _moments(belief, plan)
         if parts is None:
             parts = chain.readings(0)
-        if not parts:
-            found, log_density = known, 0.0
-        else:
+        log_density: Array | float = 0.0
+        found = known
+        if parts:
             try:
                 found, log_density = chain.taken(parts, belief.step, known)
             except NumericalError:

@@ -211,7 +211,7 @@ class Sensor:
         """Keep where angles were moved to, and the covariances between sightings' errors."""
         count, height = at.last - at.first, self.variable.dimension
         if self._angles:
-            wide = reading.reshape(count, height, *(self.family.batch or (1,)))
+            wide = reading.reshape(count, height, *(reading.shape[1:] or (1,)))
             self.moved[at.first : at.last] = wide.transpose(0, 2, 1)
         if noise is None or count == 1 or not self.grouped:
             return
