@@ -12,7 +12,7 @@ import numpy as np
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
 from pgm.kernels import differences
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Index, Integers, Mask
+from pgm.kernels.arrays import Array, Index, Integers, Mask, components_first, components_last
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
@@ -202,7 +202,7 @@ class BoundFunction(_Bound):
     def __call__(self, x: Array) -> Array:
         """The value, (..., d), at stacked hidden parents x, (..., n)."""
         arguments, shape = self._arguments(x)
-        return self._value(x, arguments, shape)
+        return _along_runs(self._value(x, arguments, shape), 1)
 
     def jacobian(self, x: Array, std: Array | None = None) -> Array:
         """The derivative, (..., d, n), as the user gave it, else by central differences.
@@ -214,7 +214,7 @@ class BoundFunction(_Bound):
         std : ndarray, optional
             Standard deviations, (..., n), which set the steps of the differences.
         """
-        return self._jacobian(x, std, *self._arguments(x))
+        return _along_runs(self._jacobian(x, std, *self._arguments(x)), 2)
 
     def tangent(self, x: Array, std: Array | None = None) -> tuple[Array, Array]:
         """The value and the derivative."""
@@ -292,6 +292,17 @@ class BoundFunction(_Bound):
         step = self.step if source.timed else None
         lead = x.shape[: self.lead]
         return Call(self.template.child, role, lead, step, source.first_run, source.cpd)
+
+
+def _along_runs(array: Array, own: int) -> Array:
+    """An array (runs, own axes) of many runs with the runs fastest in memory.
+
+    Functions that stack components along the last axis interleave them, which costs more wherever
+    the array is used next.
+    """
+    if array.ndim == own + 1:
+        return components_last(np.ascontiguousarray(components_first(array, own)), own)
+    return array
 
 
 def _expanded(value: Array, lead: int, extra: tuple[int, ...]) -> Array:

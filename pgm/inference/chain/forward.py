@@ -22,7 +22,7 @@ from pgm.kernels import memory
 from pgm.kernels.arrays import Array, stacked
 
 # From this many runs on, only the beliefs of a filter are kept until something else is asked for.
-MANY = 32
+MANY = 8
 # And so many runs at a time: what a step touches then stays in a cache of some megabytes.
 MOST = 10_000
 

@@ -122,7 +122,7 @@ class MomentChain:
             link, at = self.plan.transition[0], ats[0]
             matrix, value, noise, bare = self._linearised(link, at, mean, mean, cov)
             after = gaussian.predict(cov, matrix, noise, bare)
-            if self.check or not link.family.semidefinite:
+            if self.check or (noise is not at.noise and not link.family.semidefinite):
                 refusals.prediction(link, step, after, finite=self.check)
             return Moments(value, after)
         front, batch = layout.state_size, self.plan.batch
@@ -179,7 +179,7 @@ class MomentChain:
             link, at, mean, parents, within(cov, link.parents)
         )
         gaussian.extend(mean, cov, link.child, link.parents, matrix, value, noise, bare)
-        if self.check or not link.family.semidefinite:
+        if self.check or (noise is not at.noise and not link.family.semidefinite):
             own = cov[link.child, link.child]
             refusals.prediction(link, step, own, finite=self.check)
 

@@ -167,9 +167,7 @@ class Sensor:
 
     def sharpness(self, noise: Array) -> Array | None:
         """The `along_runs.sharpness` of a noise that is the same at all steps."""
-        if not (self.family.taylor and noise is self._constant):
-            return None
-        return self._sharpness
+        return self._sharpness if noise is self._constant else None
 
     @cached_property
     def _constant(self) -> Array | None:
