@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from pgm.variables import Variable
 
 Function = Callable[..., Any]
 
-_FLOAT = np.dtype(np.float64)
+_ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)
 # Up to so many numbers are copied in less time than it takes to broadcast them.
 _FEW = 4096
 
@@ -223,10 +223,20 @@ class BoundFunction(_Bound):
         if template.derivative is None or self.group is not None:
             return self._value(x, arguments, shape), self._jacobian(x, std, arguments, shape)
         # Of a single hidden parent the derivative is all of the Jacobian.
+        role, function = "function", template.function
+        try:
+            value = function(*arguments)
+            role, function = template.derivatives[0][0], template.derivative
+            slope = function(*arguments)
+        except Exception as error:
+            raise self._told(role, x).failure(function, arguments, error) from error
         due = (*shape, template.height)
-        value = self._call("function", template.function, x, arguments, due)
-        role, width, _, _ = template.derivatives[0]
-        return value, self._call(role, template.derivative, x, arguments, (*due, width))
+        if not _is(value, due):
+            value = self._told("function", x).array(template.function, arguments, value, due)
+        due = (*due, template.size)
+        if not _is(slope, due):
+            slope = self._told(role, x).array(function, arguments, slope, due)
+        return value, slope
 
     def apart(self) -> BoundFunction:
         """The function of each sighting by itself: they are the first leading axis."""
@@ -283,7 +293,7 @@ class BoundFunction(_Bound):
             value = function(*arguments)
         except Exception as error:
             raise self._told(role, x).failure(function, arguments, error) from error
-        if type(value) is np.ndarray and value.dtype is _FLOAT and value.shape == due:
+        if _is(value, due):
             return value
         return self._told(role, x).array(function, arguments, value, due)
 
@@ -292,6 +302,11 @@ class BoundFunction(_Bound):
         step = self.step if source.timed else None
         lead = x.shape[: self.lead]
         return Call(self.template.child, role, lead, step, source.first_run, source.cpd)
+
+
+def _is(value: Any, shape: tuple[int, ...]) -> TypeGuard[Array]:
+    """Whether a value is an array of floats of a shape, and of no subclass."""
+    return type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == shape
 
 
 def _along_runs(array: Array, own: int) -> Array:

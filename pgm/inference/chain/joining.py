@@ -45,7 +45,8 @@ def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward | Filter
     if all(isinstance(part, Filtered) for part in parts):
         names = "mean", "cov", "log_density"
         beliefs = (_along_runs(np.ndarray, _each(parts, name)) for name in names)
-        return Filtered(plan, *beliefs, _each(parts, "schedule")[0])
+        mean, cov, log_density = beliefs
+        return Filtered(plan, mean, cov, log_density, _each(parts, "schedule")[0])
     plans = [each._plan for each in found]
     for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
         _family(family, families)

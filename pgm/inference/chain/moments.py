@@ -201,7 +201,8 @@ class MomentChain:
             bare = tuple(k for k in bare if not noise[k, k].any())
         if at.function is not None:
             # A function may return an array that it uses again.
-            value = on_chart(link, at, before, value) if link.turning else value
+            if link.turning:
+                value = on_chart(link, at, before, value)
             if value is line.value:
                 value = value.copy()
             if self.keeps:
