@@ -38,7 +38,7 @@ from pgm.linearisers import (
     Taylor,
 )
 from pgm.linearisers.function import Source
-from pgm.linearisers.lineariser import Misfit, Prepared, needs_cov, prepare
+from pgm.linearisers.lineariser import Misfit, Prepared, Wrapped, needs_cov, prepare
 from pgm.variables import Variable
 
 Rows = int | slice
@@ -339,14 +339,16 @@ class Family:
     def _known(self) -> list[Array | None]:
         """Values of each argument with evidence by row, read-only, since users' functions see them.
 
-        Of one run they are (rows, d), of many (rows, runs, d).
+        Of one run they are (rows, d), of many (rows, runs, d), or (rows, 1, d) of all.
         """
         assert self.template is not None
         found: list[Array | None] = []
         for parent in self.template.given:
             values = self.inputs.get(parent)
             if values is not None and self.batch:
-                values = np.broadcast_to(values, (len(values), *self.batch, values.shape[-1]))
+                # A plain callable may ask for the function at the beliefs of some runs alone.
+                if not isinstance(self.prepared, Wrapped):
+                    values = np.broadcast_to(values, (len(values), *self.batch, values.shape[-1]))
             elif values is not None:
                 values = np.ascontiguousarray(values[:, 0])
                 values.flags.writeable = False
