@@ -388,7 +388,7 @@ class Family:
         if len(shift) == 1 == len(self.own_noise):
             found = self._constant_at.get(count)
             if found is not None:
-                return found
+                return found if found.first == first else found._replace(first=first, last=last)
         offset = np.broadcast_to(
             shift if len(shift) == 1 else shift[first:last], (count, *shift.shape[1:])
         )
