@@ -73,8 +73,10 @@ class MomentChain:
         return np.full(self.plan.runs, self.plan.linear)
 
     def start(self) -> Moments:
-        """The slice at step 0 before its readings; there are no controls."""
+        """The slice at step 0 before its readings, without controls; or where a window begins."""
         plan = self.plan
+        if plan.begin is not None:
+            return Moments(*plan.begin)
         size, places = plan.layout.state_size, plan.layout.state_places
         mean, cov = np.zeros((size, *plan.batch)), np.zeros((size, size, *plan.batch))
         for link in plan.prior:

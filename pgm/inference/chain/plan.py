@@ -8,6 +8,7 @@ round for all steps.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -225,6 +226,24 @@ class Sensor:
             1.0 - within
         )
 
+    def window(self, first: int, last: int, *, after: bool) -> Sensor:
+        """The readings of some steps, in views; after the first of them, or from it on."""
+        begin = self.bounds[first + after]
+        rows, part = slice(begin, self.bounds[last + 1]), copy(self)
+        part.family = self.family.window(rows.start, rows.stop)
+        part.order = self.order[rows]
+        part.values, part.moved = self.values[rows], self.moved[rows]
+        part.taken = None if self.taken is None else self.taken[rows]
+        part.bounds = [max(bound - begin, 0) for bound in self.bounds[first : last + 2]]
+        steps = range(first + after, last + 1)
+        part.cross = {k - first: self.cross[k] for k in steps if k in self.cross}
+        return part
+
+    def put(self, first: int, part: Sensor, *, after: bool) -> None:
+        """Keep how the readings of these steps were linearised."""
+        self.family.put(self.bounds[first + after], part.family)
+        self.cross.update({first + k: between for k, between in part.cross.items()})
+
     def move(self, rows: slice, predicted: Array, active: Mask | None = None) -> None:
         """Move angles to the branch nearest the CPD's values at the point of linearisation."""
         if not self.variable.angles:
@@ -283,7 +302,10 @@ class ChainPlan:
     prior, transition : list of Link
     sensors : list of Sensor
     first : int
-        The number of the plan's first step: other than zero online, where it is the only one.
+        The number of the plan's first step: other than zero online, and of a window.
+    begin : (ndarray, ndarray) or None
+        The belief at the first step given its readings, of a window: (n, *batch) and
+        (n, n, *batch). None where the prior is the beginning.
     """
 
     layout: SliceLayout
@@ -293,6 +315,7 @@ class ChainPlan:
     transition: list[Link]
     sensors: list[Sensor]
     first: int = 0
+    begin: tuple[Array, Array] | None = None
 
     @cached_property
     def linear(self) -> bool:
@@ -344,6 +367,32 @@ class ChainPlan:
             transition=links(self.transition),
             sensors=sensors,
         )
+
+    def window(self, first: int, last: int, begin: tuple[Array, Array] | None = None) -> ChainPlan:
+        """The plan of a window of steps, with views of these arrays.
+
+        It begins with a belief that knows the readings of its first step, or with the prior.
+        """
+        after = begin is not None
+        transition = [
+            replace(link, family=link.family.window(first, last)) for link in self.transition
+        ]
+        return replace(
+            self,
+            steps=last - first,
+            prior=[] if after else self.prior,
+            transition=transition,
+            sensors=[sensor.window(first, last, after=after) for sensor in self.sensors],
+            first=self.first + first,
+            begin=begin,
+        )
+
+    def put(self, first: int, part: ChainPlan) -> None:
+        """Keep how the CPDs of a window, which begins at the first step, were linearised."""
+        for link, own in zip(self.transition, part.transition, strict=True):
+            link.family.put(first, own.family)
+        for sensor, seen in zip(self.sensors, part.sensors, strict=True):
+            sensor.put(first, seen, after=part.begin is not None)
 
     @classmethod
     def make(

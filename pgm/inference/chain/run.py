@@ -13,13 +13,14 @@ from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.factors.scope import positions
-from pgm.inference.chain import careful, certificate, forward, parallel, smoother
+from pgm.inference.chain import careful, certificate, fixed_lag, forward, parallel, smoother
 from pgm.inference.chain.balanced import BalancedPosterior
+from pgm.inference.chain.fixed_lag import Lagged
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
-from pgm.inference.kind import FILTERED, SMOOTHED
-from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
+from pgm.inference.kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.schedule import Calibration, Filtering, FixedLag, Loopy, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.inference.status import Status, digits
 from pgm.kernels.arrays import Array, quiet
@@ -49,12 +50,23 @@ def run(
     Numbers too large for float64 are refused where they end up, so that NumPy need not warn.
     """
     schedule = Smoothing() if schedule is None else schedule
-    if not isinstance(schedule, Filtering | Calibration):
+    if isinstance(schedule, Loopy):
         raise ModelError(
-            f"a chain of slices takes pgm.Filtering() or pgm.Smoothing(), not {schedule!r}"
+            f"a chain of slices takes pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
+            f"{schedule!r}"
         )
-    if start is not None and isinstance(schedule, Filtering):
-        raise EvidenceError("a start is for smoothing; a filter linearises at its own beliefs")
+    if start is not None and isinstance(schedule, Filtering | FixedLag):
+        raise EvidenceError(
+            f"a start is for pgm.Smoothing(), not {schedule!r}, which linearises at its own beliefs"
+        )
+    if isinstance(schedule, FixedLag):
+        if isinstance(graph, BalancedGraph):
+            raise GraphError(
+                f"{schedule!r} goes along a chain of slices, step after step, which {graph!r} is "
+                "not: compile without pgm.Balanced()"
+            )
+        if not schedule.lag:
+            schedule = schedule.filtering
     given = None if start is None else _start(graph.layout, bound, start)
     plan = ChainPlan.make(graph, bound, lineariser)
     if not certificate.is_flat(plan):
@@ -99,10 +111,15 @@ def _refuse_infinite(posterior: ChainPosterior) -> None:
 
 
 def _solve(
-    graph: DynamicGraph, plan: ChainPlan, schedule: Filtering | Calibration, start: Array | None
+    graph: DynamicGraph,
+    plan: ChainPlan,
+    schedule: Filtering | FixedLag | Calibration,
+    start: Array | None,
 ) -> ChainPosterior:
     balanced = isinstance(graph, BalancedGraph)
     make = _posterior(graph)
+    if isinstance(schedule, FixedLag):
+        return _lagged(graph, plan, schedule, *fixed_lag.smooth(plan, schedule))
     if isinstance(schedule, Filtering):
         ahead, status = _scan(graph, plan) if balanced else _sweep(plan, schedule)
         return make(graph, status, FILTERED, plan, ahead, None, None)
@@ -112,17 +129,31 @@ def _solve(
     return make(graph, status, SMOOTHED, plan, ahead, result.beliefs, result.reverse)
 
 
+def _lagged(
+    graph: DynamicGraph, plan: ChainPlan, schedule: FixedLag, found: Lagged, status: Status
+) -> ChainPosterior:
+    kind, parts = Kind(schedule.lag), (found.beliefs, found.reverse, found.careful, found.windows)
+    return ChainPosterior(graph, status, kind, plan, found.forward, *parts)
+
+
 def _carefully(
-    graph: DynamicGraph, plan: ChainPlan, schedule: Filtering | Calibration, start: Array | None
+    graph: DynamicGraph,
+    plan: ChainPlan,
+    schedule: Filtering | FixedLag | Calibration,
+    start: Array | None,
 ) -> ChainPosterior:
     """The same in twice the digits, one step after another."""
     make = _posterior(graph)
+    error: Array | None
     if isinstance(schedule, Filtering):
         if isinstance(graph, BalancedGraph):
             _refuse_nonlinear(graph, plan)
         swept, status = careful.sweep(plan, schedule)
         found = make(graph, status, FILTERED, plan, swept.forward, None, None, swept)
         error = swept.error
+    elif isinstance(schedule, FixedLag):
+        lagged, status = fixed_lag.carefully(plan, schedule)
+        found, error = _lagged(graph, plan, schedule, lagged, status), lagged.error
     else:
         result, status = smoother.carefully(
             plan, _smoothing(schedule), start, reckoned=isinstance(graph, BalancedGraph)
@@ -131,6 +162,7 @@ def _carefully(
         found = make(graph, status, SMOOTHED, plan, ahead.forward, result.beliefs, None, ahead)
         error = result.error
     _refuse_infinite(found)
+    assert error is not None
     return replace(found, status=status.with_digits(digits(error, plan.lead)))
 
 
