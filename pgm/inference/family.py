@@ -178,19 +178,22 @@ class Family:
         return part
 
     def window(self, first: int, last: int) -> Family:
-        """Some of the rows, with views of these arrays."""
+        """Some of the rows, with views of these arrays; what is linearised is its own."""
         rows, part = slice(first, last), copy(self)
         for name in ("_known", "_steps"):
             part.__dict__.pop(name, None)
         part.step = self.step[rows]
         part.inputs = {parent: values[rows] for parent, values in self.inputs.items()}
-        part.noise, part.matrix, part.offset = (
-            array[rows] for array in (self.noise, self.matrix, self.offset)
-        )
+        part.matrix, part.offset = self.matrix[rows], self.offset[rows]
+        part.noise = self.noise[rows]
         if len(self.own_noise) > 1:
             part.own_noise = self.own_noise[rows]
-        if self.exact and len(self.affine[1]) > 1:
-            part.affine = self.affine[0], self.affine[1][rows]
+        if self.exact:
+            matrix, shift = self.affine
+            part.affine = matrix, shift[rows] if len(shift) > 1 else shift
+        else:
+            part.matrix, part.offset = part.matrix.copy("K"), part.offset.copy("K")
+            part.noise = part.noise.copy("K") if self.approximate else part.noise
         return part
 
     def put(self, first: int, part: Family) -> None:

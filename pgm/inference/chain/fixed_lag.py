@@ -9,25 +9,20 @@ belief at its first step given the readings up to there, as the window before ha
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from pgm.inference.chain import backward, careful, cost, forward
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Beliefs, Reverse
-from pgm.inference.chain.careful import Begin, Careful
+from pgm.inference.chain.careful import Careful
 from pgm.inference.chain.forward import Forward
-from pgm.inference.chain.iteration import Anchor, iterate
 from pgm.inference.chain.moments import largest
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.readings import Moments
-from pgm.inference.chain.smoother import Chain, Either, Smoothed
+from pgm.inference.chain.window import Beginning, Window, newest, settled
 from pgm.inference.schedule import ONCE, FixedLag
 from pgm.inference.status import Status
-from pgm.kernels.arrays import Array, Mask, stacked
-
-Solved = TypeVar("Solved", Smoothed, CarefulSmoothed, covariant=True)
+from pgm.kernels.arrays import Array, stacked
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +35,13 @@ class Windows:
         Given the readings up to the step: (T+1, runs, n) and (T+1, runs, n, n).
     log_evidence : ndarray
         (T+1, runs): of the readings up to the step.
+    plain : bool
+        Whether float64 had digits enough for all of them.
     """
 
     newest: Beliefs
     log_evidence: Array
+    plain: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +58,9 @@ class Lagged:
     windows : Windows or None
         None where everything was linearised once.
     careful : Careful or None
-        The forward pass in twice the digits.
+        The forward pass in twice the digits, if everything was linearised once.
     error : ndarray or None
-        (runs,): of the means then; see `Belief.error`.
+        (runs,): of the means, where anything was solved in twice the digits; see `Belief.error`.
     """
 
     forward: Forward
@@ -73,10 +71,13 @@ class Lagged:
     error: Array | None = None
 
 
+def slides(plan: ChainPlan, schedule: FixedLag) -> bool:
+    """Whether there is anything to iterate."""
+    return schedule.iterations > 1 and not plan.exact
+
+
 def smooth(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
-    """Run a fixed-lag schedule."""
-    if _slides(plan, schedule):
-        return _slid(plan, schedule, Floats())
+    """Linearise once, in float64."""
     ahead, _ = forward.run(plan, ONCE)
     reverse = Reverse.make(plan, ahead)
     found = Lagged(ahead, backward.lagged(ahead, reverse, schedule.lag), reverse)
@@ -84,139 +85,32 @@ def smooth(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 
 def carefully(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
-    """Run a fixed-lag schedule in twice the digits."""
-    if _slides(plan, schedule):
-        return _slid(plan, schedule, Digits())
+    """Linearise once, in twice the digits."""
     swept, _ = careful.sweep(plan, ONCE)
     made = CarefulSmoothed.of(plan, swept, schedule.lag)
     found = Lagged(swept.forward, made.beliefs, careful=swept, error=made.error)
     return found, Status.of([], np.full(plan.runs, plan.exact), plan.lead)
 
 
-def _slides(plan: ChainPlan, schedule: FixedLag) -> bool:
-    """Whether there is anything to iterate; also whether its steps can be controlled."""
+def slid(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
+    """Slide a window along the chain."""
     cost.require_cost(schedule.smoothing, plan.families)
-    return schedule.iterations > 1 and not plan.exact
-
-
-class Beginning(NamedTuple):
-    """Where a window begins: a belief given the readings up to its step.
-
-    Attributes
-    ----------
-    moments : (ndarray, ndarray)
-        (n, *batch) and (n, n, *batch).
-    careful : Begin or None
-        The same in twice the digits.
-    """
-
-    moments: tuple[Array, Array]
-    careful: Begin | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Window(Generic[Either]):
-    """A window after its last iteration.
-
-    Attributes
-    ----------
-    plan : ChainPlan
-        With its last linearisations.
-    solution : Smoothed or CarefulSmoothed
-    mean : ndarray
-        (steps, runs, n): its means, or those that the step control kept.
-    residuals : list of ndarray
-        (runs,) for each relinearisation.
-    converged : ndarray of bool
-        (runs,).
-    """
-
-    plan: ChainPlan
-    solution: Either
-    mean: Array
-    residuals: list[Array]
-    converged: Mask
-
-    @property
-    def beliefs(self) -> Beliefs:
-        """Smoothed."""
-        return Beliefs(self.mean, self.solution.beliefs.cov)
-
-    @property
-    def ahead(self) -> Forward:
-        """The forward pass."""
-        found = self.solution
-        swept = found.careful.forward if isinstance(found, CarefulSmoothed) else found.forward
-        assert isinstance(swept, Forward)
-        return swept
-
-    def at(self, row: int) -> Beginning:
-        """The belief at a row given the readings there, for another window to begin with.
-
-        A mean that the step control held back is held back here as much.
-        """
-        moved = self.mean[row] - self.solution.means[row]
-        mean, cov, _ = Moments.of(self.plan, self.ahead.mean[row] + moved, self.ahead.cov[row])
-        if not isinstance(self.solution, CarefulSmoothed):
-            return Beginning((mean, cov))
-        step = self.solution.careful.steps[row]
-        return Beginning((mean, cov), Begin(step.known.shifted(moved), step.information))
-
-
-class Way(Protocol[Solved]):
-    """How windows are solved: in float64 or in twice the digits."""
-
-    def once(self, plan: ChainPlan, begin: Beginning | None) -> None:
-        """Linearise the CPDs of a plan at the beliefs of a filter."""
-        ...
-
-    def solve(self, plan: ChainPlan, begin: Beginning | None, anchor: Anchor | None) -> Solved:
-        """Smooth as the CPDs are linearised."""
-        ...
-
-
-class Floats:
-    """In float64."""
-
-    def once(self, plan: ChainPlan, begin: Beginning | None) -> None:
-        """Linearise the CPDs of a plan at the beliefs of a filter."""
-        forward.run(plan, ONCE)
-
-    def solve(self, plan: ChainPlan, begin: Beginning | None, anchor: Anchor | None) -> Smoothed:
-        """Smooth as the CPDs are linearised."""
-        return Smoothed.of(plan, forward.stored(plan, anchor))
-
-
-class Digits:
-    """In twice the digits."""
-
-    def once(self, plan: ChainPlan, begin: Beginning | None) -> None:
-        """Linearise the CPDs of a plan at the beliefs of a filter."""
-        careful.sweep(plan, ONCE, begin=None if begin is None else begin.careful)
-
-    def solve(
-        self, plan: ChainPlan, begin: Beginning | None, anchor: Anchor | None
-    ) -> CarefulSmoothed:
-        """Smooth as the CPDs are linearised."""
-        start = None if begin is None else begin.careful
-        return CarefulSmoothed.of(plan, careful.sweep(plan, None, anchor, start)[0])
-
-
-def settled(
-    plan: ChainPlan, way: Way[Either], begin: Beginning | None, schedule: FixedLag
-) -> Window[Either]:
-    """Iterate on a window whose CPDs have been linearised."""
-    linear = all(family.exact for family in plan.families if family.step.size)
-    nothing = np.full(plan.runs, linear)
-    solution = way.solve(plan, begin, None)
-    if linear:
-        return Window(plan, solution, solution.means, [], nothing)
-
-    def solve(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Either:
-        return way.solve(plan, begin, anchor)
-
-    found = iterate(Chain(plan, solve), solution, schedule.smoothing, nothing)
-    return Window(plan, found.solution, found.mean, found.residuals, found.converged)
+    record = _Record(plan)
+    begin: Beginning | None = None
+    window: Window | None = None
+    for step in range(plan.steps + 1):
+        before = None if window is None else window.at(-1)
+        plan.put(max(step - 1, 0), newest(plan, step, before))
+        first = max(step - schedule.lag, 0)
+        if first and window is not None:
+            begin = window.at(1)
+            record.leave(window)
+        window = settled(plan, first, step, begin, schedule)
+        plan.put(first, window.plan)
+        record.keep(first, window)
+    for family in plan.families:
+        family.settle()
+    return record.found
 
 
 class _Record:
@@ -232,18 +126,16 @@ class _Record:
         self.log_evidence, self.left = np.zeros(shape), np.zeros(plan.runs)
         self.residuals: list[Array] = []
         self.converged = np.ones(plan.runs, dtype=bool)
-        self.steps: list[careful.Step] = []
-        self.error = np.zeros(plan.runs)
+        self.error: Array | None = None
 
-    def leave(self, window: Window[Either]) -> None:
+    def leave(self, window: Window) -> None:
         """Leave the first step of a window behind, and the readings of the next with it."""
         self.left = self.left + window.ahead.log_density[:2].sum(axis=0)
 
-    def keep(self, first: int, window: Window[Either]) -> None:
+    def keep(self, first: int, window: Window) -> None:
         """Keep the beliefs of a window that begins at a step."""
         out, ahead, beliefs = self.forward, window.ahead, window.beliefs
-        begun = int(window.plan.begin is not None)
-        step = first + window.plan.steps
+        begun, step = int(window.plan.begin is not None), first + window.plan.steps
         known, new = slice(first, step + 1), slice(first + begun, step + 1)
         out.mean[known], out.cov[known] = ahead.mean, ahead.cov
         out.predicted_mean[new] = ahead.predicted_mean[begun:]
@@ -254,43 +146,13 @@ class _Record:
         self.log_evidence[step] = self.left + ahead.log_density.sum(axis=0)
         self.residuals = largest(self.residuals, window.residuals)
         self.converged &= window.converged
-        if isinstance(window.solution, CarefulSmoothed):
-            self.steps[new] = window.solution.careful.steps[begun:]
-            self.error = np.maximum(self.error, window.solution.error)
+        if window.careful is not None:
+            error = window.careful.error
+            self.error = error if self.error is None else np.maximum(self.error, error)
 
-    def found(self, last: Window[Either]) -> tuple[Lagged, Status]:
-        """All of it, with the last window."""
-        windows, digits, error = Windows(self.newest, self.log_evidence), None, None
-        if isinstance(last.solution, CarefulSmoothed):
-            digits = Careful(self.forward, self.steps, last.solution.careful.unknown)
-            error = self.error
-        found = Lagged(self.forward, self.beliefs, None, windows, digits, error)
+    @property
+    def found(self) -> tuple[Lagged, Status]:
+        """All of it."""
+        windows = Windows(self.newest, self.log_evidence, self.error is None)
+        found = Lagged(self.forward, self.beliefs, windows=windows, error=self.error)
         return found, Status.of(self.residuals, self.converged, self.lead)
-
-
-def _slid(plan: ChainPlan, schedule: FixedLag, way: Way[Either]) -> tuple[Lagged, Status]:
-    """Slide a window along the chain."""
-    record = _Record(plan)
-    begin: Beginning | None = None
-    window: Window[Either] | None = None
-    for step in range(plan.steps + 1):
-        newest = None if window is None else window.at(-1)
-        before = max(step - 1, 0)
-        alone = _window(plan, before, step, newest)
-        way.once(alone, newest)
-        plan.put(before, alone)
-        first = max(step - schedule.lag, 0)
-        if first and window is not None:
-            begin = window.at(1)
-            record.leave(window)
-        window = settled(_window(plan, first, step, begin), way, begin, schedule)
-        plan.put(first, window.plan)
-        record.keep(first, window)
-    for family in plan.families:
-        family.settle()
-    assert window is not None
-    return record.found(window)
-
-
-def _window(plan: ChainPlan, first: int, last: int, begin: Beginning | None) -> ChainPlan:
-    return plan.window(first, last, None if begin is None else begin.moments)

@@ -227,12 +227,15 @@ class Sensor:
         )
 
     def window(self, first: int, last: int, *, after: bool) -> Sensor:
-        """The readings of some steps, in views; after the first of them, or from it on."""
+        """The readings of some steps, after the first of them or from it on.
+
+        In views of these arrays; what is linearised is its own.
+        """
         begin = self.bounds[first + after]
         rows, part = slice(begin, self.bounds[last + 1]), copy(self)
         part.family = self.family.window(rows.start, rows.stop)
         part.order = self.order[rows]
-        part.values, part.moved = self.values[rows], self.moved[rows]
+        part.values, part.moved = self.values[rows], self.moved[rows].copy("K")
         part.taken = None if self.taken is None else self.taken[rows]
         part.bounds = [max(bound - begin, 0) for bound in self.bounds[first : last + 2]]
         steps = range(first + after, last + 1)
@@ -241,7 +244,10 @@ class Sensor:
 
     def put(self, first: int, part: Sensor, *, after: bool) -> None:
         """Keep how the readings of these steps were linearised."""
-        self.family.put(self.bounds[first + after], part.family)
+        row = self.bounds[first + after]
+        self.family.put(row, part.family)
+        if self.variable.angles:
+            self.moved[row : row + len(part.moved)] = part.moved
         self.cross.update({first + k: between for k, between in part.cross.items()})
 
     def move(self, rows: slice, predicted: Array, active: Mask | None = None) -> None:
@@ -369,19 +375,20 @@ class ChainPlan:
         )
 
     def window(self, first: int, last: int, begin: tuple[Array, Array] | None = None) -> ChainPlan:
-        """The plan of a window of steps, with views of these arrays.
+        """The plan of a window of steps, with views of these arrays; what is linearised is its own.
 
         It begins with a belief that knows the readings of its first step, or with the prior.
         """
+
+        def links(every: list[Link], start: int, end: int) -> list[Link]:
+            return [replace(link, family=link.family.window(start, end)) for link in every]
+
         after = begin is not None
-        transition = [
-            replace(link, family=link.family.window(first, last)) for link in self.transition
-        ]
         return replace(
             self,
             steps=last - first,
-            prior=[] if after else self.prior,
-            transition=transition,
+            prior=[] if after else links(self.prior, 0, 1),
+            transition=links(self.transition, first, last),
             sensors=[sensor.window(first, last, after=after) for sensor in self.sensors],
             first=self.first + first,
             begin=begin,
@@ -389,6 +396,8 @@ class ChainPlan:
 
     def put(self, first: int, part: ChainPlan) -> None:
         """Keep how the CPDs of a window, which begins at the first step, were linearised."""
+        for link, own in zip(self.prior if part.prior else [], part.prior, strict=True):
+            link.family.put(0, own.family)
         for link, own in zip(self.transition, part.transition, strict=True):
             link.family.put(first, own.family)
         for sensor, seen in zip(self.sensors, part.sensors, strict=True):

@@ -165,6 +165,11 @@ class ChainPosterior(Posterior):
         require_runs(size * size, self._planned.runs, what)
         if self._careful is not None:
             return self._careful_joint(self._careful, tuple(variables))
+        if self._windows is not None and not self._windows.plain:
+            raise NumericalError(
+                "joints of an iterated fixed lag are not kept where windows of it were solved in "
+                "twice the digits; posterior[x] has marginals, pgm.smooth and pgm.filter joints"
+            )
         mean, cov = joint_moments(self._reverse, self._beliefs, self.graph.layout, variables)
         shape = self._plan.lead
         return Gaussian._make(
@@ -176,11 +181,6 @@ class ChainPosterior(Posterior):
     def _careful_joint(self, careful: Careful, variables: Scope) -> Gaussian:
         steps = [variable.step for variable in variables if variable.step is not None]
         distinct = sorted(set(steps))
-        if self._windows is not None:
-            raise NumericalError(
-                "joints of an iterated fixed lag are not kept where, as here, it was solved in "
-                "twice the digits; posterior[x] has marginals, pgm.smooth and pgm.filter joints"
-            )
         last = self.kind.last(distinct[-1], self.graph.steps)
         mean, cov = adjoint.joint(careful, distinct, adjoint.smoothed(careful, last))
         if self.kind == SMOOTHED:  # a step control may have kept other means
@@ -260,7 +260,7 @@ class ChainPosterior(Posterior):
         weight = self._weight(step)
         if step:
             scope: Scope = tuple(variable.at(step) for variable in layout.pair)
-            if self._careful is None:
+            if self._careful is None and (self._windows is None or self._windows.plain):
                 pair = backward.pairs(beliefs, self._reverse, step - 1)
                 mean, cov = pair.mean, pair.cov
             else:

@@ -69,6 +69,8 @@ def run(
             schedule = schedule.filtering
     given = None if start is None else _start(graph.layout, bound, start)
     plan = ChainPlan.make(graph, bound, lineariser)
+    if isinstance(schedule, FixedLag) and fixed_lag.slides(plan, schedule):
+        return _slid(graph, plan, schedule)
     if not certificate.is_flat(plan):
         try:
             found = _solve(graph, plan, schedule, given)
@@ -97,7 +99,7 @@ def _refuse_infinite(posterior: ChainPosterior) -> None:
         lost = np.zeros(0, dtype=bool)
         if not np.isfinite(part.sum()):
             lost = np.isnan(part) if flat and part.ndim == 4 else ~np.isfinite(part)
-        elif part.ndim == 4 and posterior._careful is not None:
+        elif part.ndim == 4 and (posterior._careful or posterior._windows) is not None:
             lost = np.diagonal(part, axis1=-2, axis2=-1) < 0.0
         if lost.any():
             step, run = (int(axis[0]) for axis in np.nonzero(lost)[:2])
@@ -127,6 +129,16 @@ def _solve(
     result, status = run_smoothing(plan, _smoothing(schedule), start)
     ahead = parallel.whole(result.forward)
     return make(graph, status, SMOOTHED, plan, ahead, result.beliefs, result.reverse)
+
+
+def _slid(graph: DynamicGraph, plan: ChainPlan, schedule: FixedLag) -> ChainPosterior:
+    """A window that slides sees for itself to the digits that it has."""
+    result, status = fixed_lag.slid(plan, schedule)
+    if result.error is not None:
+        status = status.with_digits(digits(result.error, plan.lead))
+    found = _lagged(graph, plan, schedule, result, status)
+    _refuse_infinite(found)
+    return found
 
 
 def _lagged(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Generic, TypeVar
 
@@ -95,7 +95,7 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         filter.
     """
     cost.require_cost(schedule, plan.families, first=start is None)
-    chain = Chain(plan, _in_rounds if _is_long(plan) and schedule.iterations > 1 else _swept)
+    chain = Chain(plan, _in_rounds if _is_long(plan) and schedule.iterations > 1 else swept)
     if start is None:
         return _iterated(chain, schedule, Smoothed.of(plan, forward.run(plan, ONCE)[0]), None)
     at = _start(plan, start)
@@ -171,7 +171,8 @@ def _newton(
     return Smoothed.of(chain.plan, ahead), status
 
 
-def _swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
+def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
+    """Smooth step by step, as everything is linearised."""
     return Smoothed.of(plan, forward.stored(plan, anchor))
 
 
@@ -192,12 +193,12 @@ def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoo
     """In rounds, or step by step where rounds do not exist or cost digits."""
     readings = Readings.of(plan, reference)
     if readings.stacks:
-        return _swept(plan, reference, anchor)
+        return swept(plan, reference, anchor)
     try:
         with np.errstate(all="ignore"):  # elements that are not finite are refused
             ahead = parallel.filtered(plan, reference, anchor, readings)
     except NumericalError:
-        return _swept(plan, reference, anchor)
+        return swept(plan, reference, anchor)
     return Smoothed.of(plan, ahead)
 
 
@@ -207,7 +208,7 @@ class Chain(Generic[Either]):
 
     plan: ChainPlan
     solver: Callable[[ChainPlan, Array, Anchor | None], Either]
-    at: Array | None = None
+    at: Array = field(default_factory=lambda: np.empty(0))
 
     def linearise(self, at: Point, active: Mask | None) -> None:
         """Linearise every CPD, for the runs that are active."""
@@ -216,7 +217,6 @@ class Chain(Generic[Either]):
 
     def solve(self, anchor: Anchor | None = None) -> Either:
         """Smooth as everything is linearised."""
-        assert self.at is not None
         return self.solver(self.plan, self.at, anchor)
 
     def cost(self, at: Point) -> Array:
@@ -239,7 +239,6 @@ class _Means:
         self.chain.linearise(at, active)
 
     def solve(self, anchor: Anchor | None = None) -> Means:
-        assert self.chain.at is not None
         plan, at = self.chain.plan, self.chain.at
         found = newton.step(plan, at)
         if found is not None:
