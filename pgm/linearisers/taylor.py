@@ -32,9 +32,6 @@ class Taylor(ArrayLineariser):
 
 
 def _tangent(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    if mean.ndim == 1 and isinstance(function, BoundFunction) and function.analytic:
-        value, slope = function.tangent(mean)
-        return Line(slope, value, None)
     x = components_last(mean, 1)
     std = None if function.analytic else components_last(deviations(cov), 1)
     if isinstance(function, BoundFunction):
