@@ -22,7 +22,8 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic_layout import Inputs
 from pgm.factors.scope import Scope
-from pgm.inference.family import At, Family
+from pgm.inference.family import Family
+from pgm.inference.rows import At
 from pgm.kernels import along_runs, roots
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
