@@ -12,8 +12,9 @@ from pgm.compile import DynamicGraph
 from pgm.evidence import BoundEvidence
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.forward import Filtered, Forward
-from pgm.inference.chain.plan import ChainPlan, Sensor
+from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
