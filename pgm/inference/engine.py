@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
@@ -21,6 +21,9 @@ from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.variables import Variable
 
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
 CONTINUOUS = (
     "memory= is for the runs of discrete networks; of a dynamic network keep=[x] holds fewer at a "
     "time, and of others fewer runs to a call do"
@@ -36,7 +39,7 @@ def infer(
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
     keep: None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
     memory: float | None = None,
 ) -> ChainPosterior: ...
 
@@ -50,7 +53,7 @@ def infer(
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
     keep: Variable | Iterable[Variable],
-    threads: int = 1,
+    executor: Executor | None = None,
     memory: float | None = None,
 ) -> KeptPosterior: ...
 
@@ -64,7 +67,7 @@ def infer(
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
     keep: Variable | Iterable[Variable] | None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
     memory: float | None = None,
 ) -> Posterior: ...
 
@@ -77,7 +80,7 @@ def infer(
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
     keep: Variable | Iterable[Variable] | None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
     memory: float | None = None,
 ) -> Posterior:
     """Send the messages of a schedule on a cluster graph.
@@ -154,10 +157,10 @@ def infer(
         if memory is not None:
             raise GraphError(CONTINUOUS)
         bound = bind_chain(graph.model, evidence, graph.steps)
-        return run_chain(graph, bound, schedule, lineariser, start, keep, threads)
-    if keep is not None or threads != 1:
+        return run_chain(graph, bound, schedule, lineariser, start, keep, executor)
+    if keep is not None or executor is not None:
         raise GraphError(
-            f"keep= and threads= are for the runs of dynamic networks, not for {graph!r}; to hold "
+            f"keep= and executor= are for the runs of dynamic networks, not for {graph!r}; to hold "
             "less at a time, give fewer runs to a call"
         )
     if isinstance(schedule, Filtering):
