@@ -55,12 +55,13 @@ def run(
     workers = Workers(executor)
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)
-    count = 0 if kept is None and executor is None else workers.count
-    parts = list(split(graph, bound, lineariser, start, count))
-    if len(parts) == 1 and kept is None:
-        return run_chain(graph, bound, schedule, lineariser, start)
+    parts = [Part(slice(0, bound.runs), graph, bound, start)]
+    if kept is not None or executor is not None:
+        parts = list(split(graph, bound, lineariser, start, workers.count))
     if len(parts) == 1:
         workers = Workers(None)
+        if kept is None:
+            return run_chain(graph, bound, schedule, lineariser, start)
     wanted = Wanted.of(graph, schedule, start, kept)
     room = workers.room(wanted.shapes(graph, bound))
     jobs = [
@@ -72,8 +73,9 @@ def run(
     work = workers.each(do, jobs, [part.runs for part in parts], large=not room, named=named)
     for part, done in zip(parts, work, strict=True):
         if isinstance(done.error, PgmError) and not isinstance(done.error, ExecutorError):
-            # The error is to be that of one process, which fails first where its own parts do.
-            for own in split(graph, bound, lineariser, start, 0 if kept is None else 1):
+            # The error is to be that of one process, whose first one is of other runs maybe.
+            whole = [Part(slice(0, bound.runs), graph, bound, start)]
+            for own in whole if kept is None else split(graph, bound, lineariser, start, 1):
                 if own.runs.stop > part.runs.start and own.runs.start < part.runs.stop:
                     run_chain(own.graph, own.bound, schedule, lineariser, own.start)
         each = done.result()
@@ -90,7 +92,7 @@ def run(
             graph,
             status,
             _gaussians(kept, room, bound),
-            frozen(room[-1].reshape(bound.lead)),
+            frozen(room[-1].reshape(bound.lead).copy()),
             kinds.pop() if len(kinds) == 1 else "linearised",  # a fixed point is one of all runs
         )
     if wanted.beliefs:

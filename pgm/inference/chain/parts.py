@@ -51,10 +51,7 @@ def split(
     start: Start | None,
     workers: int,
 ) -> Iterator[Part]:
-    """The parts in turn, none larger than the room for it, as many for each of the workers.
-
-    Without workers there is one part.
-    """
+    """The parts in turn, none larger than the room for it, as many for each of the workers."""
     size = _size(graph, bound, lineariser, workers)
     if size >= bound.runs:
         yield Part(slice(0, bound.runs), graph, bound, start)
@@ -70,8 +67,6 @@ def split(
 
 def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
     """Runs to a part."""
-    if not workers:
-        return bound.runs
     model = graph.model
     rules = [lineariser]
     for cpd in (*model.prior, *model.transition, *model.observation):

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 # Shares of the work for each processor, where an executor does not say how many workers it has.
 _SHARES = 4
 
+# Results whose arrays have a block each, which is an open file.
+_FILES = 100
+
 Job = TypeVar("Job")
 
 
@@ -156,7 +159,8 @@ class Workers:
             raise refuse(named, error) from error
         own = None if idle is None else borrow(idle, parcel.size)
         memory = None if own is None else own.hold(parcel.size)
-        answers = [Block() if large and own is not None else None for _ in jobs]
+        apart = large and own is not None and len(jobs) <= _FILES
+        answers = [Block() if apart else None for _ in jobs]
 
         def calls() -> Iterator[Any]:
             for pickle, answer in zip(pickles, answers, strict=True):
@@ -180,7 +184,8 @@ class Workers:
                 try:
                     waiting.append(Task(part, self._executor.submit(*call), answer))
                 except Exception as error:
-                    raise self._lost(runs, error) from error
+                    left = [*(task.runs for task in waiting if task.lost), *runs[len(waiting) :]]
+                    raise self._lost(left, error) from error
             while waiting:
                 try:
                     done = waiting[0].done()
@@ -201,8 +206,9 @@ class Workers:
                 rows.append((part.start, part.stop))
         said = ", ".join(f"{first} to {stop - 1}" for first, stop in rows)
         return ExecutorError(
-            f"{self._executor!r} has lost the runs {said}: {type(error).__name__}: {error}; did a "
-            "worker die, of a function of the model or of too little memory?",
+            f"{type(self._executor).__name__}: runs {said} were lost: {type(error).__name__}: "
+            f"{error}; a worker may have died, of a function of the model or of too little memory, "
+            "or the executor be shut down; other runs' results are lost with them",
             runs=rows,
         )
 
