@@ -15,7 +15,7 @@ from pgm.inference.chain.joining import Share
 from pgm.inference.chain.parts import Part
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run
-from pgm.inference.executors import Shape
+from pgm.inference.executors import Shape, address
 from pgm.inference.schedule import Calibration, Filtering, Schedule
 from pgm.inference.start import Start
 from pgm.inference.status import Status
@@ -129,7 +129,10 @@ class Told(NamedTuple):
 def do(job: Job) -> Told:
     """Send the messages of the runs of a job."""
     part, wanted = job.part, job.wanted
-    found = run(part.graph, part.bound, job.schedule, job.lineariser, part.start)
+    slice_, room = part.graph.layout.slice, None
+    if job.room and (wanted.kept is None or wanted.kept == slice_):
+        room = job.room[0], job.room[1]
+    found = run(part.graph, part.bound, job.schedule, job.lineariser, part.start, room)
     told = Told(found.status, found.log_evidence_kind, found._careful is not None)
     if wanted.kept is None and told.careful:
         return told
@@ -145,4 +148,5 @@ def do(job: Job) -> Told:
 def write(room: Sequence[Array], arrays: Sequence[Array]) -> None:
     """Put arrays in their room."""
     for place, array in zip(room, arrays, strict=True):
-        np.copyto(place, array)
+        if address(place) != address(array):  # it has not been made there
+            np.copyto(place, array)

@@ -80,10 +80,10 @@ def run(plan: ChainPlan) -> Forward | None:
     return None if _run(plan, predicted, kept, out.log_density, store=True) is None else out
 
 
-def filtered(plan: ChainPlan) -> Filtered | None:
-    """The same, but for the beliefs alone."""
+def filtered(plan: ChainPlan, room: Moments | None = None) -> Filtered | None:
+    """The same, but for the beliefs alone, in the room for their moments, if there is any."""
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
-    mean, cov = vacant(shape, (size,)), vacant(shape, (size, size))
+    mean, cov = room or (vacant(shape, (size,)), vacant(shape, (size, size)))
     log_density = np.empty(shape)
     parts, closest = math.ceil(plan.runs / MOST), 1.0
     edges = [part * plan.runs // parts for part in range(parts + 1)]

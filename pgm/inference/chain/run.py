@@ -16,7 +16,7 @@ from pgm.factors.scope import positions
 from pgm.inference.chain import careful, certificate, forward, many, parallel, smoother
 from pgm.inference.chain.balanced import BalancedPosterior
 from pgm.inference.chain.forward import Forward
-from pgm.inference.chain.many import Filtered
+from pgm.inference.chain.many import Filtered, Moments
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
@@ -43,8 +43,9 @@ def run(
     schedule: Schedule | None,
     lineariser: Lineariser,
     start: Start | None,
+    room: Moments | None = None,
 ) -> ChainPosterior:
-    """Send the messages of a filter or smoother.
+    """Send the messages of a filter or smoother; a filter may leave its moments in a room for them.
 
     Numbers too large for float64 are refused where they end up, so that NumPy need not warn.
     """
@@ -59,7 +60,7 @@ def run(
     plan = ChainPlan.make(graph, bound, lineariser)
     if not certificate.is_flat(plan):
         try:
-            found = _solve(graph, plan, schedule, given)
+            found = _solve(graph, plan, schedule, given, room)
             _refuse_infinite(found)
             smoothed = None if found._smoothed is None else found._smoothed.cov
             if certificate.suffices(found._planned, found._swept, smoothed):
@@ -99,12 +100,16 @@ def _refuse_infinite(posterior: ChainPosterior) -> None:
 
 
 def _solve(
-    graph: DynamicGraph, plan: ChainPlan, schedule: Filtering | Calibration, start: Array | None
+    graph: DynamicGraph,
+    plan: ChainPlan,
+    schedule: Filtering | Calibration,
+    start: Array | None,
+    room: Moments | None,
 ) -> ChainPosterior:
     balanced = isinstance(graph, BalancedGraph)
     kind = _kind(graph)
     if isinstance(schedule, Filtering):
-        ahead, status = _scan(graph, plan) if balanced else _sweep(plan, schedule)
+        ahead, status = _scan(graph, plan) if balanced else _sweep(plan, schedule, room)
         return kind(graph, status, plan, ahead, None, None)
     run_smoothing = smoother.scan if balanced else smoother.smooth
     result, status = run_smoothing(plan, _smoothing(schedule), start)
@@ -143,10 +148,12 @@ def _smoothing(schedule: Calibration) -> Smoothing:
     return Smoothing(schedule.iterations, schedule.tolerance)
 
 
-def _sweep(plan: ChainPlan, schedule: Filtering) -> tuple[Forward | Filtered, Status]:
+def _sweep(
+    plan: ChainPlan, schedule: Filtering, room: Moments | None
+) -> tuple[Forward | Filtered, Status]:
     """Filter; of many runs only the beliefs, as long as nothing else is asked for."""
     if forward.is_single_pass(plan, schedule) and many.suits(plan):
-        found = many.filtered(plan)
+        found = many.filtered(plan, room)
         if found is not None:
             return found, forward.once_status(plan)
     return forward.run(plan, schedule)
