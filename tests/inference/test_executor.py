@@ -276,6 +276,31 @@ def test_infer_takes_an_executor(workers):
     assert shared.graph is graph
 
 
+class Scratch:
+    """A sensor with arrays of its own: one to write to, one with names, one in another order."""
+
+    def __init__(self):
+        self.room = np.zeros(10_000)
+        self.table = np.ones(700, dtype=[("offset", float), ("scale", float)])
+        self.order = np.arange(600.0).reshape(20, 30).T[::2]
+
+    def __call__(self, x, m):
+        mark = threading.get_ident() + os.getpid()
+        self.room[:] = mark
+        time.sleep(1e-3)
+        assert (self.room == mark).all()
+        assert self.table["scale"].sum() == 700.0
+        assert self.order.sum() == sum(30 * row + 2 * k for row in range(20) for k in range(15))
+        return SIGHT.function(x, m)
+
+
+@pytest.mark.parametrize("kind", ["processes", "remote"])
+def test_arrays_of_a_function_are_each_worker_s_own(kind, workers):
+    model, evidence = network(SIGHT.cpd(function=Scratch())), recording()
+    shared = pgm.filter(model, evidence, executor=workers[kind])
+    assert_allclose(shared[x].mean, pgm.filter(network(SIGHT.cpd()), evidence)[x].mean, atol=1e-11)
+
+
 # Errors
 
 

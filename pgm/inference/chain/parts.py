@@ -17,7 +17,7 @@ from pgm.evidence import BoundEvidence
 from pgm.evidence.arrays import as_rows
 from pgm.evidence.runs import flat
 from pgm.inference.start import Start, over_runs, require_hidden
-from pgm.kernels.arrays import Array, cut
+from pgm.kernels.arrays import Array, cut, frozen
 from pgm.linearisers import Lineariser
 
 # What the working arrays of all parts at work may take, in bytes.
@@ -61,7 +61,7 @@ def split(
         start = {v: over_runs(v, as_rows(v, a, "T+1"), bound.lead, 2) for v, a in start.items()}
     edges = [*range(0, bound.runs, size), bound.runs]
     for runs in (slice(first, last) for first, last in pairwise(edges)):
-        own = None if start is None else {v: np.asarray(a)[runs] for v, a in start.items()}
+        own = None if start is None else {v: frozen(np.asarray(a)[runs]) for v, a in start.items()}
         yield Part(runs, _graph(graph, bound.lead, runs), _evidence(bound, runs), own)
 
 

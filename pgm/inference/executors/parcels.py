@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from pgm.inference.executors.memory import Name, Room, address, lines, seen
 
-# Bytes from which on an array is large.
+# Bytes from which on an array is large, and put apart.
 _LARGE = 2**12
 
 AnyArray = npt.NDArray[Any]
@@ -32,7 +32,7 @@ class _Place(NamedTuple):
         The memory itself, contiguous; the block that has it; None for the parcel's own.
     offset : int
         In bytes.
-    dtype : str
+    dtype : dtype
     strides, shape : tuple of int
         Of the array, over its memory.
     writeable : bool
@@ -40,7 +40,7 @@ class _Place(NamedTuple):
 
     memory: AnyArray | Name | None
     offset: int
-    dtype: str
+    dtype: np.dtype[Any]
     strides: tuple[int, ...]
     shape: tuple[int, ...]
     writeable: bool
@@ -68,12 +68,15 @@ class Parcel:
     ----------
     apart : bool
         Whether there is memory to put them in; they are in the pickles otherwise.
+    shared : bool
+        Whether several processes see that memory: those that can be written to do not go there.
     room : Room, optional
         Shared memory, of whose arrays only the places travel.
     """
 
-    def __init__(self, *, apart: bool, room: Room | None = None) -> None:
+    def __init__(self, *, apart: bool, shared: bool = False, room: Room | None = None) -> None:
         self.apart = apart
+        self.shared = shared
         self.room = room
         self.size = 0
         self._put: dict[Any, tuple[int, AnyArray]] = {}
@@ -87,27 +90,27 @@ class Parcel:
 
     def place(self, array: AnyArray) -> _Place | None:
         """How an array travels; None if as any object."""
-        seen = (array.dtype.str, array.strides, array.shape, array.flags.writeable)
+        seen = (array.dtype, array.strides, array.shape, array.flags.writeable)
         if self.room is not None and (offset := self.room.offset(array)) is not None:
             return _Place(self.room.block.name, offset, *seen)
-        if array.nbytes < _LARGE or array.dtype.hasobject or type(array) is not np.ndarray:
+        apart = self.apart and array.nbytes >= _LARGE
+        apart = apart and not (self.shared and array.flags.writeable)
+        if array.dtype.hasobject or type(array) is not np.ndarray:
+            return None
+        if not apart and array.flags.c_contiguous:
             return None
         once = array[tuple(slice(1 if step == 0 else None) for step in array.strides)]
         order = sorted(range(array.ndim), key=lambda axis: -abs(array.strides[axis]))
         memory = once.transpose(order)
-        if not self.apart and array.flags.c_contiguous:
-            return None
-        # As it will be, contiguous.
-        steps = [array.itemsize]
-        for length in memory.shape[:0:-1]:
-            steps.insert(0, steps[0] * length)
-        strides = [0] * array.ndim
-        for axis, step in zip(order, steps, strict=True):
+        strides = [0] * array.ndim  # as they will be, the memory being contiguous
+        step = array.itemsize
+        for axis, length in zip(reversed(order), reversed(memory.shape), strict=True):
             strides[axis] = step if array.strides[axis] else 0
-        seen = (array.dtype.str, tuple(strides), array.shape, array.flags.writeable)
-        if not self.apart:
+            step *= length
+        seen = (array.dtype, tuple(strides), array.shape, array.flags.writeable)
+        if not apart:
             return _Place(np.ascontiguousarray(memory), 0, *seen)
-        key = address(array), array.strides, array.shape, array.dtype.str
+        key = address(array), array.strides, array.shape, array.dtype
         if key not in self._put:  # what all runs share is put once
             self._put[key] = self.size, memory
             self.size += lines(memory.nbytes)

@@ -152,7 +152,7 @@ class Workers:
     ) -> Iterator[Done]:
         """The same by other processes."""
         idle = self._idle
-        parcel = Parcel(apart=idle is not None, room=self._room)
+        parcel = Parcel(apart=idle is not None, shared=True, room=self._room)
         try:
             pickles = [parcel.dumps((work, job)) for job in jobs]
         except Exception as error:
