@@ -11,7 +11,6 @@ import numpy as np
 from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import Scope
-from pgm.inference.chain.joining import Share
 from pgm.inference.chain.parts import Part
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run
@@ -115,15 +114,15 @@ class Told(NamedTuple):
         Whether it took twice the digits; then nothing else is told, unless variables are kept.
     arrays : list of ndarray or None
         Those wanted, if they have not been written.
-    share : Share or None
-        All of the posterior, if that is wanted.
+    found : ChainPosterior or None
+        All of it, if that is wanted.
     """
 
     status: Status
     kind: str
     careful: bool
     arrays: Sequence[Array] | None = None
-    share: Share | None = None
+    found: ChainPosterior | None = None
 
 
 def do(job: Job) -> Told:
@@ -137,7 +136,7 @@ def do(job: Job) -> Told:
     if wanted.kept is None and told.careful:
         return told
     if wanted.kept is None and not wanted.beliefs:
-        return told._replace(share=Share.of(found))
+        return told._replace(found=found)
     arrays = wanted.arrays(found, part.bound.runs)
     if job.room is None:
         return told._replace(arrays=arrays)

@@ -1,10 +1,10 @@
-"""What parts of the runs leave, as one posterior of them all."""
+"""Posteriors of parts of the runs as one posterior of them all."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -21,81 +21,22 @@ from pgm.kernels.arrays import Array
 from pgm.linearisers import Lineariser
 
 
-class Line(NamedTuple):
-    """What a lineariser has made of a CPD; its errors may be none."""
-
-    matrix: Array
-    offset: Array
-    noise: Array
-    approximate: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Share:
-    """All that inference leaves of a part of the runs, without what it was given.
-
-    Attributes
-    ----------
-    kind : type
-        Of posterior.
-    forward, smoothed, reverse
-        Of that.
-    lines : sequence of Line
-        Of the CPDs that were linearised.
-    moved : sequence of ndarray or None
-        Of each sensor the readings, where it has angles, which were moved.
-    cross : sequence of mapping
-        Of each sensor.
-    """
-
-    kind: type[ChainPosterior]
-    forward: Forward
-    smoothed: Beliefs | None
-    reverse: Reverse | None
-    lines: Sequence[Line]
-    moved: Sequence[Array | None]
-    cross: Sequence[Mapping[int, Array]]
-
-    @classmethod
-    def of(cls, found: ChainPosterior) -> Share:
-        """The share of a part."""
-        plan = found._plan
-        return cls(
-            type(found),
-            found._forward,
-            found._smoothed,
-            found._reverse_given,
-            [Line(f.matrix, f.offset, f.noise, f.approximate) for f in _linearised(plan)],
-            [sensor.moved if sensor.variable.angles else None for sensor in plan.sensors],
-            [sensor.cross for sensor in plan.sensors],
-        )
-
-
 def joined(
     graph: DynamicGraph,
     bound: BoundEvidence,
     lineariser: Lineariser,
     status: Status,
-    shares: Sequence[Share],
+    found: Sequence[ChainPosterior],
 ) -> ChainPosterior:
     """What one run of everything would have left."""
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
-    for family, *lines in zip(_linearised(plan), *_each(shares, "lines"), strict=True):
-        _line(family, lines)
-    parts = zip(plan.sensors, *_each(shares, "moved"), strict=True)
-    for sensor, *moved in parts:
-        if moved[0] is not None:
-            sensor.moved = np.concatenate(moved, axis=1)
-    runs = [share.forward.mean.shape[1] for share in shares]
-    for sensor, *cross in zip(plan.sensors, *_each(shares, "cross"), strict=True):
-        _cross(sensor, cross, runs)
-    return shares[0].kind(
+    return type(found[0])(
         graph,
         status,
         plan,
-        _along_runs(Forward, _each(shares, "forward")),
-        _along_runs(Beliefs, _each(shares, "smoothed")),
-        _along_runs(Reverse, _each(shares, "reverse")),
+        _swept(plan, found),
+        _along_runs(Beliefs, [each._smoothed for each in found]),
+        _along_runs(Reverse, [each._reverse_given for each in found]),
     )
 
 
@@ -106,7 +47,7 @@ def swept_once(
     status: Status,
     beliefs: Sequence[Array],
 ) -> ChainPosterior:
-    """The posterior of a filter or smoother that linearised once, of its `Wanted` beliefs.
+    """The posterior of a filter or smoother that linearised once, of its beliefs.
 
     Another sweep leaves the rest, once it is asked for.
     """
@@ -116,6 +57,17 @@ def swept_once(
     return ChainPosterior(
         graph, status, plan, swept, Beliefs(*smoothed) if smoothed else None, None
     )
+
+
+def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
+    """What the forward sweeps left; the plan is linearised as they were."""
+    plans = [each._plan for each in found]
+    for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
+        _family(family, families)
+    for sensor, *sensors in zip(plan.sensors, *(p.sensors for p in plans), strict=True):
+        _sensor(sensor, sensors)
+    forward: Forward = _along_runs(Forward, [each._forward for each in found])
+    return forward
 
 
 def one_status(statuses: Iterable[Status], lead: tuple[int, ...]) -> Status:
@@ -142,24 +94,25 @@ def _digits(status: Status) -> Array:
     return status.digits.reshape(-1)
 
 
-def _linearised(plan: ChainPlan) -> list[Family]:
-    return [family for family in plan.families if not family.exact]
+def _family(whole: Family, parts: list[Family]) -> None:
+    if whole.exact:
+        return
+    whole.matrix = np.concatenate([part.matrix for part in parts], axis=1)
+    whole.offset = np.concatenate([part.offset for part in parts], axis=1)
+    whole.approximate = any(part.approximate for part in parts)
+    if whole.approximate:
+        whole.noise = np.concatenate([part.noise for part in parts], axis=1)
 
 
-def _line(family: Family, lines: Sequence[Line]) -> None:
-    family.matrix = np.concatenate(_each(lines, "matrix"), axis=1)
-    family.offset = np.concatenate(_each(lines, "offset"), axis=1)
-    family.approximate = any(_each(lines, "approximate"))
-    if family.approximate:
-        family.noise = np.concatenate(_each(lines, "noise"), axis=1)
+def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
+    whole.moved = np.concatenate([part.moved for part in parts], axis=1)
+    for step in {step for part in parts for step in part.cross}:
+        some = next(part.cross[step] for part in parts if step in part.cross)
 
+        def cross(part: Sensor, step: int = step, some: Array = some) -> Array:
+            return part.cross.get(step, np.zeros((part.moved.shape[1], *some.shape[1:])))
 
-def _cross(sensor: Sensor, parts: Sequence[Mapping[int, Array]], runs: Sequence[int]) -> None:
-    for step in {step for part in parts for step in part}:
-        some = next(part[step] for part in parts if step in part)
-        none = [np.zeros((count, *some.shape[1:])) for count in runs]
-        own = [part.get(step, zeros) for part, zeros in zip(parts, none, strict=True)]
-        sensor.cross[step] = np.concatenate(own)
+        whole.cross[step] = np.concatenate([cross(part) for part in parts])
 
 
 def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:

@@ -97,8 +97,8 @@ def run(
         )
     if wanted.beliefs:
         return swept_once(graph, bound, lineariser, status, room)
-    shares = [each.share for each in told if each.share is not None]
-    return joined(graph, bound, lineariser, status, shares)
+    found = [each.found for each in told if each.found is not None]
+    return joined(graph, bound, lineariser, status, found)
 
 
 def _of(room: Sequence[Array], part: Part) -> list[Array]:

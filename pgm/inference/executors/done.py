@@ -81,23 +81,19 @@ def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, in
             "and classes of a model must stand in modules that workers can import too"
         )
         return _packed(Done(None, fault, traceback.format_exc()), None)
-    done = _watched(work, job)
-    try:
-        return _packed(done, answer)
-    except Exception:
-        # An error, or a warning, of the user's that cannot be pickled; its words can.
-        said = f"{type(done.error).__name__}: {done.error}" if done.error else "a warning"
-        return _packed(
-            Done(None, ExecutorError(f"a worker's run failed with {said}"), done.trace), None
-        )
+    if threading.current_thread() is threading.main_thread():
+        done = _watched(work, job)
+    else:  # warnings of threads cannot be told apart
+        done = here(work, job)
+    if done.error is not None:
+        done = done._replace(trace="".join(traceback.format_exception(done.error)))
+    return _packed(done, answer)
 
 
 def _watched(work: Callable[[Any], Any], job: Any) -> Done:
-    if threading.current_thread() is not threading.main_thread():
-        return _traced(work, job)  # warnings of threads cannot be told apart
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        done = _traced(work, job)
+        done = here(work, job)
     told = tuple(
         (str(each.message), each.category, each.filename, each.lineno)
         for each in found
@@ -105,13 +101,6 @@ def _watched(work: Callable[[Any], Any], job: Any) -> Done:
         if not issubclass(each.category, PrecisionWarning)
     )
     return done._replace(warned=told)
-
-
-def _traced(work: Callable[[Any], Any], job: Any) -> Done:
-    done = here(work, job)
-    if done.error is None:
-        return done
-    return done._replace(trace="".join(traceback.format_exception(done.error)))
 
 
 def _packed(done: Done, answer: Name | None) -> tuple[bytes, int]:

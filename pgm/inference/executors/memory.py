@@ -123,7 +123,9 @@ def idle_blocks(executor: Executor) -> list[Block] | None:
     """The blocks that wait for an executor's next call; None, if it shares no memory with us."""
     from concurrent.futures import ProcessPoolExecutor  # here, since few need it
 
-    if not isinstance(executor, ProcessPoolExecutor) or not hasattr(os, "memfd_create"):
+    if not isinstance(executor, ProcessPoolExecutor):
+        return None
+    if not hasattr(os, "memfd_create") or not os.path.isdir("/proc/self/fd"):
         return None
     return _idle.setdefault(executor, [])
 
