@@ -1,5 +1,7 @@
 """The sweep of many runs leaves what the general one leaves."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -166,7 +168,8 @@ def test_parts_that_fit_a_cache(ways, monkeypatch, rule, most):
 def test_parts_that_threads_have_filtered_are_one_filter():
     """Of beliefs alone, until something else is asked for."""
     network, evidence = drawn(2, runs=2 * RUNS)
-    shared = pgm.filter(network, evidence, threads=2)
+    with ThreadPoolExecutor(2) as threads:
+        shared = pgm.filter(network, evidence, executor=threads)
     assert isinstance(shared._swept, many.Filtered)
     whole = pgm.filter(network, evidence)
     np.testing.assert_allclose(shared[pose].cov, whole[pose].cov, rtol=1e-12)
