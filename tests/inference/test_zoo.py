@@ -3,51 +3,35 @@
 One run and many go through different kernels; both are held to a textbook written plainly.
 """
 
-from functools import cache
 from types import SimpleNamespace
 
 import naive
 import numpy as np
 import pytest
 from textbooks import assert_belief, assert_log
-from zoo import MODELS, RULES, RUNS, T, at_step, model_of, of_run, recording
+from zoo import (
+    MODELS,
+    RULES,
+    RUNS,
+    TOLERANCE,
+    T,
+    assert_same,
+    at_step,
+    model_of,
+    of,
+    of_run,
+    recording,
+    smoothed,
+)
 
 import pgm
 
-# Through exact and sharp sightings the textbook's arithmetic, and float64 online, keep fewer digits.
-TOLERANCE = {"an exact range": 1e-8, "sharp readings": 1e-5}
 THOROUGH = ["taylor", "unscented", "negative weights", "bare function"]
 FEW = ["plain", "grouped", "a certain start", "everything"]
 CASES = [(name, rule) for name in MODELS for rule in THOROUGH]
 CASES += [(name, rule) for name in FEW for rule in RULES if rule not in THOROUGH]
 models = pytest.mark.parametrize("name", MODELS)
 both = pytest.mark.parametrize("rule", ["taylor", "unscented"])
-
-
-@cache
-def smoothed(name, rule, run=None):
-    """All runs, or one alone."""
-    evidence = recording(name) if run is None else of_run(recording(name), run)
-    return pgm.smooth(model_of(name, run), evidence, lineariser=RULES[rule])
-
-
-def of(posterior, run, kinds=("predicted", "filtered", "smoothed")):
-    """What is known of one run: {(kind, variable): (means, covariances)} and the log-evidence."""
-    model, beliefs = posterior.graph.model, {}
-    own = () if run is None else run
-    for kind in kinds:
-        marginals = posterior if kind == "smoothed" else getattr(posterior, kind)
-        for variable in (*model.states, *model.controls):
-            found = marginals[variable]
-            beliefs[kind, variable] = found.mean[own], found.cov[own]
-    return SimpleNamespace(beliefs=beliefs, log_evidence=posterior.log_evidence[own])
-
-
-def assert_same(found, due, tolerance):
-    assert found.beliefs.keys() == due.beliefs.keys()
-    for key, (mean, cov) in found.beliefs.items():
-        assert_belief(SimpleNamespace(mean=mean, cov=cov), *due.beliefs[key], tolerance)
-    assert_log(found.log_evidence, due.log_evidence, tolerance)
 
 
 @pytest.mark.parametrize(("name", "rule"), CASES)

@@ -1,7 +1,11 @@
 """Models of all kinds, rules of all kinds, and recordings of a few runs that differ in everything."""
 
+from functools import cache
+from types import SimpleNamespace
+
 import numpy as np
 from robots import DRIVE, LANDMARKS, P0, SENSORS, Q, drive_along, drive_cpd, m, u, x
+from textbooks import assert_belief, assert_log
 
 import pgm
 from pgm.evidence import Sightings
@@ -14,6 +18,8 @@ lost = pgm.Variable("lost", components=m.components)
 seen = pgm.Variable("seen", components=SIGHT.z.components, angles=SIGHT.z.angles)
 fix = pgm.Variable("fix", components=("east", "north"))
 compass = pgm.Variable("compass", components=("heading",), angles=("heading",))
+# Through exact and sharp sightings the textbook's arithmetic, and float64 online, keep fewer digits.
+TOLERANCE = {"an exact range": 1e-8, "sharp readings": 1e-5}
 # No step has more than two, and those of two landmarks: exact ones do not contradict each other.
 STEP = np.array([0, 1, 1, 3, 4, 4, 5, 7, 7, 8])
 RULES = {
@@ -165,3 +171,29 @@ def at_step(evidence, step):
             rows = {v: each[..., due, :] for v, each in given.given.items()}
             readings[variable] = pgm.sightings(given.values[..., due, :], given=rows)
     return inputs, readings
+
+
+@cache
+def smoothed(name, rule, run=None):
+    """All runs, or one alone."""
+    evidence = recording(name) if run is None else of_run(recording(name), run)
+    return pgm.smooth(model_of(name, run), evidence, lineariser=RULES[rule])
+
+
+def of(posterior, run, kinds=("predicted", "filtered", "smoothed")):
+    """What is known of one run: {(kind, variable): (means, covariances)} and the log-evidence."""
+    model, beliefs = posterior.graph.model, {}
+    own = () if run is None else run
+    for kind in kinds:
+        marginals = posterior if kind == "smoothed" else getattr(posterior, kind)
+        for variable in (*model.states, *model.controls):
+            found = marginals[variable]
+            beliefs[kind, variable] = found.mean[own], found.cov[own]
+    return SimpleNamespace(beliefs=beliefs, log_evidence=posterior.log_evidence[own])
+
+
+def assert_same(found, due, tolerance):
+    assert found.beliefs.keys() == due.beliefs.keys()
+    for key, (mean, cov) in found.beliefs.items():
+        assert_belief(SimpleNamespace(mean=mean, cov=cov), *due.beliefs[key], tolerance)
+    assert_log(found.log_evidence, due.log_evidence, tolerance)
