@@ -87,7 +87,9 @@ def differences(function, at, step=1e-3):
     """The derivative, by central differences of fourth order."""
     columns = []
     for unit in np.eye(len(at)):
-        near, far = (function(at + k * step * unit) - function(at - k * step * unit) for k in (1, 2))
+        near, far = (
+            function(at + k * step * unit) - function(at - k * step * unit) for k in (1, 2)
+        )
         columns.append((8 * near - far) / (12 * step))
     return np.stack(columns, axis=-1)
 
@@ -190,6 +192,7 @@ def _slope(cpd, hidden, at, known):
             both = values | known
             parts.append(cpd.jacobian[parent](*(both[p] for p in cpd.given)))
         else:
+
             def moved(own, parent=parent):
                 return _value(cpd, values | known | {parent: own})
 

@@ -3,7 +3,19 @@
 import numpy as np
 import pytest
 from robots import u, x
-from zoo import MODELS, RULES, RUNS, SIGHT, T, assert_same, model_of, of, of_run, recording, smoothed
+from zoo import (
+    MODELS,
+    RULES,
+    RUNS,
+    SIGHT,
+    T,
+    assert_same,
+    model_of,
+    of,
+    of_run,
+    recording,
+    smoothed,
+)
 
 import pgm
 from pgm.inference.chain import forward
@@ -21,7 +33,9 @@ def filtered(rule="taylor", name=NAME, **options):
 
 def assert_each_alone(posterior, rule="taylor", name=NAME, kinds=("filtered", "predicted")):
     for run in range(MANY):
-        assert_same(of(posterior, run, kinds), of(smoothed(name, rule, WHICH[run]), None, kinds), 1e-9)
+        assert_same(
+            of(posterior, run, kinds), of(smoothed(name, rule, WHICH[run]), None, kinds), 1e-9
+        )
 
 
 @rules
@@ -116,3 +130,50 @@ def test_iterated_smoothing_is_that_of_each_run(name, rule):
     alone = pgm.smooth(MODELS[name], of_run(recording(name), 1), **asked)
     assert batch.status.iterations == alone.status.iterations == 3
     assert_same(of(batch, 1, ("smoothed",)), of(alone, None, ("smoothed",)), 1e-8)
+
+
+def test_runs_may_have_any_leading_axes_and_broadcast():
+    given, square = recording("plain"), WHICH[:6].reshape(2, 3)
+    folded = pgm.smooth(MODELS["plain"], of_run(given, square))
+    assert folded[x].mean.shape == (2, 3, T + 1, 3)
+    assert_same(of(folded, (1, 1)), of(smoothed("plain", "taylor", square[1, 1])), 1e-9)
+    crossed = {u: given[u][[0, 1], None], SIGHT.z: of_run(given, WHICH[:3])[SIGHT.z]}
+    crossed = pgm.smooth(MODELS["plain"], crossed)
+    assert crossed[x].mean.shape == (2, 3, T + 1, 3)
+    for command, sight in ((0, 0), (1, 2)):
+        alone = {u: given[u][command], SIGHT.z: of_run(given, sight)[SIGHT.z]}
+        due = pgm.smooth(MODELS["plain"], alone)
+        assert_same(of(crossed, (command, sight)), of(due), 1e-9)
+
+
+@pytest.mark.parametrize("runs", [RUNS, MANY])
+@pytest.mark.parametrize("shared", ["values", "landmarks", "sights", "controls"])
+def test_any_of_the_evidence_may_be_shared(shared, runs):
+    """All runs have one and the same, without their axis; the rest is each run's own."""
+    which, one = np.arange(runs) % RUNS, of_run(recording("plain"), 1)
+    evidence = of_run(recording("plain"), which)
+    evidence[u] = evidence[u] + 1e-3 * which[:, None, None]
+
+    def drawn(run=None):
+        ours = evidence if run is None else of_run(evidence, run)
+        values = (one if shared in ("values", "sights") else ours)[SIGHT.z].values
+        landmarks = (one if shared in ("landmarks", "sights") else ours)[SIGHT.z].given
+        sights = pgm.sightings(np.nan_to_num(values, nan=1.0), one[SIGHT.z].step, landmarks)
+        return {u: (one if shared == "controls" else ours)[u], SIGHT.z: sights}
+
+    batch = pgm.smooth(MODELS["plain"], drawn())
+    for run in (0, runs - 1):
+        assert_same(of(batch, run), of(pgm.smooth(MODELS["plain"], drawn(run))), 1e-9)
+
+
+def test_iterating_to_convergence_stops_each_run_by_itself():
+    """A run that is done waits unchanged for the others."""
+    given = recording("everything", runs=8)
+    asked = {"iterations": 40, "tolerance": 1e-6}
+    batch, iterations = pgm.smooth(MODELS["everything"], given, **asked), set()
+    for run in range(0, 8, 2):
+        alone = pgm.smooth(MODELS["everything"], of_run(given, run), **asked)
+        iterations.add(alone.status.iterations)
+        assert batch.status.converged[run] == alone.status.converged
+        assert_same(of(batch, run, ("smoothed",)), of(alone, None, ("smoothed",)), 1e-8)
+    assert len(iterations) > 1, "all runs took equally long: the test says nothing"

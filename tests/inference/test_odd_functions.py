@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from robots import DRIVE, LANDMARKS, SENSORS, drive_cpd, m, u, x
+from robots import DRIVE, drive_cpd, m, u, x
 from zoo import MODELS, RULES, SIGHT, T, at_step, of_run, plain, recording, seen
 
 import pgm
@@ -90,7 +90,8 @@ def test_what_is_lost_where_nothing_is_read_does_not_matter(lost, rule, runs):
     given[(*own, 1)] = 9.0
     evidence = {pair: pgm.sightings(values, [1, 2, 2], {far: given})}
     found, due = (
-        pgm.filter(network(hole), evidence, steps=2, lineariser=RULES[rule]) for hole in (np.nan, 7.0)
+        pgm.filter(network(hole), evidence, steps=2, lineariser=RULES[rule])
+        for hole in (np.nan, 7.0)
     )
     np.testing.assert_allclose(found[y].mean, due[y].mean, rtol=1e-12)
     np.testing.assert_allclose(found[y].cov, due[y].cov, rtol=1e-12)
@@ -221,12 +222,14 @@ def test_functions_may_reuse_their_results(runs, derivatives):
     found, due = (
         pgm.smooth(network(wrap), evidence, lineariser=rule) for wrap in (Reusing, lambda f: f)
     )
-    for ours, theirs in ((found.filtered, due.filtered), (found.predicted, due.predicted), (found, due)):
+    for ours, theirs in (
+        (found.filtered, due.filtered),
+        (found.predicted, due.predicted),
+        (found, due),
+    ):
         np.testing.assert_array_equal(ours[x].mean, theirs[x].mean)
         np.testing.assert_array_equal(ours[x].cov, theirs[x].cov)
-    np.testing.assert_array_equal(
-        found.innovations[seen].residual, due.innovations[seen].residual
-    )
+    np.testing.assert_array_equal(found.innovations[seen].residual, due.innovations[seen].residual)
     filtered = pgm.filter(network(Reusing), evidence, lineariser=rule)
     np.testing.assert_array_equal(filtered[x].mean, due.filtered[x].mean)
     robot = online(network(Reusing), evidence, rule)

@@ -180,7 +180,7 @@ def smoothed(name, rule, run=None):
     return pgm.smooth(model_of(name, run), evidence, lineariser=RULES[rule])
 
 
-def of(posterior, run, kinds=("predicted", "filtered", "smoothed")):
+def of(posterior, run=None, kinds=("predicted", "filtered", "smoothed")):
     """What is known of one run: {(kind, variable): (means, covariances)} and the log-evidence."""
     model, beliefs = posterior.graph.model, {}
     own = () if run is None else run
