@@ -1,4 +1,4 @@
-"""A textbook filter and smoother of any dynamic network of one run: the tests' own, written plainly.
+"""A textbook filter and smoother of any dynamic network of one run, written plainly for the tests.
 
 One CPD after another, linearised by the formula of its rule, extends a dense joint; the readings of
 a step are one vector. Nothing is the engine's but the CPDs' functions.
@@ -135,9 +135,9 @@ class Joint:
 
 
 def linearised(cpd, joint, step, known, rule):
-    """The value, F over the whole joint and the noise with the rule's error, of one or of sightings.
+    """The value, F over the whole joint, and the noise with the rule's error.
 
-    `known` is a list, of one mapping for each sighting: more than one are linearised together.
+    `known` has the evidence of each sighting, by parent: several are linearised together.
     """
     hidden = [p for p in cpd.given if p not in known[0]]
     names = [p.at(step) for p in hidden]

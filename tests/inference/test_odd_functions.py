@@ -1,4 +1,4 @@
-"""Functions that lose a number, wrap an angle, reuse their result: in one run, a batch, and online."""
+"""Functions that lose a number, wrap an angle, reuse their result: one run, many, and online."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""A robot's loop: beliefs are values, and all that may be given is taken or refused at each step."""
+"""A robot's loop: beliefs are values, and evidence of any kind is taken or refused at each step."""
 
 import copy
 import pickle
@@ -42,8 +42,9 @@ def test_updates_one_after_another_are_the_joint_conditioned_in_rational_numbers
                 belief = robot.update(belief, {sensor: np.broadcast_to(value, (*runs, 1))})
         for variable, (mean, cov) in due.filtered[step].items():
             size = len(mean)
-            wide = np.broadcast_to(mean, belief.lead + (size,))
-            assert_belief(belief[variable], wide, np.broadcast_to(cov, belief.lead + 2 * (size,)))
+            wide = np.broadcast_to(mean, (*belief.lead, size))
+            wide_cov = np.broadcast_to(cov, (*belief.lead, size, size))
+            assert_belief(belief[variable], wide, wide_cov)
     assert_log(belief.log_evidence, due.joint.log_evidence)
     assert belief.log_evidence.shape == runs
 
@@ -246,7 +247,7 @@ def test_a_contradiction_names_the_step(runs):
 
 
 def test_a_first_step_without_controls_is_told_from_later_ones():
-    """Where there are no controls, a reading of one is refused, though later steps have had some."""
+    """Where there are no controls, a reading of one is refused: at later steps there were some."""
     told, command, state, control = pgm.variables("told command state control")
     model = pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(state, 0.0, 1.0)],

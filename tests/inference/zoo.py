@@ -1,4 +1,4 @@
-"""Models of all kinds, rules of all kinds, and recordings of a few runs that differ in everything."""
+"""Models and rules of all kinds, and recordings of a few runs that differ in everything."""
 
 from functools import cache
 from types import SimpleNamespace
@@ -18,7 +18,7 @@ lost = pgm.Variable("lost", components=m.components)
 seen = pgm.Variable("seen", components=SIGHT.z.components, angles=SIGHT.z.angles)
 fix = pgm.Variable("fix", components=("east", "north"))
 compass = pgm.Variable("compass", components=("heading",), angles=("heading",))
-# Through exact and sharp sightings the textbook's arithmetic, and float64 online, keep fewer digits.
+# Through exact and sharp sightings the textbook, and float64 online, keep fewer digits.
 TOLERANCE = {"an exact range": 1e-8, "sharp readings": 1e-5}
 # No step has more than two, and those of two landmarks: exact ones do not contradict each other.
 STEP = np.array([0, 1, 1, 3, 4, 4, 5, 7, 7, 8])
