@@ -12,9 +12,9 @@ from pgm.errors import ModelError, NumericalError
 from pgm.factors.canonical import CanonicalForm
 from pgm.factors.gaussian import Gaussian, as_gaussian
 from pgm.factors.scope import as_scope, dimension, names, one_name_each
-from pgm.immutable import Immutable
+from pgm.immutable import Immutable, set_writeable
 from pgm.kernels import canonical, moments
-from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.arrays import Array
 from pgm.kernels.checks import is_symmetric, symmetrised
 from pgm.variables import Variable
 
@@ -45,8 +45,8 @@ class AffineGaussian(Immutable):
     cov: Array
 
     def __init__(self, F: npt.ArrayLike, b: npt.ArrayLike, cov: npt.ArrayLike) -> None:
-        F = as_floats(F, "affine Gaussian: F").copy()
-        b = as_floats(b, "affine Gaussian: b").copy()
+        F = as_floats(F, "affine Gaussian: F").copy("K")
+        b = as_floats(b, "affine Gaussian: b").copy("K")
         cov = as_floats(cov, "affine Gaussian: cov").copy()
         size = F.shape[-2] if F.ndim >= 2 else -1
         if b.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
@@ -54,16 +54,20 @@ class AffineGaussian(Immutable):
                 f"affine Gaussian: F {F.shape}, b {b.shape} and cov {cov.shape} must end in "
                 "(d, n), (d,) and (d, d)"
             )
-        try:
-            np.broadcast_shapes(F.shape[:-2], b.shape[:-1], cov.shape[:-2])
-        except ValueError:
-            raise ModelError(
-                f"affine Gaussian: the leading axes of F {F.shape}, b {b.shape} and cov "
-                f"{cov.shape} do not broadcast"
-            ) from None
+        if F.ndim > 2 or b.ndim > 1 or cov.ndim > 2:
+            try:
+                np.broadcast_shapes(F.shape[:-2], b.shape[:-1], cov.shape[:-2])
+            except ValueError:
+                raise ModelError(
+                    f"affine Gaussian: the leading axes of F {F.shape}, b {b.shape} and cov "
+                    f"{cov.shape} do not broadcast"
+                ) from None
         # Whether they are finite and symmetric is asked where they are used: an engine names the
         # CPD and the step, and what rounding leaves of an approximation error has no symmetry.
-        self._set(F=frozen(F), b=frozen(b), cov=frozen(symmetrised(cov)))
+        cov = symmetrised(cov)
+        for part in (F, b, cov):
+            set_writeable(part, False)
+        self._set(F=F, b=b, cov=cov)
 
     def forward(self, x: Gaussian, child: Variable) -> Gaussian:
         """The child's marginal: mean F μ + b and covariance F P Fᵀ + Σ."""

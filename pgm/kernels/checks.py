@@ -33,6 +33,8 @@ def symmetrised(matrix: Array) -> Array:
 
 def is_symmetric(matrix: Array) -> bool:
     """Whether stacked matrices are symmetric to the last digit."""
+    if matrix.ndim == 2 and matrix.tobytes() == matrix.T.tobytes():
+        return True  # of a small one this is known in a fraction of the time
     return bool((matrix == transpose(matrix)).all())
 
 

@@ -25,11 +25,12 @@ from pgm.kernels.arrays import (
     symmetric,
 )
 from pgm.kernels.moments import ROUNDING
-from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.straight import checking, predicting, updating
 
 # Below this part of its diagonal entry a pivot of several readings together costs too many digits.
 NEARLY_SINGULAR = 1e-6
+# And of a covariance, below which its root is left to `roots`, which tells zeros from rounding.
+_REGULAR = 1e-11
 
 
 @lru_cache(maxsize=1)
@@ -47,18 +48,18 @@ def deviations(cov: Array) -> Array:
 
 
 def root(cov: Array) -> Array | None:
-    """The lower triangular L with P = L Lᵀ; None where a pivot is negligible, or there is none."""
+    """The lower triangular L with P = L Lᵀ; None where P is nearly singular, or has none."""
     if cov.ndim > 3:
         shape = cov.shape
-        flat = along_runs.root(cov.reshape(*shape[:2], -1))
+        flat = along_runs.root(cov.reshape(*shape[:2], -1), _REGULAR)
         return None if flat is None else flat.reshape(shape)
     if cov.ndim == 3:
-        return along_runs.root(cov)
+        return along_runs.root(cov, _REGULAR)
     lower, fault = _lapack().dpotrf(cov, 1)
     if fault:
         return None
     for pivot, entry in zip(lower.diagonal().tolist(), cov.diagonal().tolist(), strict=True):
-        if not pivot * pivot > NEGLIGIBLE * entry:
+        if not pivot * pivot > _REGULAR * entry:
             return None
     found: Array = lower
     return found

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
 from pgm.kernels import differences
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Index, Integers, Mask
+from pgm.kernels.arrays import Array, Index, Integers, Mask, components_first, components_last
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
 Function = Callable[..., Any]
 
-_FLOAT = np.dtype(np.float64)
+_ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)
 # Up to so many numbers are copied in less time than it takes to broadcast them.
 _FEW = 4096
 
@@ -202,7 +202,7 @@ class BoundFunction(_Bound):
     def __call__(self, x: Array) -> Array:
         """The value, (..., d), at stacked hidden parents x, (..., n)."""
         arguments, shape = self._arguments(x)
-        return self._value(x, arguments, shape)
+        return _along_runs(self._value(x, arguments, shape), 1)
 
     def jacobian(self, x: Array, std: Array | None = None) -> Array:
         """The derivative, (..., d, n), as the user gave it, else by central differences.
@@ -214,7 +214,7 @@ class BoundFunction(_Bound):
         std : ndarray, optional
             Standard deviations, (..., n), which set the steps of the differences.
         """
-        return self._jacobian(x, std, *self._arguments(x))
+        return _along_runs(self._jacobian(x, std, *self._arguments(x)), 2)
 
     def tangent(self, x: Array, std: Array | None = None) -> tuple[Array, Array]:
         """The value and the derivative."""
@@ -223,10 +223,20 @@ class BoundFunction(_Bound):
         if template.derivative is None or self.group is not None:
             return self._value(x, arguments, shape), self._jacobian(x, std, arguments, shape)
         # Of a single hidden parent the derivative is all of the Jacobian.
+        role, function = "function", template.function
+        try:
+            value = function(*arguments)
+            role, function = template.derivatives[0][0], template.derivative
+            slope = function(*arguments)
+        except Exception as error:
+            raise self._told(role, x).failure(function, arguments, error) from error
         due = (*shape, template.height)
-        value = self._call("function", template.function, x, arguments, due)
-        role, width, _, _ = template.derivatives[0]
-        return value, self._call(role, template.derivative, x, arguments, (*due, width))
+        if not _is(value, due):
+            value = self._told("function", x).array(template.function, arguments, value, due)
+        due = (*due, template.size)
+        if not _is(slope, due):
+            slope = self._told(role, x).array(function, arguments, slope, due)
+        return value, slope
 
     def apart(self) -> BoundFunction:
         """The function of each sighting by itself: they are the first leading axis."""
@@ -283,7 +293,7 @@ class BoundFunction(_Bound):
             value = function(*arguments)
         except Exception as error:
             raise self._told(role, x).failure(function, arguments, error) from error
-        if type(value) is np.ndarray and value.dtype is _FLOAT and value.shape == due:
+        if _is(value, due):
             return value
         return self._told(role, x).array(function, arguments, value, due)
 
@@ -292,6 +302,22 @@ class BoundFunction(_Bound):
         step = self.step if source.timed else None
         lead = x.shape[: self.lead]
         return Call(self.template.child, role, lead, step, source.first_run, source.cpd)
+
+
+def _is(value: Any, shape: tuple[int, ...]) -> TypeGuard[Array]:
+    """Whether a value is an array of floats of a shape, and of no subclass."""
+    return type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == shape
+
+
+def _along_runs(array: Array, own: int) -> Array:
+    """An array (runs, own axes) of many runs with the runs fastest in memory.
+
+    Functions that stack components along the last axis interleave them, which costs more wherever
+    the array is used next.
+    """
+    if array.ndim == own + 1:
+        return components_last(np.ascontiguousarray(components_first(array, own)), own)
+    return array
 
 
 def _expanded(value: Array, lead: int, extra: tuple[int, ...]) -> Array:

@@ -67,7 +67,7 @@ def prepare(lineariser: Lineariser, template: FunctionTemplate) -> Prepared:
     """A lineariser's own prepared form, or a plain callable wrapped as one."""
     own = getattr(lineariser, "prepare", None)
     if own is None:
-        return _Wrapped(lineariser, template)
+        return Wrapped(lineariser, template)
     prepared: Prepared = own(template)
     return prepared
 
@@ -108,13 +108,14 @@ class Misfit(Exception):
     """An answer of a lineariser that is none: what it is, and what was due."""
 
 
-class _Wrapped:
+class Wrapped:
     """A plain callable, called with a `Gaussian` over the hidden parents."""
 
     def __init__(self, lineariser: Lineariser, template: FunctionTemplate) -> None:
         self.lineariser, self.scope = lineariser, template.hidden
 
     def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
+        """Linearise at beliefs (n, *batch) and (n, n, *batch)."""
         if function.group is not None and not function.joint:
             return apart(self, function, mean, cov)
         at = Gaussian._make(self.scope, components_last(mean, 1), components_last(cov, 2))

@@ -224,7 +224,9 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
         noise = (left if signs is None else signs * left).dot(left.T)
     slope, value = found[:, 1:first], reference + found[:, 0]
     matrix = gaussian.divide(slope, lower)
-    if not _is_plain(noise, slope, reference):
+    if not batch:
+        _clear_rounding(noise, slope, reference, raw, matrix, mean, points.rounding)
+    elif not _is_plain(noise, slope, reference):
         size = np.abs(raw).max(axis=1)
         noise = _without_rounding(noise, reference, size, matrix, mean, points.rounding)
     if len(batch) < 2:
@@ -280,12 +282,28 @@ def _is_plain(noise: Array, slope: Array, reference: Array) -> bool:
 
     Of values that lie on their line the slope and one of them tell the size.
     """
-    if noise.ndim == 2:
-        sizes = map(hypot, reference.tolist(), *slope.T.tolist())
-        variances = noise.diagonal().tolist()
-        return all(v > _PLAIN * r * r for v, r in zip(variances, sizes, strict=True))
     square = reference * reference + np.einsum("ij...,ij...->i...", slope, slope)
     return bool((np.einsum("ii...->i...", noise) > _PLAIN * square).all())
+
+
+def _clear_rounding(
+    noise: Array,
+    slope: Array,
+    reference: Array,
+    raw: Array,
+    matrix: Array,
+    mean: Array,
+    share: float,
+) -> None:
+    """`_without_rounding` at one belief, in place: few numbers are compared one by one."""
+    sizes = map(hypot, reference.tolist(), *slope.T.tolist())
+    for k, (variance, size) in enumerate(zip(noise.diagonal().tolist(), sizes, strict=True)):
+        if variance > _PLAIN * size * size:
+            continue
+        summands = abs(reference.item(k)) + max(map(abs, raw[k].tolist()), default=0.0)
+        summands += sum(abs(f * m) for f, m in zip(matrix[k].tolist(), mean.tolist(), strict=True))
+        if not abs(variance) > (share * summands) ** 2:
+            noise[k], noise[:, k] = 0.0, 0.0
 
 
 def _without_rounding(

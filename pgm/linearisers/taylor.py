@@ -32,12 +32,12 @@ class Taylor(ArrayLineariser):
 
 
 def _tangent(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    if mean.ndim == 1 and function.analytic:
-        value, slope = function.tangent(mean)
-        return Line(slope, value, None)
     x = components_last(mean, 1)
     std = None if function.analytic else components_last(deviations(cov), 1)
-    value, slope = function.tangent(x, std)
+    if isinstance(function, BoundFunction):
+        value, slope = function.tangent(x, std)
+    else:  # a user's own, in its place
+        value, slope = function(x), function.jacobian(x, std)
     slope, value = components_first(slope, 2), components_first(value, 1)
     return Line(np.ascontiguousarray(slope), np.ascontiguousarray(value), None)
 

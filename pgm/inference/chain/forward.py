@@ -22,7 +22,7 @@ from pgm.kernels import memory
 from pgm.kernels.arrays import Array, stacked
 
 # From this many runs on, only the beliefs of a filter are kept until something else is asked for.
-MANY = 32
+MANY = 8
 # And so many runs at a time: what a step touches then stays in a cache of some megabytes.
 MOST = 10_000
 
@@ -78,12 +78,13 @@ class Filtered:
     mean: Array
     cov: Array
     log_density: Array
+    schedule: Filtering = ONCE
     closest: float = 1.0
 
     @cached_property
     def whole(self) -> Forward:
         """What a sweep leaves; the plan holds its linearisations only then."""
-        return run(self.plan, ONCE)[0]
+        return run(self.plan, self.schedule)[0]
 
 
 class _Record:
@@ -167,20 +168,27 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     return out, Status.of(chain.residuals, chain.converged, plan.lead)
 
 
-def filtered(plan: ChainPlan) -> tuple[Filtered, Status]:
-    """The beliefs of `run` alone, each CPD linearised once."""
+def filtered(plan: ChainPlan, schedule: Filtering) -> tuple[Filtered, Status]:
+    """The beliefs of `run` alone."""
+    require_cost(schedule, (sensor.family for sensor in plan.sensors))
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
     mean, cov, log_density = stacked(shape, (size,)), stacked(shape, (size, size)), np.empty(shape)
     parts, closest, converged = math.ceil(plan.runs / MOST), 1.0, np.ones(plan.runs, dtype=bool)
+    records: list[list[Array]] = []
     edges = [part * plan.runs // parts for part in range(parts + 1)]
     for runs in map(slice, edges, edges[1:]):
         part = plan.of(runs) if parts > 1 else plan
         record = _Record(part, (mean[:, runs], cov[:, runs], log_density[:, runs]))
-        chain = MomentChain(part, ONCE, keep=False, room=record.room)
-        _swept(part, chain, record, ONCE)
+        chain = MomentChain(part, schedule, keep=False, room=record.room)
+        _swept(part, chain, record, schedule)
         closest, converged[runs] = min(closest, record.watch.closest), chain.converged
-    found = Filtered(plan, mean, cov, log_density, closest)
-    return found, Status.of([], converged, plan.lead)
+        records.append(chain.residuals)
+    found = Filtered(plan, mean, cov, log_density, schedule, closest)
+    longest = max(map(len, records))
+    # A part that was done earlier keeps its last residuals.
+    padded = [each + each[-1:] * (longest - len(each)) for each in records]
+    residuals = [np.concatenate(rows) for rows in zip(*padded, strict=True)]
+    return found, Status.of(residuals, converged, plan.lead)
 
 
 def _whole(plan: ChainPlan, out: Forward) -> _Record:

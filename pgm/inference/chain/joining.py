@@ -44,7 +44,9 @@ def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward | Filter
     parts = [each._swept for each in found]
     if all(isinstance(part, Filtered) for part in parts):
         names = "mean", "cov", "log_density"
-        return Filtered(plan, *(_along_runs(np.ndarray, _each(parts, name)) for name in names))
+        beliefs = (_along_runs(np.ndarray, _each(parts, name)) for name in names)
+        mean, cov, log_density = beliefs
+        return Filtered(plan, mean, cov, log_density, _each(parts, "schedule")[0])
     plans = [each._plan for each in found]
     for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
         _family(family, families)

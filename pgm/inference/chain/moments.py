@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from pgm.inference import faults
 from pgm.inference.chain import readings, refusals
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.reading import MomentReading, take
 from pgm.inference.chain.readings import Moments, Reading, Room
-from pgm.inference.family import At
+from pgm.inference.rows import At
 from pgm.inference.schedule import Filtering
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
@@ -122,7 +123,7 @@ class MomentChain:
             link, at = self.plan.transition[0], ats[0]
             matrix, value, noise, bare = self._linearised(link, at, mean, mean, cov)
             after = gaussian.predict(cov, matrix, noise, bare)
-            if self.check or not link.family.semidefinite:
+            if self.check or (noise is not at.noise and not link.family.semidefinite):
                 refusals.prediction(link, step, after, finite=self.check)
             return Moments(value, after)
         front, batch = layout.state_size, self.plan.batch
@@ -179,7 +180,7 @@ class MomentChain:
             link, at, mean, parents, within(cov, link.parents)
         )
         gaussian.extend(mean, cov, link.child, link.parents, matrix, value, noise, bare)
-        if self.check or not link.family.semidefinite:
+        if self.check or (noise is not at.noise and not link.family.semidefinite):
             own = cov[link.child, link.child]
             refusals.prediction(link, step, own, finite=self.check)
 
@@ -194,14 +195,15 @@ class MomentChain:
         line = family.line(at, mean, cov)
         matrix, value, error = line
         if self.check and at.function is not None:
-            family.require_finite(at.function, mean, line)
+            faults.require_finite(family, at.function, mean, line)
         noise = at.noise
         if error is not None:
             noise = noise + error
             bare = tuple(k for k in bare if not noise[k, k].any())
         if at.function is not None:
             # A function may return an array that it uses again.
-            value = on_chart(link, at, before, value) if link.turning else value
+            if link.turning:
+                value = on_chart(link, at, before, value)
             if value is line.value:
                 value = value.copy()
             if self.keeps:

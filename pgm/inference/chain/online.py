@@ -223,7 +223,7 @@ class OnlineFilter(Immutable):
             )
         else:
             log_evidence = np.array(belief.log_evidence.item() + float(log_density))
-        if not _is_finite(found):
+        if (laid is None or not parts) and not _is_finite(found):
             _refuse(belief.step)
         if chain.residuals or plan.lead:
             status = Status.of(chain.residuals, chain.converged, plan.lead)

@@ -38,17 +38,21 @@ def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
             key += id(variable), row.shape
             continue
         row = _view(value.values, 2)
-        if row is None or value.step is not None or not isfinite(sum(row.ravel().tolist())):
+        if row is None or value.step is not None or not _is_finite(row):
             return None
         rows.append(row)
         key += id(variable), _SIGHTED, row.shape
         for parent, each in value.given.items():
             row = _view(each, 2)
-            if row is None or not isfinite(sum(row.ravel().tolist())):
+            if row is None or not _is_finite(row):
                 return None
             rows.append(row)
             key += id(parent), _GIVEN, row.shape
     return tuple(key), rows
+
+
+def _is_finite(row: Array) -> bool:
+    return isfinite(sum((row if row.ndim == 1 else row.ravel()).tolist()))
 
 
 def _view(value: Any, axes: int) -> Array | None:

@@ -15,7 +15,8 @@ from pgm.inference.chain.online_belief import OnlineBelief
 from pgm.inference.chain.online_given import Key, ordinary, places
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Reading
-from pgm.inference.family import At, Family
+from pgm.inference.family import Family
+from pgm.inference.rows import At
 from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable

@@ -22,7 +22,8 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic_layout import Inputs
 from pgm.factors.scope import Scope
-from pgm.inference.family import At, Family
+from pgm.inference.family import Family
+from pgm.inference.rows import At
 from pgm.kernels import along_runs, roots
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
@@ -138,6 +139,16 @@ class Sensor:
         return wide.copy("K") if self.variable.angles else wide
 
     @cached_property
+    def height(self) -> int:
+        """Components of a sighting."""
+        return self.variable.dimension
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether it reads the whole slice, with some noise."""
+        return self.whole and not self.exact
+
+    @cached_property
     def exact(self) -> bool:
         """Whether the noise of some reading is singular."""
         return bool(roots.determined(roots.root(self.family.own_noise)).any())
@@ -153,13 +164,9 @@ class Sensor:
 
     def turning(self, height: int) -> list[int]:
         """The places of angles among so many components of sightings."""
-        if not self._angles or height == self.variable.dimension:
+        if not self._angles or height == self.height:
             return self._angles
-        return [
-            first + angle
-            for first in range(0, height, self.variable.dimension)
-            for angle in self._angles
-        ]
+        return [first + angle for first in range(0, height, self.height) for angle in self._angles]
 
     @cached_property
     def _angles(self) -> list[int]:
@@ -167,9 +174,7 @@ class Sensor:
 
     def sharpness(self, noise: Array) -> Array | None:
         """The `along_runs.sharpness` of a noise that is the same at all steps."""
-        if not (self.family.taylor and noise is self._constant):
-            return None
-        return self._sharpness
+        return self._sharpness if noise is self._constant else None
 
     @cached_property
     def _constant(self) -> Array | None:
@@ -209,7 +214,7 @@ class Sensor:
 
     def keep(self, at: At, reading: Array, noise: Array | None) -> None:
         """Keep where angles were moved to, and the covariances between sightings' errors."""
-        count, height = at.last - at.first, self.variable.dimension
+        count, height = at.last - at.first, self.height
         if self._angles:
             wide = reading.reshape(count, height, *(reading.shape[1:] or (1,)))
             self.moved[at.first : at.last] = wide.transpose(0, 2, 1)

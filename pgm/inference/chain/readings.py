@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.inference import faults
 from pgm.inference.chain import refusals
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Sensor
 from pgm.inference.chain.vector import Measured, Vector, vector
-from pgm.inference.family import At
+from pgm.inference.rows import At
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import LOG_2PI, Array, Mask, components_first, components_last, within
@@ -74,7 +75,13 @@ def update(
     """
     if not parts:
         return belief, 0.0
-    several = len(parts) > 1 or len(parts[0].value) > parts[0].sensor.variable.dimension
+    if len(parts) == 1 and parts[0].plain and belief.mean.ndim == 1:
+        # A regular reading of one run, the usual case.
+        seen, (mean, cov, _) = parts[0], belief
+        one = gaussian.update_one(mean, cov, seen.matrix, seen.residual(mean), seen.noise)
+        if one is not None and isfinite(one[2]):
+            return Moments(one[0], one[1], False), one[2]
+    several = len(parts) > 1 or len(parts[0].value) > parts[0].sensor.height
     found = _absorb(parts, step, belief, NEARLY_SINGULAR if several else NEGLIGIBLE, room)
     if found is not None:
         return found
@@ -103,10 +110,6 @@ def _absorb(
         exact = first.sensor.exact
         sharp = first.sensor.sharpness(first.noise) if mean.ndim > 1 else None
     matrix, residual, noise, missing = vector(parts, mean)
-    if mean.ndim == 1 and not exact and missing is None:
-        one = gaussian.update_one(mean, cov, matrix, residual, noise)
-        if one is not None and isfinite(one[2]):
-            return Moments(one[0], one[1], False), one[2]
     least_share = least or NEGLIGIBLE
     found = gaussian.update(
         mean, cov, matrix, residual, noise, room, exact=exact, sharp=sharp, least=least_share
@@ -191,7 +194,7 @@ class Reading:
         if function is not None:
             error = seen.noise if self.erroneous else None
             line = Line(seen.matrix, seen.value, error)
-            self.sensor.family.require_finite(function, seen.point, line)
+            faults.require_finite(self.sensor.family, function, seen.point, line)
 
     def keep(self) -> None:
         """Keep how the sightings were linearised, in the plan."""

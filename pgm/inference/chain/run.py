@@ -146,9 +146,8 @@ def _smoothing(schedule: Calibration) -> Smoothing:
 
 def _sweep(plan: ChainPlan, schedule: Filtering) -> tuple[Forward | Filtered, Status]:
     """Filter; of many runs only the beliefs, as long as nothing else is asked for."""
-    once = schedule.iterations == 1 or all(sensor.family.exact for sensor in plan.sensors)
-    if once and plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
-        return forward.filtered(plan)
+    if plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
+        return forward.filtered(plan, schedule)
     return forward.run(plan, schedule)
 
 

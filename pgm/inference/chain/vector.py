@@ -43,6 +43,11 @@ class Measured(NamedTuple):
     offset: Array | None
 
     @property
+    def plain(self) -> bool:
+        """Whether all components of the whole slice are read with some noise."""
+        return self.taken is None and self.sensor.plain
+
+    @property
     def constant(self) -> Array:
         """The b of E[z] = H x + b."""
         if self.offset is not None:
@@ -67,7 +72,7 @@ class Measured(NamedTuple):
 
     def each(self) -> list[Measured]:
         """One sighting after another; together where their errors are correlated."""
-        height = self.sensor.variable.dimension
+        height = self.sensor.height
         count = len(self.value) // height
         if count == 1 or self.sensor.family.grouped:
             return [self]
