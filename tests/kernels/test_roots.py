@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from pgm.kernels import roots, single
+from pgm.kernels import gaussian, roots
 from tests.dense import algebra, definite, matrices, random_covariance
 
 # Batches that are solved matrix by matrix, and ones that are solved column by column.
@@ -244,7 +244,7 @@ def test_regular_covariances_are_told_number_by_number_too(size):
             continue  # too near to say
         due = min(shares) > 1e-7
         seen.add(due)
-        assert single.is_regular(cov, before, 1e-7) == due
+        assert gaussian.is_regular(cov, before, 1e-7) == due
     assert seen == {True, False}
     known = np.diag([0.0, *np.ones(size)])
-    assert single.is_regular(known, known, 1e-7)
+    assert gaussian.is_regular(known, known, 1e-7)
