@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 from pgm.compile import Balanced, compile
 from pgm.evidence import Evidence
@@ -19,6 +19,9 @@ from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
 
 @overload
 def filter(
@@ -31,7 +34,7 @@ def filter(
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
     keep: None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> ChainPosterior: ...
 
 
@@ -46,7 +49,7 @@ def filter(
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
     keep: Variable | Iterable[Variable],
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> KeptPosterior: ...
 
 
@@ -60,7 +63,7 @@ def filter(
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
     keep: Variable | Iterable[Variable] | None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> ChainPosterior | KeptPosterior:
     r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
 
@@ -77,7 +80,7 @@ def filter(
         T, where no plain array of the evidence tells.
     iterations, tolerance, damping
         Of `Filtering`.
-    keep, threads : optional
+    keep, executor : optional
         As for `infer`.
 
     Returns
@@ -95,7 +98,7 @@ def filter(
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps)
     graph = compile(model, bound.steps)
-    return run_chain(graph, bound, schedule, lineariser, None, keep, threads)
+    return run_chain(graph, bound, schedule, lineariser, None, keep, executor)
 
 
 @overload
@@ -111,7 +114,7 @@ def smooth(
     damping: Damping = 0.0,
     method: Balanced | None = None,
     keep: None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> ChainPosterior: ...
 
 
@@ -128,7 +131,7 @@ def smooth(
     damping: Damping = 0.0,
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable],
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> KeptPosterior: ...
 
 
@@ -144,7 +147,7 @@ def smooth(
     damping: Damping = 0.0,
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable] | None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> ChainPosterior | KeptPosterior:
     r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
 
@@ -170,7 +173,7 @@ def smooth(
         numbers, the components of a slice times the runs) and costs no digits (no noise-free or
         grouped readings, none that shrink a predicted variance 100,000 times); else step by step.
         `Balanced()` saves the filter's sweep, and starts from dead reckoning.
-    keep, threads : optional
+    keep, executor : optional
         As for `infer`.
 
     Returns
@@ -188,4 +191,4 @@ def smooth(
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps)
     graph = compile(model, bound.steps, method=method)
-    return run_chain(graph, bound, schedule, lineariser, start, keep, threads)
+    return run_chain(graph, bound, schedule, lineariser, start, keep, executor)

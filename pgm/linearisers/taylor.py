@@ -32,12 +32,15 @@ class Taylor(ArrayLineariser):
 
 
 def _tangent(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    x = components_last(mean, 1)
-    std = None if function.analytic else components_last(deviations(cov), 1)
+    x, std = components_last(mean, 1), None
+    if not function.analytic:
+        std = components_last(deviations(cov), 1)
     if isinstance(function, BoundFunction):
         value, slope = function.tangent(x, std)
     else:  # a user's own, in its place
         value, slope = function(x), function.jacobian(x, std)
+    if mean.ndim == 1:
+        return Line(slope, value, None)
     slope, value = components_first(slope, 2), components_first(value, 1)
     return Line(np.ascontiguousarray(slope), np.ascontiguousarray(value), None)
 

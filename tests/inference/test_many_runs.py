@@ -1,5 +1,7 @@
 """Many runs: worked through in parts, of beliefs alone at first, and judged anew at each step."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from robots import u, x
@@ -65,7 +67,8 @@ def test_a_filter_keeps_beliefs_alone_until_more_is_asked_for():
 
 
 def test_parts_that_threads_have_filtered_are_one_filter():
-    shared = filtered(threads=2)
+    with ThreadPoolExecutor(2) as pool:
+        shared = filtered(executor=pool)
     assert_each_alone(shared, kinds=("filtered",))
     assert_each_alone(shared)
 
