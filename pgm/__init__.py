@@ -19,6 +19,7 @@ from pgm.compile import (
 from pgm.cpds import GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD, TableCPD, noise
 from pgm.errors import (
     EvidenceError,
+    ExecutorError,
     FileError,
     GraphError,
     LinearisationError,
@@ -108,6 +109,7 @@ __all__ = [
     "Discrete",
     "DynamicBayesianNetwork",
     "EvidenceError",
+    "ExecutorError",
     "FileError",
     "Filtering",
     "FixedLag",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 
@@ -69,6 +70,22 @@ class LinearisationError(PgmError, ValueError):
 
 class NumericalError(PgmError, ArithmeticError):
     """A quantity that does not exist for these numbers, like the inverse of a singular matrix."""
+
+
+class ExecutorError(PgmError, RuntimeError):
+    """An executor that takes no work, or loses what it was handed.
+
+    Parameters
+    ----------
+    message : str
+        What was found and what to do about it.
+    runs : sequence of (int, int), optional
+        The runs that were lost: the first of each row of them, and that after its last.
+    """
+
+    def __init__(self, message: str, *, runs: Sequence[tuple[int, int]] = ()) -> None:
+        super().__init__(message, run=runs[0][0] if runs else None)
+        self.runs = tuple(runs)
 
 
 class PrecisionWarning(UserWarning):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 from pgm.compile import Balanced, compile
 from pgm.evidence import Evidence
@@ -19,6 +19,9 @@ from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
 
 @overload
 def filter(
@@ -31,7 +34,7 @@ def filter(
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
     keep: None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> ChainPosterior: ...
 
 
@@ -46,7 +49,7 @@ def filter(
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
     keep: Variable | Iterable[Variable],
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> KeptPosterior: ...
 
 
@@ -60,7 +63,7 @@ def filter(
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
     keep: Variable | Iterable[Variable] | None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> ChainPosterior | KeptPosterior:
     r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
 
@@ -77,7 +80,7 @@ def filter(
         T, where no plain array of the evidence tells.
     iterations, tolerance, damping
         Of `Filtering`.
-    keep, threads : optional
+    keep, executor : optional
         As for `infer`.
 
     Returns
@@ -95,7 +98,7 @@ def filter(
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps)
     graph = compile(model, bound.steps)
-    return run_chain(graph, bound, schedule, lineariser, None, keep, threads)
+    return run_chain(graph, bound, schedule, lineariser, None, keep, executor)
 
 
 @overload
@@ -112,7 +115,7 @@ def smooth(
     damping: Damping = 0.0,
     method: Balanced | None = None,
     keep: None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> ChainPosterior: ...
 
 
@@ -130,7 +133,7 @@ def smooth(
     damping: Damping = 0.0,
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable],
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> KeptPosterior: ...
 
 
@@ -147,14 +150,14 @@ def smooth(
     damping: Damping = 0.0,
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable] | None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
 ) -> ChainPosterior | KeptPosterior:
     r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
 
     .. math:: p(x_t \mid \text{all readings}), \quad t = 0, \ldots, T
 
-    With a lag it is `FixedLag(lag, iterations, tolerance, damping)`, whose beliefs know the readings
-    up to so many steps later.
+    With a lag it is `FixedLag(lag, iterations, tolerance, damping)`, whose beliefs know the
+    readings up to so many steps later.
 
     Parameters
     ----------
@@ -178,7 +181,7 @@ def smooth(
         numbers, the components of a slice times the runs) and costs no digits (no noise-free or
         grouped readings, none that shrink a predicted variance 100,000 times); else step by step.
         `Balanced()` saves the filter's sweep, and starts from dead reckoning.
-    keep, threads : optional
+    keep, executor : optional
         As for `infer`.
 
     Returns
@@ -197,4 +200,4 @@ def smooth(
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps)
     graph = compile(model, bound.steps, method=method)
-    return run_chain(graph, bound, schedule, lineariser, start, keep, threads)
+    return run_chain(graph, bound, schedule, lineariser, start, keep, executor)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
@@ -21,6 +21,9 @@ from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.variables import Variable
 
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
 CONTINUOUS = (
     "memory= is for the runs of discrete networks; of a dynamic network keep=[x] holds fewer at a "
     "time, and of others fewer runs to a call do"
@@ -36,7 +39,7 @@ def infer(
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
     keep: None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
     memory: float | None = None,
 ) -> ChainPosterior: ...
 
@@ -50,7 +53,7 @@ def infer(
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
     keep: Variable | Iterable[Variable],
-    threads: int = 1,
+    executor: Executor | None = None,
     memory: float | None = None,
 ) -> KeptPosterior: ...
 
@@ -64,7 +67,7 @@ def infer(
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
     keep: Variable | Iterable[Variable] | None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
     memory: float | None = None,
 ) -> Posterior: ...
 
@@ -77,7 +80,7 @@ def infer(
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
     keep: Variable | Iterable[Variable] | None = None,
-    threads: int = 1,
+    executor: Executor | None = None,
     memory: float | None = None,
 ) -> Posterior:
     """Send the messages of a schedule on a cluster graph.
@@ -108,14 +111,18 @@ def infer(
         Of a dynamic network, the hidden variables of whose results the marginals at all steps are
         kept, ``keep=[x]``, with log-evidence and status; without, everything is. The runs are then
         worked through in parts of some hundreds or thousands, of which no more is held at a time
-        than threads are at work, so that a study of 100,000 simulations fits. A rule that draws
-        points afresh for each run takes all runs as one part.
-    threads : int
-        Of a dynamic network, how many threads share the parts; the results are the same. NumPy
-        lets them work at the same time for a part of what they do: with many runs, and cores at
-        leisure, it may be faster, which only a measurement tells. The functions of the CPDs must
-        bear to be called by several threads. The threads of NumPy's linear algebra are other ones:
-        with small states they only get in the way (OMP_NUM_THREADS=1).
+        than are worked on, so that a study of 100,000 simulations fits. A rule that draws points
+        afresh for each run takes all runs as one part.
+    executor : concurrent.futures.Executor, optional
+        Of a dynamic network, to whose workers parts of the runs are handed, in their order, as
+        many parts for each: a process pool, a thread pool, a Dask client's `get_executor()`, an MPI
+        pool. Results are those of one process; so is an error, which is looked for once more in
+        this one. What a worker process is handed is pickled: the functions and classes that a
+        model is made of must stand in modules, by name. On Linux a `ProcessPoolExecutor` shares
+        memory with its caller, which is kept for the next call while the executor lives. Threads
+        gain little, since most calls are short, and the functions of the CPDs must bear them. The
+        threads of NumPy's linear algebra are other ones: with small states they only get in the
+        way (OMP_NUM_THREADS=1).
     memory : number, optional
         Of a discrete network and a graph without loops, how many bytes the tables of all runs may
         take, besides what the compiled graph takes, the evidence, and what is asked for; 2²⁸
@@ -135,9 +142,11 @@ def infer(
         If a cluster is too large, `memory` is too small for a run, or the schedule does not suit
         the graph.
     ModelError
-        If a function returns a wrong shape.
+        If a function returns a wrong shape, or cannot be pickled for a worker.
     LinearisationError, NumericalError
         If a number that is needed does not exist.
+    ExecutorError
+        If a worker dies, or the executor takes no work; ``.runs`` tells which runs were lost.
     """
     if not isinstance(graph, ClusterGraph):
         raise GraphError(f"infer takes a cluster graph (pgm.compile(network, ...)), not {graph!r}")
@@ -155,10 +164,10 @@ def infer(
         if memory is not None:
             raise GraphError(CONTINUOUS)
         bound = bind_chain(graph.model, evidence, graph.steps)
-        return run_chain(graph, bound, schedule, lineariser, start, keep, threads)
-    if keep is not None or threads != 1:
+        return run_chain(graph, bound, schedule, lineariser, start, keep, executor)
+    if keep is not None or executor is not None:
         raise GraphError(
-            f"keep= and threads= are for the runs of dynamic networks, not for {graph!r}; to hold "
+            f"keep= and executor= are for the runs of dynamic networks, not for {graph!r}; to hold "
             "less at a time, give fewer runs to a call"
         )
     if isinstance(schedule, Filtering | FixedLag):

@@ -77,6 +77,11 @@ class FunctionTemplate:
         return tuple(None if place == everything else place for place in self.places)
 
     @cached_property
+    def undivided(self) -> bool:
+        """Whether there is a single hidden parent, so that none has to be cut out."""
+        return len(self.hidden) == 1
+
+    @cached_property
     def derivatives(self) -> tuple[tuple[str, int, Index, Function | None], ...]:
         """Of each hidden parent: a name for messages, size, place, and the derivative if given."""
         every = zip(self.given, self.places, self.jacobians, strict=True)
@@ -271,6 +276,9 @@ class BoundFunction(_Bound):
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
     def _arguments(self, x: Array) -> tuple[list[Array], tuple[int, ...]]:
+        if x.ndim == 1 and self.group is None and self.template.undivided:
+            # Of one run there is nothing to broadcast, and often nothing to cut.
+            return [x if value is None else value for value in self.inputs], ()
         lead, shape = self.lead, x.shape[:-1]
         extra = shape[lead:]
         if self.group is not None:

@@ -9,11 +9,11 @@ import numpy as np
 from pgm.kernels.arrays import Array, components_first, components_last
 from pgm.kernels.gaussian import deviations
 from pgm.linearisers.function import BoundFunction, FunctionTemplate
-from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared
+from pgm.linearisers.lineariser import Builtin, Line, Prepared
 
 
 @dataclass(frozen=True)
-class Taylor(ArrayLineariser):
+class Taylor(Builtin):
     """First-order Taylor expansion at the mean: F = f'(μ), b = f(μ) − F μ.
 
     Uses the Jacobians given with the CPD, fourth-order central differences for the others. With
@@ -32,12 +32,15 @@ class Taylor(ArrayLineariser):
 
 
 def _tangent(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    if mean.ndim == 1 and function.analytic:
-        value, slope = function.tangent(mean)
+    x, std = components_last(mean, 1), None
+    if not function.analytic:
+        std = components_last(deviations(cov), 1)
+    if isinstance(function, BoundFunction):
+        value, slope = function.tangent(x, std)
+    else:  # a user's own, in its place
+        value, slope = function(x), function.jacobian(x, std)
+    if mean.ndim == 1:
         return Line(slope, value, None)
-    x = components_last(mean, 1)
-    std = None if function.analytic else components_last(deviations(cov), 1)
-    value, slope = function.tangent(x, std)
     slope, value = components_first(slope, 2), components_first(value, 1)
     return Line(np.ascontiguousarray(slope), np.ascontiguousarray(value), None)
 

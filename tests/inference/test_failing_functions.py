@@ -4,6 +4,7 @@ Each error names the CPD, the step and the run, and keeps the user's own as its 
 """
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -120,7 +121,7 @@ def balanced(model, evidence):
 
 
 def in_parts(model, evidence):
-    pgm.filter(model, evidence, keep=[x], threads=3)
+    pgm.filter(model, evidence, keep=[x], executor=ThreadPoolExecutor(3))
 
 
 def controlled(model, evidence):

@@ -1,5 +1,7 @@
 """What is kept of runs worked through in parts is what one run of everything gives."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -107,13 +109,13 @@ def test_the_kind_is_that_of_all_runs():
     assert kept.log_evidence_kind == "linearised"
 
 
-def test_parts_shrink_where_many_steps_or_threads_need_room(monkeypatch, noticed):
+def test_parts_shrink_where_many_steps_or_workers_need_room(monkeypatch, noticed):
     model, evidence = network(SIGHT.cpd()), recording()
     sizes = []
-    for room, threads in ((10**6, 1), (40_000, 1), (40_000, 2), (0, 1)):
+    for room, count in ((10**6, 1), (40_000, 1), (40_000, 2), (0, 1)):
         monkeypatch.setattr(parts, "ROOM", room)
         noticed.clear()
-        pgm.filter(model, evidence, keep=[], threads=threads)
+        pgm.filter(model, evidence, keep=[], executor=ThreadPoolExecutor(count))
         sizes.append(noticed[0][1])
         assert noticed[-1][1] == RUNS
     assert 5 == sizes[0] > sizes[1] > sizes[2] == sizes[3] == 1
@@ -243,7 +245,7 @@ def test_what_keep_refuses():
     net = pgm.BayesianNetwork(
         [pgm.GaussianCPD(a, 0.0, 1.0), pgm.LinearGaussianCPD(b, {a: 1.0}, cov=1.0)]
     )
-    with pytest.raises(pgm.GraphError, match=r"keep= and threads= are for .* dynamic networks"):
+    with pytest.raises(pgm.GraphError, match=r"keep= and executor= are for .* dynamic networks"):
         pgm.infer(pgm.compile(net), {b: 1.0}, keep=[a])
 
 
@@ -256,7 +258,7 @@ def test_an_error_in_a_later_part_names_the_run_among_all():
     lost = np.zeros((RUNS, 3))
     lost[17, 0] = 90.0
     model = network(SIGHT.cpd(function=careful, jacobian=None), prior=pgm.GaussianCPD(x, lost, P0))
-    for asked in ({}, {"keep": [x]}, {"threads": 2}):
+    for asked in ({}, {"keep": [x]}, {"executor": ThreadPoolExecutor(2)}):
         with pytest.raises(pgm.LinearisationError, match="step 0, run 17, has values that are NaN"):
             pgm.filter(model, evidence, **asked)
 
@@ -271,7 +273,7 @@ def test_a_contradiction_in_a_later_part_names_the_run_among_all():
         u: controls(np.random.default_rng(0), T),
         position.z: pgm.sightings(read, step=[0]),
     }
-    for asked in ({}, {"keep": [x]}, {"threads": 2}):
+    for asked in ({}, {"keep": [x]}, {"executor": ThreadPoolExecutor(2)}):
         with pytest.raises(pgm.NumericalError, match="run 12, contradicts"):
             pgm.filter(model, evidence, **asked)
 
@@ -288,6 +290,6 @@ def test_balanced_trees_are_parted_too(noticed):
     whole = pgm.infer(graph, evidence)
     same(pgm.infer(graph, evidence, keep=[x]), whole)
     assert len(noticed) == 5
-    shared = pgm.infer(graph, evidence, threads=2)
+    shared = pgm.infer(graph, evidence, executor=ThreadPoolExecutor(2))
     same(shared, whole)
     assert_allclose(shared.belief(12).h, whole.belief(12).h, atol=1e-9)

@@ -2,6 +2,7 @@
 
 import math
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 
@@ -86,11 +87,12 @@ def test_results_say_their_kind(model, schedule):
     assert repr(posterior.predicted) == "Marginals(predicted, steps 0..5)"
     runs = {fix: pgm.sightings(np.tile(VALUES, (3, 1, 1)), step=np.arange(T + 1))}
     for keep in (None, [place]):
-        for threads in (1, 2):
-            method = filtered if due == "filtered" else smoothed
-            found = method(model, runs, keep=keep, threads=threads)
-            assert found.kind == posterior.kind
-            assert repr(found).startswith(f"Posterior({due}, ")
+        method = filtered if due == "filtered" else smoothed
+        with ThreadPoolExecutor(2) as pool:
+            for executor in (None, pool):
+                found = method(model, runs, keep=keep, executor=executor)
+                assert found.kind == posterior.kind
+                assert repr(found).startswith(f"Posterior({due}, ")
     assert repr(found.kind) == repr(posterior.kind)
 
 

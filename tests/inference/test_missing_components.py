@@ -1,5 +1,7 @@
 """Readings that lack components, against dense conditioning on those that are there."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from dense import unrolled
@@ -128,7 +130,9 @@ SMOOTHERS = {
     "newton": lambda model, seen: pgm.infer(
         pgm.compile(model, T, method=pgm.Balanced()), seen, schedule=pgm.Smoothing(iterations=3)
     ),
-    "in parts": lambda model, seen: pgm.smooth(model, seen, steps=T, keep=[x], threads=2),
+    "in parts": lambda model, seen: pgm.smooth(
+        model, seen, steps=T, keep=[x], executor=ThreadPoolExecutor(2)
+    ),
 }
 
 

@@ -1,5 +1,7 @@
 """Many runs of which one is badly scaled, and at one step alone, against 300 digits."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from precise import eye, floats, mp, precise, zeros
@@ -54,7 +56,7 @@ def test_a_wide_push(step, variance):
     variances[APART, step - 1] = variance
     values = rng.normal(size=(RUNS, STEPS, 1))
     evidence = {w: variances, z: values}
-    for kept in ({}, {"keep": [x], "threads": 2}):
+    for kept in ({}, {"keep": [x], "executor": ThreadPoolExecutor(2)}):
         found = pgm.filter(network(), evidence, **kept)
         for run in (APART, 7):
             mean, cov, log_evidence = kalman(variances[run, :, 0], values[run, :, 0])

@@ -1,5 +1,6 @@
 """Sharp readings, and wide priors beside ordinary ones, against 300 digits."""
 
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
@@ -159,7 +160,12 @@ def assert_runs(belief, log_evidence, due, part):
         assert_evidence(log_evidence[run], each.log_evidence)
 
 
-@pytest.mark.parametrize("options", [{}, {"keep": x}, {"threads": 2}, {"keep": x, "threads": 2}])
+THREADS = ThreadPoolExecutor(2)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"keep": x}, {"executor": THREADS}, {"keep": x, "executor": THREADS}]
+)
 def test_many_runs_with_missing_readings(many, options, monkeypatch):
     monkeypatch.setattr(parts, "MOST", 15)
     deviation, values, due = many

@@ -8,7 +8,7 @@ from pgm.kernels import along_runs, arrays, moments, roots
 from pgm.kernels.arrays import by_runs, stacked, transpose
 from tests.dense import random_covariance
 
-RUNS = pytest.mark.parametrize("runs", [1, 31, 32, 300])
+RUNS = pytest.mark.parametrize("runs", [1, 31, 32])
 
 
 def by_run(array):
@@ -63,35 +63,10 @@ def test_one_belief_may_stand_for_all_runs(size, height):
     mean, cov = (np.broadcast_to(part[0], part.shape) for part in (mean, cov))
     seen = by_run(matrix), by_run(residual), by_run(noise)
     updated = moments.update(mean, cov, *seen, exact=False)
-    moved = moments.predict(mean, cov, moments.Conditional(*seen))
     for k in range(40):
         due = conditioned(mean[k], cov[k], matrix[k], residual[k], noise[k])
         for one, expected in zip(updated, due, strict=False):
             assert_allclose(one[k], expected, rtol=1e-8, atol=1e-10)
-        assert_allclose(moved[0][k], matrix[k] @ mean[k] + residual[k])
-        assert_allclose(moved[1][k], matrix[k] @ cov[k] @ matrix[k].T + noise[k])
-
-
-@RUNS
-@pytest.mark.parametrize(("size", "height"), [(1, 1), (3, 2), (2, 3)])
-def test_a_prediction_of_many_runs_is_that_of_each(runs, size, height):
-    mean, cov, matrix, offset, noise = problem(runs, size, height)
-    part = moments.Conditional(by_run(matrix), by_run(offset), by_run(noise))
-    found_mean, found_cov = moments.predict(by_run(mean), by_run(cov), part)
-    for k in range(runs):
-        assert_allclose(found_mean[k], matrix[k] @ mean[k] + offset[k])
-        assert_allclose(found_cov[k], matrix[k] @ cov[k] @ matrix[k].T + noise[k])
-    assert_array_equal(found_cov, transpose(found_cov))
-
-
-def test_a_weak_prior_loses_no_digits_of_a_sharp_reading():
-    """The covariance is a sum of squares: a difference would leave 1e-4 of 1e12 in a 1."""
-    runs = 100
-    mean, cov, matrix, residual, noise = problem(runs, 2, 2)
-    cov, matrix, noise = (np.broadcast_to(a, cov.shape) for a in (1e12 * np.eye(2), np.eye(2), 1.0))
-    noise = noise * np.eye(2)
-    found = moments.update(*map(by_run, (mean, cov, matrix, residual, noise)), exact=False)
-    assert_allclose(found.cov, np.broadcast_to(np.eye(2), cov.shape), atol=1e-10)
 
 
 @pytest.mark.parametrize("height", [1, 2, 3])
@@ -161,20 +136,6 @@ def test_a_predictive_covariance_that_rounding_leaves_below_the_noise_is_not_mil
     assert fell > 5
 
 
-def test_a_determinant_too_small_for_numbers_costs_no_digits():
-    """That of twenty readings with deviations of 1e-8, for one."""
-    runs, height = 40, 20
-    mean, cov, matrix, residual, _ = problem(runs, 2, height)
-    scale = 1e-8
-    noise = np.broadcast_to(np.eye(height), (runs, height, height))
-    small = (mean * scale, 0.01 * cov * scale**2, matrix, residual * scale, noise * scale**2)
-    found = moments.update(*map(by_run, small), exact=False)
-    due = moments.update(*map(by_run, (mean, 0.01 * cov, matrix, residual, noise)), exact=False)
-    assert 0.0 < np.prod(np.diagonal(small[4][0])) < np.finfo(float).tiny
-    assert_allclose(found.log_density, due.log_density - height * np.log(scale), rtol=1e-12)
-    assert_allclose(found.cov, due.cov * scale**2, rtol=1e-9)
-
-
 @pytest.mark.parametrize("lead", [(40,), (5, 40)])
 def test_products_keep_the_layout(lead):
     rng = np.random.default_rng(1)
@@ -221,16 +182,6 @@ def test_one_indefinite_matrix_among_many():
     assert np.isnan(lower[3]).all()
     assert_array_equal(roots.determined(lower[4]), [False, True, False])
     assert_allclose(lower[5:], np.linalg.cholesky(cov[5:]), atol=1e-12)
-
-
-def test_a_root_of_runs_is_that_of_each_or_none():
-    _, cov, _, _, _ = problem(50, 3, 1)
-    due = np.linalg.cholesky(cov)
-    assert_allclose(np.moveaxis(along_runs.root(np.moveaxis(cov, 0, -1)), -1, 0), due, atol=1e-12)
-    for bad in (np.diag([1.0, -1.0, 1.0]), np.diag([1.0, np.nan, 1.0]), np.full((3, 3), 0.1)):
-        cov[3] = bad + 1e-15 * np.eye(3)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            assert along_runs.root(np.moveaxis(cov, 0, -1)) is None
 
 
 @pytest.mark.parametrize("runs", [1, 50])

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from pgm.kernels import roots, single
+from pgm.kernels import roots
 from tests.dense import algebra, definite, matrices, random_covariance
 
 # Batches that are solved matrix by matrix, and ones that are solved column by column.
@@ -226,25 +226,3 @@ def test_the_smallest_share_left_open():
     stack = roots.root(np.stack([np.eye(2), correlated]))
     assert_allclose(roots.smallest_pivot(stack), 1.0 - 1.8**2 / 4.0)
     assert roots.smallest_pivot(roots.root(np.ones((2, 2)))) == 0.0
-
-
-@pytest.mark.parametrize("size", [1, 2, 3, 4, 6])
-def test_regular_covariances_are_told_number_by_number_too(size):
-    """The same as from pivots of a Cholesky factor, and of a fall of a variance."""
-    rng = np.random.default_rng(size)
-    seen = set()
-    for power in np.linspace(-6, 0, 60):
-        square = rng.normal(size=(size, size))
-        square[-1] = square[0] + 10.0**power * square[-1]
-        cov = square @ square.T
-        before = cov * 10.0 ** rng.uniform(-1, 8)
-        pivots = np.diagonal(np.linalg.cholesky(cov)) ** 2
-        shares = [*(pivots / np.diagonal(cov)), *(np.diagonal(cov) / np.diagonal(before))]
-        if abs(np.log(min(shares) / 1e-7)) < 0.1:
-            continue  # too near to say
-        due = min(shares) > 1e-7
-        seen.add(due)
-        assert single.is_regular(cov, before, 1e-7) == due
-    assert seen == {True, False}
-    known = np.diag([0.0, *np.ones(size)])
-    assert single.is_regular(known, known, 1e-7)

@@ -11,8 +11,9 @@ from pgm.inference.audit.density import Term, refuse_exact
 from pgm.inference.audit.proposal import Proposal
 from pgm.inference.chain import backward
 from pgm.inference.chain.backward import Beliefs, Reverse
-from pgm.inference.chain.plan import ChainPlan, Link, Sensor
+from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.sensor import Sensor
 from pgm.inference.kind import SMOOTHED
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Mask, block

@@ -8,8 +8,9 @@ import numpy as np
 
 from pgm.errors import ModelError, NumericalError
 from pgm.inference.chain.iteration import Point
-from pgm.inference.chain.plan import ChainPlan, Link, Sensor
+from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments
+from pgm.inference.chain.sensor import Sensor
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.family import Family
 from pgm.inference.schedule import Filtering, Smoothing

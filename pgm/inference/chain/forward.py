@@ -168,11 +168,14 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     return out, Status.of(chain.residuals, chain.converged, plan.lead)
 
 
-def filtered(plan: ChainPlan, schedule: Filtering) -> tuple[Filtered, Status]:
-    """The beliefs of `run` alone."""
+def filtered(
+    plan: ChainPlan, schedule: Filtering, room: Room | None = None
+) -> tuple[Filtered, Status]:
+    """The beliefs of `run` alone, in the room for their moments, if there is any."""
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
-    mean, cov, log_density = stacked(shape, (size,)), stacked(shape, (size, size)), np.empty(shape)
+    mean, cov = room or (stacked(shape, (size,)), stacked(shape, (size, size)))
+    log_density = np.empty(shape)
     parts, closest, converged = math.ceil(plan.runs / MOST), 1.0, np.ones(plan.runs, dtype=bool)
     records: list[list[Array]] = []
     edges = [part * plan.runs // parts for part in range(parts + 1)]

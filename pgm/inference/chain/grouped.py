@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.inference.chain.plan import Sensor
+from pgm.inference.chain.sensor import Sensor
 from pgm.kernels.arrays import Array, Integers, Mask, apply, block, components_last
 from pgm.linearisers import BoundFunction
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pgm.errors import EvidenceError
 from pgm.inference.chain.forward import Forward
-from pgm.inference.chain.plan import Sensor
+from pgm.inference.chain.sensor import Sensor
 from pgm.inference.posterior import require_variable
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, sandwich

@@ -13,9 +13,11 @@ from pgm.evidence import BoundEvidence
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
-from pgm.inference.chain.plan import ChainPlan, Sensor
+from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
+from pgm.inference.kind import FILTERED, SMOOTHED
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Lineariser
@@ -25,13 +27,14 @@ def joined(
     graph: DynamicGraph,
     bound: BoundEvidence,
     lineariser: Lineariser,
+    status: Status,
     found: Sequence[ChainPosterior],
 ) -> ChainPosterior:
     """What one run of everything would have left."""
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     return type(found[0])(
         graph,
-        one_status((each.status for each in found), bound.lead),
+        status,
         found[0].kind,
         plan,
         _swept(plan, found),
@@ -42,14 +45,26 @@ def joined(
     )
 
 
-def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward | Filtered:
-    """What the forward sweeps left; of filters the beliefs alone, as long as that will do."""
-    parts = [each._swept for each in found]
-    if all(isinstance(part, Filtered) for part in parts):
-        names = "mean", "cov", "log_density"
-        beliefs = (_along_runs(np.ndarray, _each(parts, name)) for name in names)
-        mean, cov, log_density = beliefs
-        return Filtered(plan, mean, cov, log_density, _each(parts, "schedule")[0])
+def swept_once(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    status: Status,
+    beliefs: Sequence[Array],
+) -> ChainPosterior:
+    """The posterior of a filter or smoother that linearised once, of its beliefs.
+
+    Another sweep leaves the rest, once it is asked for.
+    """
+    plan = ChainPlan.make(graph, bound, lineariser, probe=False)
+    mean, cov, log_density, *smoothed = beliefs
+    swept, kind = Filtered(plan, mean, cov, log_density), SMOOTHED if smoothed else FILTERED
+    last = Beliefs(*smoothed) if smoothed else None
+    return ChainPosterior(graph, status, kind, plan, swept, last, None)
+
+
+def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
+    """What the forward sweeps left; the plan is linearised as they were."""
     plans = [each._plan for each in found]
     for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
         _family(family, families)

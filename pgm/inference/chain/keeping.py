@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgm.boundary import is_whole
 from pgm.compile import DynamicGraph, SliceLayout
-from pgm.errors import EvidenceError, GraphError, ModelError
+from pgm.errors import EvidenceError, ExecutorError, GraphError, PgmError
 from pgm.evidence import BoundEvidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, as_scope, listed
-from pgm.inference.chain.joining import joined, one_status
+from pgm.inference.chain.jobs import Job, Told, Wanted, do, write
+from pgm.inference.chain.joining import joined, one_status, swept_once
 from pgm.inference.chain.kept import KeptPosterior
-from pgm.inference.chain.parts import Part, each, split
+from pgm.inference.chain.parts import Part, split
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run as run_chain
-from pgm.inference.kind import Kind
+from pgm.inference.executors import Workers
 from pgm.inference.schedule import Filtering, Schedule
 from pgm.inference.start import Start
-from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
 from pgm.sizes import require_memory
 from pgm.variables import Variable
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 Keep = Variable | Iterable[Variable]
 
@@ -36,7 +39,7 @@ def run(
     lineariser: Lineariser,
     start: Start | None,
     keep: Keep | None,
-    threads: int,
+    executor: Executor | None,
 ) -> ChainPosterior | KeptPosterior:
     """Send the messages of a schedule.
 
@@ -46,51 +49,61 @@ def run(
         As `run` of a chain takes them.
     keep : Variable or iterable of Variable, or None
         Whose marginals alone are kept, which bounds what is held at a time; None for everything.
-    threads : int
-        How many threads share the parts.
+    executor : Executor or None
+        Whose workers share the parts.
     """
-    if not is_whole(threads) or threads < 1:
-        raise ModelError(f"threads must be a whole number, 1 or more, not {threads!r}")
+    workers = Workers(executor)
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)
-    if kept is None and threads == 1:
-        return run_chain(graph, bound, schedule, lineariser, start)
-
-    def solve(part: Part) -> ChainPosterior:
-        return run_chain(part.graph, part.bound, schedule, lineariser, part.start)
-
-    parts = split(graph, bound, lineariser, start, threads)
-    if kept is None:
-        found = list(each(solve, parts, threads))
-        if len(found) == 1:
-            return found[0]
-        if any(each._careful is not None for each in found):
-            # Their joints need all that the careful passes leave.
+    parts = [Part(slice(0, bound.runs), graph, bound, start)]
+    if kept is not None or executor is not None:
+        parts = list(split(graph, bound, lineariser, start, workers.count))
+    if len(parts) == 1:
+        workers = Workers(None)
+        if kept is None:
             return run_chain(graph, bound, schedule, lineariser, start)
-        return joined(graph, bound, lineariser, found)
-    room = {variable: _room(graph.layout, bound, variable) for variable in kept}
-    log_evidence = np.empty(bound.runs)
+    wanted = Wanted.of(graph, schedule, start, kept)
+    room = workers.room(wanted.shapes(graph, bound))
+    jobs = [
+        Job(part, schedule, lineariser, wanted, _of(room, part) if workers.shares else None)
+        for part in parts
+    ]
+    model, told = graph.model, list[Told]()
+    named = (*model.prior, *model.transition, *model.observation, lineariser)
+    work = workers.each(do, jobs, [part.runs for part in parts], large=not room, named=named)
+    for part, done in zip(parts, work, strict=True):
+        if isinstance(done.error, PgmError) and not isinstance(done.error, ExecutorError):
+            # The error is to be that of one process, whose first one is of other runs maybe.
+            whole = [Part(slice(0, bound.runs), graph, bound, start)]
+            for own in whole if kept is None else split(graph, bound, lineariser, start, 1):
+                if own.runs.stop > part.runs.start and own.runs.start < part.runs.stop:
+                    run_chain(own.graph, own.bound, schedule, lineariser, own.start)
+        each = done.result()
+        if each.careful and kept is None:
+            # Its joints need all that the careful pass leaves.
+            return run_chain(graph, bound, schedule, lineariser, start)
+        if each.arrays is not None:
+            write(_of(room, part), each.arrays)
+        told.append(each._replace(arrays=None))
+    status = one_status((each.status for each in told), bound.lead)
+    if kept is not None:
+        kinds = {each.log_evidence_kind for each in told}
+        return KeptPosterior(
+            graph,
+            status,
+            told[0].kind,
+            _gaussians(kept, room, bound),
+            frozen(room[-1].reshape(bound.lead).copy()),
+            kinds.pop() if len(kinds) == 1 else "linearised",  # a fixed point is one of all runs
+        )
+    if wanted.beliefs:
+        return swept_once(graph, bound, lineariser, status, room)
+    found = [each.found for each in told if each.found is not None]
+    return joined(graph, bound, lineariser, status, found)
 
-    def reduce(part: Part) -> tuple[Status, Kind, str]:
-        found = solve(part)
-        for variable, (mean, cov) in room.items():
-            belief = found[variable]
-            mean[part.runs] = belief.mean.reshape(mean[part.runs].shape)
-            cov[part.runs] = belief.cov.reshape(cov[part.runs].shape)
-        log_evidence[part.runs] = found.log_evidence.reshape(-1)
-        return found.status, found.kind, found.log_evidence_kind
 
-    statuses, kinds, evidence = zip(*each(reduce, parts, threads), strict=True)
-    return KeptPosterior(
-        graph,
-        one_status(statuses, bound.lead),
-        kinds[0],
-        _gaussians(room, bound),
-        frozen(log_evidence.reshape(bound.lead)),
-        evidence[0]
-        if len(set(evidence)) == 1
-        else "linearised",  # a fixed point is one of all runs
-    )
+def _of(room: Sequence[Array], part: Part) -> list[Array]:
+    return [array[:, part.runs] for array in room]
 
 
 def _require_memory(
@@ -119,22 +132,15 @@ def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
     return kept
 
 
-def _room(layout: SliceLayout, bound: BoundEvidence, variable: Variable) -> tuple[Array, Array]:
-    """Room for means (runs, steps, d) and covariances (runs, steps, d, d)."""
-    steps = bound.steps + (variable in layout.states)
-    shape = (bound.runs, steps, variable.dimension)
-    return np.empty(shape), np.empty((*shape, variable.dimension))
-
-
 def _gaussians(
-    room: Mapping[Variable, tuple[Array, Array]], bound: BoundEvidence
+    kept: Scope, room: Sequence[Array], bound: BoundEvidence
 ) -> dict[Variable, Gaussian]:
-    return {
-        variable: Gaussian._make(
+    found = {}
+    for variable, mean, cov in zip(kept, room[::2], room[1::2], strict=False):
+        found[variable] = Gaussian._make(
             (variable,),
-            mean.reshape(*bound.lead, *mean.shape[1:]),
-            cov.reshape(*bound.lead, *cov.shape[1:]),
-            np.arange(bound.steps + 1 - mean.shape[1], bound.steps + 1),
+            mean.swapaxes(0, 1).reshape(*bound.lead, len(mean), variable.dimension),
+            cov.swapaxes(0, 1).reshape(*bound.lead, len(mean), *cov.shape[2:]),
+            np.arange(bound.steps + 1 - len(mean), bound.steps + 1),
         )
-        for variable, (mean, cov) in room.items()
-    }
+    return found

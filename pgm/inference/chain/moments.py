@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from pgm.inference import faults
 from pgm.inference.chain import readings, refusals
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.reading import MomentReading, take
 from pgm.inference.chain.readings import Moments, Reading, Room
-from pgm.inference.family import At
+from pgm.inference.rows import At
 from pgm.inference.schedule import Filtering
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
@@ -196,7 +197,7 @@ class MomentChain:
         line = family.line(at, mean, cov)
         matrix, value, error = line
         if self.check and at.function is not None:
-            family.require_finite(at.function, mean, line)
+            faults.require_finite(family, at.function, mean, line)
         noise = at.noise
         if error is not None:
             noise = noise + error

@@ -87,12 +87,12 @@ class OnlineFilter(Immutable):
     @cached_property
     def _motions(self) -> Layouts:
         """The transition, laid out for each kind of inputs of one robot."""
-        return Layouts(self._ahead)
+        return Layouts(self._ahead, ONCE)
 
     @cached_property
     def _sensors(self) -> Layouts:
         """Sensors, laid out for each kind of readings of one robot."""
-        return Layouts(self._seen)
+        return Layouts(self._seen, self.schedule)
 
     def __getstate__(self) -> dict[str, Any]:
         # What was prepared is not part of the value.
@@ -132,9 +132,12 @@ class OnlineFilter(Immutable):
         step = belief.step + 1
         if belief.careful is None:
             laid = None if belief.lead else self._motions.motion(belief, inputs)
-            plan, ats = laid or (self._ahead(belief, inputs), None)
-            chain, known = MomentChain(plan, ONCE, keep=False), _moments(belief, plan)
-            ats = chain.motion(1) if ats is None else ats
+            if laid is None:
+                chain = MomentChain(self._ahead(belief, inputs), ONCE, keep=False)
+                ats = chain.motion(1)
+            else:
+                chain, ats = laid
+            plan, known = chain.plan, _moments(belief, chain.plan)
             found = chain.predicted(ats, step, known)
             if not _is_finite(found):
                 MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
@@ -204,10 +207,12 @@ class OnlineFilter(Immutable):
     ) -> OnlineBelief | None:
         """In float64; None where it has too few digits."""
         laid = None if belief.lead else self._sensors.sensors(belief, readings)
-        plan, parts = laid or (self._seen(belief, readings), None)
-        chain, known = MomentChain(plan, self.schedule, keep=False), _moments(belief, plan)
-        if parts is None:
+        if laid is None:
+            chain = MomentChain(self._seen(belief, readings), self.schedule, keep=False)
             parts = chain.readings(0)
+        else:
+            chain, parts = laid
+        plan, known = chain.plan, _moments(belief, chain.plan)
         log_density: Array | float = 0.0
         found = known
         if parts:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.chain import careful
+from pgm.inference.chain import careful, careful_motion
 from pgm.inference.chain.certificate import MODERATE, is_ordinary
 from pgm.inference.chain.flat import moments, solved
 from pgm.inference.chain.plan import ChainPlan
@@ -70,7 +70,7 @@ class CarefulBelief(NamedTuple):
 
 def first(plan: ChainPlan) -> CarefulBelief:
     """The prior."""
-    belief = careful.start(plan, linearise=True)
+    belief = careful_motion.start(plan, linearise=True)
     return CarefulBelief(belief, variances(belief.cov.hi))
 
 
@@ -81,8 +81,8 @@ def beginning(mean: Array, cov: Array) -> CarefulBelief:
 
 def predict(plan: ChainPlan, step: int, known: CarefulBelief) -> CarefulBelief:
     """A step later, which is then `step`."""
-    move = careful.moving(plan, 1, *known.moments)
-    belief = careful.predict(known.belief, move)
+    move = careful_motion.moving(plan, 1, *known.moments)
+    belief = careful_motion.predict(known.belief, move)
     careful.require_proper(plan, step, belief)
     return CarefulBelief(belief, np.maximum(known.largest, variances(belief.cov.hi)))
 

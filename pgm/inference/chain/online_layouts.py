@@ -11,11 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.online_belief import OnlineBelief
 from pgm.inference.chain.online_given import Key, ordinary, places
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Reading
-from pgm.inference.family import At, Family
+from pgm.inference.family import Family
+from pgm.inference.rows import At
+from pgm.inference.schedule import Filtering
 from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
@@ -46,12 +49,13 @@ class _Local(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """A plan, its CPDs, and the values that it was made of.
+    """A plan and its chain, its CPDs, and the values that it was made of.
 
     These keep alive the variables that a kind of input tells by identity.
     """
 
     plan: ChainPlan
+    chain: MomentChain
     locals: list[_Local]
     values: Values
 
@@ -63,14 +67,18 @@ class Layouts:
     ----------
     make : callable
         Makes a plan, or refuses what is given.
+    schedule : Filtering
+        How often readings are linearised.
     """
 
-    def __init__(self, make: Callable[[OnlineBelief, Values], ChainPlan]) -> None:
-        self._make = make
+    def __init__(
+        self, make: Callable[[OnlineBelief, Values], ChainPlan], schedule: Filtering
+    ) -> None:
+        self._make, self._schedule = make, schedule
         self._known: dict[Key, _Layout] = {}
 
-    def motion(self, belief: OnlineBelief, inputs: Values) -> tuple[ChainPlan, list[At]] | None:
-        """The plan of a prediction, and its CPDs."""
+    def motion(self, belief: OnlineBelief, inputs: Values) -> tuple[MomentChain, list[At]] | None:
+        """The chain of a prediction, and its CPDs."""
         given = ordinary(inputs)
         if given is None:
             return None
@@ -79,12 +87,12 @@ class Layouts:
         ats = [local.at(belief.step + 1, rows) for local in layout.locals]
         if None in ats:
             return None
-        return layout.plan, ats  # type: ignore[return-value]
+        return layout.chain, ats  # type: ignore[return-value]
 
     def sensors(
         self, belief: OnlineBelief, readings: Values
-    ) -> tuple[ChainPlan, list[Reading]] | None:
-        """The plan of an update, and its readings."""
+    ) -> tuple[MomentChain, list[Reading]] | None:
+        """The chain of an update, and its readings."""
         given = ordinary(readings)
         if given is None:
             return None
@@ -103,7 +111,10 @@ class Layouts:
             parts.append(
                 Reading(sensor, at, reading if local.sightings == 1 else reading.reshape(-1), None)
             )
-        return layout.plan, parts
+        chain = layout.chain
+        if chain.iterates:  # and tells how that went
+            chain = MomentChain(layout.plan, self._schedule, keep=False)
+        return chain, parts
 
     def _add(self, key: Key, belief: OnlineBelief, values: Values) -> _Layout:
         plan, where = self._make(belief, values), places(values)
@@ -115,7 +126,8 @@ class Layouts:
             ]
         if len(self._known) >= _MOST:
             self._known.clear()
-        layout = self._known[key] = _Layout(plan, locals_, dict(values))
+        chain = MomentChain(plan, self._schedule, keep=False)
+        layout = self._known[key] = _Layout(plan, chain, locals_, dict(values))
         return layout
 
 

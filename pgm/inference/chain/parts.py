@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -17,15 +17,13 @@ from pgm.evidence import BoundEvidence
 from pgm.evidence.arrays import as_rows
 from pgm.factors.runs import flat
 from pgm.inference.start import Start, over_runs, require_hidden
-from pgm.kernels.arrays import Array, cut
+from pgm.kernels.arrays import Array, cut, frozen
 from pgm.linearisers import Lineariser
 
 # What the working arrays of all parts at work may take, in bytes.
-ROOM = 512 * 2**20
+ROOM = 2**30
 # Runs to a part at the most: with more, the numbers of a step leave the processor's cache.
-MOST = 4096
-
-T = TypeVar("T")
+MOST = 5000
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +49,10 @@ def split(
     bound: BoundEvidence,
     lineariser: Lineariser,
     start: Start | None,
-    threads: int,
+    workers: int,
 ) -> Iterator[Part]:
-    """The parts in turn, none larger than the room for it, and as many as threads can share."""
-    size = _size(graph, bound, lineariser, threads)
+    """The parts in turn, none larger than the room for it, as many for each of the workers."""
+    size = _size(graph, bound, lineariser, workers)
     if size >= bound.runs:
         yield Part(slice(0, bound.runs), graph, bound, start)
         return
@@ -63,22 +61,11 @@ def split(
         start = {v: over_runs(v, as_rows(v, a, "T+1"), bound.lead, 2) for v, a in start.items()}
     edges = [*range(0, bound.runs, size), bound.runs]
     for runs in (slice(first, last) for first, last in pairwise(edges)):
-        own = None if start is None else {v: np.asarray(a)[runs] for v, a in start.items()}
+        own = None if start is None else {v: frozen(np.asarray(a)[runs]) for v, a in start.items()}
         yield Part(runs, _graph(graph, bound.lead, runs), _evidence(bound, runs), own)
 
 
-def each(work: Callable[[Part], T], parts: Iterable[Part], threads: int) -> Iterator[T]:
-    """What the work makes of each part, in their order, done by so many threads."""
-    if threads == 1:
-        yield from map(work, parts)
-        return
-    from concurrent.futures import ThreadPoolExecutor  # here, since few need it
-
-    with ThreadPoolExecutor(threads) as pool:
-        yield from pool.map(work, parts)
-
-
-def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, threads: int) -> int:
+def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
     """Runs to a part."""
     model = graph.model
     rules = [lineariser]
@@ -93,8 +80,9 @@ def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, thr
     for reading in bound.readings:
         height = reading.cpd.child.dimension
         numbers += reading.step.size * 5 * height * (height + 1)
-    fitting = max(ROOM // (8 * numbers * threads), 1)
-    return min(fitting, MOST, math.ceil(bound.runs / threads))
+    most = min(max(ROOM // (8 * numbers * workers), 1), MOST)
+    count = workers * math.ceil(bound.runs / (most * workers))
+    return math.ceil(bound.runs / count)
 
 
 def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGraph:

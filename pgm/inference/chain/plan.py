@@ -8,13 +8,11 @@ round for all steps.
 from __future__ import annotations
 
 import math
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pgm.compile import DynamicGraph, SliceLayout
 from pgm.compile.layout import Place
@@ -23,21 +21,15 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic_layout import Inputs
 from pgm.factors.scope import Scope
-from pgm.inference.family import At, Family
-from pgm.kernels import along_runs, roots
-from pgm.kernels.angles import nearest_branch
+from pgm.inference.chain.sensor import Sensor
+from pgm.inference.family import Family
 from pgm.kernels.arrays import (
     Array,
     Index,
     Integers,
-    Kind,
-    Mask,
-    components_first,
     cut,
-    independent,
 )
 from pgm.linearisers import Lineariser
-from pgm.variables import Variable
 
 
 @dataclass(eq=False)
@@ -65,233 +57,6 @@ class Link:
     def turning(self) -> list[tuple[int, int]]:
         """Each of these angles, and where that of the step before stands."""
         return list(zip(self.angles.tolist(), self.before.tolist(), strict=True))
-
-
-class Seen(NamedTuple):
-    """Some readings of a sensor as it is linearised, z = F x + b + n.
-
-    A missing component is one of unit variance that says nothing: zero in F, b and z.
-
-    Attributes
-    ----------
-    matrix, offset, value, noise : ndarray
-        F, b, z with angles moved, and the noise: (k, runs, ...).
-    taken : ndarray of bool or None
-        (k, runs or 1, d): which components are there; None where none is missing.
-    """
-
-    matrix: Array
-    offset: Array
-    value: Array
-    noise: Array
-    taken: Mask | None
-
-    @property
-    def missing(self) -> Integers:
-        """How many components of each reading are missing, (k, runs or 1)."""
-        none: Integers = np.zeros((1, 1), dtype=np.intp)
-        return none if self.taken is None else (~self.taken).sum(axis=-1)
-
-
-@dataclass(eq=False)
-class Sensor:
-    """A sensor's family in place, with its readings sorted by step.
-
-    Attributes
-    ----------
-    parents : Index
-        Where its hidden parents stand in the slice vector.
-    taken : ndarray of bool or None
-        (M, runs or 1, d): which components were; None where none is missing.
-    values : ndarray
-        (M, runs or 1, d), as given.
-    bounds : list of int
-        The readings of step t are the rows bounds[t] to bounds[t + 1].
-    cross : dict of int to ndarray
-        By step, the covariances between different sightings' approximation errors, (runs, D, D),
-        of a grouped sensor.
-    whole : bool
-        Whether its hidden parents are all of the slice.
-    """
-
-    family: Family
-    parents: Index
-    order: Integers
-    taken: Mask | None
-    values: Array
-    bounds: list[int]
-    cross: dict[int, Array]
-    whole: bool
-
-    @property
-    def grouped(self) -> bool:
-        """Whether the sightings of a step are linearised as one vector."""
-        return self.family.grouped
-
-    @cached_property
-    def moved(self) -> Array:
-        """The values, angles moved to the branch nearest the CPD's value where linearised.
-
-        (M, runs, d); a copy where there are angles, to be written to.
-        """
-        count, runs, height, _ = self.family.shape
-        wide = np.broadcast_to(self.values, (count, runs, height))
-        return wide.copy("K") if self.variable.angles else wide
-
-    @cached_property
-    def height(self) -> int:
-        """Components of a sighting."""
-        return self.variable.dimension
-
-    @cached_property
-    def plain(self) -> bool:
-        """Whether it reads the whole slice, with some noise."""
-        return self.whole and not self.exact
-
-    @cached_property
-    def exact(self) -> bool:
-        """Whether the noise of some reading is singular."""
-        return bool(roots.determined(roots.root(self.family.own_noise)).any())
-
-    def rows(self, step: int) -> slice:
-        """The readings of a step."""
-        return slice(self.bounds[step], self.bounds[step + 1])
-
-    @cached_property
-    def variable(self) -> Variable:
-        """The reading's variable."""
-        return self.family.cpd.child
-
-    def turning(self, height: int) -> list[int]:
-        """The places of angles among so many components of sightings."""
-        if not self._angles or height == self.height:
-            return self._angles
-        return [first + angle for first in range(0, height, self.height) for angle in self._angles]
-
-    @cached_property
-    def _angles(self) -> list[int]:
-        return [int(k) for k in np.flatnonzero(self.variable.angle_mask)]
-
-    def sharpness(self, noise: Array) -> Array | None:
-        """The `along_runs.sharpness` of a noise that is the same at all steps."""
-        return self._sharpness if noise is self._constant else None
-
-    @cached_property
-    def _constant(self) -> Array | None:
-        return self.family._own(0, 1) if len(self.family.own_noise) == 1 else None
-
-    @cached_property
-    def _sharpness(self) -> Array:
-        assert self._constant is not None
-        return along_runs.sharpness(self._constant)
-
-    def at(self, step: int, *, stored: bool) -> tuple[At, Array, Mask | None] | None:
-        """The CPD at a step's readings, their values, and which components are there.
-
-        The latter two, (D, *batch), one for all with a batch of one; None where nothing is read.
-        Stored readings are as they were linearised, their angles where they were moved to.
-        """
-        first, last = self.bounds[step], self.bounds[step + 1]
-        if first == last:
-            return None
-        taken = self._taken(slice(first, last))
-        flat = None if taken is None else self._flat(taken)
-        if not stored:
-            return self.family.at(first, last), self._flat(self.values[first:last]), flat
-        at = self.family.stored_at(first, last)
-        cross = self.cross.get(step)
-        if cross is not None:
-            at = at._replace(
-                noise=at.noise + (components_first(cross, 2) if self.family.batch else cross[0])
-            )
-        return at, self._flat(self.moved[first:last]), flat
-
-    def _flat(self, rows: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
-        """Some rows (k, runs or 1, d) as one vector, (k d, *batch)."""
-        if not self.family.batch:
-            return rows.reshape(-1)
-        return rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
-
-    def keep(self, at: At, reading: Array, noise: Array | None) -> None:
-        """Keep where angles were moved to, and the covariances between sightings' errors."""
-        count, height = at.last - at.first, self.height
-        if self._angles:
-            wide = reading.reshape(count, height, *(reading.shape[1:] or (1,)))
-            self.moved[at.first : at.last] = wide.transpose(0, 2, 1)
-        if noise is None or count == 1 or not self.grouped:
-            return
-        within = np.kron(np.eye(count), np.ones((height, height)))
-        runs = noise.transpose(2, 0, 1) if noise.ndim > 2 else noise[None]
-        self.cross[int(np.searchsorted(self.bounds, at.first, side="right")) - 1] = runs * (
-            1.0 - within
-        )
-
-    def window(self, first: int, last: int, *, after: bool) -> Sensor:
-        """The readings of some steps, after the first of them or from it on.
-
-        In views of these arrays; what is linearised is its own.
-        """
-        begin = self.bounds[first + after]
-        rows, part = slice(begin, self.bounds[last + 1]), copy(self)
-        part.family = self.family.window(rows.start, rows.stop)
-        part.order = self.order[rows]
-        part.values, part.moved = self.values[rows], self.moved[rows].copy("K")
-        part.taken = None if self.taken is None else self.taken[rows]
-        part.bounds = [max(bound - begin, 0) for bound in self.bounds[first : last + 2]]
-        steps = range(first + after, last + 1)
-        part.cross = {k - first: self.cross[k] for k in steps if k in self.cross}
-        return part
-
-    def put(self, first: int, part: Sensor, *, after: bool) -> None:
-        """Keep how the readings of these steps were linearised."""
-        row = self.bounds[first + after]
-        self.family.put(row, part.family)
-        if self.variable.angles:
-            self.moved[row : row + len(part.moved)] = part.moved
-        self.cross.update({first + k: between for k, between in part.cross.items()})
-
-    def move(self, rows: slice, predicted: Array, active: Mask | None = None) -> None:
-        """Move angles to the branch nearest the CPD's values at the point of linearisation."""
-        if not self.variable.angles:
-            return
-        moved = nearest_branch(self.values[rows], predicted, self.variable.angle_mask)
-        if active is not None:
-            moved = np.where(active[:, None], moved, self.moved[rows])
-        self.moved[rows] = moved
-
-    def reading(self, rows: slice | Integers) -> Seen:
-        """Some rows, for beliefs to be conditioned on."""
-        family = self.family
-        matrix, offset, value = family.matrix[rows], family.offset[rows], self.moved[rows]
-        noise, taken = family.noise[rows], self._taken(rows)
-        if taken is None:
-            return Seen(matrix, offset, value, noise, None)
-        return Seen(
-            np.where(taken[..., None], matrix, 0.0),
-            np.where(taken, offset, 0.0),
-            np.where(taken, value, 0.0),
-            independent(noise, taken),
-            taken,
-        )
-
-    def noise(self, rows: slice | Integers) -> Array:
-        """The noise of some rows, of unit variance where components are missing."""
-        noise, taken = self.family.noise[rows], self._taken(rows)
-        return noise if taken is None else independent(noise, taken)
-
-    def between(self, step: int) -> Array | None:
-        """The covariances between a step's sightings, (runs, D, D), zero where one is missing."""
-        cross, taken = self.cross.get(step), self._taken(self.rows(step))
-        if cross is None or taken is None:
-            return cross
-        seen = taken.swapaxes(0, 1).reshape(taken.shape[1], -1)
-        return np.where(seen[..., None] & seen[..., None, :], cross, 0.0)
-
-    def _taken(self, rows: slice | Integers) -> Mask | None:
-        """Which components of some rows were taken, (k, runs or 1, d); None for all."""
-        if self.taken is None or (taken := self.taken[rows]).all():
-            return None
-        return taken
 
 
 @dataclass(eq=False)

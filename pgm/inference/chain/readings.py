@@ -11,11 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.inference import faults
 from pgm.inference.chain import refusals
 from pgm.inference.chain.iteration import Anchor
-from pgm.inference.chain.plan import ChainPlan, Sensor
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import Measured, Vector, vector
-from pgm.inference.family import At
+from pgm.inference.rows import At
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import LOG_2PI, Array, Mask, components_first, components_last, within
@@ -193,7 +195,7 @@ class Reading:
         if function is not None:
             error = seen.noise if self.erroneous else None
             line = Line(seen.matrix, seen.value, error)
-            self.sensor.family.require_finite(function, seen.point, line)
+            faults.require_finite(self.sensor.family, function, seen.point, line)
 
     def keep(self) -> None:
         """Keep how the sightings were linearised, in the plan."""

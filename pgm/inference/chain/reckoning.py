@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.inference.chain import careful
+from pgm.inference.chain import careful_motion
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.moments import on_chart
 from pgm.inference.chain.plan import ChainPlan
@@ -16,7 +16,7 @@ def dead(plan: ChainPlan) -> Point:
     layout = plan.layout
     front, states = layout.state_size, layout.state_places
     mean = np.zeros((plan.steps + 1, plan.runs, layout.slice_size))
-    mean[0][:, states] = careful.prior_mean(plan)
+    mean[0][:, states] = careful_motion.prior_mean(plan)
     rows = mean.transpose(0, 2, 1) if plan.batch else mean[:, 0]
     pair = np.empty((front + layout.slice_size, *plan.batch))
     for row in range(plan.steps):

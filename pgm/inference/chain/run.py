@@ -19,6 +19,7 @@ from pgm.inference.chain.fixed_lag import Lagged
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.chain.readings import Room
 from pgm.inference.kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Loopy, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
@@ -44,8 +45,9 @@ def run(
     schedule: Schedule | None,
     lineariser: Lineariser,
     start: Start | None,
+    room: Room | None = None,
 ) -> ChainPosterior:
-    """Send the messages of a filter or smoother.
+    """Send the messages of a filter or smoother; a filter may leave its moments in a room for them.
 
     Numbers too large for float64 are refused where they end up, so that NumPy need not warn.
     """
@@ -73,7 +75,7 @@ def run(
         return _slid(graph, plan, schedule)
     if not certificate.is_flat(plan):
         try:
-            found = _solve(graph, plan, schedule, given)
+            found = _solve(graph, plan, schedule, given, room)
             _refuse_infinite(found)
             smoothed = None if found._smoothed is None else found._smoothed.cov
             if certificate.suffices(found._planned, found._swept, smoothed):
@@ -117,13 +119,14 @@ def _solve(
     plan: ChainPlan,
     schedule: Filtering | FixedLag | Calibration,
     start: Array | None,
+    room: Room | None,
 ) -> ChainPosterior:
     balanced = isinstance(graph, BalancedGraph)
     make = _posterior(graph)
     if isinstance(schedule, FixedLag):
         return _lagged(graph, plan, schedule, *fixed_lag.smooth(plan, schedule))
     if isinstance(schedule, Filtering):
-        ahead, status = _scan(graph, plan) if balanced else _sweep(plan, schedule)
+        ahead, status = _scan(graph, plan) if balanced else _sweep(plan, schedule, room)
         return make(graph, status, FILTERED, plan, ahead, None, None)
     run_smoothing = smoother.scan if balanced else smoother.smooth
     result, status = run_smoothing(plan, _smoothing(schedule), start)
@@ -188,10 +191,12 @@ def _smoothing(schedule: Calibration) -> Smoothing:
     return Smoothing(schedule.iterations, schedule.tolerance)
 
 
-def _sweep(plan: ChainPlan, schedule: Filtering) -> tuple[Forward | Filtered, Status]:
+def _sweep(
+    plan: ChainPlan, schedule: Filtering, room: Room | None
+) -> tuple[Forward | Filtered, Status]:
     """Filter; of many runs only the beliefs, as long as nothing else is asked for."""
     if plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
-        return forward.filtered(plan, schedule)
+        return forward.filtered(plan, schedule, room)
     return forward.run(plan, schedule)
 
 

@@ -14,6 +14,7 @@ from pgm.factors.scope import angle_mask
 from pgm.inference.chain import (
     backward,
     careful,
+    careful_motion,
     cost,
     forward,
     grouped,
@@ -290,7 +291,7 @@ def _start(plan: ChainPlan, start: Array) -> Point:
         return reckoning.without_spread(plan, start)
     mean = start.copy()
     prior = mean[0].copy()
-    prior[:, layout.state_places] = careful.prior_mean(plan)
+    prior[:, layout.state_places] = careful_motion.prior_mean(plan)
     mean[0] = nearest_branch(mean[0], prior, angles)
     mean[..., angles] = np.unwrap(mean[..., angles], axis=0)
     return reckoning.without_spread(plan, mean)

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.chain.plan import ChainPlan, Sensor
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.sensor import Sensor
 from pgm.kernels.arrays import Array, Integers, apply
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.chain.plan import Sensor
+from pgm.inference.chain.sensor import Sensor
 from pgm.kernels.arrays import Array, Mask, times
 
 

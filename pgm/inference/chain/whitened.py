@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.inference.chain.plan import Sensor
+from pgm.inference.chain.sensor import Sensor
 from pgm.kernels import roots
 from pgm.kernels.arrays import (
     LOG_2PI,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -18,16 +20,20 @@ from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
 from pgm.inference.discrete.distinct import Distinct
 from pgm.inference.discrete.entry import enter
-from pgm.inference.discrete.evidence import tree_pieces
+from pgm.inference.discrete.evidence import some_runs, tree_pieces
 from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.tree_passes import collect
 from pgm.inference.discrete.tree_plan import Stack, TreePlan
 from pgm.inference.discrete.tree_planner import plan_for
+from pgm.inference.executors import Workers
 from pgm.inference.limits import Room, require_runs
 from pgm.inference.posterior import require_variable
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
 from pgm.variables import Discrete, Variable
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 # How many variables a repr lists.
 LISTED = 10
@@ -77,7 +83,11 @@ class MostProbable(Immutable):
 
 
 def most_probable(
-    graph: ClusterGraph, evidence: Evidence, *, memory: float | None = None
+    graph: ClusterGraph,
+    evidence: Evidence,
+    *,
+    memory: float | None = None,
+    executor: Executor | None = None,
 ) -> MostProbable:
     r"""Find the assignment of all variables that is most probable given the evidence.
 
@@ -93,7 +103,9 @@ def most_probable(
     evidence : mapping of Discrete
         As for `infer`. Weights of `soft` evidence count as factors of the probability.
     memory : number, optional
-        As for `infer`.
+        As for `infer`; of each worker, where there are several.
+    executor : concurrent.futures.Executor, optional
+        To whose workers parts of the sets of evidence are handed, as by `infer`.
 
     Returns
     -------
@@ -135,11 +147,10 @@ def most_probable(
     distinct = Distinct.of(bound)
     plan = plan_for(graph, distinct.evidence.runs, room.batch)
     require_runs(len(plan.storage.homes), bound.runs, "the states of all variables")
-    found = [
-        _maximise(plan, piece)
-        for piece in tree_pieces(plan.storage.entries, distinct.evidence, room.batch)
-    ]
-    states = np.concatenate([s for s, _ in found], axis=1)
+    found = _shared(
+        Workers(executor), _Search(graph, distinct.evidence, distinct.evidence.runs, room.batch)
+    )
+    states = np.concatenate([s for s, _ in found], axis=1, dtype=np.intp)
     log_tops = np.concatenate([t for _, t in found], axis=1)
     if distinct.which is not None:
         states, log_tops = states[:, distinct.which], log_tops[:, distinct.which]
@@ -147,6 +158,41 @@ def most_probable(
     require_possible(plan, bound, log_tops)
     log_probability = frozen(log_tops.sum(axis=0).reshape(bound.lead))
     return MostProbable(MappingProxyType(_assignment(plan, bound, states)), log_probability)
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Some of so many runs, to be searched for with a batch as of a `Room`."""
+
+    graph: ClusterGraph
+    evidence: BoundStates
+    runs: int
+    batch: int
+
+
+def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
+    """What is found, by part of the runs, one for each worker."""
+    runs = search.runs
+    edges = [runs * k // workers.count for k in range(workers.count + 1)]
+    parts = [slice(*pair) for pair in pairwise(edges) if pair[0] < pair[1]]
+    if len(parts) == 1:
+        return [_search(search)]
+    jobs = [
+        replace(search, evidence=some_runs(search.evidence, part.start, part.stop))
+        for part in parts
+    ]
+    return [done.result() for done in workers.each(_search, jobs, parts, large=False)]
+
+
+def _search(search: _Search) -> tuple[Integers, Array]:
+    """States of all variables, in as few bytes as hold them, and logarithms of the maxima."""
+    plan = plan_for(search.graph, search.runs, search.batch)
+    homes = plan.storage.homes
+    least = np.min_scalar_type(max((variable.size for variable in homes), default=1) - 1)
+    pieces = tree_pieces(plan.storage.entries, search.evidence, search.batch)
+    found = [_maximise(plan, piece) for piece in pieces]
+    states = np.concatenate([states.astype(least) for states, _ in found], axis=1)
+    return states, np.concatenate([tops for _, tops in found], axis=1)
 
 
 def _assignment(

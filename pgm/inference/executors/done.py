@@ -1,0 +1,111 @@
+"""Work done by a worker, and what it has to tell of it."""
+
+from __future__ import annotations
+
+import threading
+import traceback
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from pgm.errors import ExecutorError, PrecisionWarning
+from pgm.inference.executors.memory import Name, seen
+from pgm.inference.executors.parcels import Parcel, loads
+
+
+class Elsewhere(Exception):
+    """The cause of an error of another process: where it was raised there, in words."""
+
+
+class Done(NamedTuple):
+    """What a worker has to tell.
+
+    Attributes
+    ----------
+    value : object
+        What the work returned; None, if it failed.
+    error : Exception or None
+        The work's own error.
+    trace : str
+        Where it was raised, in another process.
+    warned : sequence
+        The warnings there: message, category, file, line.
+    """
+
+    value: Any
+    error: Exception | None = None
+    trace: str = ""
+    warned: Sequence[tuple[str, type[Warning], str, int]] = ()
+
+    def result(self) -> Any:
+        """The value; or the error is raised."""
+        for warning in self.warned:
+            warnings.warn_explicit(*warning)
+        if self.error is None:
+            return self.value
+        raise self.error from self.error.__cause__ or (
+            Elsewhere(self.trace) if self.trace else None
+        )
+
+
+def here(work: Callable[[Any], Any], job: Any) -> Done:
+    """Work done in this process, by a thread."""
+    try:
+        return Done(work(job))
+    except Exception as error:
+        return Done(None, error)
+
+
+def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, int]:
+    """Work done in another process.
+
+    Parameters
+    ----------
+    data : bytes
+        The pickle of work and job.
+    own, answer : Name or None
+        The memory of its large arrays, and that for those of the result.
+
+    Returns
+    -------
+    bytes
+        The pickle of a `Done`.
+    int
+        The bytes of its large arrays.
+    """
+    try:
+        work, job = loads(data, None if own is None else seen(own))
+    except Exception as error:
+        fault = ExecutorError(
+            f"a worker cannot read what it was handed: {type(error).__name__}: {error}; functions "
+            "and classes of a model must stand in modules that workers can import too"
+        )
+        return _packed(Done(None, fault, traceback.format_exc()), None)
+    if threading.current_thread() is threading.main_thread():
+        done = _watched(work, job)
+    else:  # warnings of threads cannot be told apart
+        done = here(work, job)
+    if done.error is not None:
+        done = done._replace(trace="".join(traceback.format_exception(done.error)))
+    return _packed(done, answer)
+
+
+def _watched(work: Callable[[Any], Any], job: Any) -> Done:
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        done = here(work, job)
+    told = tuple(
+        (str(each.message), each.category, each.filename, each.lineno)
+        for each in found
+        # Of lost digits the status tells, of all runs together.
+        if not issubclass(each.category, PrecisionWarning)
+    )
+    return done._replace(warned=told)
+
+
+def _packed(done: Done, answer: Name | None) -> tuple[bytes, int]:
+    parcel = Parcel(apart=answer is not None)
+    pickle = parcel.dumps(done)
+    if answer is not None and parcel.size:
+        pickle.fill(answer.open(parcel.size))
+    return pickle.data, parcel.size

@@ -1,0 +1,146 @@
+"""Pickles for another process, the large arrays apart from them.
+
+Arrays travel as they lie in memory, runs fastest, so that a worker computes with them as fast; what
+is broadcast travels once; in a block of memory that both processes see, only their places do.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import mmap
+import pickle
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.inference.executors.memory import Name, Room, address, lines, seen
+
+# Bytes from which on an array is large, and put apart.
+_LARGE = 2**12
+
+AnyArray = npt.NDArray[Any]
+
+
+class _Place(NamedTuple):
+    """An array: the memory it is in, and how it is seen.
+
+    Attributes
+    ----------
+    memory : ndarray, Name or None
+        The memory itself, contiguous; the block that has it; None for the parcel's own.
+    offset : int
+        In bytes.
+    dtype : dtype
+    strides, shape : tuple of int
+        Of the array, over its memory.
+    writeable : bool
+    """
+
+    memory: AnyArray | Name | None
+    offset: int
+    dtype: np.dtype[Any]
+    strides: tuple[int, ...]
+    shape: tuple[int, ...]
+    writeable: bool
+
+
+class Pickle(NamedTuple):
+    """A value as bytes, and its large arrays with their offsets in the parcel's memory.
+
+    Arrays that an earlier pickle of the parcel has brought are not among them.
+    """
+
+    data: bytes
+    arrays: list[tuple[int, AnyArray]]
+
+    def fill(self, memory: mmap.mmap) -> None:
+        """Put the arrays in memory of the parcel's size."""
+        for offset, array in self.arrays:
+            np.ndarray(array.shape, array.dtype, memory, offset)[...] = array
+
+
+class Parcel:
+    """Pickles whose large arrays are put in one piece of memory, or stay where they are shared.
+
+    Parameters
+    ----------
+    apart : bool
+        Whether there is memory to put them in; they are in the pickles otherwise.
+    shared : bool
+        Whether several processes see that memory: those that can be written to do not go there.
+    room : Room, optional
+        Shared memory, of whose arrays only the places travel.
+    """
+
+    def __init__(self, *, apart: bool, shared: bool = False, room: Room | None = None) -> None:
+        self.apart = apart
+        self.shared = shared
+        self.room = room
+        self.size = 0
+        self._put: dict[Any, tuple[int, AnyArray]] = {}
+
+    def dumps(self, value: Any) -> Pickle:
+        """The pickle of a value."""
+        file = io.BytesIO()
+        before = len(self._put)
+        _Pickler(self, file).dump(value)
+        return Pickle(file.getvalue(), list(itertools.islice(self._put.values(), before, None)))
+
+    def place(self, array: AnyArray) -> _Place | None:
+        """How an array travels; None if as any object."""
+        seen = (array.dtype, array.strides, array.shape, array.flags.writeable)
+        if self.room is not None and (offset := self.room.offset(array)) is not None:
+            return _Place(self.room.block.name, offset, *seen)
+        apart = self.apart and array.nbytes >= _LARGE
+        apart = apart and not (self.shared and array.flags.writeable)
+        if array.dtype.hasobject or type(array) is not np.ndarray:
+            return None
+        if not apart and array.flags.c_contiguous:
+            return None
+        once = array[tuple(slice(1 if step == 0 else None) for step in array.strides)]
+        order = sorted(range(array.ndim), key=lambda axis: -abs(array.strides[axis]))
+        memory = once.transpose(order)
+        strides = [0] * array.ndim  # as they will be, the memory being contiguous
+        step = array.itemsize
+        for axis, length in zip(reversed(order), reversed(memory.shape), strict=True):
+            strides[axis] = step if array.strides[axis] else 0
+            step *= length
+        seen = (array.dtype, tuple(strides), array.shape, array.flags.writeable)
+        if not apart:
+            return _Place(np.ascontiguousarray(memory), 0, *seen)
+        key = address(array), array.strides, array.shape, array.dtype
+        if key not in self._put:  # what all runs share is put once
+            self._put[key] = self.size, memory
+            self.size += lines(memory.nbytes)
+        return _Place(None, self._put[key][0], *seen)
+
+
+class _Pickler(pickle.Pickler):
+    def __init__(self, parcel: Parcel, file: io.BytesIO) -> None:
+        super().__init__(file, protocol=5)
+        self._parcel = parcel
+
+    def persistent_id(self, value: Any) -> _Place | None:
+        return self._parcel.place(value) if isinstance(value, np.ndarray) else None
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, file: io.BytesIO, own: mmap.mmap | None) -> None:
+        super().__init__(file)
+        self._own = own
+
+    def persistent_load(self, place: _Place) -> AnyArray:
+        memory = place.memory
+        source: Any = self._own if memory is None else memory
+        if isinstance(memory, Name):
+            source = seen(memory)
+        array = np.ndarray(place.shape, place.dtype, source, place.offset, place.strides)
+        array.flags.writeable = place.writeable
+        return array
+
+
+def loads(data: bytes, own: mmap.mmap | None) -> Any:
+    """The value of a pickle, whose parcel filled that memory."""
+    return _Unpickler(io.BytesIO(data), own).load()

@@ -1,0 +1,218 @@
+"""The workers of an executor: what goes to them, and what comes back."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+from pgm.boundary import is_whole
+from pgm.errors import ExecutorError, ModelError
+from pgm.inference.executors.done import Done, here, there
+from pgm.inference.executors.memory import Block, Room, Shape, borrow, idle_blocks, keep
+from pgm.inference.executors.parcels import Parcel, loads
+from pgm.inference.executors.refusals import refuse
+from pgm.kernels.arrays import Array, vacant
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor, Future
+
+# Shares of the work for each processor, where an executor does not say how many workers it has.
+_SHARES = 4
+
+# Results whose arrays have a block each, which is an open file.
+_FILES = 100
+
+Job = TypeVar("Job")
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A job on its way.
+
+    Attributes
+    ----------
+    runs : slice
+        The runs that it is about.
+    future : Future
+        Of a `Done`, or of the pickle of one and the bytes of its large arrays.
+    answer : Block or None
+        Where these are.
+    """
+
+    runs: slice
+    future: Future[Any]
+    answer: Block | None
+
+    def done(self) -> Done:
+        """What the worker has to tell, once it is done."""
+        found = self.future.result()
+        if not isinstance(found, Done):
+            data, size = found
+            memory = self.answer.hold(size) if self.answer and size else None
+            return cast(Done, loads(data, memory))
+        return found
+
+    @property
+    def lost(self) -> bool:
+        """Whether nothing has come back."""
+        future = self.future
+        return not future.done() or future.cancelled() or future.exception() is not None
+
+
+class Workers:
+    """Those who do the parts of some work: an executor's, or the caller alone.
+
+    Parameters
+    ----------
+    executor : Executor or None
+
+    Attributes
+    ----------
+    count : int
+        How many parts they can do at a time; a guess, where the executor does not say.
+    shares : bool
+        Whether they can write into a `room`.
+
+    Raises
+    ------
+    ModelError
+        If it is no executor.
+    """
+
+    def __init__(self, executor: Any) -> None:
+        from concurrent.futures import Executor, ThreadPoolExecutor  # here, since few need them
+
+        if executor is not None and not isinstance(executor, Executor):
+            of_dask = "; a Dask client's is client.get_executor()"
+            raise ModelError(
+                "executor= takes a concurrent.futures.Executor, such as ProcessPoolExecutor(2), "
+                f"not {executor!r}{of_dask if hasattr(executor, 'get_executor') else ''}"
+            )
+        self._executor: Executor | None = executor
+        self.count = 1 if executor is None else _count(executor)
+        self._here = executor is None or isinstance(executor, ThreadPoolExecutor)
+        self._idle = None if executor is None else idle_blocks(executor)
+        self.shares = self._here or self._idle is not None
+        self._room: Room | None = None
+
+    def room(self, shapes: Sequence[Shape]) -> list[Array]:
+        """Arrays of some leading axes and own ones, as of `vacant`."""
+        if self._idle is None:
+            return [vacant(*shape) for shape in shapes]
+        self._room = Room(self._idle, shapes)
+        return self._room.arrays
+
+    def each(
+        self,
+        work: Callable[[Job], Any],
+        jobs: Sequence[Job],
+        runs: Sequence[slice],
+        *,
+        large: bool,
+        named: Sequence[Any] = (),
+    ) -> Iterator[Done]:
+        """What the work makes of each job, in their order; alone, errors are raised at once.
+
+        Parameters
+        ----------
+        work : callable
+            A function of a module.
+        jobs : sequence
+        runs : sequence of slice
+            What each is about.
+        large : bool
+            Whether the results have large arrays.
+        named : sequence of object
+            Parts of the jobs, one of which is named if it cannot be pickled.
+
+        Raises
+        ------
+        ModelError
+            If what has to be pickled cannot be; nothing has been handed out then.
+        ExecutorError
+            If the executor takes no work, or a worker dies.
+        """
+        if self._executor is None:
+            yield from (Done(work(job)) for job in jobs)
+        elif self._here:
+            yield from self._gathered(runs, [(here, work, job) for job in jobs], [None] * len(jobs))
+        else:
+            yield from self._apart(work, jobs, runs, large, named)
+
+    def _apart(
+        self,
+        work: Callable[[Any], Any],
+        jobs: Sequence[Any],
+        runs: Sequence[slice],
+        large: bool,
+        named: Sequence[Any],
+    ) -> Iterator[Done]:
+        """The same by other processes."""
+        idle = self._idle
+        parcel = Parcel(apart=idle is not None, shared=True, room=self._room)
+        try:
+            pickles = [parcel.dumps((work, job)) for job in jobs]
+        except Exception as error:
+            raise refuse(named, error) from error
+        own = None if idle is None else borrow(idle, parcel.size)
+        memory = None if own is None else own.hold(parcel.size)
+        apart = large and own is not None and len(jobs) <= _FILES
+        answers = [Block() if apart else None for _ in jobs]
+
+        def calls() -> Iterator[Any]:
+            for pickle, answer in zip(pickles, answers, strict=True):
+                if memory is not None:
+                    pickle.fill(memory)
+                yield there, pickle.data, own and own.name, answer and answer.name
+
+        yield from self._gathered(runs, calls(), answers)
+        if idle is not None and own is not None:  # now that no worker uses them any more
+            keep(idle, own)
+            if self._room is not None:
+                self._room.done(idle)
+
+    def _gathered(
+        self, runs: Sequence[slice], calls: Iterable[Any], answers: Sequence[Block | None]
+    ) -> Iterator[Done]:
+        assert self._executor is not None
+        waiting: deque[Task] = deque()
+        try:
+            for part, call, answer in zip(runs, calls, answers, strict=True):
+                try:
+                    waiting.append(Task(part, self._executor.submit(*call), answer))
+                except Exception as error:
+                    left = [*(task.runs for task in waiting if task.lost), *runs[len(waiting) :]]
+                    raise self._lost(left, error) from error
+            while waiting:
+                try:
+                    done = waiting[0].done()
+                except Exception as error:
+                    raise self._lost([t.runs for t in waiting if t.lost], error) from error
+                waiting.popleft()
+                yield done
+        finally:
+            for task in waiting:
+                task.future.cancel()
+
+    def _lost(self, runs: Sequence[slice], error: Exception) -> ExecutorError:
+        rows: list[tuple[int, int]] = []
+        for part in runs:
+            if rows and rows[-1][1] == part.start:
+                rows[-1] = (rows[-1][0], part.stop)
+            else:
+                rows.append((part.start, part.stop))
+        said = ", ".join(f"{first} to {stop - 1}" for first, stop in rows)
+        return ExecutorError(
+            f"{type(self._executor).__name__}: runs {said} were lost: {type(error).__name__}: "
+            f"{error}; a worker may have died, of a function of the model or of too little memory, "
+            "or the executor be shut down; other runs' results are lost with them",
+            runs=rows,
+        )
+
+
+def _count(executor: Executor) -> int:
+    told = getattr(executor, "_max_workers", None)
+    return told if is_whole(told) and told > 0 else _SHARES * (os.cpu_count() or 1)

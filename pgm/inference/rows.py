@@ -1,0 +1,255 @@
+"""A CPD at its rows, steps or sightings, with its evidence bound and its own noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD
+from pgm.cpds.noise import evaluate
+from pgm.factors.scope import Scope
+from pgm.kernels.arrays import Array, Integers, block_diagonal
+from pgm.linearisers import BoundFunction, FunctionTemplate, Lineariser
+from pgm.linearisers.function import Source
+from pgm.variables import Variable
+
+
+class At(NamedTuple):
+    """A CPD at one step, its evidence bound: components first, and a batch of one run or of many.
+
+    Attributes
+    ----------
+    function : BoundFunction or None
+        To be linearised; None where it is affine, or as it was linearised before.
+    matrix, offset : ndarray or None
+        F (d, n, *batch) and b (d, *batch) then; one for all runs may have a batch of one.
+    noise : ndarray
+        (d, d, *batch): the CPD's own covariance, with that of the error where it was linearised.
+    first, last : int
+        Its rows.
+    """
+
+    function: BoundFunction | None
+    matrix: Array | None
+    offset: Array | None
+    noise: Array
+    first: int
+    last: int
+
+
+@dataclass(eq=False)
+class Rows:
+    """A CPD at its rows: steps for a transition, sightings for a sensor.
+
+    Attributes
+    ----------
+    cpd : CPD
+    hidden : tuple of Variable
+        The parents without evidence, stacked.
+    step : ndarray of int
+        (rows,): the step of each row; zeros where there is no time.
+    inputs : mapping of Variable to ndarray
+        Values of the parents with evidence, (rows, runs or 1, d).
+    lineariser : Lineariser
+        The CPD's own, or the one given to `infer`.
+    template : FunctionTemplate or None
+        None where the CPD is affine, so that there is nothing to linearise.
+    own_noise : ndarray
+        (rows or 1, runs or 1, d, d): the CPD's own covariance.
+    timed : bool
+        Whether there is time.
+    first_run : int
+        The number of the first run in messages.
+    batch : tuple of int
+        The axes of runs in `at`: none of one run.
+    affine : (ndarray, ndarray)
+        F (d, n) and b (rows or 1, runs or 1, d) of an affine CPD.
+    """
+
+    cpd: ConditionalGaussian
+    hidden: Scope
+    step: Integers
+    inputs: Mapping[Variable, Array]
+    lineariser: Lineariser
+    template: FunctionTemplate | None
+    own_noise: Array
+    timed: bool
+    first_run: int
+    batch: tuple[int, ...]
+    affine: tuple[Array, Array] = field(init=False, repr=False)
+
+    @property
+    def exact(self) -> bool:
+        """Whether the CPD is affine, so that no linearisation is needed."""
+        return self.template is None
+
+    @cached_property
+    def noisy(self) -> bool:
+        """Whether the noise depends on observed parents."""
+        return isinstance(self.cpd.cov, Noise)
+
+    @cached_property
+    def grouped(self) -> bool:
+        """Whether the sightings of a step are linearised as one vector."""
+        return isinstance(self.cpd, NonlinearGaussianCPD) and self.cpd.grouped
+
+    @cached_property
+    def bare(self) -> tuple[int, ...]:
+        """The components that the CPD's own noise leaves out at some row."""
+        variances = np.diagonal(self.own_noise, axis1=-2, axis2=-1)
+        return tuple(int(k) for k in np.flatnonzero((variances == 0.0).any(axis=(0, 1))))
+
+    @cached_property
+    def source(self) -> Source:
+        """Whose function it is, for messages."""
+        return Source(self.cpd, self.timed, self.first_run)
+
+    def at(self, first: int, last: int) -> At:
+        """Some rows, a step's, to be linearised as one."""
+        if self.template is None:
+            return self._affine_at(first, last)
+        count = last - first
+        rows: Any = first if count == 1 else slice(first, last)
+        inputs = [None if values is None else values[rows] for values in self._known]
+        if count > 1 and self.batch:
+            inputs = [None if values is None else values.swapaxes(0, 1) for values in inputs]
+        function = BoundFunction(
+            self.template,
+            inputs,
+            len(self.batch),
+            self._steps[first],
+            None if count == 1 else count,
+            self.grouped,
+            self.source,
+        )
+        return At(function, None, None, self._own(first, last), first, last)
+
+    def given(self, step: int, inputs: Sequence[Array], count: int) -> At:
+        """The CPD of one run with values of its observed parents, (d,), or (count, d) each."""
+        if self.noisy:
+            wide = self._wide(inputs, count)
+            noise = self._noise_of(evaluate(self.cpd, wide, (count, 1), step), 0, count)
+        else:
+            noise = self._own(0, count)
+        if self.template is None:
+            assert isinstance(self.cpd, AffineCPD)
+            if not inputs:
+                return self._affine_at(0, count)._replace(noise=noise)
+            matrix, shift = self.cpd._affine(self.hidden, self._wide(inputs, count))
+            offset = np.broadcast_to(shift, (count, 1, shift.shape[-1])).reshape(-1)
+            return At(None, np.tile(matrix, (count, 1)), offset, noise, 0, count)
+        arguments = [None if place is None else inputs[place] for place in self._order]
+        group = None if count == 1 else count
+        function = BoundFunction(
+            self.template, arguments, 0, step, group, self.grouped, self.source
+        )
+        return At(function, None, None, noise, 0, count)
+
+    def _wide(self, inputs: Sequence[Array], count: int) -> dict[Variable, Array]:
+        every = zip(self.inputs, inputs, strict=True)
+        return {parent: values.reshape(count, 1, -1) for parent, values in every}
+
+    @cached_property
+    def _order(self) -> list[int | None]:
+        """Which of the inputs each argument of the function is; None for a hidden parent."""
+        assert self.template is not None
+        places = {parent: k for k, parent in enumerate(self.inputs)}
+        return [places.get(parent) for parent in self.template.given]
+
+    @cached_property
+    def _known(self) -> list[Array | None]:
+        """Values of each argument with evidence by row, read-only, since users' functions see them.
+
+        Of one run they are (rows, d), of many (rows, runs, d), or (rows, 1, d) of all.
+        """
+        assert self.template is not None
+        found: list[Array | None] = []
+        for parent in self.template.given:
+            values = self.inputs.get(parent)
+            if values is not None and self.batch:
+                # A plain callable may ask for the function at the beliefs of some runs alone.
+                if hasattr(self.lineariser, "prepare"):
+                    values = np.broadcast_to(values, (len(values), *self.batch, values.shape[-1]))
+            elif values is not None:
+                values = np.ascontiguousarray(values[:, 0])
+                values.flags.writeable = False
+            found.append(values)
+        return found
+
+    @cached_property
+    def _steps(self) -> list[int]:
+        found: list[int] = self.step.tolist()
+        return found
+
+    def _own(self, first: int, last: int) -> Array:
+        """The CPD's own noise at some rows, as one."""
+        if len(self.own_noise) > 1:
+            return self._noise_of(self.own_noise, first, last)
+        count = last - first
+        found = self._constant_noise.get(count)
+        if found is None:
+            found = self._constant_noise[count] = self._noise_of(self.own_noise, 0, count)
+        return found
+
+    @cached_property
+    def _constant_noise(self) -> dict[int, Array]:
+        return {}
+
+    def _noise_of(self, noise: Array, first: int, last: int) -> Array:
+        """Covariances (rows or 1, runs or 1, d, d) of some rows along one diagonal."""
+        blocks = noise[first:last] if len(noise) > 1 else noise
+        blocks = blocks.transpose(0, 2, 3, 1) if self.batch else blocks[:, 0]
+        if last - first == 1:
+            return np.ascontiguousarray(blocks[0])
+        return block_diagonal(np.broadcast_to(blocks, (last - first, *blocks.shape[1:])))
+
+    def _affine_at(self, first: int, last: int) -> At:
+        constant, shift = self.affine
+        count = last - first
+        if len(shift) == 1 == len(self.own_noise):
+            found = self._constant_at.get(count)
+            if found is not None:
+                return found if found.first == first else found._replace(first=first, last=last)
+        offset = np.broadcast_to(
+            shift if len(shift) == 1 else shift[first:last], (count, *shift.shape[1:])
+        )
+        if self.batch:
+            matrix = np.tile(constant, (count, 1))[..., None]
+            offset = offset.transpose(0, 2, 1).reshape(-1, shift.shape[1])
+        else:
+            matrix, offset = np.tile(constant, (count, 1)), offset.reshape(-1)
+        made = At(None, matrix, offset, self._own(first, last), first, last)
+        if len(shift) == 1 == len(self.own_noise):
+            self._constant_at[count] = made
+        return made
+
+    @cached_property
+    def _constant_at(self) -> dict[int, At]:
+        return {}
+
+
+def own_noise(
+    cpd: ConditionalGaussian,
+    step: Integers | None,
+    rows: int,
+    inputs: Mapping[Variable, Array],
+    lead: tuple[int, ...],
+    first_run: int,
+) -> Array:
+    """The CPD's own noise covariance, (rows or 1, runs or 1, d, d)."""
+    size = cpd.child.dimension
+    if not isinstance(cpd.cov, Noise):
+        if cpd.cov.ndim == 2:
+            return cpd.cov[None, None]
+        return np.broadcast_to(cpd.cov, (*lead, size, size)).reshape(1, math.prod(lead), size, size)
+    if not rows:
+        return np.zeros((1, 1, size, size))
+    known = {parent: inputs[parent] for parent in cpd.cov.given}
+    shape = np.broadcast_shapes((rows, 1), *(array.shape[:2] for array in known.values()))
+    steps = None if step is None else step[:, None]
+    return evaluate(cpd, known, shape, steps, first_run)

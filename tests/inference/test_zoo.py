@@ -1,0 +1,108 @@
+"""Models of all kinds with rules of all kinds: one run, a few that differ, many, and online.
+
+One run and many go through different kernels; both are held to a textbook written plainly.
+"""
+
+from types import SimpleNamespace
+
+import naive
+import numpy as np
+import pytest
+from textbooks import assert_belief, assert_log
+from zoo import (
+    MODELS,
+    RULES,
+    RUNS,
+    TOLERANCE,
+    T,
+    assert_same,
+    at_step,
+    model_of,
+    of,
+    of_run,
+    recording,
+    smoothed,
+)
+
+import pgm
+
+THOROUGH = ["taylor", "unscented", "negative weights", "bare function"]
+FEW = ["plain", "grouped", "a certain start", "everything"]
+CASES = [(name, rule) for name in MODELS for rule in THOROUGH]
+CASES += [(name, rule) for name in FEW for rule in RULES if rule not in THOROUGH]
+models = pytest.mark.parametrize("name", MODELS)
+both = pytest.mark.parametrize("rule", ["taylor", "unscented"])
+
+
+@pytest.mark.parametrize(("name", "rule"), CASES)
+def test_each_run_of_a_batch_is_that_run_alone(name, rule):
+    batch, tolerance = smoothed(name, rule), TOLERANCE.get(name, 1e-9)
+    # Draws of its own depend on how many runs there are before it.
+    for run in (0,) if rule == "fresh" else (0, RUNS - 1):
+        alone = smoothed(name, rule, run)
+        assert_same(of(batch, run), of(alone, None), tolerance)
+        assert batch.status.converged[run] == alone.status.converged
+        for sensor in alone.innovations:
+            ours, theirs = batch.innovations[sensor], alone.innovations[sensor]
+            np.testing.assert_allclose(ours.residual[run], theirs.residual, rtol=0, atol=1e-8)
+            np.testing.assert_allclose(ours.cov[run], theirs.cov, rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "rule"), [case for case in CASES if case[1] in naive.RULES])
+def test_they_are_the_textbooks(name, rule):
+    run = 1
+    model = model_of(name, run)
+    due = naive.run(model, of_run(recording(name), run), T, rule)
+    found = of(smoothed(name, rule), run)
+    for (kind, variable), (mean, cov) in found.beliefs.items():
+        steps = range(variable in model.controls, T + 1)
+        places = [due.slices[step][variable.at(step)] for step in steps]
+        moments = [getattr(due, kind)[step] for step in steps]
+        means = np.array([mean[p] for (mean, _), p in zip(moments, places, strict=True)])
+        covs = np.array([cov[np.ix_(p, p)] for (_, cov), p in zip(moments, places, strict=True)])
+        belief = SimpleNamespace(mean=mean, cov=cov)
+        assert_belief(belief, means, covs, TOLERANCE.get(name, 1e-9))
+    assert_log(found.log_evidence, due.log_evidence, TOLERANCE.get(name, 1e-9))
+
+
+@models
+@both
+def test_a_filter_of_many_runs(name, rule):
+    """Keeps no more than beliefs until it is asked for more."""
+    which = np.arange(40) % RUNS
+    posterior = pgm.filter(
+        model_of(name, which), of_run(recording(name), which), lineariser=RULES[rule]
+    )
+    for run in range(37, 40):
+        due = of(smoothed(name, rule), which[run], ("filtered", "predicted"))
+        assert_same(of(posterior, run, ("filtered", "predicted")), due, TOLERANCE.get(name, 1e-9))
+
+
+@models
+@pytest.mark.parametrize("rule", ["taylor", "unscented", "fresh", "bare function"])
+@pytest.mark.parametrize("run", [None, 1], ids=["batch", "one"])
+def test_online_is_the_filter(name, rule, run):
+    model = model_of(name, run)
+    evidence = recording(name) if run is None else of_run(recording(name), run)
+    due = pgm.filter(model, evidence, lineariser=RULES[rule])
+    robot = pgm.OnlineFilter(model, RULES[rule])
+    belief, tolerance = robot.initial(), TOLERANCE.get(name, 1e-9)
+    for step in range(T + 1):
+        inputs, readings = at_step(evidence, step)
+        if step:
+            belief = robot.predict(belief, inputs)
+        assert_step(belief, due.predicted, tolerance)
+        belief = robot.update(belief, readings)
+        assert_step(belief, due, tolerance)
+        assert (belief.cov == belief.cov.swapaxes(-1, -2)).all()
+    assert belief.log_evidence.shape == belief.status.converged.shape == due.log_evidence.shape
+    assert_log(belief.log_evidence, due.log_evidence, tolerance)
+
+
+def assert_step(belief, marginals, tolerance):
+    """Before they are told apart runs share one belief."""
+    for variable in belief.layout.model.states:
+        found, due = belief[variable], marginals[variable.at(belief.step)]
+        mean = np.broadcast_to(found.mean, due.mean.shape)
+        cov = np.broadcast_to(found.cov, due.cov.shape)
+        assert_belief(SimpleNamespace(mean=mean, cov=cov), due.mean, due.cov, tolerance)
