@@ -100,7 +100,7 @@ def slid(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     window: Window | None = None
     for step in range(plan.steps + 1):
         before = None if window is None else window.at(-1)
-        plan.put(max(step - 1, 0), newest(plan, step, before))
+        plan.put(max(step - 1, 0), newest(plan, step, before).plan)
         first = max(step - schedule.lag, 0)
         if first and window is not None:
             begin = window.at(1)

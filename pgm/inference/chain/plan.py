@@ -165,8 +165,11 @@ class ChainPlan:
             link.family.put(0, own.family)
         for link, own in zip(self.transition, part.transition, strict=True):
             link.family.put(first, own.family)
-        for sensor, seen in zip(self.sensors, part.sensors, strict=True):
-            sensor.put(first, seen, after=part.begin is not None)
+        seen = {id(sensor.family.cpd): sensor for sensor in part.sensors}
+        for sensor in self.sensors:
+            read = seen.get(id(sensor.family.cpd))
+            if read is not None:
+                sensor.put(first, read, after=part.begin is not None)
 
     @classmethod
     def make(
@@ -181,7 +184,7 @@ class ChainPlan:
     ) -> ChainPlan:
         """Lay out the families of a graph with evidence, and probe their functions.
 
-        Online, where a plan is for one step alone, `first` is that step.
+        `first` is the number of the first step of the evidence.
         """
         layout, lead = graph.layout, bound.lead
 
@@ -213,7 +216,7 @@ class ChainPlan:
             made = family(reading.cpd, place, reading.step + first, reading.inputs)
             return _sensor(made, place, reading, layout, bound.steps)
 
-        start, later = np.zeros(1, dtype=np.intp), np.arange(bound.steps) + max(first, 1)
+        start, later = np.zeros(1, dtype=np.intp), np.arange(bound.steps) + first + 1
         priors = layout.model.prior if prior else ()
         links = [link(cpd, layout.states, start, {}) for cpd in priors]
         transition = [

@@ -8,7 +8,7 @@ in float64, and where that has too few digits in twice as many.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,6 +42,27 @@ class Beginning(NamedTuple):
     mean: Array
     cov: Array
     careful: Begin | None = None
+
+    def over(self, runs: int) -> Beginning:
+        """The same for so many runs, where it is of one."""
+        if len(self.mean) == runs:
+            return self
+
+        def wide(part: Any) -> Any:
+            if isinstance(part, np.ndarray):
+                return np.broadcast_to(part, (runs, *part.shape[1:]))
+            if isinstance(part, Twofold):
+                return Twofold(wide(part.hi), wide(part.lo))
+            return None if part is None else type(part)(*map(wide, part))
+
+        found: Beginning = wide(self)
+        return found
+
+    def cut(self, plan: ChainPlan, first: int, last: int) -> ChainPlan:
+        """The plan of a window of steps that begins here."""
+        begin = self.over(plan.runs)
+        mean, cov, _ = Moments.of(plan, begin.mean, begin.cov)
+        return plan.window(first, last, (mean, cov))
 
     @property
     def in_digits(self) -> Begin:
@@ -93,35 +114,43 @@ class Window:
         return Beginning(mean, cov, Begin(step.known.shifted(self.moved[row]), step.information))
 
 
-def of(plan: ChainPlan, first: int, last: int, begin: Beginning | None) -> ChainPlan:
-    """The plan of a window of steps, which begins with a belief or with the prior."""
-    if begin is None:
-        return plan.window(first, last)
-    mean, cov, _ = Moments.of(plan, begin.mean, begin.cov)
-    return plan.window(first, last, (mean, cov))
+class Alone(NamedTuple):
+    """A step alone, its CPDs linearised at the beliefs before it.
+
+    Attributes
+    ----------
+    plan : ChainPlan
+    ahead : Forward
+    error : ndarray or None
+        (runs,): of the means, where it took twice the digits.
+    """
+
+    plan: ChainPlan
+    ahead: Forward
+    error: Array | None
 
 
-def newest(plan: ChainPlan, step: int, begin: Beginning | None) -> ChainPlan:
-    """A step alone, its CPDs linearised at the beliefs before it, as a filter does."""
+def newest(plan: ChainPlan, step: int, begin: Beginning | None) -> Alone:
+    """A step alone, linearised as a filter does."""
     first = max(step - 1, 0)
-    alone = of(plan, first, step, begin)
+    alone, begin = _cut(plan, first, step, begin)
     if _is_plain(alone, begin):
         try:
             ahead, _ = forward.run(alone, ONCE)
             if certificate.suffices(alone, ahead):
-                return alone
+                return Alone(alone, ahead, None)
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
-        alone = of(plan, first, step, begin)
-    careful.sweep(alone, ONCE, begin=None if begin is None else begin.in_digits)
-    return alone
+        alone, begin = _cut(plan, first, step, begin)
+    swept, _ = careful.sweep(alone, ONCE, begin=None if begin is None else begin.in_digits)
+    return Alone(alone, swept.forward, swept.error)
 
 
 def settled(
     plan: ChainPlan, first: int, last: int, begin: Beginning | None, schedule: FixedLag
 ) -> Window:
     """Iterate on a window of steps, all of whose CPDs have been linearised."""
-    part = of(plan, first, last, begin)
+    part, begin = _cut(plan, first, last, begin)
     if _is_plain(part, begin):
         try:
             found = _settled(Chain(part, swept), schedule)
@@ -131,7 +160,7 @@ def settled(
                 return _window(part, ahead, found, None)
         except NumericalError:
             pass
-        part = of(plan, first, last, begin)
+        part, begin = _cut(plan, first, last, begin)
     start = None if begin is None else begin.in_digits
 
     def solve(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> CarefulSmoothed:
@@ -139,6 +168,15 @@ def settled(
 
     precise = _settled(Chain(part, solve), schedule)
     return _window(part, precise.solution.careful.forward, precise, precise.solution)
+
+
+def _cut(
+    plan: ChainPlan, first: int, last: int, begin: Beginning | None
+) -> tuple[ChainPlan, Beginning | None]:
+    """The plan of a window of steps, and where it begins, or None for the prior."""
+    if begin is None:
+        return plan.window(first, last), None
+    return begin.cut(plan, first, last), begin.over(plan.runs)
 
 
 def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
