@@ -10,11 +10,10 @@ from typing import Any, NoReturn
 import numpy as np
 
 from pgm.compile import compile
-from pgm.errors import EvidenceError, ModelError, NumericalError
-from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
-from pgm.evidence.arrays import as_rows
+from pgm.errors import ModelError, NumericalError
+from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
-from pgm.inference.chain import online_careful
+from pgm.inference.chain import online_careful, online_evidence
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.online_belief import OnlineBelief
@@ -164,10 +163,11 @@ class OnlineFilter(Immutable):
         """
         self._check(belief)
         if type(inputs) is not dict:
-            inputs = {} if inputs is None else _mapping(inputs, "predict", "inputs to values")
+            given = {} if inputs is None else inputs
+            inputs = online_evidence.mapping(given, "predict", "inputs to values")
         step, behind = belief.step + 1, belief.behind
         if isinstance(behind, Sliding):
-            bound = self._moving(belief, inputs)
+            bound = online_evidence.inputs(self.model, belief, inputs)
             behind = behind.on(self._windows, bound.transition, bound.lead)
             return self._slid(step, behind, np.broadcast_to(belief.log_evidence, bound.lead))
         if belief.careful is None:
@@ -201,21 +201,7 @@ class OnlineFilter(Immutable):
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of a prediction, its inputs checked."""
-        return self._plan(self._moving(belief, inputs), belief.step)
-
-    def _moving(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> BoundEvidence:
-        """The inputs of a prediction, checked."""
-        needed = {v for cpd in self.model.transition for v in cpd.parents}
-        for variable in inputs:
-            if variable not in needed or variable not in self.model.inputs:
-                raise EvidenceError(
-                    f"predict takes inputs of the transition, not {variable!r}; "
-                    "readings go to update",
-                    variable=variable,
-                    step=belief.step + 1,
-                )
-        evidence = {v: _constant(value) for v, value in inputs.items()}
-        return self._same(belief, bind(self.model.transition, (), evidence, 1, belief.lead))
+        return self._plan(online_evidence.inputs(self.model, belief, inputs), belief.step)
 
     @_quiet
     def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
@@ -237,10 +223,10 @@ class OnlineFilter(Immutable):
         """
         self._check(belief)
         if type(readings) is not dict:
-            readings = _mapping(readings, "update", "sensors to readings")
+            readings = online_evidence.mapping(readings, "update", "sensors to readings")
         behind = belief.behind
         if isinstance(behind, Sliding):
-            bound = self._read(belief, readings)
+            bound = online_evidence.readings(self.model, belief, readings)
             behind = behind.read(self._windows, bound.readings, bound.lead)
             return self._slid(belief.step, behind, belief.log_evidence)
         if belief.careful is None:
@@ -292,34 +278,9 @@ class OnlineFilter(Immutable):
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its readings checked."""
-        plan = self._plan(self._read(belief, readings), belief.step)
+        plan = self._plan(online_evidence.readings(self.model, belief, readings), belief.step)
         require_cost(self._filtering, (sensor.family for sensor in plan.sensors))
         return plan
-
-    def _read(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> BoundEvidence:
-        """The readings of an update, checked."""
-        evidence = {v: self._reading(v, value) for v, value in readings.items()}
-        bound = bind(
-            self.model.transition,
-            self.model.observation,
-            evidence,
-            0,
-            belief.lead,
-            transition_inputs=False,
-        )
-        return self._same(belief, bound)
-
-    def _same(self, belief: OnlineBelief, bound: BoundEvidence) -> BoundEvidence:
-        """Refuse runs that are not those of a window, but for many after one."""
-        lead = belief.lead
-        if isinstance(belief.behind, Sliding) and lead and lead != bound.lead:
-            raise EvidenceError(
-                f"evidence of runs {bound.lead} after such of runs {lead}, with {self.schedule!r}: "
-                "the steps of a window are of the same runs; give the first evidence, or the "
-                f"prior's mean, all axes {bound.lead}",
-                step=belief.step,
-            )
-        return bound
 
     def _slid(self, step: int, behind: Sliding, log_evidence: Array) -> OnlineBelief:
         """The belief at the newest step of a window, or before anything was read there."""
@@ -360,37 +321,12 @@ class OnlineFilter(Immutable):
                 "the newest belief"
             )
 
-    def _reading(self, variable: Variable, value: Any) -> Any:
-        if variable not in self.model.sensors:
-            return _constant(value)
-        if not isinstance(value, Sightings):
-            value = sightings(as_rows(variable, value, None)[..., None, :])
-        if value.step is not None:
-            raise EvidenceError(
-                f"sightings of {variable!r} online belong to the belief's step; leave step= out",
-                variable=variable,
-            )
-        if value.values is None:
-            return Sightings(None, np.zeros(0, dtype=np.intp), value.given)
-        rows = as_rows(variable, value.values, "M")
-        return Sightings(rows, np.zeros(rows.shape[-2], dtype=np.intp), value.given)
-
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)
 
 
 def _nothing_to_iterate(lead: tuple[int, ...]) -> Status:
     return Status(1, np.empty((0, *lead)), np.ones(lead, dtype=bool))
-
-
-def _mapping(value: Any, method: str, what: str) -> Mapping[Variable, Any]:
-    if not isinstance(value, Mapping):
-        raise EvidenceError(f"{method} takes a mapping of {what}, not {type(value).__name__}")
-    return value
-
-
-def _constant(value: Any) -> Constant:
-    return value if isinstance(value, Constant) else constant(value)
 
 
 def _wide(array: Array, plan: ChainPlan, own: int) -> Array:

@@ -129,7 +129,7 @@ class Sliding:
         return first, mean, cov
 
     def _laid(self, make: Make) -> tuple[ChainPlan, Beginning | None]:
-        """The plan of the window, its newest step linearised as in a filter, and where it begins."""
+        """The plan of the window, its newest step linearised as a filter does; its beginning."""
         before, begin, first = self.before, None, 0
         part = None if before is None else before.plan
         if before is not None and before.plan.steps == self.schedule.lag:
