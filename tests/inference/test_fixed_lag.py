@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from dense import unrolled
 from numpy.testing import assert_allclose, assert_array_equal
-from robots import DRIVE, LANDMARKS, P0, SENSORS, Q, controls, drive_along, m, network, u, x
+from robots import DRIVE, P0, SENSORS, Q, m, network, sighted, u, x
 from textbooks import assert_belief, assert_covs, assert_log, assert_means, wrapped
 from zoo import MODELS, RULES, TOLERANCE, assert_same, model_of, of, of_run, recording
 from zoo import T as STEPS
@@ -151,11 +151,11 @@ def test_a_long_chain_of_one_run_and_of_many():
     """All steps go back at once, in chunks."""
     rng = np.random.default_rng(8)
     model = two_states(rng).replace(observation=[pgm.LinearGaussianCPD(fix, {place: 1.0}, cov=0.3)])
-    values = rng.normal(size=(2, 4000, 1))
-    for readings in (values[0], np.concatenate([values] * 20)[:, :300]):
+    values = rng.normal(size=(2, 3200, 1))
+    for readings in (values[0], np.concatenate([values] * 20)[:, :90]):
         found = pgm.smooth(model, {fix: readings}, lag=9)
         steps = readings.shape[-2]
-        for t in (0, 1, 100, steps - 10, steps - 9, steps - 8, steps):
+        for t in (1, 70, steps - 10, steps - 9, steps - 1):
             last = min(t + 9, steps)
             due = pgm.smooth(model, {fix: readings[..., :last, :]})[place.at(t)]
             assert_belief(found[place.at(t)], due.mean, due.cov, 1e-11)
@@ -234,19 +234,6 @@ def test_joints_and_clusters_know_what_their_latest_step_knows(iterations):
     assert_allclose(ours.nis, theirs.nis, rtol=1e-7)
 
 
-def drive(runs=None, steps=12, seed=3):
-    """A robot that turns, and sights a landmark at most of its steps."""
-    rng = np.random.default_rng(seed)
-    commands = controls(rng, steps)
-    lead = () if runs is None else (runs,)
-    states = np.stack([drive_along(commands, rng) for _ in range(runs or 1)])
-    states = states if lead else states[0]
-    when = np.arange(1, steps + 1)[rng.random(steps) < 0.8]
-    where = LANDMARKS[rng.integers(0, 3, when.size)]
-    values = SIGHT.draw(states[..., when, :], where, rng)
-    return {u: commands, z: pgm.sightings(values, step=when, given={m: where})}
-
-
 ROBOT = network(SIGHT.cpd())
 
 
@@ -313,7 +300,7 @@ def textbook(evidence, lag, iterations, steps):
 @pytest.mark.parametrize("lag", [1, 3, 12])
 def test_windows_are_the_textbook_s(lag, iterations):
     """With a lag of one, the dynamically iterated extended Kalman filter."""
-    evidence = drive()
+    evidence = sighted()
     found = lagged(ROBOT, evidence, lag, iterations=iterations, tolerance=0.0)
     newest, oldest = textbook(evidence, lag, iterations, 12)
     for belief, due in ((found.filtered[x], newest), (found[x], oldest)):
@@ -365,7 +352,7 @@ def test_windows_that_cover_the_record_end_where_the_iterated_smoother_does(name
 @pytest.mark.parametrize("damping", [0.0, 0.4, pgm.LevenbergMarquardt()], ids=repr)
 def test_each_run_of_a_batch_is_that_run_alone(damping):
     """Runs settle after iterations of their own, and those that have do not move."""
-    evidence = drive(runs=3)
+    evidence = sighted(runs=3)
     options = {"lag": 2, "iterations": 6, "tolerance": 1e-3, "damping": damping}
     batch = pgm.smooth(ROBOT, evidence, **options)
     for run in range(3):
@@ -381,7 +368,7 @@ def test_each_run_of_a_batch_is_that_run_alone(damping):
 
 
 def test_dampings_end_at_the_same_points():
-    evidence, options = drive(seed=4), {"lag": 3, "iterations": 80, "tolerance": 1e-10}
+    evidence, options = sighted(seed=4), {"lag": 3, "iterations": 80, "tolerance": 1e-10}
     due = pgm.smooth(ROBOT, evidence, **options)
     for damping in (0.4, pgm.LevenbergMarquardt()):
         found = pgm.smooth(ROBOT, evidence, damping=damping, **options)
@@ -416,14 +403,14 @@ def test_step_control_finds_the_least_cost_of_a_window_where_plain_iterations_sw
 
 
 def test_a_status_tells_of_all_windows():
-    found = pgm.smooth(ROBOT, drive(), lag=3, iterations=2, tolerance=1e-12)
+    found = pgm.smooth(ROBOT, sighted(), lag=3, iterations=2, tolerance=1e-12)
     assert not found.status.converged
     assert found.status.residuals.shape == (1,)
     assert repr(found.status).startswith("Status(2 iterations, 0 of 1 runs converged, last resid")
-    settled = pgm.smooth(ROBOT, drive(), lag=3, iterations=60, tolerance=1e-6)
+    settled = pgm.smooth(ROBOT, sighted(), lag=3, iterations=60, tolerance=1e-6)
     assert settled.status.converged
     assert settled.status.residuals[-1] <= 1e-6
-    once = pgm.smooth(ROBOT, drive(), lag=3)
+    once = pgm.smooth(ROBOT, sighted(), lag=3)
     assert repr(once.status) == "Status(linearised once, not iterated)"
 
 
@@ -433,7 +420,7 @@ def test_a_status_tells_of_all_windows():
 @pytest.mark.parametrize("iterations", [1, 3])
 def test_what_is_kept_and_what_executors_find_is_the_same(iterations, monkeypatch):
     monkeypatch.setattr(parts, "MOST", 3)
-    evidence = drive(runs=7)
+    evidence = sighted(runs=7)
     call = partial(pgm.smooth, ROBOT, evidence, lag=2, iterations=iterations)
     whole, kept = call(), call(keep=[x])
     assert repr(kept) == "Posterior(fixed-lag (2), kept [x], steps 0..12, runs (7,))"
