@@ -172,9 +172,9 @@ def infer(
         )
     if isinstance(schedule, Filtering | FixedLag):
         raise GraphError(
-            f"only a dynamic network is filtered, or smoothed by a lag; {graph!r} has no time: "
-            f"leave {schedule!r} out for a tree, and on a graph with loops give pgm.Flooding(), "
-            "pgm.Sequential() or pgm.Residual()"
+            f"only a dynamic network is filtered, or smoothed by a lag; {graph!r} has no time, for "
+            f"which {schedule!r} is: leave the schedule out for a tree, and on a graph with loops "
+            "give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
         )
     if isinstance(schedule, Smoothing) and schedule.damping:
         raise GraphError(

@@ -29,7 +29,7 @@ def static(method=None):
     return pgm.compile(net, method=method)
 
 
-NO_TIME = "only a dynamic network is filtered, or smoothed by a lag", "leave FixedLag(lag=2,"
+NO_TIME = "only a dynamic network is filtered, or smoothed by a lag", "which FixedLag(lag=2,"
 REFUSALS = [
     *(
         refusal(
@@ -86,7 +86,7 @@ REFUSALS = [
         "a start",
         lambda: infer(pgm.FixedLag(2), start={x: np.zeros((13, 3))}),
         pgm.EvidenceError,
-        "a start is for pgm.Smoothing(), not FixedLag(lag=2",
+        "a start is for smoothing all at once, not FixedLag(lag=2",
     ),
     refusal(
         "costs that do not exist",

@@ -205,6 +205,6 @@ def test_online_is_the_same(drive, damping, grouped):
     assert_log(belief.log_evidence, recorded.log_evidence)
 
 
-def test_an_online_filter_takes_filtering_alone():
-    with pytest.raises(pgm.ModelError, match=r"a filter takes pgm.Filtering\(...\), not Smoothing"):
+def test_an_online_filter_does_not_smooth():
+    with pytest.raises(pgm.ModelError, match=r"takes pgm.Filtering\(...\) or .*, not Smoothing"):
         pgm.OnlineFilter(network(), pgm.Taylor(), pgm.Smoothing())

@@ -156,7 +156,9 @@ class MomentChain:
         if self.keeps:
             for part in parts:
                 part.keep()
-        return (after if self.anchor is None else after.held(self.anchor, step - self.plan.first)), density
+        return (
+            after if self.anchor is None else after.held(self.anchor, step - self.plan.first)
+        ), density
 
     def _iterated(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering

@@ -59,7 +59,7 @@ def run(
         )
     if start is not None and isinstance(schedule, Filtering | FixedLag):
         raise EvidenceError(
-            f"a start is for pgm.Smoothing(), not {schedule!r}, which linearises at its own beliefs"
+            f"a start is for smoothing all at once, not {schedule!r}, which linearises at beliefs"
         )
     if isinstance(schedule, FixedLag):
         if isinstance(graph, BalancedGraph):
