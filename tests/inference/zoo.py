@@ -123,7 +123,7 @@ def model_of(name, run=None):
 def recording(name, runs=RUNS, seed=5):
     """Evidence of a few runs, sightings at step 0 too, some of them missing; headings go round."""
     model, rng = MODELS[name], np.random.default_rng(seed)
-    given = np.stack([rng.uniform(0.5, 1.5, (runs, T)), rng.uniform(0.2, 0.8, (runs, T))], axis=-1)
+    given = np.stack([rng.uniform(0.5, 1.5, (runs, T)), rng.uniform(0.4, 0.9, (runs, T))], axis=-1)
     states = np.stack([drive_along(each, rng) for each in given])
     first = rng.integers(0, 2, (runs, STEP.size))
     first[:, 1:] = np.where(STEP[1:] == STEP[:-1], 1 - first[:, :-1], first[:, 1:])
