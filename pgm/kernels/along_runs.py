@@ -21,25 +21,6 @@ _MILD = 1e3
 _SMALLEST = float(np.finfo(np.float64).tiny)
 
 
-def predict(
-    mean: Array, cov: Array, matrix: Array, offset: Array, noise: Array
-) -> tuple[Array, Array]:
-    """Moments of F x + b + n.
-
-    Parameters
-    ----------
-    mean, cov : ndarray
-        Of x, (n, runs) and (n, n, runs), the latter exactly symmetric.
-    matrix, offset, noise : ndarray
-        F (d, n, runs), b (d, runs) and the covariance of n, (d, d, runs or 1).
-    """
-    result_cov = np.empty((len(matrix), len(matrix), cov.shape[-1]))
-    push(cov, matrix, noise, result_cov)
-    result: Array = np.einsum("ijr,jr->ir", matrix, mean)
-    result += offset
-    return result, result_cov
-
-
 def push(cov: Array, matrix: Array, noise: Array, out: Array) -> None:
     """Put the covariance F P Fᵀ + noise into `out`, (d, d, runs)."""
     half = np.einsum(_TIMES_TRANSPOSED, matrix, cov)

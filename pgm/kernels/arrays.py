@@ -112,19 +112,6 @@ def room(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     return memory.transpose(*range(own, memory.ndim), *range(own))
 
 
-def laid_out_as(x: Array, array: Array, own: int) -> Array:
-    """An array (..., own axes), laid out by runs where vectors x (..., n) are.
-
-    Functions that stack their results along the last axis return them interleaved.
-    """
-    if x.size < _MANY or x.strides[-1] < _FAR or min(array.strides[-own:]) >= _FAR:
-        return array
-    shape = array.shape
-    copy = np.empty_like(x, shape=shape) if own == 1 else room(shape[:-own], shape[-own:])
-    copy[...] = array
-    return copy
-
-
 def contiguous(matrix: Array) -> Array:
     """The matrices with their columns fastest in memory, or next to the rows of runs."""
     if not by_runs(matrix):

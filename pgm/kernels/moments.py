@@ -6,16 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels import along_runs, pseudoinverse, roots
+from pgm.kernels import pseudoinverse, roots
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
-    Index,
     apply,
-    block,
-    by_runs,
     contiguous,
-    distinct,
     inner,
     make_symmetric,
     multiply,
@@ -62,23 +58,6 @@ def update(
     gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise. `exact` says whether the noise is singular, so that
     zeros have to be told from their rounding.
     """
-    if not exact and _many(mean, cov, matrix, residual, noise):
-        with np.errstate(invalid="ignore", divide="ignore"):  # then nothing is found
-            found = along_runs.update(
-                _by_component(mean),
-                _by_component(cov),
-                _by_component(matrix),
-                _by_component(residual),
-                _by_component(noise),
-            )
-        if found is not None:
-            return Update(
-                _by_run(found.mean),
-                _by_run(found.cov),
-                _by_run(found.log_density),
-                _by_run(found.lower),
-                None,
-            )
     size = residual.shape[-1]
     cross = times_symmetric(matrix, cov)
     predictive = times_transposed(cross, matrix) + noise
@@ -121,29 +100,6 @@ def certain(cov: Array, rounding: Array) -> Array:
     return np.where(open_[..., None] & open_[..., None, :], cov, 0.0)
 
 
-def _many(mean: Array, cov: Array, matrix: Array, vector: Array, noise: Array) -> bool:
-    """Whether these are of many runs, the only leading axis, in the layout that goes along them."""
-    parts = mean, cov, matrix, vector, noise
-    return (
-        by_runs(cov)
-        and cov.strides[0] > 0  # one covariance of all runs, 1 × 1, looks like any layout
-        and [part.ndim for part in parts] == [2, 3, 3, 2, 3]
-        and all(len(part) == len(cov) for part in parts)
-    )
-
-
-def _by_component(array: Array) -> Array:
-    """Runs last; one run where broadcasting has made it stand for all."""
-    if array.strides[0] == 0:
-        array = array[:1]
-    return array.transpose(*range(1, array.ndim), 0)
-
-
-def _by_run(array: Array) -> Array:
-    """Runs first."""
-    return array.transpose(-1, *range(array.ndim - 1))
-
-
 class Conditional(NamedTuple):
     """x given y as an affine Gaussian: x = F y + b + n, n ~ N(0, cov)."""
 
@@ -172,25 +128,6 @@ def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Arra
     """Moments of F x + b + n for x ~ N(mean, cov)."""
     matrix, offset, noise = conditional
     return apply(matrix, mean) + offset, make_symmetric(sandwich(matrix, cov) + noise)
-
-
-def predict(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
-    """`push`, with zeros told from their rounding where the noise leaves components out."""
-    matrix, offset, noise = conditional
-    full = (np.diagonal(distinct(noise), axis1=-2, axis2=-1) != 0.0).all()
-    if full and distinct(matrix).ndim == 3 and _many(mean, cov, matrix, offset, noise):
-        found = along_runs.predict(
-            _by_component(mean),
-            _by_component(cov),
-            _by_component(matrix),
-            _by_component(offset),
-            _by_component(noise),
-        )
-        return _by_run(found[0]), _by_run(found[1])
-    result, result_cov = push(mean, cov, conditional)
-    if not full:
-        result_cov = certain(result_cov, ROUNDING * spread(matrix, cov, noise))
-    return result, result_cov
 
 
 def log_density(residual: Array, cov: Array) -> Array:
@@ -224,30 +161,6 @@ def kl(difference: Array, cov: Array, other_cov: Array) -> Array:
         + inner(white, white)
     )
     return np.where(singular, np.nan, value)
-
-
-def extend(
-    mean: Array,
-    cov: Array,
-    child: slice,
-    parents: Index,
-    matrix: Array,
-    offset: Array,
-    noise: Array,
-) -> None:
-    """Write the child y = F x + b + n into a joint of which it is a part, in place.
-
-    The joint's covariance must be zero where its components are not yet written.
-    """
-    inside = block(cov, parents, parents)
-    part = Conditional(matrix, offset, noise)
-    mean[..., child], own = predict(mean[..., parents], inside, part)
-    cross = multiply(matrix, cov[..., parents, :])
-    variances = np.diagonal(own, axis1=-2, axis2=-1)
-    cross = np.where(variances[..., None] > 0.0, cross, 0.0)
-    cov[..., child, :] = cross
-    cov[..., :, child] = transpose(cross)
-    cov[..., child, child] = own
 
 
 def marginal_error(mean: Array, other: Array, std: Array) -> Array:

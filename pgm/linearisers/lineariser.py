@@ -69,7 +69,8 @@ def prepare(lineariser: Lineariser, template: FunctionTemplate) -> Prepared:
     if own is None:
         return Wrapped(lineariser, template)
     prepared: Prepared = own(template)
-    return prepared
+    ours = isinstance(lineariser, Builtin) and type(lineariser).prepare.__module__ in _OURS
+    return prepared if ours else _Checked(prepared)
 
 
 def needs_cov(lineariser: Lineariser, template: FunctionTemplate) -> bool:
@@ -102,6 +103,14 @@ class ArrayLineariser(ABC):
         size = len(value)
         spread = np.zeros((size, size)) if error is None else components_last(error, 2)
         return AffineGaussian(components_last(matrix, 2), components_last(offset, 1), spread)
+
+
+class Builtin(ArrayLineariser):
+    """A lineariser of the library, whose prepared form is known to fit."""
+
+
+# Where such forms are made.
+_OURS = ("pgm.linearisers.taylor", "pgm.linearisers.regression")
 
 
 class Misfit(Exception):
@@ -138,6 +147,33 @@ class Wrapped:
         value = times(matrix, mean)
         value += offset
         return Line(matrix, value, error if error.any() else None)
+
+
+class _Checked:
+    """A prepared form of a user's, whose answers are looked at."""
+
+    def __init__(self, prepared: Prepared) -> None:
+        self.prepared = prepared
+
+    def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
+        """Linearise at beliefs (n, *batch) and (n, n, *batch)."""
+        found = self.prepared(function, mean, cov)
+        if not isinstance(found, Line):
+            raise Misfit(
+                f"returned {type(found).__name__}",
+                "its prepared form must return a pgm.linearisers.Line",
+            )
+        size, *batch = mean.shape
+        height = function.template.height * (function.group or 1)
+        due = (height, size, *batch), (height, *batch), (height, height, *batch)
+        for name, part, shape in zip(Line._fields, found, due, strict=True):
+            if name == "error" and part is None:
+                continue
+            if not isinstance(part, np.ndarray) or part.dtype != np.float64:
+                raise Misfit(f"returned a {name} that is no array of floats", f"{shape} was due")
+            if part.shape != shape:
+                raise Misfit(f"returned a {name} of shape {part.shape}", f"{shape} was due")
+        return found
 
 
 def apart(prepared: Prepared, function: BoundFunction, mean: Array, cov: Array) -> Line:

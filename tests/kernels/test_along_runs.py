@@ -63,25 +63,10 @@ def test_one_belief_may_stand_for_all_runs(size, height):
     mean, cov = (np.broadcast_to(part[0], part.shape) for part in (mean, cov))
     seen = by_run(matrix), by_run(residual), by_run(noise)
     updated = moments.update(mean, cov, *seen, exact=False)
-    moved = moments.predict(mean, cov, moments.Conditional(*seen))
     for k in range(40):
         due = conditioned(mean[k], cov[k], matrix[k], residual[k], noise[k])
         for one, expected in zip(updated, due, strict=False):
             assert_allclose(one[k], expected, rtol=1e-8, atol=1e-10)
-        assert_allclose(moved[0][k], matrix[k] @ mean[k] + residual[k])
-        assert_allclose(moved[1][k], matrix[k] @ cov[k] @ matrix[k].T + noise[k])
-
-
-@RUNS
-@pytest.mark.parametrize(("size", "height"), [(1, 1), (3, 2), (2, 3)])
-def test_a_prediction_of_many_runs_is_that_of_each(runs, size, height):
-    mean, cov, matrix, offset, noise = problem(runs, size, height)
-    part = moments.Conditional(by_run(matrix), by_run(offset), by_run(noise))
-    found_mean, found_cov = moments.predict(by_run(mean), by_run(cov), part)
-    for k in range(runs):
-        assert_allclose(found_mean[k], matrix[k] @ mean[k] + offset[k])
-        assert_allclose(found_cov[k], matrix[k] @ cov[k] @ matrix[k].T + noise[k])
-    assert_array_equal(found_cov, transpose(found_cov))
 
 
 @pytest.mark.parametrize("height", [1, 2, 3])

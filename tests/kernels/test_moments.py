@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
-from pgm.kernels import moments, roots
+from pgm.kernels import gaussian, moments, roots
 from tests.dense import (
     Joint,
     algebra,
@@ -205,17 +205,18 @@ def test_extending_writes_the_child_into_the_joint(parents):
     # A chain x (2) -> y (1), after an unrelated w (1): the vector is (x, y, w).
     rng = np.random.default_rng(0)
     start = random_covariance(rng, 3, 2)
-    mean, cov = np.zeros((1, 4)), np.zeros((1, 4, 4))
+    mean, cov = np.zeros(4), np.zeros((4, 4))
     old = np.array([0, 1, 3])
-    mean[0, old], cov[0, old[:, None], old] = rng.normal(size=3), start
+    mean[old], cov[old[:, None], old] = rng.normal(size=3), start
     matrix, offset, noise = rng.normal(size=(1, 2)), np.ones(1), np.array([[0.3]])
     whole = np.zeros((1, 3))
     whole[:, [0, 1] if isinstance(parents, slice) else [2, 0]] = matrix
-    joint = linear_joint([("xw", {}, mean[0, old], start), ("y", {"xw": whole}, offset, noise)])
-    moments.extend(mean, cov, slice(2, 3), parents, matrix, offset, noise)
+    joint = linear_joint([("xw", {}, mean[old], start), ("y", {"xw": whole}, offset, noise)])
+    value = matrix @ mean[parents] + offset
+    gaussian.extend(mean, cov, slice(2, 3), parents, matrix, value, noise)
     order = np.array([0, 1, 3, 2])
-    assert_allclose(mean[0, order], joint.mean)
-    assert_allclose(cov[0][np.ix_(order, order)], joint.cov, atol=1e-12)
+    assert_allclose(mean[order], joint.mean)
+    assert_allclose(cov[np.ix_(order, order)], joint.cov, atol=1e-12)
 
 
 @algebra

@@ -192,7 +192,6 @@ def test_errors_of_sightings_are_joint_where_they_are_grouped(name, run):
     assert ("x", None, False) in asked
 
 
-@pytest.mark.xfail(strict=True, reason="the shapes of a prepared form are not looked at yet")
 @pytest.mark.parametrize("fault", ["matrix", "value", "error", "nothing"])
 @pytest.mark.parametrize("run", [1, slice(None)], ids=["one", "few"])
 def test_a_prepared_form_that_returns_something_odd(fault, run):

@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from pgm.inference.chain import sweep as loops
 from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels import conditionals, moments, pseudoinverse, roots
 from pgm.kernels.arrays import Array, Index, apply, block, room, sandwich, symmetric, transpose
@@ -119,9 +120,9 @@ class Reverse:
             slices = slices._replace(offset=shift)
         return Reverse(Conditional(matrix, offset, cov), slices)
 
-    def step_back(self, step: int, mean: Array, cov: Array) -> tuple[Array, Array]:
+    def back(self, step: int, belief: tuple[Array, Array]) -> tuple[Array, Array]:
         """Moments of the slice at a step from those of the slice after it."""
-        mean, cov = moments.push(mean, cov, Conditional(*(part[step] for part in self.states)))
+        mean, cov = moments.push(*belief, Conditional(*(part[step] for part in self.states)))
         if self.slices is not None:
             mean, cov = moments.push(mean, cov, Conditional(*(part[step] for part in self.slices)))
         return mean, cov
@@ -187,10 +188,9 @@ def scan(forward: Ahead, reverse: Reverse) -> Beliefs:
 def sweep(forward: Ahead, reverse: Reverse) -> Beliefs:
     """Smoothed moments of every slice, one step after another."""
     mean, cov = np.empty_like(forward.mean), np.empty_like(forward.cov)
-    last = mean.shape[0] - 1
-    mean[last], cov[last] = forward.mean[last], forward.cov[last]
-    for step in range(last - 1, -1, -1):
-        mean[step], cov[step] = reverse.step_back(step, mean[step + 1], cov[step + 1])
+    last = forward.mean[-1], forward.cov[-1]
+    for step, belief in loops.backward(reverse, len(mean) - 1, last):
+        mean[step], cov[step] = belief
     return Beliefs(mean, cov)
 
 

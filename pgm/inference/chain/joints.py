@@ -54,7 +54,7 @@ def joint_moments(
     cross, start = np.empty((runs, everywhere.size, size)), size
     for step in range(latest, first - 1, -1):
         if step < latest:
-            at, spread = reverse.step_back(step, at, spread)
+            at, spread = reverse.back(step, (at, spread))
             cross[..., start:] = _gain(reverse, step) @ cross[..., start:]
         for rows, places in due.get(step, []):
             cross[..., rows] = spread[..., places]
