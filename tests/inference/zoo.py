@@ -120,9 +120,14 @@ def model_of(name, run=None):
     return plain(prior=pgm.GaussianCPD(x, STARTS[run], SPREADS[run]))
 
 
-def recording(name, runs=RUNS, seed=5):
+def recording(name, runs=RUNS):
     """Evidence of a few runs, sightings at step 0 too, some of them missing; headings go round."""
-    model, rng = MODELS[name], np.random.default_rng(seed)
+    return dict(_recorded(name, runs))
+
+
+@cache
+def _recorded(name, runs):
+    model, rng = MODELS[name], np.random.default_rng(5)
     given = np.stack([rng.uniform(0.5, 1.5, (runs, T)), rng.uniform(0.4, 0.9, (runs, T))], axis=-1)
     states = np.stack([drive_along(each, rng) for each in given])
     first = rng.integers(0, 2, (runs, STEP.size))
