@@ -151,7 +151,8 @@ class _Regression:
         if lower is None:
             line = self._generally(function, mean, cov, points)
         else:
-            line = _fitted(function, mean, cov, points, lower)
+            fitted = _fitted if mean.ndim > 1 else _fitted_one
+            line = fitted(function, mean, cov, points, lower)
         if function.group is None or function.joint:
             return line
         return line._replace(error=_within(line.error, function.group))
@@ -195,34 +196,54 @@ class _Regression:
         return Line(matrix, value, noise)
 
 
+def _fitted_one(
+    function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array
+) -> Line:
+    """With few points, at one belief of a regular covariance: the regression is at hand."""
+    turning = function.turning
+    extra = int(bool(turning) and not points.centred)
+    x = (points.with_centre if extra else points.points).dot(lower.T)
+    x += mean
+    values = function(x)
+    reference = values[0]
+    raw = values[extra:] - reference
+    # Few numbers are compared more quickly one by one.
+    if any(abs(value) > np.pi for k in turning for value in raw[:, k].tolist()):
+        slopes, offsets = function.jacobian(mean, gaussian.deviations(cov)), x[extra:] - mean
+        for k in turning:
+            raw[:, k] = _about(raw[:, k], offsets.dot(slopes[k]), axis=0)
+    rows, signs = points.fit
+    found, first = rows.dot(raw), 1 + len(mean)
+    left = found[first:]
+    noise = (left if signs is None else signs[:, None] * left).T.dot(left)
+    slope, value = found[1:first].T, reference + found[0]
+    matrix = gaussian.divide(slope, lower)
+    _clear_rounding(noise, slope, reference, raw.T, matrix, mean, points.rounding)
+    return Line(matrix, value, noise)
+
+
 def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array) -> Line:
-    """With few points, shared by all beliefs, of regular covariances: the regression is at hand."""
+    """With few points, shared by many beliefs, of regular covariances."""
     batch = mean.shape[1:]
     if len(batch) > 1:
         mean, lower = mean.reshape(len(mean), -1), lower.reshape(*lower.shape[:2], -1)
     extra = int(bool(function.turning) and not points.centred)
-    called = points.with_centre if extra else points.points
-    offsets = np.matmul(called, lower) if batch else lower.dot(called.T)
+    offsets = np.matmul(points.with_centre if extra else points.points, lower)
     values = _values(function, offsets + mean[:, None], batch)
     reference = values[:, 0]
     # Functions interleave components: along rows of runs all that follows goes faster.
     raw = np.subtract(values[:, extra:], reference[:, None], order="C")
-    if _exceeds(raw, function.turning):
+    if any(np.abs(raw[k]).max(initial=0.0) > np.pi for k in function.turning):
         at = components_last(mean.reshape(-1, *batch), 1)
         slopes = function.jacobian(at, components_last(gaussian.deviations(cov), 1))
         slopes = components_first(slopes, 2).reshape(-1, *mean.shape)
         for k in function.turning:
-            line = np.einsum("i...,iN...->N...", slopes[k], offsets[:, extra:])
+            line = np.einsum("ir,iNr->Nr", slopes[k], offsets[:, extra:])
             raw[k] = _about(raw[k], line, axis=0)
     rows, signs = points.fit
-    first = 1 + len(mean)
-    found = rows @ raw if batch else raw.dot(rows.T)
+    found, first = rows @ raw, 1 + len(mean)
     left = found[:, first:]
-    if batch:
-        signed = left if signs is None else signs[:, None] * left
-        noise = np.einsum("ikr,jkr->ijr", signed, left)
-    else:
-        noise = (left if signs is None else signs * left).dot(left.T)
+    noise = np.einsum("ikr,jkr->ijr", left if signs is None else signs[:, None] * left, left)
     slope, value = found[:, 1:first], reference + found[:, 0]
     matrix = gaussian.divide(slope, lower)
     _clear_rounding(noise, slope, reference, raw, matrix, mean, points.rounding)
@@ -239,14 +260,6 @@ def _values(function: BoundFunction, x: Array, batch: tuple[int, ...]) -> Array:
     values = function(points.transpose(*range(2, points.ndim), 1, 0))
     last = values.ndim - 1
     return values.transpose(last, last - 1, *range(last - 1)).reshape(-1, *x.shape[1:])
-
-
-def _exceeds(raw: Array, turning: list[int]) -> bool:
-    """Whether an angle's offset, (d, N, *batch), exceeds half a turn."""
-    if raw.ndim == 2:
-        # Few numbers are compared more quickly one by one.
-        return any(abs(value) > np.pi for k in turning for value in raw[k].tolist())
-    return any(np.abs(raw[k]).max() > np.pi for k in turning)
 
 
 def _about(raw: Array, line: Array, axis: int) -> Array:
