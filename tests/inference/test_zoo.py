@@ -3,13 +3,15 @@
 One run and many go through different kernels; both are held to a textbook written plainly.
 """
 
+from functools import cache
 from types import SimpleNamespace
 
 import naive
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from textbooks import assert_belief, assert_log
+from plain import evidence_of, linear_network
+from textbooks import assert_belief, assert_log, exact_linear
 from zoo import (
     MODELS,
     RULES,
@@ -124,3 +126,66 @@ def assert_step(belief, marginals, tolerance):
         mean = np.broadcast_to(found.mean, due.mean.shape)
         cov = np.broadcast_to(found.cov, due.cov.shape)
         assert_belief(SimpleNamespace(mean=mean, cov=cov), due.mean, due.cov, tolerance)
+
+
+def by_function(cpd, slopes):
+    """The same linear CPD as any function; its derivatives may be left to be found."""
+    if not cpd.given or not isinstance(cpd.cov, np.ndarray):
+        return cpd
+
+    def mean(*values):
+        return sum((values[k] @ F.T for k, F in enumerate(cpd.matrices.values())), cpd.offset)
+
+    jacobian = {
+        parent: lambda *values, F=F: np.broadcast_to(F, (*values[0].shape[:-1], *F.shape))
+        for parent, F in cpd.matrices.items()
+    }
+    return pgm.NonlinearGaussianCPD(
+        cpd.child, tuple(cpd.matrices), mean, cpd.cov, jacobian=jacobian if slopes else None
+    )
+
+
+@cache
+def dense():
+    """A linear network, the evidence of two runs, and what is due, in rational numbers."""
+    linear, steps, inputs, readings = linear_network()
+    evidence, due = [], []
+    for shift in (0.0, 0.5):
+        rows = [
+            (sensor, step, [value[0] + shift], known) for sensor, step, value, known in readings
+        ]
+        exact = exact_linear(linear, steps, inputs, rows)
+        smoothed = [
+            {v: exact.joint[(v.at(k),)] for v in beliefs}
+            for k, beliefs in enumerate(exact.filtered)
+        ]
+        evidence.append(evidence_of(inputs, rows))
+        exact.smoothed = smoothed
+        due.append(exact)
+    return linear, evidence, due
+
+
+@pytest.mark.parametrize(
+    ("rule", "slopes"),
+    [("taylor", False), *((rule, True) for rule in RULES if rule != "prior moments")],
+)
+def test_any_rule_of_linear_functions_is_the_dense_joint(rule, slopes):
+    """Of hidden controls, an unknown, and several readings of two sensors at a step."""
+    linear, evidence, due = dense()
+    parts = (linear.prior, linear.transition, linear.observation)
+    model = pgm.DynamicBayesianNetwork(
+        *([by_function(cpd, slopes) for cpd in cpds] for cpds in parts)
+    )
+    batch = dict(evidence[0])
+    for sensor in linear.sensors:
+        values = np.stack([each[sensor].values for each in evidence])
+        batch[sensor] = pgm.sightings(values, evidence[0][sensor].step)
+    together = pgm.smooth(model, batch, lineariser=RULES[rule])
+    for run in (0, 1):
+        alone = pgm.smooth(model, evidence[run], lineariser=RULES[rule])
+        for found in (of(alone), of(together, run)):
+            for (kind, variable), (mean, cov) in found.beliefs.items():
+                moments = [step[variable] for step in getattr(due[run], kind) if variable in step]
+                means, covs = (np.array(part) for part in zip(*moments, strict=True))
+                assert_belief(SimpleNamespace(mean=mean, cov=cov), means, covs, 1e-8)
+            assert_log(found.log_evidence, due[run].joint.log_evidence, 1e-8)
