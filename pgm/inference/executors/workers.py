@@ -210,6 +210,7 @@ class Workers:
             f"{error}; a worker may have died, of a function of the model or of too little memory, "
             "or the executor be shut down; other runs' results are lost with them",
             runs=rows,
+            run=rows[0][0],
         )
 
 
