@@ -34,6 +34,18 @@ def beliefs(library: str, ours: tuple[Array, Array], theirs: tuple[Array, Array 
         _require(library, "covariances", (theirs[1] - cov) / scale, within)
 
 
+def first_beliefs(library: str, ours: tuple[Array, Array], theirs: tuple[Array, Array]) -> None:
+    """As `beliefs`, where they are of the first of our runs alone.
+
+    Raises
+    ------
+    AssertionError
+        Where they differ.
+    """
+    count = len(theirs[0])
+    beliefs(library, (ours[0][:count], ours[1][:count]), theirs)
+
+
 def optima(library: str, ours: tuple[Array, Array], theirs: tuple[Array, Array]) -> None:
     """Means to 1e-5 [m, rad], the covariance of each pose to 1e-4 of its size.
 

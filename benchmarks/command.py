@@ -9,11 +9,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from benchmarks import figure, memory
-from benchmarks.curves import CURVES
+from benchmarks import cliffs, figure, memory
+from benchmarks.choice import Choice, short
 from benchmarks.row import Row
-from benchmarks.rows import ROWS
-from benchmarks.timing import medians
 from benchmarks.verdicts import verdicts
 from experiments.record import folder, note, table, versions
 from pgm.io.whole import whole
@@ -24,42 +22,45 @@ PEERS = ("filterpy", "stonesoup", "dynamax", "jax", "cuthbert", "gtsam", "pyagru
 
 def main(arguments: list[str] | None = None) -> None:
     """Run rows and curves, print tables, write summary.json and the figure."""
-    names = [*(row.name for row in ROWS), *memory.NAMES, *(curve.name for curve in CURVES)]
+    everything = Choice()
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description="Time pgm and other libraries on the same work, once they agree.",
     )
     parser.add_argument("--quick", action="store_true", help="smaller work, fewer repeats")
-    parser.add_argument("--only", help=f"some, with commas between them: {', '.join(names)}")
+    parser.add_argument(
+        "--only",
+        help="some, with commas between them, or the words some begin with, as in cliffs: "
+        f"{', '.join(everything.names)}",
+    )
+    parser.add_argument(
+        "--against",
+        help=f"beside pgm only some libraries, or changes: {', '.join(everything.others)}",
+    )
     parser.add_argument("--repeats", type=int, help="timed calls of each library")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for results")
     options = parser.parse_args(arguments)
     if options.repeats is not None and options.repeats < 1:
         parser.error(f"--repeats must be 1 or more, not {options.repeats}")
-    chosen = everything(options.quick)
-    if options.only is not None:
-        chosen = [name.strip() for name in options.only.split(",")]
-    unknown = sorted(set(chosen) - set(names))
-    if unknown:
-        parser.error(f"there is no {', '.join(map(repr, unknown))}, but {', '.join(names)}")
+    try:
+        chosen = chosen_by(options)
+    except ValueError as error:
+        parser.error(str(error))
     out, quick = folder(options.out), options.quick
     repeats = options.repeats or (3 if quick else 7)
     summary: dict[str, Any] = {"versions": known(), "quick": quick}
     summary |= {"compile": {}, "memory": {}, "curves": {}}
     note(f"versions: {summary['versions']}")
-    for row in ROWS:
-        if row.name in chosen:
-            times, compiling = run(row, quick, repeats)
-            if times:
-                summary[row.name], summary["compile"][row.name] = times, compiling
-    for name in memory.NAMES:
-        if name in chosen:
-            times, summary["memory"][name] = memory.measure(name)
-            if times:
-                summary[name] = times
-    for curve in CURVES:
-        if curve.name in chosen:
-            summary["curves"][curve.name] = curve.measure(quick, min(repeats, 2 if quick else 5))
+    for row in chosen.rows:
+        times, compiling = run(row, quick, repeats)
+        if times:
+            summary[row.name], summary["compile"][row.name] = times, compiling
+    for name in chosen.networks:
+        times, summary["memory"][name] = memory.measure(name)
+        if times:
+            summary[name] = times
+    for curve in chosen.curves:
+        summary["curves"][curve.name] = curve.measure(quick, min(repeats, 2 if quick else 5))
     if summary["curves"]:
         figure.draw(summary["curves"], out / "cost_against_size.png")
     tell(summary)
@@ -67,10 +68,18 @@ def main(arguments: list[str] | None = None) -> None:
         path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
 
 
-def everything(quick: bool) -> list[str]:
-    """The names of all rows and curves of a run."""
-    rows = [row.name for row in ROWS if row.quick or not quick]
-    return [*rows, *(() if quick else memory.NAMES), *(curve.name for curve in CURVES)]
+def chosen_by(options: argparse.Namespace) -> Choice:
+    """What a run is of.
+
+    Raises
+    ------
+    ValueError
+        Where there is nothing of a name.
+    """
+    chosen = short() if options.quick else Choice()
+    if options.only is not None:
+        chosen = Choice().only(options.only)
+    return chosen if options.against is None else chosen.against(options.against)
 
 
 def run(row: Row, quick: bool, repeats: int) -> tuple[dict[str, float], dict[str, float]]:
@@ -84,7 +93,7 @@ def run(row: Row, quick: bool, repeats: int) -> tuple[dict[str, float], dict[str
         note(f"{row.name} is left out: {missing['pgm']}")
         return {}, {}
     row.agree(ready, size)
-    times = medians(ready, min(repeats, row.repeats or repeats))
+    times = row.timed(ready, min(repeats, row.repeats or repeats))
     compiling = {k: each.compiling for k, each in ready.items() if each.compiling is not None}
     table(
         f"{row.name}: microseconds a {row.unit}",
@@ -111,6 +120,9 @@ def tell(summary: dict[str, Any]) -> None:
                 for library, costs in libraries.items()
             ],
         )
+    changes = list(cliffs.told(summary))
+    if changes:
+        table("changes: times the unchanged model's cost", cliffs.HEAD, changes)
     found = list(verdicts(summary))
     if found:
         table(

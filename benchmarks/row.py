@@ -8,7 +8,7 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
-from benchmarks.timing import Contender
+from benchmarks.timing import Contender, medians
 
 Prepare = Callable[[Any], Contender]
 Check = Callable[[str, Any, Any], None]
@@ -33,9 +33,11 @@ class Row:
     most : mapping
         The largest size that a slow library is given, whose cost a unit does not depend on it.
     unchecked : frozenset
-        Contenders that do a part of the work only.
+        Contenders that do a part of the work only, or find something else.
     repeats : int, optional
         Timed calls at the most, where one takes long.
+    timed : callable
+        From contenders and how many turns they take to seconds a unit.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Row:
     most: Mapping[str, int] = field(default_factory=dict)
     unchecked: frozenset[str] = frozenset()
     repeats: int | None = None
+    timed: Callable[[Mapping[str, Contender], int], dict[str, float]] = medians
 
     def prepared(self, size: int) -> tuple[dict[str, Contender], dict[str, str]]:
         """The libraries that are here, with their work, and why others are left out."""

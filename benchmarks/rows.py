@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks import agreement
+from benchmarks import agreement, cliffs
 from benchmarks.row import Prepare, Row, part
 from benchmarks.work import repository, robots, tables, targets
 
@@ -205,6 +205,7 @@ ROWS = [
     *(make(rule) for make in (one_step, many_robots, smoother, online) for rule in SHORT),
     most_probable(),
     linear(),
+    *cliffs.ROWS,
     discrete("asia", tables.medical()),
     discrete("random_200", tables.random()),
     *(make(name) for make in (new_evidence, many_sets) for name in repository.NAMES),

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from benchmarks import cliffs
 from benchmarks.work import repository
 
 FASTER = (  # row, peer, how many times the peer's cost must be ours
@@ -85,6 +86,11 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
         if "pyagrum" in peaks:
             ratio = peaks["pyagrum"] / peaks["pgm"]
             yield Verdict(f"{name}, peak of memory: pyagrum / pgm", ratio, 1.0, True)
+    for change, found in cliffs.ratios(summary):
+        for kind, ratio in found.items():
+            if change.most is not None:
+                what = f"cliffs_{kind}: {change.name} / pgm"
+                yield Verdict(what, ratio, change.most, False)
     for curve, least, asked in LEVEL:
         costs = summary.get("curves", {}).get(curve, {}).get("pgm", {})
         chosen = {int(size): cost for size, cost in costs.items() if int(size) >= least}

@@ -143,10 +143,10 @@ def _trajectory_figure(
             posterior.filtered[pose].run(0),
             truth=drive.truth,
             landmarks=drive.landmarks,
-            label="filter",
+            label=posterior.filtered.kind,
             ax=ax,
         )
-        pgm.plot.trajectory(posterior[pose].run(0), label="smoother", ax=ax)
+        pgm.plot.trajectory(posterior[pose].run(0), label=posterior.kind, ax=ax)
         ax.set_title(name)
         ax.set_xlabel("east [m]")
         ax.set_ylabel("north [m]" if ax is axes[0] else "")
@@ -162,11 +162,10 @@ def _error_figure(posteriors: dict[str, pgm.ChainPosterior], drive: simulation.D
         3, 2, figsize=(11, 6.5), sharex=True, sharey="row", layout="constrained"
     )
     times = DT * np.arange(len(drive.truth))
-    for column, (name, belief) in enumerate(
-        (("filter", posterior.filtered[pose]), ("smoother", posterior[pose]))
-    ):
-        pgm.plot.errors(belief.run(0), drive.truth, times=times, axes=axes[:, column])
-        axes[0, column].set_title(f"Unscented, {name}")
+    beliefs = {found.kind: found[pose].run(0) for found in (posterior.filtered, posterior)}
+    for column, (kind, belief) in enumerate(beliefs.items()):
+        pgm.plot.errors(belief, drive.truth, times=times, axes=axes[:, column])
+        axes[0, column].set_title(f"Unscented, {kind}")
         axes[-1, column].set_xlabel("time [s]")
     plt.close(figure)
     return figure

@@ -61,13 +61,29 @@ def is_unordered(value: object) -> bool:
     return isinstance(value, set | frozenset) and len(value) > 1
 
 
-def as_mapping(value: Any, what: str, error: type[PgmError] = EvidenceError) -> Mapping[Any, Any]:
+def as_mapping(
+    value: Any, what: str, error: type[PgmError] = EvidenceError, **about: Any
+) -> Mapping[Any, Any]:
     """A mapping, the empty one in place of None."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):
-        raise error(f"{what} is a mapping of variables to values, not {type(value).__name__}")
+        raise error(
+            f"{what} is a mapping of variables to values, not {type(value).__name__}", **about
+        )
     return value
+
+
+def as_lengths(size: Any, what: str) -> tuple[int, ...]:
+    """The lengths of axes of draws, one or several; `what` says how many draws they are."""
+    shape = (size,) if is_whole(size) else as_tuple(size)
+    if (
+        shape is None
+        or is_unordered(size)
+        or not all(is_whole(length) and length >= 0 for length in shape)
+    ):
+        raise ModelError(f"size is how many draws {what}, or a tuple of such; not {size!r}")
+    return tuple(map(int, shape))
 
 
 def as_generator(rng: Any) -> np.random.Generator:

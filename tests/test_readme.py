@@ -26,7 +26,8 @@ def test_programs_run_as_written(tmp_path, monkeypatch, capsys):
     assert Path("drive.png").stat().st_size > 10_000
     printed = capsys.readouterr().out
     rmse = {name: float(value) for name, value in re.findall(r"(\w+) +RMSE ([\d.]+)", printed)}
-    assert rmse["smoother"] < rmse["filter"]
+    assert rmse["smoothed"] < rmse["filtered"]
+    assert "OnlineBelief(filtered, step 5, over [x])" in printed
     (report,) = re.findall(r"^```\n(Timeline.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
     shown, pose = report.strip().rsplit("\n", 1)
     assert shown in printed

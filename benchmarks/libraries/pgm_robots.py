@@ -6,24 +6,33 @@ import numpy as np
 
 import pgm
 from benchmarks.timing import Contender
+from benchmarks.work.changes import OwnTaylor
 from benchmarks.work.robots import Array, Robots, pose
 from models.networks import landmark, sighting, velocity
 
-RULES: dict[str, pgm.Lineariser] = {"taylor": pgm.Taylor(), "unscented": pgm.Unscented()}
+RULES: dict[str, pgm.Lineariser] = {
+    "taylor": pgm.Taylor(),
+    "unscented": pgm.Unscented(),
+    "own": OwnTaylor(),
+}
 
 
-def filtering(rule: str, work: Robots) -> Contender:
+def filtering(rule: str, work: Robots, iterations: int = 1) -> Contender:
     """All runs in one call: means (runs, T, 3) and covariances."""
     graph = pgm.compile(work.network, work.steps)
+    schedule = pgm.Filtering(iterations=iterations)
 
     def call() -> tuple[Array, Array]:
-        posterior = pgm.infer(
-            graph, work.evidence(), schedule=pgm.Filtering(), lineariser=RULES[rule]
-        )
+        posterior = pgm.infer(graph, work.evidence(), schedule=schedule, lineariser=RULES[rule])
         belief = posterior[pose]
         return belief.mean[:, 1:], belief.cov[:, 1:]
 
     return Contender(call, work.runs * work.steps)
+
+
+def together(rule: str, work: Robots, iterations: int = 1) -> Contender:
+    """As `filtering`, of which a step of all runs is the unit."""
+    return Contender(filtering(rule, work, iterations).call, work.steps)
 
 
 def smoothing(rule: str, work: Robots) -> Contender:
@@ -40,9 +49,10 @@ def smoothing(rule: str, work: Robots) -> Contender:
     return Contender(call, work.steps)
 
 
-def online(rule: str, work: Robots) -> Contender:
+def online(rule: str, work: Robots, iterations: int = 1) -> Contender:
     """One robot in its loop: means (T, 3) and covariances."""
-    robot = pgm.OnlineFilter(work.network, lineariser=RULES[rule])
+    schedule = pgm.Filtering(iterations=iterations)
+    robot = pgm.OnlineFilter(work.network, lineariser=RULES[rule], schedule=schedule)
 
     def call() -> tuple[Array, Array]:
         means, covs = np.empty((work.steps, 3)), np.empty((work.steps, 3, 3))

@@ -51,7 +51,7 @@ class Score:
         The mean over runs and steps, its standard error, and the median. A right belief over n
         components has a mean of n.
     converged : float
-        The share of runs that converged.
+        The share of runs that converged; 0 after a single linearisation, which was not iterated.
     settled : float or None
         The share of runs at rest, the last linearisation having moved no mean by more than
         `AT_REST` deviations; None after a single one.

@@ -37,11 +37,9 @@ def smoothers(problems: dict[str, Problem], solved: dict[str, Solved]) -> Figure
     )
     for ax, (name, problem) in zip(axes, problems.items(), strict=True):
         ours = solved[name]
-        for posterior, colour, label in (
-            (ours.filtered, "#999999", "filter"),
-            (ours.smoothed, problem.colour, "smoother"),
-        ):
-            _beliefs(ax, posterior[problem.state].run(0), slice(None), colour, label)
+        for posterior, colour in ((ours.filtered, "#999999"), (ours.smoothed, problem.colour)):
+            belief = posterior[problem.state].run(0)
+            _beliefs(ax, belief, slice(None), colour, str(posterior.kind))
         _finish(ax, ours.truth[0])
         ax.set_title(f"{problem.title} smoother")
         ax.set_aspect("equal")

@@ -19,7 +19,7 @@ from models import networks
 from models.networks import distance, pose
 from pgm import consistency
 
-COLOURS = {"filter": "#0072B2", "smoother": "#D55E00"}
+COLOURS = "#0072B2", "#D55E00"
 QUICK = {"data": "plaza1"}
 LINEARISERS: dict[str, pgm.Lineariser] = {"Taylor": pgm.Taylor(), "Unscented": pgm.Unscented()}
 
@@ -101,10 +101,10 @@ def _path_figure(log: Log, posterior: pgm.ChainPosterior, name: str) -> Figure:
     figure, axes = plt.subplots(
         1, 2, figsize=(12, 6), sharex=True, sharey=True, layout="constrained"
     )
-    beliefs = {"filter": posterior.filtered[pose], "smoother": posterior[pose]}
-    for ax, (kind, belief) in zip(axes, beliefs.items(), strict=True):
+    beliefs = {found.kind: found[pose] for found in (posterior.filtered, posterior)}
+    for ax, colour, (kind, belief) in zip(axes, COLOURS, beliefs.items(), strict=True):
         pgm.plot.trajectory(
-            belief, truth=log.truth, landmarks=log.beacons, label=kind, colour=COLOURS[kind], ax=ax
+            belief, truth=log.truth, landmarks=log.beacons, label=kind, colour=colour, ax=ax
         )
         ax.set_title(f"{name}, Taylor, {kind}")
         ax.set_xlabel("east [m]")
@@ -118,7 +118,7 @@ def _error_figure(log: Log, posterior: pgm.ChainPosterior, name: str) -> Figure:
         2, 2, figsize=(12, 5.5), sharex=True, sharey=True, layout="constrained"
     )
     times = log.timeline.times - log.timeline.times[0]
-    beliefs = {"filter": posterior.filtered[pose], "smoother": posterior[pose]}
+    beliefs = {found.kind: found[pose] for found in (posterior.filtered, posterior)}
     for column, (kind, belief) in enumerate(beliefs.items()):
         pgm.plot.errors(
             belief, log.truth, components=("east", "north"), times=times, axes=axes[:, column]

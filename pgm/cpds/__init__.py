@@ -1,6 +1,7 @@
 """Conditional probability distributions."""
 
-from pgm.cpds.base import CPD, ConditionalGaussian
+from pgm.cpds.base import CPD
+from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.linear import AffineCPD, GaussianCPD, LinearGaussianCPD
 from pgm.cpds.noise import Noise, noise
 from pgm.cpds.nonlinear import NonlinearGaussianCPD

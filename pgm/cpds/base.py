@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from pgm.cpds.noise import Noise, as_covariance
+from pgm.boundary import as_generator, as_lengths
+from pgm.cpds.values import Known, Values, as_parents, as_values, common, shape_of
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
+from pgm.sizes import require_memory
 from pgm.variables import Discrete, Variable
 
 
@@ -96,6 +99,150 @@ class CPD(Immutable):
         placed._set(**self._placed(step), _origin=self.origin)
         return placed
 
+    def log_density(
+        self, child: npt.ArrayLike, parents: Mapping[Variable, npt.ArrayLike] | None = None
+    ) -> Array:
+        """The log-density ln p(child | parents) of values, batched.
+
+        - Of a Gaussian CPD, with mean f(parents) and noise covariance R,
+
+              ln N(y; f, R) = −½ (rᵀ R⁻¹ r + ln |2πR|),    r = y − f,
+
+          the residual r of components that are angles wrapped to [−π, π). Where R is singular, it
+          is the density of the components that those before them leave free (by their order, then),
+          and −∞ where one of the others is not what these make it by more than rounding: 1e-9 of y
+          and f, or 1e-6 of its standard deviation. With R = 0 it is 0 at f, −∞ elsewhere.
+        - Of a table, its entry's logarithm; −∞ where the entry is zero.
+
+        Parameters
+        ----------
+        child : array_like
+            (..., d); of a discrete child names or indices of states, (...).
+        parents : mapping of Variable to array_like, optional
+            Values (..., d) of all parents, those of the noise too; of discrete ones states (...).
+            All leading axes broadcast, those of a `GaussianCPD` itself too. Python numbers are
+            values of scalars.
+
+        Returns
+        -------
+        ndarray
+            (...), in nats.
+
+        Raises
+        ------
+        ModelError
+            If a parent is missing, or none of the CPD's, a value has a wrong shape, is NaN,
+            infinite or no state, axes do not broadcast, a variance is infinite, or a function
+            fails, returns a wrong shape or a noise that is no covariance.
+        LinearisationError
+            If a function is NaN or infinite.
+        NumericalError
+            If a covariance is singular but for errors larger than rounding.
+
+        Examples
+        --------
+        >>> from pgm import LinearGaussianCPD, Variable
+        >>> x, y = Variable("x"), Variable("y")
+        >>> cpd = LinearGaussianCPD(y, given={x: 2.0}, cov=1.0)
+        >>> cpd.log_density([[6.0], [7.0]], {x: 3.0}).round(3)
+        array([-0.919, -1.419])
+        """
+        values = as_values(self, self.child, child)
+        known = as_parents(self, parents)
+        leads = ("the child", shape_of(self.child, values)), ("the parents", known.lead)
+        common(self, leads)
+        return self._log_density(values, known)
+
+    def sample(
+        self,
+        parents: Mapping[Variable, npt.ArrayLike] | None = None,
+        size: int | tuple[int, ...] = (),
+        *,
+        rng: np.random.Generator | int,
+    ) -> Values:
+        """Draws of the child given its parents.
+
+        Angles are drawn on one unwrapped chart. Singular noise moves only what it leaves free, and
+        a state of probability zero is never drawn.
+
+        Parameters
+        ----------
+        parents : mapping of Variable to array_like, optional
+            As of `log_density`.
+        size : int or tuple of int
+            How many draws for each value of the parents.
+        rng : numpy.random.Generator or int
+            What draws, or the seed of one.
+
+        Returns
+        -------
+        ndarray
+            (*size, ..., d), the axes of the parents' values in the middle; of a discrete child
+            indices of states, (*size, ...).
+
+        Raises
+        ------
+        ModelError
+            As of `log_density`; and if `size` is no number of draws or would not fit into memory,
+            or `rng` is neither a generator nor a seed.
+        LinearisationError, NumericalError
+            As of `log_density`.
+
+        Examples
+        --------
+        >>> from pgm import LinearGaussianCPD, Variable
+        >>> x, y = Variable("x"), Variable("y")
+        >>> cpd = LinearGaussianCPD(y, given={x: 2.0}, cov=0.0)
+        >>> cpd.sample({x: [[1.0], [2.0]]}, rng=0)
+        array([[2.],
+               [4.]])
+        >>> cpd.sample({x: [[1.0], [2.0]]}, size=1000, rng=0).shape
+        (1000, 2, 1)
+        """
+        extra = as_lengths(size, "for each value of the parents")
+        known, generator = as_parents(self, parents), as_generator(rng)
+        require_memory(
+            math.prod((*extra, *known.lead)) * max(self.child.dimension, 1),
+            f"{size} draws from {self!r}",
+            "draw fewer at a time",
+            cpd=self,
+        )
+        step = self.child.step
+        drawn = self._draw(known.values, known.lead, (known.runs,), step, generator, extra)
+        return drawn.reshape((*extra, *known.lead, *drawn.shape[len(extra) + 1 :]))
+
+    def _lead(self) -> tuple[int, ...]:
+        """The axes of runs that the CPD itself has."""
+        return ()
+
+    def _log_density(self, child: Values, known: Known) -> Array:
+        """The log-densities, at checked values whose axes broadcast."""
+        raise ModelError(f"{self!r} is of a kind that has no density here", cpd=self)
+
+    def _draw(
+        self,
+        known: Mapping[Variable, Values],
+        lead: tuple[int, ...],
+        shape: tuple[int, ...],
+        step: npt.ArrayLike | None,
+        rng: np.random.Generator,
+        size: tuple[int, ...] = (),
+    ) -> Values:
+        """Draws of the child, (*size, *shape, d) or (*size, *shape).
+
+        Parameters
+        ----------
+        known : mapping of Variable to ndarray
+            Values of all parents, which broadcast to the shape.
+        lead : tuple of int
+            The axes of runs before they were flattened.
+        shape : tuple of int
+            The leading axes, the last of which are the runs, flattened.
+        step : array_like of int or None
+            The step of each, which broadcasts to the shape; for messages.
+        """
+        raise ModelError(f"{self!r} is of a kind that cannot be drawn from", cpd=self)
+
     def _placed(self, step: int) -> dict[str, Any]:
         """What a copy at a step has in place of the attributes of this one."""
         return {"child": self.child.at(step), "given": tuple(v.at(step) for v in self.given)}
@@ -103,49 +250,3 @@ class CPD(Immutable):
     def __repr__(self) -> str:
         parents = listed(self.parents)
         return f"{type(self).__name__}({self.child!r}{' | ' if parents else ''}{parents})"
-
-
-class ConditionalGaussian(CPD):
-    """A CPD that is a function of the parents plus Gaussian noise.
-
-    Attributes
-    ----------
-    cov : ndarray or Noise
-        Covariance of the noise.
-    """
-
-    cov: Array | Noise
-
-    def _set_family(
-        self,
-        child: Variable,
-        given: Variable | Iterable[Variable],
-        cov: npt.ArrayLike | Noise,
-        *,
-        lead: bool = False,
-        flat: bool = False,
-    ) -> None:
-        self._set_scope(child, given, cov.given if isinstance(cov, Noise) else ())
-        if not isinstance(cov, Noise):
-            cov = as_covariance(child, cov, lead=lead, flat=flat)
-        self._set(cov=cov)
-
-    def require_proper(self, what: str) -> None:
-        """Refuse an infinite variance where there is no use for it."""
-        if not isinstance(self.cov, Noise) and np.isinf(self.cov).any():
-            raise ModelError(
-                f"{self!r} has an infinite variance: {what}; give it a finite one",
-                variable=self.child,
-                cpd=self,
-            )
-
-    @property
-    def noise_given(self) -> Scope:
-        """The parents that the noise covariance depends on."""
-        return self.cov.given if isinstance(self.cov, Noise) else ()
-
-    def _placed(self, step: int) -> dict[str, Any]:
-        placed = super()._placed(step)
-        if isinstance(self.cov, Noise):
-            placed["cov"] = Noise(self.cov.function, tuple(v.at(step) for v in self.cov.given))
-        return placed

@@ -10,11 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats
-from pgm.cpds.base import ConditionalGaussian
+from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.noise import Noise
 from pgm.errors import ModelError
+from pgm.factors.runs import flat
 from pgm.factors.scope import as_value
 from pgm.kernels.arrays import Array, apply, frozen
+from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
 
@@ -43,6 +45,15 @@ class AffineCPD(ConditionalGaussian):
             if parent not in hidden:
                 offset = offset + apply(self.matrices[parent], inputs[parent])
         return matrix, offset
+
+    def _mean(self, known: Mapping[Variable, Array], lead: tuple[int, ...], call: Call) -> Array:
+        return self._affine((), known)[1] if self.given else flat(self.offset, lead, 1)
+
+    def _summed(self, known: Mapping[Variable, Array]) -> Array:
+        if not self.given:
+            return super()._summed(known)
+        parts = (apply(np.abs(self.matrices[p]), np.abs(known[p])) for p in self.given)
+        return sum(parts, np.abs(self.offset))
 
     def _placed(self, step: int) -> dict[str, Any]:
         matrices = {parent.at(step): matrix for parent, matrix in self.matrices.items()}

@@ -18,7 +18,7 @@ from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
-    from pgm.cpds.base import ConditionalGaussian
+    from pgm.cpds.conditional import ConditionalGaussian
 
 
 @dataclass(frozen=True, eq=False)

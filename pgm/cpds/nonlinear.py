@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy.typing as npt
 
-from pgm.cpds.base import ConditionalGaussian
+from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.noise import Noise
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, listed
+from pgm.kernels.arrays import Array
 from pgm.linearisers import FunctionTemplate, Lineariser
+from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
 
@@ -93,6 +95,10 @@ class NonlinearGaussianCPD(ConditionalGaussian):
             lineariser=lineariser,
             grouped=grouped,
         )
+
+    def _mean(self, known: Mapping[Variable, Array], lead: tuple[int, ...], call: Call) -> Array:
+        due = (*call.lead, self.child.dimension)
+        return call(self.function, [known[v] for v in self.given], due)
 
     def _placed(self, step: int) -> dict[str, Any]:
         jacobian = {parent.at(step): derivative for parent, derivative in self.jacobian.items()}

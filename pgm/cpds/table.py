@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -10,9 +10,11 @@ import numpy.typing as npt
 
 from pgm.boundary import as_floats
 from pgm.cpds.base import CPD
+from pgm.cpds.values import Known, Values
 from pgm.errors import ModelError
+from pgm.factors.runs import unflat
 from pgm.factors.scope import names
-from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.variables import Discrete, Variable
 
 # How far an entry of a table with six decimals may be from the number that was rounded.
@@ -92,6 +94,36 @@ class TableCPD(CPD):
                 cpd=self,
             )
         self._set(table=frozen(array))
+
+    def _log_density(self, child: Values, known: Known) -> Array:
+        places = (unflat(known.values[v], known.lead, 0) for v in self.given)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(self.table[(*places, child)]))
+
+    def _draw(
+        self,
+        known: Mapping[Variable, Values],
+        lead: tuple[int, ...],
+        shape: tuple[int, ...],
+        step: npt.ArrayLike | None,
+        rng: np.random.Generator,
+        size: tuple[int, ...] = (),
+    ) -> Integers:
+        shape = (*size, *shape)
+        cumulative = np.cumsum(self.table, axis=-1)
+        row = tuple(known[v] for v in self.given)
+        # A uniform below one, times the last sum, stays below it, so that what rounding leaves of
+        # the sum from one goes to no state of its own.
+        level = rng.random(shape) * cumulative[(*row, -1)]
+        # The first state whose cumulative sum exceeds the level, by bisection: all draws at once in
+        # memory of their number alone.
+        low = np.zeros(shape, dtype=np.intp)
+        high = np.full(shape, self.child.size - 1)
+        for _ in range((self.child.size - 1).bit_length()):
+            middle = (low + high) // 2
+            above = cumulative[(*row, middle)] > level
+            low, high = np.where(above, low, middle + 1), np.where(above, middle, high)
+        return low
 
 
 def _tolerance(size: int) -> float:

@@ -11,10 +11,10 @@ import numpy as np
 
 from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
-from pgm.evidence.indices import as_indices, in_run
 from pgm.evidence.keys import unknown
-from pgm.evidence.runs import common_runs, flat
 from pgm.evidence.values import Constant, Sightings, Soft
+from pgm.factors.indices import as_indices
+from pgm.factors.runs import common_runs, flat, in_run
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Discrete, Variable

@@ -13,8 +13,8 @@ from pgm.errors import EvidenceError
 from pgm.evidence.arrays import as_rows, as_steps, require_finite, taken_readings
 from pgm.evidence.dynamic_layout import BoundEvidence, Inputs, Reading, by_row, reading_by_row
 from pgm.evidence.keys import unknown
-from pgm.evidence.runs import common_runs
 from pgm.evidence.values import Constant, Evidence, Sightings
+from pgm.factors.runs import common_runs
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
 from pgm.sizes import require_memory

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds import ConditionalGaussian
-from pgm.evidence.runs import flat
+from pgm.factors.runs import flat
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 

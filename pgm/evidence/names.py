@@ -14,7 +14,7 @@ import numpy.typing as npt
 from pgm.boundary import is_number
 from pgm.errors import EvidenceError
 from pgm.evidence.columns import Column
-from pgm.evidence.indices import MISSING, STRANGER
+from pgm.factors.indices import MISSING, STRANGER
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete

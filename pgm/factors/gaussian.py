@@ -9,16 +9,24 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pgm.boundary import as_generator, as_tuple, as_wholes, is_number, is_unordered, is_whole
+from pgm.boundary import (
+    as_generator,
+    as_lengths,
+    as_tuple,
+    as_wholes,
+    is_number,
+    is_unordered,
+    is_whole,
+)
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.arrays import as_matrix, as_points, as_vector
 from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, labels, names, positions
 from pgm.factors.stacking import lead_index
 from pgm.immutable import Immutable
-from pgm.kernels import moments, roots
+from pgm.kernels import moments, normal, roots
 from pgm.kernels.angles import difference, wrap
-from pgm.kernels.arrays import Array, Integers, apply, block, deviation, frozen
-from pgm.kernels.checks import covariance_fault
+from pgm.kernels.arrays import Array, Integers, block, deviation, frozen
+from pgm.kernels.checks import IMPROPER, covariance_fault
 from pgm.sizes import require_memory
 from pgm.variables import Variable
 
@@ -220,15 +228,12 @@ class Gaussian(Immutable):
         ModelError
             If the draws would not fit into memory.
         NumericalError
-            If a variance is infinite.
+            If a variance is infinite, or the covariance all but singular and off by more than
+            rounding.
         """
-        shape = (size,) if is_whole(size) else as_tuple(size)
-        if shape is None or not all(is_whole(length) and length >= 0 for length in shape):
-            raise ModelError(
-                f"size is how many draws of each Gaussian, or a tuple of such; not {size!r}"
-            )
+        shape = as_lengths(size, "of each Gaussian")
         require_memory(
-            math.prod(map(int, shape)) * self.mean.size,
+            math.prod(shape) * self.mean.size,
             f"{size} draws of {self!r}",
             "draw fewer at a time",
         )
@@ -236,8 +241,11 @@ class Gaussian(Immutable):
             raise NumericalError(
                 f"Gaussian over {names(self.scope)}: no draws, since a variance is infinite"
             )
-        noise = as_generator(rng).standard_normal((*shape, *self.mean.shape))
-        return self.mean + apply(roots.root(self.cov), noise)
+        lower = roots.root(self.cov)
+        if not roots.is_proper(lower):
+            raise NumericalError(f"Gaussian over {names(self.scope)}: no draws, since {IMPROPER}")
+        white = as_generator(rng).standard_normal((*shape, *self.mean.shape))
+        return normal.draw(self.mean, lower, white)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
         """The log-density ln N(x; mean, cov), (...), at values (..., n).

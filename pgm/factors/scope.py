@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
 from pgm.boundary import as_floats, as_tuple, is_unordered
 from pgm.errors import ModelError
+from pgm.factors.runs import in_run
 from pgm.kernels.arrays import Array, Index, Mask, as_index
 from pgm.variables import Discrete, Variable
 
@@ -111,21 +113,21 @@ def positions(scope: Sequence[Variable], wanted: Iterable[Variable]) -> Index:
     return as_index(places)
 
 
-def as_value(variable: Variable, value: object, what: str = "value") -> Array:
+def as_value(variable: Variable, value: object, what: str = "value", **about: Any) -> Array:
     """A value of a variable as an array (..., dimension); a scalar may be a Python number."""
-    array = as_floats(
-        value, f"{variable!r}: the {what}", labels=variable.components, variable=variable
-    )
+    what, about = f"{variable!r}: the {what}", {**about, "variable": variable}
+    array = as_floats(value, what, labels=variable.components, **about)
     if array.ndim == 0 and variable.dimension == 1:
         array = array[None]
     if array.ndim == 0 or array.shape[-1] != variable.dimension:
+        hint = "; give it that axis, value[..., None]" if variable.dimension == 1 else ""
         raise ModelError(
-            f"{variable!r}: the {what} has shape {array.shape}; its last axis must hold the "
-            f"{variable.dimension} components ({listed(variable.components)})",
-            variable=variable,
+            f"{what} has shape {array.shape}; its last axis must hold the {variable.dimension} "
+            f"components ({listed(variable.components)}){hint}",
+            **about,
         )
-    if not np.isfinite(array).all():
-        raise ModelError(
-            f"{variable!r}: the {what} has entries that are NaN or infinite", variable=variable
-        )
+    bad = ~np.isfinite(array)
+    if bad.any():
+        where = in_run(bad.any(axis=-1))
+        raise ModelError(f"{what} has entries that are NaN or infinite{where}", **about)
     return array

@@ -11,6 +11,7 @@ from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
+from pgm.inference.kind import Kind
 from pgm.inference.posterior import Posterior
 from pgm.inference.query import query
 from pgm.inference.schedule import (
@@ -32,6 +33,7 @@ __all__ = [
     "Flooding",
     "Innovations",
     "KeptPosterior",
+    "Kind",
     "LevenbergMarquardt",
     "Marginals",
     "MostProbable",

@@ -53,7 +53,9 @@ class Status(Immutable):
         (iterations, *runs): the largest change of a message in each iteration, or the largest move
         of a mean, if larger, where CPDs were linearised anew.
     converged : ndarray of bool
-        (*runs): whether the last residual was within the tolerance, or nothing was to iterate.
+        (*runs): whether the last residual was within the tolerance, or nothing was to iterate. Of
+        nonlinear CPDs that were linearised once it is False: how near that is to where iterating
+        would end was not asked.
     by_edge : mapping of (int, int) to ndarray
         After a schedule for any graph, (*runs): how much the messages between each two joined
         clusters would still change, for ``pgm.plot.cluster_graph(graph, residuals=...)``; empty
@@ -112,9 +114,18 @@ class Status(Immutable):
         return Status(self.iterations, self.residuals, self.converged, self.by_edge, digits)
 
     def __repr__(self) -> str:
-        last = f", last residual {self.residuals[-1].max():.3g}" if len(self.residuals) else ""
-        share = f"{int(self.converged.sum())} of {self.converged.size} runs converged"
         lost = ""
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
-        return f"Status({self.iterations} iterations, {share}{last}{lost})"
+        return f"Status({self._went()}{lost})"
+
+    def _went(self) -> str:
+        converged = int(self.converged.sum())
+        if not len(self.residuals):
+            every = converged == self.converged.size
+            return "nothing to iterate" if every else "linearised once, not iterated"
+        return (
+            f"{self.iterations} iteration{'s' if self.iterations > 1 else ''}, "
+            f"{converged} of {self.converged.size} runs converged, "
+            f"last residual {self.residuals[-1].max():.3g}"
+        )

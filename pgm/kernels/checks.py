@@ -9,6 +9,11 @@ from pgm.kernels.arrays import Array, transpose
 # How far matrices may be from symmetric, relative to the entries' scale: solvers of Lyapunov's
 # equation and the like leave some 1e-9.
 ASYMMETRY = 1e-8
+# The fault of a covariance that passes, but has no root (`roots.root`).
+IMPROPER = (
+    "its covariance is singular but for errors of up to 1e-10 of the variances, too large to be "
+    "told from an indefinite one; give it in all digits, or set its negative eigenvalues to 0"
+)
 
 
 def symmetrised(matrix: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from pgm.boundary import as_tuple
 from pgm.cpds import CPD, GaussianCPD
 from pgm.errors import ModelError
-from pgm.evidence.runs import clash
+from pgm.factors.runs import clash
 from pgm.factors.scope import MOST, Scope
 from pgm.variables import Variable
 

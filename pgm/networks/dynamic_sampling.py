@@ -15,7 +15,6 @@ from pgm.evidence import Evidence, Reading, Sightings, bind, sightings
 from pgm.factors.strangers import stranger
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
-from pgm.networks import ancestral
 from pgm.sizes import require_memory
 from pgm.variables import Variable
 
@@ -74,14 +73,14 @@ def draw(
     }
     for cpd in model.prior:
         now = {v: path[v][0] for v in cpd.given}
-        path[cpd.child][0] = ancestral.gaussian(cpd, now, bound.lead, rng, (count,), 0)
+        path[cpd.child][0] = cpd._draw(now, bound.lead, (count,), 0, rng)
     for step in range(1, bound.steps + 1):
         for cpd, known in zip(model.transition, bound.transition, strict=True):
             values = {v: rows[step - 1] for v, rows in known.items()}
             for parent in cpd.given:
                 if parent not in values:
                     values[parent] = path[parent.template][step - parent.lag]
-            path[cpd.child][step] = ancestral.gaussian(cpd, values, bound.lead, rng, (count,), step)
+            path[cpd.child][step] = cpd._draw(values, bound.lead, (count,), step, rng)
     evidence: dict[Variable, Any] = dict(inputs)
     values = {v: _unflat(path[v], bound.lead) for v in model.states}
     values |= {v: _unflat(path[v][1:], bound.lead) for v in model.controls}
@@ -121,7 +120,7 @@ def _draw_reading(
     wide = {v: np.broadcast_to(a, (size, runs, a.shape[-1])) for v, a in values.items()}
     if not size:
         return np.empty((0, runs, reading.cpd.child.dimension))
-    return ancestral.gaussian(reading.cpd, wide, lead, rng, (size, runs), reading.step[:, None])
+    return reading.cpd._draw(wide, lead, (size, runs), reading.step[:, None], rng)
 
 
 def _unflat(rows: Array, lead: tuple[int, ...]) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from pgm.boundary import as_generator, as_mapping
 from pgm.cpds import CPD
+from pgm.cpds.values import Values
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each
@@ -146,7 +147,7 @@ class BayesianNetwork(Immutable):
         *,
         inputs: Evidence | None = None,
         rng: np.random.Generator | int,
-    ) -> dict[Variable, ancestral.Draws]:
+    ) -> dict[Variable, Values]:
         """Draw all variables from the network, parents before children.
 
         Parameters

@@ -13,6 +13,7 @@ from matplotlib.colors import to_rgba
 
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
+from pgm.inference import Kind
 from pgm.kernels.angles import difference
 from pgm.plot.axes import check_axes, name_axes, useful_legend
 from pgm.plot.colours import INK, next_colour
@@ -26,7 +27,7 @@ def errors(
     components: Sequence[str] | None = None,
     sigma: float = 3.0,
     times: npt.ArrayLike | None = None,
-    label: str | None = None,
+    label: str | Kind | None = None,
     colour: str | None = None,
     axes: Axes | Iterable[Axes] | None = None,
 ) -> tuple[Axes, ...]:
@@ -49,7 +50,7 @@ def errors(
         Half the width of the band, in standard deviations.
     times : array_like, optional
         (steps,), the time of each step, for the horizontal axis; the steps themselves without.
-    label : str, optional
+    label : str or Kind, optional
         In the legend, above the first axes.
     colour : str, optional
         The next of a colour-blind-safe palette without.
@@ -105,7 +106,7 @@ def errors(
             color=tint,
             lw=1.2,
             marker=marker,
-            label="error" if label is None else label,
+            label="error" if label is None else str(label),
         )
         name_axes(ax, name if ax is columns[-1] else "", f"{chosen[k]} error")
     useful_legend(columns[0], above=True)

@@ -13,7 +13,7 @@ from pgm import consistency
 from pgm.consistency import Average
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.inference import Innovations
+from pgm.inference import Innovations, Kind
 from pgm.plot.axes import given_or_new, name_axes, useful_legend
 from pgm.plot.colours import INK, next_colour
 from pgm.plot.components import check_gaussian
@@ -27,7 +27,7 @@ def nees(
     components: Sequence[str] = (),
     confidence: float = 0.95,
     times: npt.ArrayLike | None = None,
-    label: str | None = None,
+    label: str | Kind | None = None,
     colour: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -49,7 +49,7 @@ def nees(
         Probability of the band, at each step.
     times : array_like, optional
         (steps,), for the horizontal axis; the steps themselves without.
-    label : str, optional
+    label : str or Kind, optional
         In the legend.
     colour : str, optional
         The next of a colour-blind-safe palette without.
@@ -74,7 +74,7 @@ def nees(
         raise ModelError(f"{belief!r} is over no steps; draw one over time, like posterior[x]")
     across, name = along(belief.steps, times)
     ax = given_or_new(ax)
-    _draw(ax, across, average, label or "NEES", colour, confidence)
+    _draw(ax, across, average, str(label or "NEES"), colour, confidence)
     name_axes(ax, name, "NEES / degrees of freedom")
     useful_legend(ax, above=True)
     return ax
@@ -85,7 +85,7 @@ def nis(
     *,
     confidence: float = 0.95,
     times: npt.ArrayLike | None = None,
-    label: str | None = None,
+    label: str | Kind | None = None,
     colour: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -103,7 +103,7 @@ def nis(
         Probability of the band, at each step.
     times : array_like, optional
         (steps,), of steps 0 to T, for the horizontal axis; the steps themselves without.
-    label : str, optional
+    label : str or Kind, optional
         In the legend.
     colour : str, optional
         The next of a colour-blind-safe palette without.
@@ -122,7 +122,7 @@ def nis(
     average = consistency.anis(innovations, confidence=confidence).per_dof()
     across, name = along(np.arange(average.value.size), times)
     ax = given_or_new(ax)
-    _draw(ax, across, average, label or "NIS", colour, confidence)
+    _draw(ax, across, average, str(label or "NIS"), colour, confidence)
     name_axes(ax, name, "NIS / degrees of freedom")
     useful_legend(ax, above=True)
     return ax

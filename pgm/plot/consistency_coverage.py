@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 from pgm import consistency
 from pgm.factors import Gaussian
+from pgm.inference import Kind
 from pgm.plot.axes import given_or_new, name_axes, useful_legend
 from pgm.plot.colours import INK, next_colour
 from pgm.plot.components import check_gaussian
@@ -25,7 +26,7 @@ def coverage(
     *,
     components: Sequence[str] = (),
     confidence: float = 0.95,
-    label: str | None = None,
+    label: str | Kind | None = None,
     colour: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -44,7 +45,7 @@ def coverage(
         Whose region, two for an ellipse in the plane; all without.
     confidence : float
         Probability of the intervals, which count runs alone.
-    label : str, optional
+    label : str or Kind, optional
         In the legend.
     colour : str, optional
         The next of a colour-blind-safe palette without.
@@ -77,7 +78,7 @@ def coverage(
         lw=1.5,
         marker=".",
         zorder=2.2,
-        label=label or "coverage",
+        label=str(label or "coverage"),
     )
     ax.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0), aspect="equal")
     name_axes(ax, "confidence of the region", "share of truths inside")

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 from pgm import consistency
 from pgm.factors import Gaussian
+from pgm.inference import Kind
 from pgm.plot.axes import given_or_new, name_axes, useful_legend
 from pgm.plot.colours import next_colour
 from pgm.plot.components import check_gaussian
@@ -23,7 +24,7 @@ def rmse(
     components: Sequence[str] = (),
     percentiles: tuple[float, float] = (5.0, 95.0),
     times: npt.ArrayLike | None = None,
-    label: str | None = None,
+    label: str | Kind | None = None,
     colour: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -44,7 +45,7 @@ def rmse(
         Of the band, in percent.
     times : array_like, optional
         (steps,), for the horizontal axis; the steps themselves without.
-    label : str, optional
+    label : str or Kind, optional
         In the legend.
     colour : str, optional
         The next of a colour-blind-safe palette without.
@@ -66,7 +67,7 @@ def rmse(
     across, name = along(found.steps, times)
     ax = given_or_new(ax)
     tint = colour or next_colour(ax)
-    label = label or "RMSE"
+    label = str(label or "RMSE")
     if found.runs > 1:
         band(ax, across, found.low, found.high, tint, label=_between(label, percentiles))
     line(ax, across, found.rms, tint, label)
@@ -82,7 +83,7 @@ def kl(
     *,
     percentiles: tuple[float, float] = (5.0, 95.0),
     times: npt.ArrayLike | None = None,
-    label: str | None = None,
+    label: str | Kind | None = None,
     colour: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -99,7 +100,7 @@ def kl(
         Of the band, in percent.
     times : array_like, optional
         (steps,), for the horizontal axis; the steps themselves without.
-    label : str, optional
+    label : str or Kind, optional
         In the legend.
     colour : str, optional
         The next of a colour-blind-safe palette without.
@@ -123,7 +124,7 @@ def kl(
     ax = given_or_new(ax)
     ax.set_yscale("log")
     tint = colour or next_colour(ax)
-    label = label or "KL"
+    label = str(label or "KL")
     low, median, high = (
         np.where(part > 0.0, part, np.nan) for part in (found.low, found.median, found.high)
     )

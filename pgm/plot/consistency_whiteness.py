@@ -7,7 +7,7 @@ from matplotlib.container import StemContainer
 from matplotlib.ticker import MaxNLocator
 
 from pgm import consistency
-from pgm.inference import Innovations
+from pgm.inference import Innovations, Kind
 from pgm.plot.axes import given_or_new, name_axes, useful_legend
 from pgm.plot.colours import INK, next_colour
 from pgm.plot.consistency_bands import right_band
@@ -23,7 +23,7 @@ def whiteness(
     *,
     lags: int = 20,
     confidence: float = 0.95,
-    label: str | None = None,
+    label: str | Kind | None = None,
     colour: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -43,7 +43,7 @@ def whiteness(
         The number of lags, in steps at which the sensor was read.
     confidence : float
         Probability of the band, at each lag.
-    label : str, optional
+    label : str or Kind, optional
         In the legend.
     colour : str, optional
         The next of a colour-blind-safe palette without.
@@ -63,7 +63,7 @@ def whiteness(
     found = consistency.whiteness(innovations, lags, confidence=confidence)
     ax = given_or_new(ax)
     tint = colour or next_colour(ax)
-    label = label or "innovations"
+    label = str(label or "innovations")
     first = right_band(
         ax,
         found.lags,

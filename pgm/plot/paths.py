@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
+from pgm.inference import Kind
 from pgm.plot.axes import equal_aspect, given_or_new, name_axes, plain, useful_legend
 from pgm.plot.colours import INK, next_colour
 from pgm.plot.components import component_names, component_places, one_run, truth_columns
@@ -27,7 +28,7 @@ def trajectory(
     confidence: float = 0.95,
     every: int | None = None,
     components: tuple[str, str] | None = None,
-    label: str | None = None,
+    label: str | Kind | None = None,
     colour: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -50,7 +51,7 @@ def trajectory(
         An ellipse at every so many steps; without, as many steps as leave at most 25 ellipses.
     components : pair of str, optional
         Which components are the plane's, by name; the first two without.
-    label : str, optional
+    label : str or Kind, optional
         In the legend, which is drawn where there are two things or more to tell apart.
     colour : str, optional
         The next of a colour-blind-safe palette without.
@@ -68,8 +69,8 @@ def trajectory(
 
     Examples
     --------
-    >>> ax = trajectory(filtered[x], label="filtered", truth=truth)  # doctest: +SKIP
-    >>> trajectory(smoothed[x], label="smoothed", ax=ax)  # doctest: +SKIP
+    >>> ax = trajectory(filtered[x], label=filtered.kind, truth=truth)  # doctest: +SKIP
+    >>> trajectory(smoothed[x], label=smoothed.kind, ax=ax)  # doctest: +SKIP
     """
     belief = one_run(belief)
     if every is None:
@@ -103,7 +104,7 @@ def trajectory(
         marker="o" if len(belief.mean) == 1 else None,
         markersize=5,
         zorder=2.3,
-        label=plain(f"estimate of {belief.scope[0]!r}") if label is None else label,
+        label=plain(f"estimate of {belief.scope[0]!r}") if label is None else str(label),
     )
     name_axes(ax, pair[0], pair[1])
     equal_aspect(ax)

@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.ticker import MaxNLocator
 
 from pgm.errors import ModelError
-from pgm.inference import Status
+from pgm.inference import Kind, Status
 from pgm.kernels.arrays import Array
 from pgm.plot.axes import given_or_new, name_axes, useful_legend
 from pgm.plot.colours import INK, next_colour
@@ -26,7 +26,7 @@ def convergence(
     status: Status,
     *,
     tolerance: float | None = None,
-    label: str | None = None,
+    label: str | Kind | None = None,
     colour: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -43,7 +43,7 @@ def convergence(
         As ``posterior.status``.
     tolerance : float, optional
         That of the schedule, drawn as a dashed line.
-    label : str, optional
+    label : str or Kind, optional
         In the legend, which is drawn where there are two things or more to tell apart.
     colour : str, optional
         The next of a colour-blind-safe palette without.
@@ -74,7 +74,7 @@ def convergence(
     ax = given_or_new(ax)
     ax.set_yscale("log")
     tint = colour or next_colour(ax)
-    label = "residual" if label is None else label
+    label = "residual" if label is None else str(label)
     many = residuals.shape[1] > _LINES
     if many:
         _draw_band(ax, across, residuals, label, tint)

@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from benchmarks import command, curves, figure, memory, page, timing
+from benchmarks import choice, cliffs, command, curves, figure, memory, page, timing
 from benchmarks.row import part
 from benchmarks.timing import Contender, medians
 from benchmarks.verdicts import verdicts
@@ -16,6 +16,11 @@ SUMMARY = {
     "sets_asia": {"pgm": 1.0, "pyagrum": 25.0},
     "reading_alarm": {"pgm": 0.021, "pgmpy": 0.6},
     "munin1": {"pgm": 3.0, "pyagrum": 15.0},
+    "repository_cancer": {"pgm": 2.0, "pyagrum": 8.0, "pgmpy": 60.0},
+    "repository_survey": {"pgm": 1e-3, "pyagrum": 5e-3, "pgmpy": 2.0},
+    "cliffs_many": {"pgm": 2.0, "missing": 2.5, "no_jacobian": 9.0, "own_taylor": 2.7},
+    "cliffs_few": {"pgm": 1.0, "one_fewer": 1.05},
+    "cliffs_online": {"pgm": 1.0, "own_taylor": 1.2},
     "memory": {"munin1": {"pgm": 2**30, "pyagrum": 2**29}},
     "curves": {
         "filter": {"pgm": {100: 9.0, 1_000: 1.0, 10_000: 1.1, 100_000: 1.15}},
@@ -41,7 +46,12 @@ def test_verdicts_are_ratios_the_right_way_up():
     for what, measured, holds in (
         ("repository_asia: pyagrum / pgm", 1.6, True),
         ("repository_asia: pgmpy / pgm", 19.0, False),
+        ("repository_survey: pgmpy / pgm", 2000.0, True),
         ("sets_asia: pyagrum / pgm", 25.0, True),
+        ("cliffs_many: missing / pgm", 1.25, True),
+        ("cliffs_many: own_taylor / pgm", 1.35, False),
+        ("cliffs_online: own_taylor / pgm", 1.2, True),
+        ("cliffs_few: one_fewer / pgm", 1.05, True),
         ("reading_alarm: pgmpy / pgm", 0.6 / 0.021, True),
         ("reading_alarm: milliseconds", 21.0, False),
         ("munin1: pyagrum / pgm", 5.0, True),
@@ -49,7 +59,8 @@ def test_verdicts_are_ratios_the_right_way_up():
     ):
         assert every[what].measured == pytest.approx(measured)
         assert every[what].holds == holds
-    assert len(every) == 5 + 7
+    assert not any("no_jacobian" in what for what in every)  # which is only told
+    assert len(every) == 5 + 12 + 3
 
 
 def test_contenders_take_turns(monkeypatch):
@@ -70,6 +81,14 @@ def test_short_calls_are_repeated_and_times_are_of_a_unit(monkeypatch):
     # One to see that it takes 4 ms; then 5 at a time, which the clock takes for one tick.
     assert len(calls) == 1 + 2 * 5
     assert found["a"] == pytest.approx(0.004 / 5 / 10)
+
+
+def test_rows_say_which_of_their_turns_count(monkeypatch):
+    times = {"a": [5.0, 1.0, 2.0], "b": [4.0, 7.0, 9.0]}
+    monkeypatch.setattr(timing, "turns", lambda contenders, repeats: times)
+    assert medians({}, 3) == {"a": 2.0, "b": 7.0}
+    assert timing.least({}, 3) == {"a": 1.0, "b": 4.0}
+    assert all(row.timed is timing.least for row in cliffs.ROWS)
 
 
 def test_curves_have_every_size_of_every_library_that_is_here(tmp_path):
@@ -97,10 +116,41 @@ def test_the_command_writes_a_summary(tmp_path, capsys):
 
 
 def test_a_quick_run_leaves_large_work_out():
-    names = command.everything(quick=True)
+    names = choice.short().names
     assert {"repository_alarm", "sets_andes", "reading_alarm", "map"} < set(names)
     assert not {"repository_child", "sets_hepar2", "reading_munin", "munin1"} & set(names)
-    assert {"repository_child", "munin1"} < set(command.everything(quick=False))
+    assert {"cliffs_many", "cliffs_one", "cliffs_online", "cliffs_few"} < set(names)
+    assert {"repository_child", "munin1"} < set(choice.Choice().names)
+
+
+def test_rows_are_chosen_by_name_or_by_the_words_they_begin_with():
+    every = choice.Choice()
+    assert every.only("map, cliffs").names == [
+        "map",
+        *("cliffs_many", "cliffs_one", "cliffs_online", "cliffs_few"),
+    ]
+    assert every.only("munin1,filter").names == ["munin1", "filter"]
+    assert len(every.only("sets").rows) == 12
+    for wrong in ("cliff", "sets_", "map,"):
+        with pytest.raises(ValueError, match=r"^there is no '.*', but ekf_one_step, ukf_one_step"):
+            every.only(wrong)
+
+
+def test_contenders_are_chosen_beside_pgm():
+    chosen = choice.Choice().only("cliffs,ekf").against("missing,filterpy")
+    assert {row.name: list(row.contenders) for row in chosen.rows} == {
+        "ekf_one_step": ["pgm", "filterpy"],
+        "ekf_robots": ["pgm", "filterpy"],
+        "cliffs_many": ["pgm", "missing"],
+        "cliffs_one": ["pgm", "missing"],
+    }
+    assert not chosen.curves
+    assert choice.Choice().against("filterpy").networks == ()
+    assert choice.Choice().against("pyagrum").networks == ("munin1",)
+    with pytest.raises(ValueError, match="there is no 'filterpy', but one_fewer"):
+        choice.Choice().only("cliffs_few").against("filterpy")
+    with pytest.raises(ValueError, match="there is no 'jax', but none"):
+        choice.Choice().only("filter").against("jax")
 
 
 def test_memory_is_of_each_library_in_its_own_process():
@@ -117,6 +167,7 @@ def test_memory_is_of_each_library_in_its_own_process():
     [
         (["--only", "discrete_asia,nothing"], "there is no 'nothing', but ekf_one_step"),
         (["--only", ""], "there is no '', but ekf_one_step"),
+        (["--only", "linear", "--against", "filterpy"], "there is no 'filterpy', but cuthbert"),
         (["--only", "discrete_asia", "--repeats", "0"], "--repeats must be 1 or more, not 0"),
     ],
 )
@@ -141,7 +192,28 @@ def test_the_page_takes_its_numbers_from_the_summary(tmp_path, monkeypatch):
     assert text.endswith("after\n")
     assert "stale" not in text
     assert "| `ekf_one_step` | simulation | 1000000 |" in text
-    assert "`munin1.pgm` 3 s, 1024 MiB, `munin1.pyagrum` 15 s, 512 MiB" in text
+    assert "| `repository_…`, 3 networks | set of evidence | 1000–2000000 |" in text
+    assert "| 1.6–5 ×, median 4 × | 19–2000 ×, median 30 × |" in text
+    assert "| `sets_asia` | set of evidence | 1000000 |" in text
+    assert "repository_asia`" not in text
+    assert "| one reading in 100,000 missing | 1.25 |  |  | 1.3 |" in text
+    assert "| the motion without a Jacobian | 4.50 |  |  |  |" in text
+    assert "| 31 runs instead of 32 | 1.05 |  |  | 1.1 |" in text
+    assert "| 1.35 |  | 1.20 | 1.3 |" in text
     assert "| map: gtsam / pgm | 7.00 | ≥ 8 | **does not hold** |" in text
-    assert "steps: dearest / cheapest step | 1.15 | ≤ 1.2 | holds |" in text
+    assert "Of 20 requirements" in text
+    assert "| holds |" not in text
+    every = path.with_name(page.FULL).read_text(encoding="utf-8")
+    assert "| `repository_asia` | set of evidence | 1000000 |" in every
+    assert "`munin1.pgm` 3 s, 1024 MiB, `munin1.pyagrum` 15 s, 512 MiB" in every
+    assert "| map: gtsam / pgm | 7.00 | ≥ 8 | **does not hold** |" in every
+    assert "steps: dearest / cheapest step | 1.15 | ≤ 1.2 | holds |" in every
+    assert "`cliffs_many.missing`" not in every
     assert (tmp_path / "images" / "cost_against_size.png").read_bytes() == b"a picture"
+
+
+def test_a_page_of_which_all_holds_says_so_and_leaves_out_what_was_not_run():
+    whole = {"versions": {}, "quick": True, "ekf_one_step": {"pgm": 1.0, "dynamax": 1.4}}
+    text = "\n".join(page.measured(whole))
+    assert "all hold" in text
+    assert "change" not in text

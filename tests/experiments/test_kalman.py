@@ -160,8 +160,8 @@ def test_smoothers_are_shown_beside_their_filters(drives):
     for ax, name in zip(figures.smoothers(models, solved).axes, NAMES, strict=True):
         found = dots(ax)
         both = [plane(due[name][kind]) for kind in ("filter", "smoother")]
-        for kind, (means, _) in zip(("filter", "smoother"), both, strict=True):
-            np.testing.assert_allclose(found[kind], means, atol=1e-9)
+        for label, (means, _) in zip(("filtered", "smoothed"), both, strict=True):
+            np.testing.assert_allclose(found[label], means, atol=1e-9)
         centres, drawn = ellipses(ax)
         np.testing.assert_allclose(centres, np.concatenate([means for means, _ in both]), atol=1e-9)
         np.testing.assert_allclose(drawn, np.concatenate([wide for _, wide in both]), atol=1e-9)

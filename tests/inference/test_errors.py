@@ -701,6 +701,7 @@ GRAPHS = [
         "what a filter does not send",
         lambda: FILTERED.message(3, 2),
         "not sent",
+        "is filtered",
         "3",
         "2",
         "pgm.smooth",

@@ -43,8 +43,9 @@ def parts(ax):
 
 def test_nees_over_time_in_its_band(right):
     posterior, truth = right
-    ax = pgm.plot.nees(posterior[point], truth, confidence=0.9, label="smoother")
-    pgm.plot.nees(posterior.filtered[point], truth, confidence=0.9, label="filter", ax=ax)
+    ax = pgm.plot.nees(posterior[point], truth, confidence=0.9, label=posterior.kind)
+    found = posterior.filtered
+    pgm.plot.nees(found[point], truth, confidence=0.9, label=found.kind, ax=ax)
     found = consistency.anees(posterior[point], truth, confidence=0.9)
     one, smoothed, filtered = ax.lines
     assert_allclose(smoothed.get_ydata(), found.value / 2)
@@ -55,7 +56,7 @@ def test_nees_over_time_in_its_band(right):
     _, low, high = ends(band)
     assert_allclose(low, found.low / 2)
     assert_allclose(high, found.high / 2)
-    assert labels(ax) == ["90 % band", "smoother", "filter"]
+    assert labels(ax) == ["90 % band", "smoothed", "filtered"]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("step", "NEES / degrees of freedom")
 
 

@@ -13,6 +13,7 @@ from pgm.inference.chain import backward
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.plan import ChainPlan, Link, Sensor
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.kind import SMOOTHED
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Mask, block
 from pgm.kernels.moments import Conditional
@@ -53,7 +54,8 @@ class ChainDraws:
         plan = posterior._plan
         exact = _exact(plan)
         reverse = posterior._reverse
-        beliefs = posterior._smoothed or backward.sweep(posterior._forward, reverse)
+        smoothed = posterior.kind == SMOOTHED
+        beliefs = posterior._beliefs if smoothed else backward.sweep(posterior._forward, reverse)
         draws = cls._make(plan, beliefs, reverse, None)
         if not exact and draws.first.regular and draws.later.regular:
             return draws

@@ -10,7 +10,7 @@ import numpy as np
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
 from pgm.inference.family import Family
-from pgm.kernels import roots
+from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference, nearest_branch
 from pgm.kernels.arrays import LOG_2PI, Array, Mask, independent, transpose
 
@@ -83,10 +83,12 @@ class Term:
             (runs, S, d).
         """
         value = self._value(row, parents, on_chart=True)
-        white, log_density = _log_density(_at(self.own, row), proposed - value)
+        own = _at(self.own, row)
+        white, _ = normal.whitened(own, proposed - value)
+        log_density = normal.log_density(own, white)
         free = self.free()
         if not free.all():
-            implied = value + white @ transpose(_at(self.own, row))
+            implied = value + white @ transpose(own)
             proposed = np.where(_at(free, row)[..., None, :], proposed, implied)
         return proposed, self._relative(row, parents, proposed, log_density)
 
@@ -108,7 +110,7 @@ class Term:
         reading = moved if self.family.exact else values
         angles = self.family.cpd.child.angle_mask & (not self.family.exact)
         residual = self._read(rows, difference(reading[..., None, :], value, angles))
-        _, log_density = _log_density(_at(self.own, rows), residual)
+        log_density = _log_density(_at(self.own, rows), residual)
         log_density = self._relative(rows, parents, moved[..., None, :], log_density)
         if self.taken is not None and not self.relative:
             missing = (~self.taken[rows]).sum(axis=-1)
@@ -130,7 +132,7 @@ class Term:
         if self.linearised is None:
             return np.zeros(parents.shape[:-1])
         residual = self._read(rows, child - self._affine(rows, parents))
-        return own - _log_density(self.linearised[rows], residual)[1]
+        return own - _log_density(self.linearised[rows], residual)
 
     def _affine(self, rows: int | slice, parents: Array) -> Array:
         matrix, offset = self.family.matrix[rows], self.family.offset[rows]
@@ -205,15 +207,5 @@ def _regular(lower: Array) -> bool:
     return roots.is_proper(lower) and not bool(roots.determined(lower).any())
 
 
-def _log_density(lower: Array, residual: Array) -> tuple[Array, Array]:
-    """White residuals, zero where determined, and log-densities of the open components.
-
-    For a root (..., d, d) and residuals (..., S, d).
-    """
-    fixed = roots.determined(lower)
-    white = transpose(roots.solve_lower(lower, transpose(residual)))
-    if fixed.any():
-        white = np.where(fixed[..., None, :], 0.0, white)
-    dimension = (~fixed).sum(axis=-1)
-    constant = roots.log_determinant(lower) + dimension * LOG_2PI
-    return white, -0.5 * ((white * white).sum(axis=-1) + constant[..., None])
+def _log_density(lower: Array, residual: Array) -> Array:
+    return normal.log_density(lower, normal.whitened(lower, residual)[0])

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.errors import NumericalError
-from pgm.kernels import moments, roots
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, transpose
+from pgm.kernels import moments, normal, roots
+from pgm.kernels.arrays import Array, Mask, transpose
 from pgm.kernels.moments import Conditional
 
 
@@ -54,10 +54,9 @@ class Proposal:
     ) -> tuple[Array, Array]:
         """Draws (runs, S, n) given others (runs, S, m), and their log-densities (runs, S)."""
         lower = self.lower[row]
-        normal = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
-        open_ = ~roots.determined(lower)
-        normal = np.where(open_[:, None, :], normal, 0.0)
+        white = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
+        fixed = roots.determined(lower)
+        if fixed.any():
+            white = np.where(fixed[:, None, :], 0.0, white)
         mean = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
-        constant = roots.log_determinant(lower) + open_.sum(axis=-1) * LOG_2PI
-        log_density = -0.5 * ((normal * normal).sum(axis=-1) + constant[:, None])
-        return mean + normal @ transpose(lower), log_density
+        return mean + white @ transpose(lower), normal.log_density(lower, white)

@@ -8,11 +8,11 @@ import numpy as np
 
 from pgm.clustergraph import Cluster
 from pgm.compile import BalancedGraph
-from pgm.errors import GraphError
 from pgm.factors import CanonicalForm
 from pgm.inference.chain.backward import transition
 from pgm.inference.chain.information import absorbed
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.kind import FILTERED, SMOOTHED
 from pgm.kernels import canonical
 from pgm.kernels.arrays import block
 from pgm.kernels.canonical import Canonical
@@ -60,16 +60,11 @@ class BalancedPosterior(ChainPosterior):
         first, last = graph.segment(source if up else target)
         if up:
             parts = self._segment(first, last) if last else self._past(0)
-        elif last:
-            parts = _side_by_side(self._past(first), self._future(last))
-        elif self._smoothed is not None:
-            parts = self._future(0)
+        elif self.kind != SMOOTHED and (self.kind != FILTERED or not last):
+            raise self._unsent(source, target)
         else:
-            raise GraphError(
-                f"the message from cluster {source} to {target} was not sent: filtering sends "
-                "nothing back to the start; use schedule=pgm.Smoothing()",
-                cluster=source,
-            )
+            future = self._future(last)
+            parts = _side_by_side(self._past(first), future) if last else future
         return self._form(scope, parts, f"the message from cluster {source} to {target}", source)
 
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
@@ -88,18 +83,16 @@ class BalancedPosterior(ChainPosterior):
             return super().belief(index)
         scope = self.graph.cluster(index).scope
         _, last = self.graph.segment(index)
-        known = self._forward.log_density
-        weight = (known if self._smoothed is not None else known[: last + 1]).sum(axis=0)
         joint = self.joint(*scope)
         runs, size = self._plan.runs, joint.mean.shape[-1]
         parts = canonical.from_moments(
-            joint.mean.reshape(runs, size), joint.cov.reshape(runs, size, size), weight
+            joint.mean.reshape(runs, size), joint.cov.reshape(runs, size, size), self._weight(last)
         )
         return self._form(scope, parts, f"the belief of cluster {index}", index)
 
     def _future(self, step: int) -> Canonical:
         """The likelihood of the readings after a step, those that were heard of."""
-        if self._smoothed is not None:
+        if self.kind == SMOOTHED:
             return self._backward_messages[step]
         size = self.graph.layout.state_size
         runs = self._plan.runs

@@ -15,6 +15,7 @@ from pgm.inference.chain.parts import Part
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run
 from pgm.inference.executors import Shape, address
+from pgm.inference.kind import Kind
 from pgm.inference.schedule import Calibration, Filtering, Schedule
 from pgm.inference.start import Start
 from pgm.inference.status import Status
@@ -108,8 +109,8 @@ class Told(NamedTuple):
     Attributes
     ----------
     status : Status
-    kind : str
-        Of log-evidence.
+    kind : Kind
+    log_evidence_kind : str
     careful : bool
         Whether it took twice the digits; then nothing else is told, unless variables are kept.
     arrays : list of ndarray or None
@@ -119,7 +120,8 @@ class Told(NamedTuple):
     """
 
     status: Status
-    kind: str
+    kind: Kind
+    log_evidence_kind: str
     careful: bool
     arrays: Sequence[Array] | None = None
     found: ChainPosterior | None = None
@@ -132,7 +134,8 @@ def do(job: Job) -> Told:
     if job.room and (wanted.kept is None or wanted.kept == slice_):
         room = job.room[0], job.room[1]
     found = run(part.graph, part.bound, job.schedule, job.lineariser, part.start, room)
-    told = Told(found.status, found.log_evidence_kind, found._careful is not None)
+    careful = found._careful is not None
+    told = Told(found.status, found.kind, found.log_evidence_kind, careful)
     if wanted.kept is None and told.careful:
         return told
     if wanted.kept is None and not wanted.beliefs:

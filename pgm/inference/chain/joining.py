@@ -16,6 +16,7 @@ from pgm.inference.chain.many import Filtered
 from pgm.inference.chain.plan import ChainPlan, Sensor
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.family import Family
+from pgm.inference.kind import FILTERED, SMOOTHED
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Lineariser
@@ -33,6 +34,7 @@ def joined(
     return type(found[0])(
         graph,
         status,
+        found[0].kind,
         plan,
         _swept(plan, found),
         _along_runs(Beliefs, [each._smoothed for each in found]),
@@ -53,10 +55,9 @@ def swept_once(
     """
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     mean, cov, log_density, *smoothed = beliefs
-    swept = Filtered(plan, mean, cov, log_density)
-    return ChainPosterior(
-        graph, status, plan, swept, Beliefs(*smoothed) if smoothed else None, None
-    )
+    swept, kind = Filtered(plan, mean, cov, log_density), SMOOTHED if smoothed else FILTERED
+    last = Beliefs(*smoothed) if smoothed else None
+    return ChainPosterior(graph, status, kind, plan, swept, last, None)
 
 
 def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:

@@ -87,10 +87,11 @@ def run(
         told.append(each._replace(arrays=None))
     status = one_status((each.status for each in told), bound.lead)
     if kept is not None:
-        kinds = {each.kind for each in told}
+        kinds = {each.log_evidence_kind for each in told}
         return KeptPosterior(
             graph,
             status,
+            told[0].kind,
             _gaussians(kept, room, bound),
             frozen(room[-1].reshape(bound.lead).copy()),
             kinds.pop() if len(kinds) == 1 else "linearised",  # a fixed point is one of all runs

@@ -12,6 +12,7 @@ from pgm.errors import EvidenceError, GraphError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.marginals import Marginals, located
+from pgm.inference.kind import FILTERED, Kind
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
@@ -31,6 +32,8 @@ class KeptPosterior(Posterior):
     graph : DynamicGraph
     status : Status
         Linearisations, residuals, and whether they converged.
+    kind : Kind
+        Which readings the marginals know.
     log_evidence : ndarray
         (...).
     log_evidence_kind : str
@@ -44,6 +47,7 @@ class KeptPosterior(Posterior):
 
     graph: DynamicGraph
     status: Status
+    kind: Kind
     _kept: Mapping[Variable, Gaussian]
     _log_evidence: Array
     _log_evidence_kind: str
@@ -80,10 +84,9 @@ class KeptPosterior(Posterior):
     @property
     def filtered(self) -> Marginals:
         """Not kept."""
-        raise EvidenceError(
-            self._missing("the forward pass")
-            + " (keep= with pgm.filter keeps the filter's marginals)"
-        )
+        here = self.kind == FILTERED
+        what = "are posterior[x] here" if here else "are kept by pgm.filter(..., keep=[x])"
+        raise EvidenceError(f"{self._missing('the forward pass')}; filtered marginals {what}")
 
     @property
     def innovations(self) -> Mapping[Variable, Innovations]:
@@ -104,13 +107,13 @@ class KeptPosterior(Posterior):
 
     def _missing(self, what: str) -> str:
         return (
-            f"{what}: not kept, since keep= keeps marginals, log-evidence and status alone; leave "
-            "keep= out to have everything"
+            f"{what}: not kept, since keep= keeps {self.kind} marginals, log-evidence and status "
+            "alone; leave keep= out to have everything"
         )
 
     def __repr__(self) -> str:
         runs = self._log_evidence.shape
         return (
-            f"Posterior(kept {list(self._kept)}, steps 0..{self.graph.steps}"
+            f"Posterior({self.kind}, kept {list(self._kept)}, steps 0..{self.graph.steps}"
             f"{f', runs {runs}' if runs else ''})"
         )

@@ -11,6 +11,7 @@ from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
 from pgm.factors.scope import positions
 from pgm.inference.chain.backward import Beliefs
+from pgm.inference.kind import Kind
 from pgm.inference.posterior import require_variable
 from pgm.kernels.arrays import block
 from pgm.variables import Variable
@@ -18,11 +19,18 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False)
 class Marginals:
-    """The marginals of hidden variables over all steps, by variable."""
+    """The marginals of hidden variables over all steps, by variable.
+
+    Attributes
+    ----------
+    kind : Kind
+        Which readings they know.
+    """
 
     layout: SliceLayout
     beliefs: Beliefs
     lead: tuple[int, ...]
+    kind: Kind
 
     def __getitem__(self, variable: Variable) -> Gaussian:
         """Of ``x`` at all its steps, stacked; of ``x.at(3)`` at one."""
@@ -46,6 +54,10 @@ class Marginals:
             cov.reshape(*self.lead, *cov.shape[1:]),
             np.arange(first, last + 1),
         )
+
+    def __repr__(self) -> str:
+        runs = f", runs {self.lead}" if self.lead else ""
+        return f"Marginals({self.kind}, steps 0..{self.beliefs.mean.shape[0] - 1}{runs})"
 
 
 def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variable, int]:

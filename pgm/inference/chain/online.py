@@ -21,6 +21,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reading import MomentReading, Taken, Updated, take
 from pgm.inference.chain.taking import variances
 from pgm.inference.chain.update import sensors_due
+from pgm.inference.kind import FILTERED, PREDICTED, Kind
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status, digits
 from pgm.kernels.arrays import Array, block
@@ -109,8 +110,8 @@ class OnlineFilter(Immutable):
         forward.put(slice_cov, states, cov)
         log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
         if is_regular(slice_cov):
-            return _belief(plan, 0, slice_mean, slice_cov, log_evidence, status)
-        return _carried(plan, 0, online_careful.first(plan), log_evidence, status)
+            return _belief(plan, 0, slice_mean, slice_cov, log_evidence, status, PREDICTED)
+        return _carried(plan, 0, online_careful.first(plan), log_evidence, status, PREDICTED)
 
     @_quiet
     def predict(
@@ -150,9 +151,9 @@ class OnlineFilter(Immutable):
                 plan, 0, mean[:, states], block(cov, states, states), linearise=True
             )
             if is_regular(cov):
-                return _belief(plan, step, mean, cov, log_evidence, status)
+                return _belief(plan, step, mean, cov, log_evidence, status, PREDICTED)
         found = online_careful.predict(plan, step, _careful(belief, plan))
-        return _carried(plan, step, found, log_evidence, status)
+        return _carried(plan, step, found, log_evidence, status, PREDICTED)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of a prediction, its inputs checked."""
@@ -207,7 +208,7 @@ class OnlineFilter(Immutable):
         known = _careful(belief, plan)
         found, taken = online_careful.update(plan, belief.step, known, self.schedule)
         log_evidence, status = _told(belief, plan, taken)
-        return _carried(plan, belief.step, found, log_evidence, status)
+        return _carried(plan, belief.step, found, log_evidence, status, FILTERED)
 
     def _update(self, belief: OnlineBelief, plan: ChainPlan) -> OnlineBelief | None:
         """In float64; None where it has too few digits."""
@@ -220,7 +221,7 @@ class OnlineFilter(Immutable):
         if online_careful.fell(variances(cov), variances(after)) or not is_regular(after):
             return None
         log_evidence, status = _told(belief, plan, taken)
-        return _belief(plan, belief.step, taken.mean, after, log_evidence, status)
+        return _belief(plan, belief.step, taken.mean, after, log_evidence, status, FILTERED)
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its readings checked."""
@@ -296,14 +297,19 @@ def _careful(belief: OnlineBelief, plan: ChainPlan) -> CarefulBelief:
 
 
 def _carried(
-    plan: ChainPlan, step: int, found: CarefulBelief, log_evidence: Array, status: Status
+    plan: ChainPlan,
+    step: int,
+    found: CarefulBelief,
+    log_evidence: Array,
+    status: Status,
+    kind: Kind,
 ) -> OnlineBelief:
     """A belief with the digits that it has, carried in twice those of float64 while it must be."""
     mean, cov = found.moments
     _refuse_infinite(step, mean, cov, log_evidence)
     status = status.with_digits(digits(found.error, plan.lead))
     kept = None if found.is_ordinary else found
-    return _belief(plan, step, mean, cov, log_evidence, status, kept)
+    return _belief(plan, step, mean, cov, log_evidence, status, kind, kept)
 
 
 def _belief(
@@ -313,13 +319,14 @@ def _belief(
     cov: Array,
     log_evidence: Array,
     status: Status,
+    kind: Kind,
     careful: CarefulBelief | None = None,
 ) -> OnlineBelief:
     """A belief with the runs as the user's axes."""
     _refuse_infinite(step, mean, cov, log_evidence)
     lead, size = plan.lead, mean.shape[-1]
     mean, cov = mean.reshape(*lead, size), cov.reshape(*lead, size, size)
-    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status, careful)
+    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status, kind, careful)
 
 
 def _refuse_infinite(step: int, *parts: Array) -> None:

@@ -7,6 +7,7 @@ from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
 from pgm.inference.chain.online_careful import CarefulBelief
+from pgm.inference.kind import Kind
 from pgm.inference.posterior import require_variable
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, block, symmetric
@@ -24,6 +25,8 @@ class OnlineBelief(Immutable):
     status : Status
         How the linearisations of the last update went; with the digits that are left, where
         deviations lie too far apart for float64 and steps are made in twice the digits.
+    kind : Kind
+        Which readings it knows: filtered after an update, predicted before.
     """
 
     step: int
@@ -33,6 +36,7 @@ class OnlineBelief(Immutable):
     cov: Array
     log_evidence: Array
     status: Status
+    kind: Kind
     careful: CarefulBelief | None
 
     def __init__(
@@ -44,6 +48,7 @@ class OnlineBelief(Immutable):
         cov: Array,
         log_evidence: Array,
         status: Status,
+        kind: Kind,
         careful: CarefulBelief | None = None,
     ) -> None:
         set_writeable(mean, False)
@@ -57,6 +62,7 @@ class OnlineBelief(Immutable):
         values["cov"] = cov
         values["log_evidence"] = log_evidence
         values["status"] = status
+        values["kind"] = kind
         values["careful"] = careful
 
     def __getitem__(self, variable: Variable) -> Gaussian:
@@ -79,4 +85,4 @@ class OnlineBelief(Immutable):
         return Gaussian._make((variable,), mean, symmetric(cov) if self.lead else cov)
 
     def __repr__(self) -> str:
-        return f"OnlineBelief(step {self.step}, over {list(self.layout.slice)})"
+        return f"OnlineBelief({self.kind}, step {self.step}, over {list(self.layout.slice)})"

@@ -18,6 +18,7 @@ from pgm.inference.chain.online_careful import REGULAR
 from pgm.inference.chain.online_given import Key, ordinary, places
 from pgm.inference.chain.online_steps import Places, Predict, Update
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.kind import FILTERED, PREDICTED
 from pgm.inference.status import Status
 from pgm.kernels import single
 from pgm.kernels.arrays import Array
@@ -88,7 +89,9 @@ class Single:
             return None
         if not _finite(mean, cov) or not single.is_regular(cov, cov, REGULAR):
             return None
-        return OnlineBelief(step, belief.layout, (), mean, cov, belief.log_evidence, _DONE)
+        return OnlineBelief(
+            step, belief.layout, (), mean, cov, belief.log_evidence, _DONE, PREDICTED
+        )
 
     def update(self, belief: OnlineBelief, readings: Values) -> OnlineBelief | None:
         """The belief given readings."""
@@ -114,7 +117,7 @@ class Single:
             return None
         log_evidence = np.array(belief.log_evidence.item() + gained)
         status = _DONE if update.linear else _LINEARISED
-        return OnlineBelief(step, belief.layout, (), mean, cov, log_evidence, status)
+        return OnlineBelief(step, belief.layout, (), mean, cov, log_evidence, status, FILTERED)
 
 
 def _finite(mean: Array, cov: Array) -> bool:

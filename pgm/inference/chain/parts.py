@@ -15,7 +15,7 @@ from pgm.compile.dynamic import DynamicGraph
 from pgm.cpds import ConditionalGaussian, NonlinearGaussianCPD
 from pgm.evidence import BoundEvidence
 from pgm.evidence.arrays import as_rows
-from pgm.evidence.runs import flat
+from pgm.factors.runs import flat
 from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.kernels.arrays import Array, cut, frozen
 from pgm.linearisers import Lineariser

@@ -23,6 +23,7 @@ from pgm.inference.chain.joints import joint_moments
 from pgm.inference.chain.many import Filtered
 from pgm.inference.chain.marginals import Marginals, located
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
@@ -43,6 +44,8 @@ class ChainPosterior(Posterior):
     graph : DynamicGraph
     status : Status
         Linearisations, residuals, and whether they converged.
+    kind : Kind
+        Which readings the beliefs know: filtered, fixed-lag or smoothed.
     log_evidence_kind : str
         ``exact``; ``linearised``, of the linearised model; or ``laplace``, at the fixed point of
         Taylor relinearisation.
@@ -50,6 +53,7 @@ class ChainPosterior(Posterior):
 
     graph: DynamicGraph
     status: Status
+    kind: Kind
     _planned: ChainPlan
     _swept: Forward | Filtered
     _smoothed: Beliefs | None
@@ -58,7 +62,7 @@ class ChainPosterior(Posterior):
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a hidden variable, at all its steps or at one."""
-        return self._marginals(self._beliefs)[variable]
+        return self._marginals(self._beliefs, self.kind)[variable]
 
     @property
     @quiet()
@@ -73,8 +77,8 @@ class ChainPosterior(Posterior):
         assert self._forward is not None
         return self._planned
 
-    def _marginals(self, beliefs: Beliefs) -> Marginals:
-        return Marginals(self.graph.layout, beliefs, self._planned.lead)
+    def _marginals(self, beliefs: Beliefs, kind: Kind) -> Marginals:
+        return Marginals(self.graph.layout, beliefs, self._planned.lead, kind)
 
     @property
     def _beliefs(self) -> Beliefs:
@@ -83,12 +87,14 @@ class ChainPosterior(Posterior):
     @property
     def predicted(self) -> Marginals:
         """Marginals given the readings before each step."""
-        return self._marginals(Beliefs(self._forward.predicted_mean, self._forward.predicted_cov))
+        forward = self._forward
+        beliefs = Beliefs(forward.predicted_mean, forward.predicted_cov)
+        return self._marginals(beliefs, PREDICTED)
 
     @property
     def filtered(self) -> Marginals:
         """Marginals given the readings up to each step: the forward pass."""
-        return self._marginals(Beliefs(self._swept.mean, self._swept.cov))
+        return self._marginals(Beliefs(self._swept.mean, self._swept.cov), FILTERED)
 
     @cached_property
     @quiet()
@@ -112,7 +118,7 @@ class ChainPosterior(Posterior):
         """What `log_evidence` is: exact, linearised or laplace."""
         if self._planned.exact:
             return "exact"
-        fixed = self._smoothed is not None and bool(self.status.converged.all())
+        fixed = self.kind == SMOOTHED and bool(self.status.converged.all())
         taylor = all(family.taylor for family in self._planned.families)
         return "laplace" if fixed and taylor else "linearised"
 
@@ -126,7 +132,9 @@ class ChainPosterior(Posterior):
 
     @quiet()
     def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
-        """The joint of hidden variables at any steps, given what the latest of them knows.
+        """The joint of hidden variables at any steps, given the readings that the latest knows.
+
+        After filtering those up to its step, after smoothing all, as `kind` says.
 
         Parameters
         ----------
@@ -163,10 +171,10 @@ class ChainPosterior(Posterior):
     def _careful_joint(self, careful: Careful, variables: Scope) -> Gaussian:
         steps = [variable.step for variable in variables if variable.step is not None]
         distinct = sorted(set(steps))
-        last = self.graph.steps if self._smoothed is not None else distinct[-1]
+        last = self.kind.last(distinct[-1], self.graph.steps)
         mean, cov = adjoint.joint(careful, distinct, adjoint.smoothed(careful, last))
-        if self._smoothed is not None:  # a step control may have kept other means
-            mean = np.concatenate(list(self._smoothed.mean[distinct]), axis=-1)
+        if self.kind == SMOOTHED:  # a step control may have kept other means
+            mean = np.concatenate(list(self._beliefs.mean[distinct]), axis=-1)
         layout, size = self.graph.layout, self.graph.layout.slice_size
         wanted = np.concatenate(
             [
@@ -189,8 +197,8 @@ class ChainPosterior(Posterior):
         Raises
         ------
         GraphError
-            If the clusters are not joined, or the message was not sent: after filtering there
-            are no backward messages.
+            If the clusters are not joined, or the message was not sent: backward messages are
+            those of smoothing alone.
         NumericalError
             If the message has no canonical form.
         """
@@ -198,16 +206,25 @@ class ChainPosterior(Posterior):
         scope = self.graph.sepsets[source, target]
         if source < target:
             parts = self._past(source)
-        elif self._smoothed is None:
-            raise GraphError(
-                f"the message from cluster {source} to {target} was not sent: filtering sends "
-                "forward messages only; use pgm.smooth, or schedule=pgm.Smoothing()",
-                cluster=source,
-            )
-        else:
+        elif self.kind == SMOOTHED:
             parts = self._backward_messages[target]
+        else:
+            raise self._unsent(source, target)
         what = f"the message from cluster {source} to {target}"
         return self._form(scope, parts, what, source)
+
+    def _unsent(self, source: int, target: int) -> GraphError:
+        return GraphError(
+            f"the message from cluster {source} to {target} was not sent, since the posterior "
+            f"is {self.kind}: smoothing sends it; use pgm.smooth, or schedule=pgm.Smoothing()",
+            cluster=source,
+        )
+
+    def _weight(self, step: int) -> Array:
+        """The log-evidence that a belief at a step knows, (runs,)."""
+        known = self.kind.last(step, self.graph.steps) + 1
+        weight: Array = self._forward.log_density[:known].sum(axis=0)
+        return weight
 
     def _past(self, step: int) -> canonical.Canonical:
         """The states at a step given the readings up to it, times the evidence of these."""
@@ -230,8 +247,7 @@ class ChainPosterior(Posterior):
         """
         step = self.graph.index(cluster)
         layout, beliefs = self.graph.layout, self._beliefs
-        known = self._forward.log_density
-        weight = (known if self._smoothed is not None else known[: step + 1]).sum(axis=0)
+        weight = self._weight(step)
         if step:
             scope: Scope = tuple(variable.at(step) for variable in layout.pair)
             if self._careful is None:
@@ -266,7 +282,6 @@ class ChainPosterior(Posterior):
         )
 
     def __repr__(self) -> str:
-        kind = "filtered" if self._smoothed is None else "smoothed"
         lead = self._planned.lead
         runs = f", runs {lead}" if lead else ""
-        return f"Posterior({kind}, steps 0..{self.graph.steps}{runs})"
+        return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"

@@ -19,6 +19,7 @@ from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.many import Filtered, Moments
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.kind import FILTERED, SMOOTHED
 from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.inference.status import Status, digits
@@ -107,38 +108,39 @@ def _solve(
     room: Moments | None,
 ) -> ChainPosterior:
     balanced = isinstance(graph, BalancedGraph)
-    kind = _kind(graph)
+    make = _posterior(graph)
     if isinstance(schedule, Filtering):
         ahead, status = _scan(graph, plan) if balanced else _sweep(plan, schedule, room)
-        return kind(graph, status, plan, ahead, None, None)
+        return make(graph, status, FILTERED, plan, ahead, None, None)
     run_smoothing = smoother.scan if balanced else smoother.smooth
     result, status = run_smoothing(plan, _smoothing(schedule), start)
     ahead = parallel.whole(result.forward)
-    return kind(graph, status, plan, ahead, result.beliefs, result.reverse)
+    return make(graph, status, SMOOTHED, plan, ahead, result.beliefs, result.reverse)
 
 
 def _carefully(
     graph: DynamicGraph, plan: ChainPlan, schedule: Filtering | Calibration, start: Array | None
 ) -> ChainPosterior:
     """The same in twice the digits, one step after another."""
-    kind = _kind(graph)
+    make = _posterior(graph)
     if isinstance(schedule, Filtering):
         if isinstance(graph, BalancedGraph):
             _refuse_nonlinear(graph, plan)
         swept, status = careful.sweep(plan, schedule)
-        found, error = kind(graph, status, plan, swept.forward, None, None, swept), swept.error
+        found = make(graph, status, FILTERED, plan, swept.forward, None, None, swept)
+        error = swept.error
     else:
         result, status = smoother.carefully(
             plan, _smoothing(schedule), start, reckoned=isinstance(graph, BalancedGraph)
         )
         ahead = result.careful
-        found = kind(graph, status, plan, ahead.forward, result.beliefs, None, ahead)
+        found = make(graph, status, SMOOTHED, plan, ahead.forward, result.beliefs, None, ahead)
         error = result.error
     _refuse_infinite(found)
     return replace(found, status=status.with_digits(digits(error, plan.lead)))
 
 
-def _kind(graph: DynamicGraph) -> type[ChainPosterior]:
+def _posterior(graph: DynamicGraph) -> type[ChainPosterior]:
     return BalancedPosterior if isinstance(graph, BalancedGraph) else ChainPosterior
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pgm.clustergraph import Cluster
 from pgm.errors import EvidenceError
 from pgm.evidence.discrete import BoundStates
-from pgm.evidence.indices import in_run
+from pgm.factors.runs import in_run
 from pgm.factors.scope import names
 from pgm.inference.discrete.evidence import some_runs
 from pgm.inference.discrete.tree_messages import TreeMessages

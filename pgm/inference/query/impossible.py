@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.errors import EvidenceError
-from pgm.evidence.indices import in_run
 from pgm.factors.axes import States
+from pgm.factors.runs import in_run
 from pgm.factors.scope import listed, names
 from pgm.inference.discrete.evidence import some_runs
 from pgm.inference.discrete.impossible import ADVICE

@@ -1,4 +1,4 @@
-"""Evidence of a discrete variable as indices of its states."""
+"""States of a discrete variable, by name or by index, as indices."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from pgm.boundary import is_whole, masked_whole
-from pgm.errors import EvidenceError
+from pgm.errors import EvidenceError, ModelError
+from pgm.factors.runs import in_run
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers, Mask
 from pgm.variables import Discrete
@@ -18,8 +19,31 @@ MISSING = -1
 STRANGER = -2
 
 
+class _Unfit(Exception):
+    """A value that is no state, in words, and what one that may be missing can be besides."""
+
+
 def as_indices(variable: Discrete, value: Any) -> Integers:
-    """Names or indices of states as an array of indices (...); −1 is "not observed"."""
+    """Evidence, names or indices of states, as an array of indices (...); −1 is "not observed"."""
+    try:
+        return _indices(variable, value)
+    except _Unfit as fault:
+        raise EvidenceError(
+            f"evidence for {variable!r} {''.join(fault.args)}", variable=variable
+        ) from None
+
+
+def as_known(variable: Discrete, value: Any, what: str, **about: Any) -> Integers:
+    """Names or indices of states, none of which is missing, as an array of indices (...)."""
+    try:
+        indices = _indices(variable, value)
+        _refuse(variable, indices, indices == MISSING)
+    except _Unfit as fault:
+        raise ModelError(f"{what} {fault.args[0]}", variable=variable, **about) from None
+    return indices
+
+
+def _indices(variable: Discrete, value: Any) -> Integers:
     if hasattr(value, "columns"):
         raise _malformed(variable, "a data frame, of which pgm.records makes evidence")
     value = masked_whole(value)
@@ -27,7 +51,7 @@ def as_indices(variable: Discrete, value: Any) -> Integers:
         masked = np.ma.getmaskarray(value)
         array = np.array(np.ma.getdata(value), dtype=object)
         array[masked] = MISSING
-        return as_indices(variable, array)
+        return _indices(variable, array)
     try:
         array = np.asarray(value)
     except ValueError:
@@ -67,26 +91,20 @@ def _refuse(variable: Discrete, array: Any, bad: Mask) -> None:
     if bad.any():
         first = array[bad].ravel()[0]
         shown = repr(str(first) if isinstance(first, str) else int(first))
-        raise EvidenceError(
-            f"evidence for {variable!r} is {shown}{in_run(bad)}, which is none of its states "
-            f"({listed(variable.states)}), 0 to {variable.size - 1}, nor −1 for not observed",
-            variable=variable,
+        raise _Unfit(
+            f"is {shown}{in_run(bad)}, which is none of its states ({listed(variable.states)}), 0 "
+            f"to {variable.size - 1}",
+            ", nor −1 for not observed",
         )
 
 
-def _malformed(variable: Discrete, found: str) -> EvidenceError:
-    return EvidenceError(
-        f"evidence for {variable!r} must be names or indices of states, or soft weights, not "
-        f"{found}; its states are ({listed(variable.states)}), and −1 is not observed",
-        variable=variable,
+def _malformed(variable: Discrete, found: str) -> _Unfit:
+    return _Unfit(
+        f"must be names or indices of states, not {found}; its states are "
+        f"({listed(variable.states)})",
+        ", −1 is not observed, and weights of the states are pgm.soft(weights)",
     )
 
 
 def _words(array: Any) -> str:
     return f"an array of shape {array.shape}" if array.ndim else "a value"
-
-
-def in_run(bad: Mask | np.bool_) -> str:
-    """Where the first bad one of some runs is, for messages."""
-    first = tuple(map(int, np.argwhere(bad)[0]))
-    return f" (first in run {first[0] if len(first) == 1 else first})" if first else ""

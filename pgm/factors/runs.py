@@ -1,4 +1,4 @@
-"""The leading axes of evidence: the runs they broadcast to, and arrays with these axes as one."""
+"""The leading axes of values: the runs they broadcast to, and arrays with these axes as one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import EvidenceError
-from pgm.kernels.arrays import frozen
+from pgm.kernels.arrays import Mask, frozen
 
 Shape = tuple[int, ...]
 
@@ -64,3 +64,15 @@ def flat(array: npt.NDArray[Any], lead: Shape, own: int) -> npt.NDArray[Any]:
         runs = math.prod(lead)
         array = np.broadcast_to(array, (*lead, *rest))
     return frozen(np.ascontiguousarray(array.reshape(runs, *rest)))
+
+
+def unflat(array: npt.NDArray[Any], lead: Shape, own: int) -> npt.NDArray[Any]:
+    """An array (runs or 1, own axes) with its axes of runs."""
+    rest = array.shape[array.ndim - own :]
+    return np.broadcast_to(array, (math.prod(lead), *rest)).reshape((*lead, *rest))
+
+
+def in_run(bad: Mask | np.bool_) -> str:
+    """Where the first bad one of some runs is, for messages."""
+    first = tuple(map(int, np.argwhere(bad)[0]))
+    return f" (first in run {first[0] if len(first) == 1 else first})" if first else ""

@@ -1,0 +1,153 @@
+"""CPDs that are a function of the parents plus Gaussian noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.cpds.base import CPD
+from pgm.cpds.noise import Noise, as_covariance, evaluate
+from pgm.cpds.values import Known, Values
+from pgm.errors import LinearisationError, ModelError, NumericalError
+from pgm.factors.runs import flat, unflat
+from pgm.factors.scope import Scope
+from pgm.kernels import normal, roots
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, quiet
+from pgm.kernels.checks import IMPROPER
+from pgm.kernels.moments import ROUNDING
+from pgm.linearisers.calls import Call
+from pgm.variables import Variable
+
+
+class ConditionalGaussian(CPD):
+    """A CPD that is a function of the parents plus Gaussian noise.
+
+    Attributes
+    ----------
+    cov : ndarray or Noise
+        Covariance of the noise.
+    """
+
+    cov: Array | Noise
+
+    def _set_family(
+        self,
+        child: Variable,
+        given: Variable | Iterable[Variable],
+        cov: npt.ArrayLike | Noise,
+        *,
+        lead: bool = False,
+        flat: bool = False,
+    ) -> None:
+        self._set_scope(child, given, cov.given if isinstance(cov, Noise) else ())
+        if not isinstance(cov, Noise):
+            cov = as_covariance(child, cov, lead=lead, flat=flat)
+        self._set(cov=cov)
+
+    def require_proper(self, what: str) -> None:
+        """Refuse an infinite variance where there is no use for it."""
+        if not isinstance(self.cov, Noise) and np.isinf(self.cov).any():
+            raise ModelError(
+                f"{self!r} has an infinite variance: {what}; give it a finite one",
+                variable=self.child,
+                cpd=self,
+            )
+
+    @property
+    def noise_given(self) -> Scope:
+        """The parents that the noise covariance depends on."""
+        return self.cov.given if isinstance(self.cov, Noise) else ()
+
+    def _log_density(self, child: Values, known: Known) -> Array:
+        mean, lower = self._law(known.values, known.lead, (known.runs,), self.child.step)
+        center = unflat(mean, known.lead, 1)
+        with quiet():  # what is too far off to be squared has no density that float64 can hold
+            residual = difference(child, center, self.child.angle_mask)
+            if lower.ndim == 2:
+                points = -1, self.child.dimension
+            else:
+                lower = unflat(lower, known.lead, 2)
+                points = *residual.shape[:-1], 1, self.child.dimension
+            white, left = normal.whitened(lower, residual.reshape(points))
+            value = normal.log_density(lower, white)
+            if left is not None:
+                error = normal.INEXACT * (np.abs(child) + np.abs(center))
+                error = error + ROUNDING * unflat(self._summed(known.values), known.lead, 1)
+                error = np.broadcast_to(error, residual.shape).reshape(points)
+                value = np.where(normal.off(lower, left, error), -np.inf, value)
+        value = np.where(np.isnan(value), -np.inf, value) + 0.0  # no -0
+        return value.reshape(residual.shape[:-1])
+
+    def _draw(
+        self,
+        known: Mapping[Variable, Array],
+        lead: tuple[int, ...],
+        shape: tuple[int, ...],
+        step: npt.ArrayLike | None,
+        rng: np.random.Generator,
+        size: tuple[int, ...] = (),
+    ) -> Array:
+        mean, lower = self._law(known, lead, shape, step)
+        white = rng.standard_normal((*size, *shape, self.child.dimension))
+        return normal.draw(mean, lower, white)
+
+    def _law(
+        self,
+        known: Mapping[Variable, Array],
+        lead: tuple[int, ...],
+        shape: tuple[int, ...],
+        step: npt.ArrayLike | None,
+    ) -> tuple[Array, Array]:
+        """The mean, and the root of the noise: they broadcast to (*shape, d) and (*shape, d, d).
+
+        Arguments as of `_draw`.
+        """
+        steps = None if step is None else np.asarray(step)
+        wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in known.items()}
+        call = Call(self.child, "function", shape, steps, 0, self)
+        with np.errstate(all="ignore"):  # non-finite values are refused below
+            mean = self._mean(wide, lead, call)
+        if not np.isfinite(mean).all():
+            index = tuple(int(k) for k in np.argwhere(~np.isfinite(mean))[0, :-1])
+            raise call.error("has values that are NaN or infinite", index, kind=LinearisationError)
+        if not isinstance(self.cov, Noise):
+            return mean, self._lower if self._lower.ndim == 2 else flat(self._lower, lead, 2)
+        lower = roots.root(evaluate(self, wide, shape, steps))
+        if not roots.is_proper(lower):
+            index = tuple(int(k) for k in np.argwhere(np.isnan(lower))[0, :-2])
+            call = Call(self.child, "noise", shape, steps, 0, self)
+            raise call.error(f"cannot be used: {IMPROPER}", index, kind=NumericalError)
+        return mean, lower
+
+    @cached_property
+    def _lower(self) -> Array:
+        """The root of a constant covariance."""
+        self.require_proper("it has neither a density nor draws")
+        assert not isinstance(self.cov, Noise)
+        lower = roots.root(self.cov)
+        if not roots.is_proper(lower):
+            raise NumericalError(
+                f"{self!r} has neither a density nor draws: {IMPROPER}",
+                variable=self.child,
+                cpd=self,
+            )
+        return lower
+
+    def _mean(self, known: Mapping[Variable, Array], lead: tuple[int, ...], call: Call) -> Array:
+        """The mean at values of all parents, which broadcasts to (*call.lead, d)."""
+        raise ModelError(f"{self!r} is of a kind that has no mean here", cpd=self)
+
+    def _summed(self, known: Mapping[Variable, Array]) -> Array:
+        """The size of the numbers that are added up to the mean, as far as is known, (..., d)."""
+        return np.zeros((1, self.child.dimension))
+
+    def _placed(self, step: int) -> dict[str, Any]:
+        placed = super()._placed(step)
+        if isinstance(self.cov, Noise):
+            placed["cov"] = Noise(self.cov.function, tuple(v.at(step) for v in self.cov.given))
+        return placed

@@ -1,0 +1,107 @@
+"""Values of a child and its parents, as users give them to a CPD."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.boundary import as_mapping
+from pgm.errors import ModelError
+from pgm.factors.indices import as_known
+from pgm.factors.runs import Shape, clash, flat
+from pgm.factors.scope import as_value, listed
+from pgm.sizes import require_memory
+from pgm.variables import Discrete, Variable
+
+if TYPE_CHECKING:
+    from pgm.cpds.base import CPD
+
+# Values (..., d), or indices of states (...).
+Values = npt.NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Values of all parents of a CPD.
+
+    Attributes
+    ----------
+    lead : tuple of int
+        The leading axes that they and the CPD's own axes of runs broadcast to.
+    values : mapping of Variable to ndarray
+        These axes as one: (runs or 1, d), or (runs or 1,) indices of states.
+    """
+
+    lead: Shape
+    values: Mapping[Variable, Values]
+
+    @property
+    def runs(self) -> int:
+        """How many combinations of values there are."""
+        return math.prod(self.lead)
+
+
+def as_parents(cpd: CPD, given: Any) -> Known:
+    """The values of a CPD's parents, checked: none missing, none of another variable."""
+    found = as_mapping(given, f"the second argument, parents, of {cpd!r}", ModelError, cpd=cpd)
+    for key in found:
+        if key not in cpd.parents:
+            raise _stranger(cpd, key)
+    for parent in cpd.parents:
+        if parent not in found:
+            raise ModelError(
+                f"{cpd!r}: no value of its parent {parent!r}; give one of each of its parents "
+                f"({listed(cpd.parents)})",
+                variable=parent,
+                cpd=cpd,
+            )
+    arrays = {parent: as_values(cpd, parent, found[parent]) for parent in cpd.parents}
+    shapes = [(parent, shape_of(parent, array)) for parent, array in arrays.items()]
+    lead = common(cpd, [*shapes, ("the CPD itself", cpd._lead())])
+    own = 0 if cpd.discrete else 1
+    return Known(lead, {v: flat(array, lead, own) for v, array in arrays.items()})
+
+
+def _stranger(cpd: CPD, key: object) -> ModelError:
+    """The error of a value of what is no parent."""
+    why = f"which is none of its parents ({listed(cpd.parents)})"
+    if not isinstance(key, Variable):
+        why += "; give the variable itself"
+    variable = key if isinstance(key, Variable) else None
+    return ModelError(f"{cpd!r}: a value of {key!r}, {why}", variable=variable, cpd=cpd)
+
+
+def as_values(cpd: CPD, variable: Variable, value: Any) -> Values:
+    """Values of a variable of a CPD's family, (..., d), or indices of states (...)."""
+    if isinstance(variable, Discrete):
+        return as_known(variable, value, f"the value of {variable!r} in {cpd!r}", cpd=cpd)
+    return as_value(variable, value, f"value in {cpd!r}", cpd=cpd)
+
+
+def shape_of(variable: Variable, values: Values) -> Shape:
+    """The leading axes of values of a variable."""
+    return values.shape if isinstance(variable, Discrete) else values.shape[:-1]
+
+
+def common(cpd: CPD, shapes: Sequence[tuple[object, Shape]]) -> Shape:
+    """The leading axes that values broadcast to, from whose axes each are, if they fit."""
+    try:
+        lead = np.broadcast_shapes(*(shape for _, shape in shapes))
+    except ValueError:
+        raise ModelError(
+            f"{cpd!r}: the leading axes of the values do not broadcast: {clash(shapes)}; "
+            "give them the same, or 1",
+            cpd=cpd,
+        ) from None
+    require_memory(
+        math.prod(lead) * sum(max(v.dimension, 1) for v in cpd.scope),
+        f"{cpd!r} at all of {lead} values",
+        "give it fewer at a time",
+        cpd=cpd,
+    )
+    return lead

@@ -1,0 +1,69 @@
+"""Normal densities by the root L of the covariance; a singular one has its density on a subspace.
+
+A component that those before it determine (`roots.determined`) adds nothing to the density, which
+is that of the others. Points stand along the last axis but one, (..., S, d), so that one root
+(..., d, d) serves all of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.kernels import roots
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, transpose
+
+# The part of a point and of the mean by which what users compute may take it off a subspace.
+INEXACT = 1e-9
+# The part of its deviation by which a component may differ from what those before it determine:
+# three times what a root takes for zero.
+SLACK = 3.0 * roots.NEGLIGIBLE**0.5
+
+
+def draw(mean: Array, lower: Array, white: Array) -> Array:
+    """Points of N(mean, L Lᵀ), (..., d), for white noise."""
+    return mean + apply(lower, white)
+
+
+def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
+    """White residuals, (..., S, d), zero where determined; and what is left there, if anything is.
+
+    For a residual that N(0, L Lᵀ) can give, what is left is zero up to rounding.
+    """
+    white = transpose(roots.solve_lower(lower, transpose(residual)))
+    fixed = roots.determined(lower)
+    if not fixed.any():
+        return white, None
+    return _without(fixed, white), _without(~fixed, white)
+
+
+def _without(gone: Mask, vectors: Array) -> Array:
+    return np.where(gone[..., None, :], 0.0, vectors)
+
+
+def log_density(lower: Array, white: Array) -> Array:
+    """The log-density −½ (|s|² + ln |2π L Lᵀ|) of the open components, (..., S), at white s."""
+    fixed = roots.determined(lower)
+    dimension: int | Integers = lower.shape[-1]
+    if fixed.any():
+        dimension = dimension - fixed.sum(axis=-1)
+    constant = roots.log_determinant(lower) + dimension * LOG_2PI
+    value: Array = -0.5 * ((white * white).sum(axis=-1) + constant[..., None])
+    return value
+
+
+def off(lower: Array, left: Array, error: Array) -> Mask:
+    """Where what is left, (..., S, d), is more than rounding: off the subspace, (..., S).
+
+    Parameters
+    ----------
+    lower, left : ndarray
+        Of `whitened`.
+    error : ndarray
+        (..., S, d): by how much rounding may have changed the residuals.
+    """
+    # What is left depends linearly on the residuals: by this matrix.
+    spread = np.abs(roots.solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))
+    deviations = np.sqrt((lower * lower).sum(axis=-1))
+    allowed = error @ transpose(spread) + SLACK * deviations[..., None, :]
+    far: Mask = (np.abs(left) > allowed).any(axis=-1)
+    return far
