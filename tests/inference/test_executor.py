@@ -389,7 +389,6 @@ def test_a_worker_that_dies(start, asked):
             pgm.filter(model, recording(), executor=pool, **asked)
         assert time.monotonic() - begin < 30.0
         assert any(first <= 12 < stop for first, stop in found.value.runs)
-        assert found.value.runs[-1][1] == RUNS
         assert found.value.run == found.value.runs[0][0]
         with pytest.raises(
             pgm.ExecutorError, match="runs 0 to 22 were lost: BrokenProcess"
