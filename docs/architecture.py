@@ -140,9 +140,10 @@ def _station(ax: Axes, station: Station, floors: dict[str, tuple[float, float]])
         boxstyle="round,pad=0,rounding_size=0.1",
         facecolor=YOURS if station is STATIONS["yours"] else OURS,
         edgecolor=SOFT,
+        label="station",
     )
     ax.add_patch(box)
-    ax.text(station.x, y, station.text, ha="center", va="center", fontsize=9, color=INK, gid="in")
+    ax.text(station.x, y, station.text, ha="center", va="center", fontsize=9, color=INK)
     return box
 
 
