@@ -276,9 +276,13 @@ class BoundFunction(_Bound):
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
     def _arguments(self, x: Array) -> tuple[list[Array], tuple[int, ...]]:
-        if x.ndim == 1 and self.group is None and self.template.undivided:
-            # Of one run there is nothing to broadcast, and often nothing to cut.
-            return [x if value is None else value for value in self.inputs], ()
+        if not self.lead and self.group is None and self.template.undivided and x.ndim <= 2:
+            # Of one run there is little to broadcast, and often nothing to cut.
+            if x.ndim == 1:
+                return [x if value is None else value for value in self.inputs], ()
+            count = len(x)
+            every = (None if v is None else v[None].repeat(count, 0) for v in self.inputs)
+            return [x if value is None else value for value in every], (count,)
         lead, shape = self.lead, x.shape[:-1]
         extra = shape[lead:]
         if self.group is not None:

@@ -202,7 +202,7 @@ class MomentChain:
             bare = tuple(k for k in bare if not noise[k, k].any())
         if at.function is not None:
             # A function may return an array that it uses again.
-            if link.turning:
+            if link.turning and turns_far(link, before, value):
                 value = on_chart(link, at, before, value)
             if value is line.value:
                 value = value.copy()
@@ -212,7 +212,7 @@ class MomentChain:
         return matrix, value, noise, bare
 
 
-def _turns(link: Link, before: Array, value: Array) -> bool:
+def turns_far(link: Link, before: Array, value: Array) -> bool:
     """Whether an angle is more than half a turn from where it was."""
     if value.ndim == 1:
         for new, old in link.turning:
@@ -229,8 +229,7 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
 
     Beliefs live on one unwrapped chart. `before` is the vector in which the CPD's parents stand.
     """
-    if at.function is None or not _turns(link, before, value):
-        return value
+    assert at.function is not None
     turned = value[link.angles] - before[link.before]
     # A function that wraps gives the same for an angle a whole turn on; another turns too.
     further = before.copy()

@@ -139,10 +139,11 @@ class OnlineFilter(Immutable):
                 chain, ats = laid
             plan, known = chain.plan, _moments(belief, chain.plan)
             found = chain.predicted(ats, step, known)
-            if not _is_finite(found):
+            regular = gaussian.is_regular(found.cov, found.cov, REGULAR)
+            if not (_is_finite(found) and (regular or np.isfinite(found.cov).all())):
                 MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
                 _refuse(step)
-            if gaussian.is_regular(found.cov, found.cov, REGULAR):
+            if regular:
                 log_evidence, status = belief.log_evidence, _DONE
                 if laid is None:
                     log_evidence = np.broadcast_to(log_evidence, plan.lead)
@@ -304,10 +305,11 @@ def _moments(belief: OnlineBelief, plan: ChainPlan) -> Moments:
 
 
 def _is_finite(found: Moments) -> bool:
+    """Whether all numbers are; of one run those of a regular covariance are."""
     if found.mean.ndim > 1:
         return bool(np.isfinite(found.mean.sum() + found.cov.sum()))
     # A sum of few numbers tells it most quickly.
-    return isfinite(sum(found.mean.tolist()) + sum(found.cov.ravel().tolist()))
+    return isfinite(sum(found.mean.tolist()))
 
 
 def _careful(belief: OnlineBelief, plan: ChainPlan) -> CarefulBelief:

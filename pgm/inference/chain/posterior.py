@@ -101,7 +101,7 @@ class ChainPosterior(Posterior):
         """The innovations of each sensor with evidence."""
         return BySensor(
             {
-                sensor.variable: innovations(sensor, self._forward, self._plan.lead)
+                sensor.variable: innovations(self._plan, sensor, self._forward)
                 for sensor in self._plan.sensors
             }
         )
