@@ -30,7 +30,7 @@ def push(cov: Array, matrix: Array, noise: Array, out: Array) -> None:
 
 
 class Update(NamedTuple):
-    """What a reading makes of many beliefs.
+    """Many beliefs, each given a reading.
 
     Attributes
     ----------
