@@ -173,7 +173,7 @@ class Update(NamedTuple):
         Whether no component of the reading is determined by those before it to 10⁻⁶ of its
         variance.
     mild : bool
-        Whether no variance is known to have fallen by more than a thousand.
+        Whether no variance is known to have fallen more than a thousand times.
     left : ndarray or None
         (d, *batch): how far each determined component is from what the model says it is; None
         where nothing is determined.

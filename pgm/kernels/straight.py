@@ -30,7 +30,7 @@ Check = Callable[[Array, Array], bool]
 def updating(size: int, height: int, least: float) -> Update | None:
     """The update of n components by d readings; None where that is too large.
 
-    What it returns is None where S has a pivot below `least` of its diagonal entry.
+    The update is None where S has a pivot below `least` of its diagonal entry.
     """
     if not 0 < size * height * (size + height) <= MOST:
         return None

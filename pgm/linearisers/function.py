@@ -30,7 +30,7 @@ class FunctionTemplate:
     Parameters
     ----------
     child : Variable
-        Whose CPD it is.
+        The child of the CPD.
     given : tuple of Variable
         All parents, in the order of the function's arguments.
     hidden : tuple of Variable

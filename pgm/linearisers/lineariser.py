@@ -1,4 +1,4 @@
-"""Linearisers, and the form in which they are ready for many calls.
+"""Linearisers, and their prepared form, which is ready for many calls.
 
 An engine prepares a lineariser for each function once, and calls the prepared form at one belief
 after another. Its arrays have components first and the batch last: no axis for one run, or an axis

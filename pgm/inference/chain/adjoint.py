@@ -67,7 +67,7 @@ class Later(NamedTuple):
     drift: Array
 
     def before(self, components: list[Component]) -> Later:
-        """With the components read at the step too, for the belief before they are."""
+        """The message with the components read at the step, to the belief before them."""
         vector, matrix, rounding, drift = self
         for row, gain, innovation, weight, error, blur, moved in reversed(components):
             keep = np.eye(matrix.shape[-1]) - gain[..., None] * row[:, None, :]
@@ -103,7 +103,7 @@ class Smooth(NamedTuple):
     ----------
     belief : Belief
     here : Later
-        What is read from its step on.
+        The message of all that is read from its step on.
     back : Back or None
         Where in some run the belief was found from that of the slice after it.
     parts : ndarray
@@ -118,7 +118,7 @@ class Smooth(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CarefulSmoothed:
-    """Both passes.
+    """Both passes in twice the digits.
 
     Attributes
     ----------

@@ -74,12 +74,12 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Careful:
-    """A forward pass.
+    """A forward pass in twice the digits.
 
     Attributes
     ----------
     forward : Forward
-        Rounded.
+        Its beliefs, rounded.
     steps : list of Step
     unknown : Solved
         δ given all readings.
@@ -118,9 +118,9 @@ def sweep(
     ----------
     plan : ChainPlan
     schedule : Filtering, optional
-        How CPDs are linearised at the incoming beliefs; without, they are as laid out.
+        The linearisations at incoming beliefs; without, CPDs stay as they were linearised.
     anchor : Anchor, optional
-        What holds the beliefs.
+        Readings that hold the beliefs near a point.
     """
     out = Forward.empty(plan)
     steps: list[Step] = []

@@ -305,7 +305,7 @@ def _moments(belief: OnlineBelief, plan: ChainPlan) -> Moments:
 
 
 def _is_finite(found: Moments) -> bool:
-    """Whether all numbers are; of one run those of a regular covariance are."""
+    """Whether all numbers are finite, of one run's mean alone: its covariance is regular."""
     if found.mean.ndim > 1:
         return bool(np.isfinite(found.mean.sum() + found.cov.sum()))
     # A sum of few numbers tells it most quickly.

@@ -67,7 +67,7 @@ def filtered(
 ) -> Ahead:
     """The forward pass with every CPD as it was linearised, as `forward.stored` gives it.
 
-    Where composing segments costs digits, that is what it is.
+    Where composing segments costs digits, `forward.stored` makes it.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def filtered(
         linearised. Elements are about it, so that large coordinates cost no digits.
     anchor : Anchor, optional
     readings : Readings, optional
-        Those of the plan about the reference, where they are known.
+        The readings of the plan about the reference, where they are known.
     """
     readings = Readings.of(plan, reference) if readings is None else readings
     found = _solve(plan, segments.steps(plan), _first(plan, anchor), readings, anchor)
@@ -87,9 +87,9 @@ def filtered(
 def run(plan: ChainPlan) -> Ahead:
     """The forward pass of an affine model, as `forward.run` gives it.
 
-    It is about a guess of the means. Where that is far from the beliefs, or has led an angle's
-    reading to another branch than the prediction does, it is repeated about what was found; and
-    where that does not end soon, the pass goes step by step.
+    Elements are about a guess of the means. Where that is far from the beliefs, or has led an
+    angle's reading to another branch than the prediction does, the pass is repeated about the means
+    that it found; and where that does not end soon, it goes step by step.
     """
     moves = segments.steps(plan)
     reference = _guess(plan, moves)

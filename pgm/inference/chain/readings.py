@@ -1,6 +1,6 @@
 """The readings of a step: linearised at a belief, and taken in.
 
-Everything has its components first and the batch last: no axis of one run, one of many.
+Arrays have components first and the batch last, which has no axis for one run and one for many.
 """
 
 from __future__ import annotations

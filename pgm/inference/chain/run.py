@@ -121,7 +121,7 @@ def _solve(
 def _carefully(
     graph: DynamicGraph, plan: ChainPlan, schedule: Filtering | Calibration, start: Array | None
 ) -> ChainPosterior:
-    """The same in twice the digits, one step after another."""
+    """`_solve` in twice the digits, one step after another."""
     make = _posterior(graph)
     if isinstance(schedule, Filtering):
         if isinstance(graph, BalancedGraph):

@@ -85,7 +85,7 @@ _FEW_NUMBERS = 200
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
     """Run a smoothing schedule, first of all going forward step by step.
 
-    Later linearisations, which are given, may be solved for in rounds over all steps.
+    Later linearisations, which are of all steps at once, may be solved for in rounds over these.
 
     Parameters
     ----------

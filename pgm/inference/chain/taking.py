@@ -54,7 +54,7 @@ class Component(NamedTuple):
     error : ndarray
         (runs,): the part of S that rounding may have changed.
     blur, drift : ndarray
-        (runs, n): what it may have changed G by, and through it the mean.
+        (runs, n): the change of G that rounding may have made, and of the mean through it.
     """
 
     row: Twofold
@@ -89,7 +89,7 @@ class Belief(NamedTuple):
 
     @classmethod
     def of(cls, mean: Array, cov: Array) -> Belief:
-        """A belief of moments (runs, n) and (runs, n, n) in float64: their last digit is rounding."""
+        """A belief of moments (runs, n) and (runs, n, n) in float64: exact to rounding."""
         rounding, drift = _LAST_DIGIT * variances(cov), (_EPS * mean) ** 2
         columns, eye = Twofold(mean[..., None]), np.eye(mean.shape[-1])
         return cls(columns, Twofold(cov), rounding[..., None] * eye, drift[..., None] * eye)
