@@ -108,7 +108,7 @@ class Rows:
 
     @cached_property
     def bare(self) -> tuple[int, ...]:
-        """The components that the CPD's own noise leaves out at some row."""
+        """The components to which the CPD's own noise adds nothing at some row."""
         variances = np.diagonal(self.own_noise, axis1=-2, axis2=-1)
         return tuple(int(k) for k in np.flatnonzero((variances == 0.0).any(axis=(0, 1))))
 

@@ -87,7 +87,7 @@ class StatisticalRegression(Builtin):
     means, and the covariance is that of what the line leaves, Σ w r rᵀ. In directions in which P
     is zero F takes the limit P → 0, the Jacobian at μ. Angles of y are averaged as the value at
     the centre plus the mean of offsets, wrapped about the tangent where they exceed half a turn.
-    In components in which what the line leaves may be rounding of the values it is zero.
+    The covariance is zero in components in which what the line leaves may be rounding.
 
     A subclass gives `points`, and may say that they are fresh for each run, or that moments of x
     are the belief's own.
@@ -126,7 +126,7 @@ class StatisticalRegression(Builtin):
         return _Regression(self, template)
 
     def is_semidefinite(self, dimension: int) -> bool:
-        """Whether what a line leaves is weighted by no negative number."""
+        """Whether no weight of what the line leaves is negative."""
         weights = self.points(dimension, "", 0).cov_weights
         return not self.prior_moments and bool((weights >= 0.0).all())
 
@@ -158,7 +158,7 @@ class _Regression:
         return line._replace(error=_within(line.error, function.group))
 
     def _generally(self, function: BoundFunction, mean: Array, cov: Array, points: Points) -> Line:
-        """With any points, at any covariance."""
+        """The regression on any points, at any covariance."""
         rule, s = self.rule, points.points
         at, spread = components_last(mean, 1), components_last(cov, 2)
         lower = roots.root(spread)
@@ -199,7 +199,7 @@ class _Regression:
 def _fitted_one(
     function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array
 ) -> Line:
-    """With few points, at one belief of a regular covariance: the regression is at hand."""
+    """The regression on few points, prepared once, at one belief of a regular covariance."""
     turning = function.turning
     extra = int(bool(turning) and not points.centred)
     x = (points.with_centre if extra else points.points).dot(lower.T)
@@ -223,7 +223,7 @@ def _fitted_one(
 
 
 def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array) -> Line:
-    """With few points, shared by many beliefs, of regular covariances."""
+    """The regression on few points, which many beliefs of regular covariances share."""
     batch = mean.shape[1:]
     if len(batch) > 1:
         mean, lower = mean.reshape(len(mean), -1), lower.reshape(*lower.shape[:2], -1)

@@ -206,7 +206,7 @@ class OnlineFilter(Immutable):
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
-        """In float64; None where it has too few digits."""
+        """The belief given readings, in float64; None where that has too few digits."""
         laid = None if belief.lead else self._sensors.sensors(belief, readings)
         if laid is None:
             chain = MomentChain(self._seen(belief, readings), self.schedule, keep=False)
@@ -305,7 +305,7 @@ def _moments(belief: OnlineBelief, plan: ChainPlan) -> Moments:
 
 
 def _is_finite(found: Moments) -> bool:
-    """Whether all numbers are; of one run those of a regular covariance are."""
+    """Whether all numbers are finite, of one run's mean alone: its covariance is regular."""
     if found.mean.ndim > 1:
         return bool(np.isfinite(found.mean.sum() + found.cov.sum()))
     # A sum of few numbers tells it most quickly.
@@ -327,7 +327,7 @@ def _carried(
     status: Status,
     kind: Kind,
 ) -> OnlineBelief:
-    """A belief with the digits that it has, carried in twice those of float64 while it must be."""
+    """A belief whose status has its digits, carried in twice those of float64 while it must be."""
     mean, cov = found.moments
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
         _refuse(step)

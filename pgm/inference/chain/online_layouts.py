@@ -1,7 +1,7 @@
-"""Steps of one robot online, laid out once for each kind of input and then only carried out.
+"""Plans for the steps of one robot online, made once for each kind of input.
 
-Inputs that are out of the ordinary are None here, and bound anew each time: batches of robots,
-missing readings, values of odd shapes.
+Batches of robots, missing readings and values of odd shapes have none here: their plans are made
+anew at each step.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Values = Mapping[Variable, Any]
 
 
 class _Local:
-    """A CPD, and which of the rows given are its inputs.
+    """A CPD, and which of the rows given at a step are its inputs.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What inference on a chain returns: beliefs over time as moments, messages on request."""
+"""The results of inference on a chain: beliefs over time as moments, messages on request."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class ChainPosterior(Posterior):
     @property
     @quiet()
     def _forward(self) -> Forward:
-        """All that the forward sweep leaves, found now if only beliefs were wanted so far."""
+        """The whole forward sweep, made again if only its beliefs were wanted so far."""
         swept = self._swept
         return swept.whole if isinstance(swept, Filtered) else swept
 
@@ -114,7 +114,7 @@ class ChainPosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """What `log_evidence` is: exact, linearised or laplace."""
+        """The kind of `log_evidence`: exact, linearised or laplace."""
         if self._planned.exact:
             return "exact"
         fixed = self.kind == SMOOTHED and bool(self.status.converged.all())

@@ -46,7 +46,7 @@ def run(
     start: Start | None,
     room: Room | None = None,
 ) -> ChainPosterior:
-    """Send the messages of a filter or smoother; a filter may leave its moments in a room for them.
+    """Send the messages of a filter or smoother; `room` has arrays for the moments of a filter.
 
     Numbers too large for float64 are refused where they end up, so that NumPy need not warn.
     """
@@ -121,7 +121,7 @@ def _solve(
 def _carefully(
     graph: DynamicGraph, plan: ChainPlan, schedule: Filtering | Calibration, start: Array | None
 ) -> ChainPosterior:
-    """The same in twice the digits, one step after another."""
+    """`_solve` in twice the digits, one step after another."""
     make = _posterior(graph)
     if isinstance(schedule, Filtering):
         if isinstance(graph, BalancedGraph):
