@@ -222,7 +222,7 @@ class Rows:
         if len(shift) == 1 == len(self.own_noise):
             found = self._constant_at.get(count)
             if found is not None:
-                return found
+                return At(None, found.matrix, found.offset, found.noise, first, last)
         offset = np.broadcast_to(
             shift if len(shift) == 1 else shift[first:last], (count, *shift.shape[1:])
         )

@@ -235,6 +235,24 @@ def test_a_linear_reading_of_a_heading_is_moved_too():
     )
 
 
+@pytest.mark.parametrize("way", [pgm.filter, pgm.smooth])
+def test_linear_readings_are_moved_at_every_step(way):
+    """A compass of a steady turn: its innovations are those of readings that were never wrapped."""
+    h, c = (pgm.Variable(name, ("angle",), angles=("angle",)) for name in "hc")
+    turning = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(h, 0.0, 0.1)],
+        [pgm.LinearGaussianCPD(h, {h.previous: 1.0}, offset=1.0, cov=0.01)],
+        [pgm.LinearGaussianCPD(c, {h: 1.0}, cov=0.01)],
+    )
+    values = np.arange(1.0, 11.0)[:, None] + 0.02 * np.cos(np.arange(10))[:, None]
+    plain = way(turning, {c: values})
+    found = way(turning, {c: (values + np.pi) % (2 * np.pi) - np.pi})
+    np.testing.assert_allclose(found[h].mean, plain[h].mean, atol=1e-12)
+    residual = found.innovations[c].residual
+    np.testing.assert_allclose(residual, plain.innovations[c].residual, atol=1e-12)
+    assert np.abs(residual).max() < 0.1
+
+
 def test_runs_take_branches_of_their_own(circles):
     turns = np.random.default_rng(63).integers(-2, 3, (4, T))
     batch = pgm.smooth(MODEL, evidence_of(circles, turns), iterations=3, tolerance=0.0)
