@@ -17,6 +17,7 @@ from pgm.inference.query import query
 from pgm.inference.schedule import (
     Calibration,
     Filtering,
+    FixedLag,
     Flooding,
     Residual,
     Schedule,
@@ -30,6 +31,7 @@ __all__ = [
     "Calibration",
     "ChainPosterior",
     "Filtering",
+    "FixedLag",
     "Flooding",
     "Innovations",
     "KeptPosterior",

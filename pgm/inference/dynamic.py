@@ -13,7 +13,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
 from pgm.inference.damping import Damping
-from pgm.inference.schedule import Filtering, Smoothing
+from pgm.inference.schedule import Filtering, FixedLag, Smoothing
 from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -109,6 +109,7 @@ def smooth(
     lineariser: Lineariser = TAYLOR,
     steps: int | None = None,
     start: Start | None = None,
+    lag: int | None = None,
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
@@ -126,6 +127,7 @@ def smooth(
     lineariser: Lineariser = TAYLOR,
     steps: int | None = None,
     start: Start | None = None,
+    lag: int | None = None,
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
@@ -142,6 +144,7 @@ def smooth(
     lineariser: Lineariser = TAYLOR,
     steps: int | None = None,
     start: Start | None = None,
+    lag: int | None = None,
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
@@ -153,6 +156,9 @@ def smooth(
 
     .. math:: p(x_t \mid \text{all readings}), \quad t = 0, \ldots, T
 
+    With a lag it is `FixedLag(lag, iterations, tolerance, damping)`, whose beliefs know the
+    readings up to so many steps later.
+
     Parameters
     ----------
     model : DynamicBayesianNetwork
@@ -163,9 +169,11 @@ def smooth(
     steps : int, optional
         T, where no plain array of the evidence tells.
     start : mapping of Variable to array_like, optional
-        As for `infer`.
+        As for `infer`; not with a lag.
+    lag : int, optional
+        Of `FixedLag`, in steps.
     iterations, tolerance, damping
-        Of `Smoothing`.
+        Of `Smoothing` or `FixedLag`.
     method : Balanced, optional
         Of `compile`: `Balanced()`, or without a chain of slices, whose first linearisation is the
         filter's. On the chain the later ones, of all steps at once, are solved for in about
@@ -187,7 +195,8 @@ def smooth(
     PgmError
         As `infer`.
     """
-    schedule = Smoothing(iterations, tolerance, damping)
+    rest = iterations, tolerance, damping
+    schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps)
     graph = compile(model, bound.steps, method=method)

@@ -16,7 +16,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
 from pgm.inference.posterior import Posterior
-from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
+from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
 from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.variables import Variable
@@ -96,9 +96,10 @@ def infer(
         Leading axes are runs. NaN is a component that was not observed, of a sensor's reading or
         of a variable on which no other depends. `records` makes such a mapping of a table, one run
         a record.
-    schedule : Filtering, Calibration, Smoothing, Flooding, Sequential or Residual, optional
-        Without, `Smoothing()` for a dynamic network and `Calibration()` for a tree; a graph with
-        loops needs one of the last three.
+    schedule : Schedule, optional
+        `Filtering`, `FixedLag` or `Smoothing` for a dynamic network, `Smoothing()` without;
+        `Calibration()` for a tree; `Flooding`, `Sequential` or `Residual`, which a graph with loops
+        needs.
     lineariser : Lineariser, optional
         For every nonlinear CPD that has none of its own; `Taylor()` if not given.
     start : mapping of Variable to array_like, optional
@@ -169,8 +170,12 @@ def infer(
             f"keep= and executor= are for the runs of dynamic networks, not for {graph!r}; to hold "
             "less at a time, give fewer runs to a call"
         )
-    if isinstance(schedule, Filtering):
-        raise GraphError("only a dynamic network is filtered; leave the schedule out for a tree")
+    if isinstance(schedule, Filtering | FixedLag):
+        raise GraphError(
+            f"only a dynamic network is filtered, or smoothed by a lag; {graph!r} has no time: "
+            f"leave {schedule!r} out for a tree, and on a graph with loops give pgm.Flooding(), "
+            "pgm.Sequential() or pgm.Residual()"
+        )
     if isinstance(schedule, Smoothing) and schedule.damping:
         raise GraphError(
             f"{schedule!r}: the damping of linearisation points is for dynamic networks; on other "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -126,6 +127,36 @@ class Family(Rows):
             part.matrix, part.offset = cut(self.matrix, runs), cut(self.offset, runs)
             part.affine = self.affine[0], cut(self.affine[1], runs)
         return part
+
+    def window(self, first: int, last: int) -> Family:
+        """Some of the rows, with views of these arrays; what is linearised is its own."""
+        rows, part = slice(first, last), copy(self)
+        for name in ("_known", "_steps"):
+            part.__dict__.pop(name, None)
+        part.step = self.step[rows]
+        part.inputs = {parent: values[rows] for parent, values in self.inputs.items()}
+        part.matrix, part.offset = self.matrix[rows], self.offset[rows]
+        part.noise = self.noise[rows]
+        if len(self.own_noise) > 1:
+            part.own_noise = self.own_noise[rows]
+        if self.exact:
+            matrix, shift = self.affine
+            part.affine = matrix, shift[rows] if len(shift) > 1 else shift
+        else:
+            part.matrix, part.offset = part.matrix.copy("K"), part.offset.copy("K")
+            part.noise = part.noise.copy("K") if self.approximate else part.noise
+        return part
+
+    def put(self, first: int, part: Family) -> None:
+        """Keep what some of the rows, from the first of them on, were linearised to."""
+        if self.exact:
+            return
+        rows = slice(first, first + part.step.size)
+        self.matrix[rows], self.offset[rows] = part.matrix, part.offset
+        if part.approximate:
+            self.keep_errors()
+        if self.approximate:
+            self.noise[rows] = part.noise
 
     @property
     def taylor(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pgm.boundary import is_number
+from pgm.boundary import is_number, is_whole
 from pgm.errors import ModelError
 from pgm.inference.checks import require_count, require_tolerance
 from pgm.inference.damping import Damping, require_damping
@@ -106,6 +106,85 @@ class Smoothing(Calibration):
 
 
 @dataclass(frozen=True)
+class FixedLag:
+    r"""Forward messages, and backward ones over a lag: each belief knows the readings up to it.
+
+    .. math:: p(x_t \mid z_0, \dots, z_{\min(t + L,\, T)})
+
+    A lag L of zero is the filter; one that covers the record is the smoother, of linear models to
+    rounding, of others the one that was iterated until it settled.
+
+    With one iteration every CPD is linearised as in the filter. With more, each new step s has a
+    window: the transitions into the steps s − L + 1 to s and their readings. All of its CPDs are
+    linearised again at the window's smoothed beliefs, the motion included, and the window is
+    smoothed again from its prior p(x[s−L] | readings up to s − L), until that settles or the
+    iterations are used up. A step that the next window leaves behind keeps the linearisations it
+    had last, at beliefs that knew L steps more, and what it says goes into the next window's prior.
+    So later readings say where an earlier CPD is linearised, and nothing else: each reading is a
+    factor once. While the first step is in the window, so are the network's prior and the readings
+    there, and nothing has been left behind. A lag of one with iterations is the dynamically
+    iterated filter.
+
+    The log-evidence is that of the model as each CPD was linearised last. ``posterior.filtered``
+    has the belief of each window at its newest step.
+
+    Parameters
+    ----------
+    lag : int
+        L, in steps: 0 or more.
+    iterations : int
+        Linearisations of a window at the most.
+    tolerance : float
+        A window of a run is done when no smoothed mean is more than this many standard deviations
+        from where it was linearised.
+    damping : float or LevenbergMarquardt
+        The share of the old point of linearisation that is kept, in [0, 1), or a control of each
+        step by the cost of the window's trajectory, its prior included.
+
+    Raises
+    ------
+    ModelError
+        If one of them is no such number.
+
+    Examples
+    --------
+    >>> FixedLag(5)
+    FixedLag(lag=5, iterations=1, tolerance=1e-09, damping=0.0)
+
+    References
+    ----------
+    Moore, Discrete-time fixed-lag smoothing algorithms, 1973.
+    Kullberg, Skog & Hendeby, Iterated filters for nonlinear transition models, 2023; Dynamically
+    iterated filters: a unified framework for improved iterated filtering, 2024.
+    """
+
+    lag: int
+    iterations: int = 1
+    tolerance: float = 1e-9
+    damping: Damping = 0.0
+
+    def __post_init__(self) -> None:
+        if not is_whole(self.lag) or self.lag < 0:
+            raise ModelError(
+                f"{self!r}: a lag is a whole number of steps, 0 or more, not {self.lag!r}; of all "
+                "later readings, use pgm.Smoothing()"
+            )
+        require_count(self, "iterations, which count linearisations,", self.iterations)
+        require_tolerance(self, self.tolerance)
+        require_damping(self, self.damping)
+
+    @property
+    def filtering(self) -> Filtering:
+        """The filter that it is without a lag."""
+        return Filtering(self.iterations, self.tolerance, self.damping)
+
+    @property
+    def smoothing(self) -> Smoothing:
+        """The smoothing of a window."""
+        return Smoothing(self.iterations, self.tolerance, self.damping)
+
+
+@dataclass(frozen=True)
 class Loopy:
     """What schedules for any graph, trees or not, have in common.
 
@@ -161,4 +240,4 @@ class Residual(Loopy):
     """
 
 
-Schedule = Filtering | Calibration | Loopy
+Schedule = Filtering | FixedLag | Calibration | Loopy

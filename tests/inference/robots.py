@@ -105,3 +105,15 @@ def moves(commands, cov=Q):
         )
         for c in commands
     ]
+
+
+def sighted(runs=None, steps=12, seed=3):
+    """Evidence of a drive, the same commands in all runs, with a sighting at most of its steps."""
+    rng, sight = np.random.default_rng(seed), SENSORS["range_bearing"]
+    commands = controls(rng, steps)
+    states = np.stack([drive_along(commands, rng) for _ in range(runs or 1)])
+    states = states[0] if runs is None else states
+    when = np.arange(1, steps + 1)[rng.random(steps) < 0.8]
+    where = LANDMARKS[rng.integers(0, 3, when.size)]
+    values = sight.draw(states[..., when, :], where, rng)
+    return {u: commands, sight.z: pgm.sightings(values, step=when, given={m: where})}

@@ -125,7 +125,7 @@ class CarefulSmoothed:
     careful : Careful
         The forward pass.
     slices : list of Smooth
-        Of each step, given all readings.
+        Of each step, given all readings, or those up to a lag after it.
     beliefs : Beliefs
         Their moments, rounded.
     layout : SliceLayout
@@ -137,13 +137,17 @@ class CarefulSmoothed:
     layout: SliceLayout
 
     @classmethod
-    def of(cls, plan: ChainPlan, careful: Careful) -> CarefulSmoothed:
-        """The backward pass."""
+    def of(cls, plan: ChainPlan, careful: Careful, lag: int | None = None) -> CarefulSmoothed:
+        """The backward pass, from the last step, or to each step from a lag after it."""
         shape = careful.forward.mean.shape
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
-        slices = smoothed(careful, shape[0] - 1)
+        last = shape[0] - 1
+        lag = last if lag is None else lag
+        slices = smoothed(careful, last, max(last - lag, 0))
+        slices = [smoothed(careful, step + lag, step)[0] for step in range(last - lag)] + slices
         for step, each in enumerate(slices):
-            mean, cov = moments(each.belief, careful.unknown)
+            unknown = careful.unknown if step + lag >= last else careful.to(step + lag)
+            mean, cov = moments(each.belief, unknown)
             if not np.isfinite(mean.sum()) or np.isnan(cov.sum()):
                 _refuse(step)
             beliefs.mean[step], beliefs.cov[step] = mean, cov
@@ -194,14 +198,14 @@ class CarefulSmoothed:
 
 
 @quiet()
-def smoothed(careful: Careful, last: int) -> list[Smooth]:
-    """Every slice up to a last step, given the readings up to it."""
+def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
+    """Every slice from a first up to a last step, given the readings up to this."""
     columns, cov, *_ = careful.steps[last].known
     nothing = np.zeros(cov.shape)
     later = Later(Twofold.zeros(columns.shape), Twofold.zeros(cov.shape), nothing, nothing)
     blurred = np.zeros(columns.shape[0])
     out: list[Smooth] = []
-    for step in range(last, -1, -1):
+    for step in range(last, first - 1, -1):
         made = careful.steps[step]
         belief, parts, back = *_given(made.known, later, blurred), None
         if out and (parts > _CLOSE).any():

@@ -13,7 +13,7 @@ from pgm.kernels import conditionals, moments, pseudoinverse, roots
 from pgm.kernels.arrays import Array, Index, apply, block, room, sandwich, symmetric, transpose
 from pgm.kernels.conditionals import Moments
 from pgm.kernels.moments import Conditional
-from pgm.kernels.scan import in_chunks, levels, prefixes
+from pgm.kernels.scan import gather, in_chunks, levels, prefixes, take
 
 # From this many runs on, a sweep along rows of runs beats a scan along rows of steps, which does
 # twice the work; and so it does with few steps, where a scan has nearly as many rounds.
@@ -191,6 +191,38 @@ def sweep(forward: Ahead, reverse: Reverse) -> Beliefs:
     last = forward.mean[-1], forward.cov[-1]
     for step, belief in loops.backward(reverse, len(mean) - 1, last):
         mean[step], cov[step] = belief
+    return Beliefs(mean, cov)
+
+
+def lagged(forward: Ahead, reverse: Reverse, lag: int) -> Beliefs:
+    """Moments of every slice given the readings up to a lag after it, all steps at once.
+
+    With B_k[t] the belief that knows those up to k steps later, and C_m[t] the slice at t given
+    that m steps later, both up to T at the most,
+
+        B_{k+m}[t] = C_m[t] B_k[t + m],    C_{2m}[t] = C_m[t] C_m[t + m],
+
+    so that a lag takes as many pushes as it has ones in binary, and a composition for each digit.
+    """
+    shape, own = forward.mean.shape[:2], forward.mean.shape[2:]
+    mean, cov = room(shape, own), room(shape, own * 2)
+    mean[...], cov[...] = forward.mean, forward.cov
+    last = shape[0] - 1
+    back, reach, left = reverse.whole, 1, min(lag, last)
+    while left:
+        if left % 2:
+            ends = np.minimum(np.arange(reach, last + reach), last)
+            found = in_chunks(
+                conditionals.push, Moments(gather(mean, ends), gather(cov, ends)), back
+            )
+            mean[:-1], cov[:-1] = found
+        left //= 2
+        if left:
+            later, sooner, end = map(slice, (reach, None, -reach), (None, -reach, None))
+            both = in_chunks(conditionals.compose, take(back, later), take(back, sooner))
+            parts = zip(both, take(back, end), strict=True)
+            back = Conditional(*map(np.concatenate, parts))
+            reach *= 2
     return Beliefs(mean, cov)
 
 

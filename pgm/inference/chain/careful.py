@@ -109,8 +109,18 @@ class Careful:
         return solved(self.steps[step].information)
 
 
+class Begin(NamedTuple):
+    """The belief that a window begins with, and the information Σ [v V]ᵀ[v V] / S behind it."""
+
+    belief: Belief
+    information: Twofold
+
+
 def sweep(
-    plan: ChainPlan, schedule: Filtering | None = None, anchor: Anchor | None = None
+    plan: ChainPlan,
+    schedule: Filtering | None = None,
+    anchor: Anchor | None = None,
+    begin: Begin | None = None,
 ) -> tuple[Careful, Status]:
     """The forward pass.
 
@@ -121,13 +131,18 @@ def sweep(
         The linearisations at incoming beliefs; without, CPDs stay as they were linearised.
     anchor : Anchor, optional
         Readings that hold the beliefs near a point.
+    begin : Begin, optional
+        Where a window begins; without, the prior.
     """
     out = Forward.empty(plan)
     steps: list[Step] = []
     record: list[Array] = []
     converged = np.ones(plan.runs, dtype=bool)
-    belief = motion.start(plan, linearise=schedule is not None)
-    information = Twofold.zeros((plan.runs, *(belief.columns.shape[-1:] * 2)))
+    if begin is None:
+        belief = motion.start(plan, linearise=schedule is not None)
+        information = Twofold.zeros((plan.runs, *(belief.columns.shape[-1:] * 2)))
+    else:
+        belief, information = begin
     unknown = solved(information)
     matrix: Twofold | None = None
     noise: Twofold | None = None
@@ -156,7 +171,7 @@ def sweep(
         out.mean[step], out.cov[step] = found.mean, found.cov
         out.log_density[step] = found.log_density
         steps.append(Step(matrix, noise, predicted, belief, found.components, information))
-        require_proper(plan, step, predicted, belief)
+        require_proper(plan, plan.first + step, predicted, belief)
     return Careful(out, steps, unknown), Status.of(record, converged, plan.lead)
 
 

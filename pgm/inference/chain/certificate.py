@@ -34,12 +34,22 @@ MODERATE = 2e7
 _GENTLE = 4e6
 # Rounding of a mean, in its deviations, that counts where numbers are so many times smaller.
 _COUNTS, _FARTHER = 3e-8, 30.0
+# The part of a deviation that rounding of a mean may be, of a belief that goes on in float64.
+_TOLD = 1e-8
 _EPS = float(np.finfo(np.float64).eps)
 
 
 def is_flat(plan: ChainPlan) -> bool:
     """Whether the prior has an infinite variance."""
     return any(np.isinf(link.family.own_noise).any() for link in plan.prior)
+
+
+def is_ordinary(mean: Array, cov: Array) -> bool:
+    """Whether float64 can carry beliefs: covariances (..., n, n), and means beside deviations."""
+    if not np.isfinite(cov).all() or not roots.is_regular(cov, 1.0 / MODERATE):
+        return False
+    told = _TOLD * np.sqrt(np.maximum(_variances(cov), 0.0)) >= _EPS * np.abs(mean)
+    return bool(told.all())
 
 
 def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from pgm.errors import ModelError, NumericalError
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.plan import ChainPlan, Link
+from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.family import Family
@@ -19,13 +20,18 @@ from pgm.kernels.arrays import Array, block, components_last, inner
 
 
 def trajectory(plan: ChainPlan, at: Point) -> Array:
-    """The cost of the means of all slices, (runs,)."""
+    """The cost of the means of all slices, (runs,); of a window with that of where it begins."""
     total = np.zeros(plan.runs)
+    if plan.begin is not None:
+        mean, cov = Moments(*plan.begin).by_run
+        beginning = _squares((at.mean[0] - mean)[None], cov[None])
+        assert beginning is not None
+        total += beginning
     for link, parents, spread, child in linked(plan, at):
         expected = _expected(link.family, slice(None), parents, spread)
         total += _square(link.family, child, expected)
     for sensor in plan.sensors:
-        steps = sensor.family.step
+        steps = sensor.family.step - plan.first
         total += readings(sensor, slice(None), at.mean[steps], at.cov[steps])
     return total
 
@@ -84,18 +90,26 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
 
     Nor do those of infinite variance, which a flat prior has.
     """
-    flat = np.isinf(np.einsum("...ii->...i", cov))
-    if flat.any():
-        residual = np.where(flat, 0.0, residual)
-        cov = np.where(flat[..., None] | flat[..., None, :], np.eye(flat.shape[-1]), cov)
-    lower = roots.root(cov)
-    if not roots.is_proper(lower):
+    total = _squares(residual, cov)
+    if total is None:
         raise NumericalError(
             f"{family.cpd!r}: with {family.lineariser!r} its noise is indefinite, so that a step "
             "has no cost; use a rule with positive weights, or damping=0.5",
             variable=family.cpd.child,
             cpd=family.cpd,
         )
+    return total
+
+
+def _squares(residual: Array, cov: Array) -> Array | None:
+    """`weighted`; None where a covariance is indefinite."""
+    flat = np.isinf(np.einsum("...ii->...i", cov))
+    if flat.any():
+        residual = np.where(flat, 0.0, residual)
+        cov = np.where(flat[..., None] | flat[..., None, :], np.eye(flat.shape[-1]), cov)
+    lower = roots.root(cov)
+    if not roots.is_proper(lower):
+        return None
     white = roots.whiten(lower, residual)
     total: Array = inner(white, white).sum(axis=0)
     return total

@@ -11,6 +11,7 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.evidence import BoundEvidence
 from pgm.inference.chain.backward import Beliefs, Reverse
+from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
@@ -39,6 +40,8 @@ def joined(
         _swept(plan, found),
         _along_runs(Beliefs, [each._smoothed for each in found]),
         _along_runs(Reverse, [each._reverse_given for each in found]),
+        None,
+        _along_runs(Windows, [each._windows for each in found]),
     )
 
 

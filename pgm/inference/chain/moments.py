@@ -74,8 +74,10 @@ class MomentChain:
         return np.full(self.plan.runs, self.plan.linear)
 
     def start(self) -> Moments:
-        """The slice at step 0 before its readings; there are no controls."""
+        """The slice at step 0 before its readings, without controls; or where a window begins."""
         plan = self.plan
+        if plan.begin is not None:
+            return Moments(*plan.begin)
         size, places = plan.layout.state_size, plan.layout.state_places
         mean, cov = np.zeros((size, *plan.batch)), np.zeros((size, size, *plan.batch))
         for link in plan.prior:
@@ -154,7 +156,9 @@ class MomentChain:
         if self.keeps:
             for part in parts:
                 part.keep()
-        return (after if self.anchor is None else after.held(self.anchor, step)), density
+        return (
+            after if self.anchor is None else after.held(self.anchor, step - self.plan.first)
+        ), density
 
     def _iterated(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering

@@ -10,20 +10,21 @@ from typing import Any, NoReturn
 import numpy as np
 
 from pgm.compile import compile
-from pgm.errors import EvidenceError, ModelError, NumericalError
-from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
-from pgm.evidence.arrays import as_rows
+from pgm.errors import ModelError, NumericalError
+from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
-from pgm.inference.chain import online_careful
+from pgm.inference.chain import online_careful, online_evidence
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.online_belief import OnlineBelief
 from pgm.inference.chain.online_careful import REGULAR, CarefulBelief
 from pgm.inference.chain.online_layouts import Layouts
+from pgm.inference.chain.online_trail import Passed, Trail, trailing
+from pgm.inference.chain.online_window import Sliding
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.kind import FILTERED, PREDICTED, Kind
-from pgm.inference.schedule import ONCE, Filtering
+from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.inference.status import Status, digits
 from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array
@@ -49,8 +50,13 @@ class OnlineFilter(Immutable):
     model : DynamicBayesianNetwork
     lineariser : Lineariser, optional
         For every CPD that has none of its own; `Taylor()` without.
-    schedule : Filtering, optional
-        How often readings are linearised; once without.
+    schedule : Filtering or FixedLag, optional
+        How often readings are linearised; once without. With a `FixedLag`, ``belief.lagged`` is the
+        belief at the step a lag before, given everything so far. Without iterations it is found
+        when it is asked for, from what the transitions of the last steps have left. With them, each
+        update settles the window of its step as `FixedLag` says, so that beliefs are those that
+        `infer` finds on recorded readings; a further update takes all readings of the step
+        together. What a belief holds does not grow with time.
 
     Examples
     --------
@@ -58,24 +64,27 @@ class OnlineFilter(Immutable):
     >>> belief = robot.initial()  # doctest: +SKIP
     >>> belief = robot.predict(belief, {u: odometry})  # doctest: +SKIP
     >>> belief = robot.update(belief, {z: sightings(zs, given={m: ms})})  # doctest: +SKIP
+    >>> belief[x].mean, belief.lagged[x].mean  # with schedule=FixedLag(5)  # doctest: +SKIP
     """
 
     model: DynamicBayesianNetwork
     lineariser: Lineariser
-    schedule: Filtering
+    schedule: Filtering | FixedLag
 
     def __init__(
         self,
         model: DynamicBayesianNetwork,
         lineariser: Lineariser = TAYLOR,
-        schedule: Filtering = ONCE,
+        schedule: Filtering | FixedLag = ONCE,
     ) -> None:
         if not isinstance(model, DynamicBayesianNetwork):
             raise ModelError(f"a dynamic network was due, not {model!r}")
         if not callable(lineariser) or isinstance(lineariser, type):
             raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
-        if not isinstance(schedule, Filtering):
-            raise ModelError(f"a filter takes pgm.Filtering(...), not {schedule!r}")
+        if not isinstance(schedule, Filtering | FixedLag):
+            raise ModelError(
+                f"an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not {schedule!r}"
+            )
         for cpd in model.prior:
             cpd.require_proper("an online filter begins at a belief, which has moments")
         self._set(model=model, lineariser=lineariser, schedule=schedule)
@@ -85,6 +94,29 @@ class OnlineFilter(Immutable):
         return compile(self.model, 1)
 
     @cached_property
+    def _filtering(self) -> Filtering:
+        """How a step's readings are linearised, where its window is not."""
+        schedule = self.schedule
+        if isinstance(schedule, FixedLag):
+            return ONCE if schedule.lag else schedule.filtering
+        return schedule
+
+    @cached_property
+    def _behind(self) -> Trail | Sliding | None:
+        """The steps behind a belief at step 0."""
+        schedule = self.schedule
+        if not isinstance(schedule, FixedLag):
+            return None
+        if not schedule.lag or schedule.iterations == 1:
+            return Trail(schedule.lag)
+        inputs = self.model.inputs
+        motion = tuple(
+            {v: np.zeros((0, 1, v.dimension)) for v in cpd.parents if v in inputs}
+            for cpd in self.model.transition
+        )
+        return Sliding.first(schedule, self.model.lead, motion)
+
+    @cached_property
     def _motions(self) -> Layouts:
         """The transition, laid out for each kind of inputs of one robot."""
         return Layouts(self._ahead, ONCE)
@@ -92,7 +124,7 @@ class OnlineFilter(Immutable):
     @cached_property
     def _sensors(self) -> Layouts:
         """Sensors, laid out for each kind of readings of one robot."""
-        return Layouts(self._seen, self.schedule)
+        return Layouts(self._seen, self._filtering)
 
     def __getstate__(self) -> dict[str, Any]:
         # What was prepared is not part of the value.
@@ -102,12 +134,15 @@ class OnlineFilter(Immutable):
     def initial(self) -> OnlineBelief:
         """The prior, at step 0."""
         lead = self.model.lead
+        if isinstance(self._behind, Sliding):
+            return self._slid(0, self._behind, np.zeros(lead))
         plan = self._plan(BoundEvidence(0, lead, (), ()), 0, prior=True)
         found = MomentChain(plan, ONCE, keep=False).start()
         log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
         if gaussian.is_regular(found.cov, found.cov, REGULAR):
-            return _belief(plan, 0, found, log_evidence, status, PREDICTED)
-        return _carried(plan, 0, online_careful.first(plan), log_evidence, status, PREDICTED)
+            return _belief(plan, 0, found, log_evidence, status, PREDICTED, self._behind)
+        carried = online_careful.first(plan)
+        return _carried(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
 
     @_quiet
     def predict(
@@ -128,8 +163,13 @@ class OnlineFilter(Immutable):
         """
         self._check(belief)
         if type(inputs) is not dict:
-            inputs = {} if inputs is None else _mapping(inputs, "predict", "inputs to values")
-        step = belief.step + 1
+            given = {} if inputs is None else inputs
+            inputs = online_evidence.mapping(given, "predict", "inputs to values")
+        step, behind = belief.step + 1, belief.behind
+        if isinstance(behind, Sliding):
+            bound = online_evidence.inputs(self.model, belief, inputs)
+            behind = behind.on(self._windows, bound.transition, bound.lead)
+            return self._slid(step, behind, np.broadcast_to(belief.log_evidence, bound.lead))
         if belief.careful is None:
             laid = None if belief.lead else self._motions.motion(belief, inputs)
             if laid is None:
@@ -137,6 +177,8 @@ class OnlineFilter(Immutable):
                 ats = chain.motion(1)
             else:
                 chain, ats = laid
+            if behind is not None:
+                chain = trailing(chain.plan, ats)
             plan, known = chain.plan, _moments(belief, chain.plan)
             found = chain.predicted(ats, step, known)
             regular = gaussian.is_regular(found.cov, found.cov, REGULAR)
@@ -148,27 +190,19 @@ class OnlineFilter(Immutable):
                 if laid is None:
                     log_evidence = np.broadcast_to(log_evidence, plan.lead)
                     status = _nothing_to_iterate(plan.lead)
-                return _belief(plan, step, found, log_evidence, status, PREDICTED)
+                if behind is not None:
+                    behind = behind.on(Passed(plan, known, found))
+                return _belief(plan, step, found, log_evidence, status, PREDICTED, behind)
         plan = self._ahead(belief, inputs)
         carried = online_careful.predict(plan, step, _careful(belief, plan))
         log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
         status = _nothing_to_iterate(plan.lead)
-        return _carried(plan, step, carried, log_evidence, status, PREDICTED)
+        behind = None if behind is None else behind.on(None)
+        return _carried(plan, step, carried, log_evidence, status, PREDICTED, behind)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of a prediction, its inputs checked."""
-        needed = {v for cpd in self.model.transition for v in cpd.parents}
-        for variable in inputs:
-            if variable not in needed or variable not in self.model.inputs:
-                raise EvidenceError(
-                    f"predict takes inputs of the transition, not {variable!r}; "
-                    "readings go to update",
-                    variable=variable,
-                    step=belief.step + 1,
-                )
-        evidence = {v: _constant(value) for v, value in inputs.items()}
-        bound = bind(self.model.transition, (), evidence, 1, belief.lead)
-        return self._plan(bound, belief.step + 1)
+        return self._plan(online_evidence.inputs(self.model, belief, inputs), belief.step)
 
     @_quiet
     def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
@@ -190,18 +224,24 @@ class OnlineFilter(Immutable):
         """
         self._check(belief)
         if type(readings) is not dict:
-            readings = _mapping(readings, "update", "sensors to readings")
+            readings = online_evidence.mapping(readings, "update", "sensors to readings")
+        behind = belief.behind
+        if isinstance(behind, Sliding):
+            bound = online_evidence.readings(self.model, belief, readings)
+            behind = behind.read(self._windows, bound.readings, bound.lead)
+            return self._slid(belief.step, behind, belief.log_evidence)
         if belief.careful is None:
             ordinary = self._updated(belief, readings)
             if ordinary is not None:
                 return ordinary
         plan = self._seen(belief, readings)
         known = _careful(belief, plan)
-        found, taken = online_careful.update(plan, belief.step, known, self.schedule)
+        found, taken = online_careful.update(plan, belief.step, known, self._filtering)
         log_density = taken.solution.log_density.reshape(plan.lead)
         log_evidence = np.asarray(belief.log_evidence + log_density)
         status = Status.of(taken.residuals, taken.converged, plan.lead)
-        return _carried(plan, belief.step, found, log_evidence, status, FILTERED)
+        behind = None if behind is None else behind._replace(rough=True)
+        return _carried(plan, belief.step, found, log_evidence, status, FILTERED, behind)
 
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
@@ -209,7 +249,7 @@ class OnlineFilter(Immutable):
         """The belief given readings, in float64; None where that has too few digits."""
         laid = None if belief.lead else self._sensors.sensors(belief, readings)
         if laid is None:
-            chain = MomentChain(self._seen(belief, readings), self.schedule, keep=False)
+            chain = MomentChain(self._seen(belief, readings), self._filtering, keep=False)
             parts = chain.readings(0)
         else:
             chain, parts = laid
@@ -235,21 +275,38 @@ class OnlineFilter(Immutable):
             status = Status.of(chain.residuals, chain.converged, plan.lead)
         else:
             status = _DONE if chain.converged[0] else _LINEARISED
-        return _belief(plan, belief.step, found, log_evidence, status, FILTERED)
+        return _belief(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its readings checked."""
-        evidence = {v: self._reading(v, value) for v, value in readings.items()}
-        bound = bind(
-            self.model.transition,
-            self.model.observation,
-            evidence,
-            0,
-            belief.lead,
-            transition_inputs=False,
-        )
-        plan = self._plan(bound, belief.step)
-        require_cost(self.schedule, (sensor.family for sensor in plan.sensors))
+        plan = self._plan(online_evidence.readings(self.model, belief, readings), belief.step)
+        require_cost(self._filtering, (sensor.family for sensor in plan.sensors))
+        return plan
+
+    def _slid(self, step: int, behind: Sliding, log_evidence: Array) -> OnlineBelief:
+        """The belief at the newest step of a window, or before anything was read there."""
+        lead, window = behind.lead, behind.window
+        if window is None:
+            alone = behind.ahead(self._windows, step)
+            mean, cov, error = alone.ahead.mean[-1], alone.ahead.cov[-1], alone.error
+            status, kind, plan = _nothing_to_iterate(lead), PREDICTED, alone.plan
+        else:
+            mean, cov, plan = window.beliefs.mean[-1], window.beliefs.cov[-1], window.plan
+            error = None if window.careful is None else window.careful.error
+            status, kind = Status.of(window.residuals, window.converged, lead), FILTERED
+            log_evidence = behind.log_evidence.reshape(lead)
+        if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
+            _refuse(step)
+        if error is not None:
+            status = status.with_digits(digits(error, lead))
+        found = Moments.of(plan, mean, cov)
+        return _belief(plan, step, found, log_evidence, status, kind, behind)
+
+    def _windows(self, bound: BoundEvidence, first: int, prior: bool) -> ChainPlan:
+        """The plan of a window."""
+        plan = self._plan(bound, first, prior=prior)
+        assert isinstance(self.schedule, FixedLag)
+        require_cost(self.schedule.smoothing, plan.families)
         return plan
 
     def _check(self, belief: OnlineBelief) -> None:
@@ -257,21 +314,13 @@ class OnlineFilter(Immutable):
             raise ModelError(
                 f"{belief!r} is no belief of this filter's model; begin with initial()"
             )
-
-    def _reading(self, variable: Variable, value: Any) -> Any:
-        if variable not in self.model.sensors:
-            return _constant(value)
-        if not isinstance(value, Sightings):
-            value = sightings(as_rows(variable, value, None)[..., None, :])
-        if value.step is not None:
-            raise EvidenceError(
-                f"sightings of {variable!r} online belong to the belief's step; leave step= out",
-                variable=variable,
+        own, behind = self._behind, belief.behind
+        if type(behind) is not type(own) or belief.kind.lag > 0:
+            raise ModelError(
+                f"{belief!r} is no belief to go on from with {self.schedule!r}: it is of a filter "
+                "with another schedule, or lags behind one; begin with initial(), and go on from "
+                "the newest belief"
             )
-        if value.values is None:
-            return Sightings(None, np.zeros(0, dtype=np.intp), value.given)
-        rows = as_rows(variable, value.values, "M")
-        return Sightings(rows, np.zeros(rows.shape[-2], dtype=np.intp), value.given)
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)
@@ -279,16 +328,6 @@ class OnlineFilter(Immutable):
 
 def _nothing_to_iterate(lead: tuple[int, ...]) -> Status:
     return Status(1, np.empty((0, *lead)), np.ones(lead, dtype=bool))
-
-
-def _mapping(value: Any, method: str, what: str) -> Mapping[Variable, Any]:
-    if not isinstance(value, Mapping):
-        raise EvidenceError(f"{method} takes a mapping of {what}, not {type(value).__name__}")
-    return value
-
-
-def _constant(value: Any) -> Constant:
-    return value if isinstance(value, Constant) else constant(value)
 
 
 def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
@@ -326,6 +365,7 @@ def _carried(
     log_evidence: Array,
     status: Status,
     kind: Kind,
+    behind: Trail | None,
 ) -> OnlineBelief:
     """A belief whose status has its digits, carried in twice those of float64 while it must be."""
     mean, cov = found.moments
@@ -333,7 +373,8 @@ def _carried(
         _refuse(step)
     status = status.with_digits(digits(found.error, plan.lead))
     kept = None if found.is_ordinary else found
-    return _belief(plan, step, Moments.of(plan, mean, cov), log_evidence, status, kind, kept)
+    parts = Moments.of(plan, mean, cov), log_evidence, status, kind, behind, kept
+    return _belief(plan, step, *parts)
 
 
 def _refuse(step: int) -> NoReturn:
@@ -351,10 +392,12 @@ def _belief(
     log_evidence: Array,
     status: Status,
     kind: Kind,
+    behind: Trail | Sliding | None,
     careful: CarefulBelief | None = None,
 ) -> OnlineBelief:
     """A belief with the runs as the user's axes."""
     lead, (mean, cov, _) = plan.lead, found
     if lead:
         mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in found.by_run)
-    return OnlineBelief(step, plan.layout, lead, mean, cov, log_evidence, status, kind, careful)
+    told = log_evidence, status, kind, careful, behind
+    return OnlineBelief(step, plan.layout, lead, mean, cov, *told)

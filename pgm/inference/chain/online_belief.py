@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 from pgm.compile import SliceLayout
 from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
 from pgm.inference.chain.online_careful import CarefulBelief
+from pgm.inference.chain.online_trail import Trail
+from pgm.inference.chain.online_window import Sliding
 from pgm.inference.kind import Kind
 from pgm.inference.posterior import require_variable
 from pgm.inference.status import Status
@@ -38,6 +42,7 @@ class OnlineBelief(Immutable):
     status: Status
     kind: Kind
     careful: CarefulBelief | None
+    behind: Trail | Sliding | None
 
     def __init__(
         self,
@@ -50,6 +55,7 @@ class OnlineBelief(Immutable):
         status: Status,
         kind: Kind,
         careful: CarefulBelief | None = None,
+        behind: Trail | Sliding | None = None,
     ) -> None:
         set_writeable(mean, False)
         set_writeable(cov, False)
@@ -64,6 +70,7 @@ class OnlineBelief(Immutable):
         values["status"] = status
         values["kind"] = kind
         values["careful"] = careful
+        values["behind"] = behind
 
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a hidden variable at the belief's step."""
@@ -83,6 +90,35 @@ class OnlineBelief(Immutable):
             mean, cov = mean[..., places], block(cov, places, places)
         # That of one run is exactly symmetric.
         return Gaussian._make((variable,), mean, symmetric(cov) if self.lead else cov)
+
+    @cached_property
+    def lagged(self) -> OnlineBelief:
+        """The belief at the step a lag before, given all readings so far; at step 0 until then.
+
+        It is there where the filter's schedule is a `FixedLag`: ``belief.lagged[x]`` is x at
+        ``belief.lagged.step``, and ``belief.lagged.kind`` says how many steps it knows more. A
+        filter goes on from the belief itself, not from this one.
+
+        Raises
+        ------
+        EvidenceError
+            If the filter has no lag.
+        NumericalError
+            If float64 has too few digits to go back.
+        """
+        if self.behind is None:
+            raise EvidenceError(
+                f"{self!r} is of a filter without a lag; make it with "
+                "OnlineFilter(model, schedule=pgm.FixedLag(5))",
+                step=self.step,
+            )
+        step, mean, cov = self.behind.lagged(self.step, self.mean, self.cov)
+        if step == self.step:
+            return self
+        kind = Kind(self.step - step + self.kind.lag)
+        mean, cov = mean.copy(), cov.copy()
+        parts = self.layout, self.lead, mean, cov, self.log_evidence, self.status, kind
+        return OnlineBelief(step, *parts)
 
     def __repr__(self) -> str:
         return f"OnlineBelief({self.kind}, step {self.step}, over {list(self.layout.slice)})"

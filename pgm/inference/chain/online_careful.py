@@ -13,20 +13,17 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.inference.chain import careful, careful_motion
-from pgm.inference.chain.certificate import MODERATE
+from pgm.inference.chain.certificate import MODERATE, is_ordinary
 from pgm.inference.chain.flat import moments, solved
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.reading import Taken, take
 from pgm.inference.chain.taking import Belief, variances
 from pgm.inference.schedule import Filtering
-from pgm.kernels import roots
 from pgm.kernels.arrays import Array
 from pgm.kernels.twofold import Twofold
 
 # The share of its variance below which a component counts as determined.
 REGULAR = 1.0 / MODERATE
-# The part of a deviation that rounding of a mean may be.
-_TOLD = 1e-8
 
 
 class CarefulBelief(NamedTuple):
@@ -55,9 +52,7 @@ class CarefulBelief(NamedTuple):
     @property
     def is_ordinary(self) -> bool:
         """Whether float64 can carry it: covariances, and means beside their deviations."""
-        mean, cov = self.moments
-        told = _TOLD * np.sqrt(variances(cov)) >= np.finfo(np.float64).eps * np.abs(mean)
-        return is_regular(cov) and bool(told.all())
+        return is_ordinary(*self.moments)
 
     def over(self, before: tuple[int, ...], after: tuple[int, ...]) -> CarefulBelief:
         """The same for runs on other axes, which those before broadcast to."""
@@ -103,16 +98,6 @@ def update(
     belief = taken.solution.at(taken.mean).belief
     careful.require_proper(plan, step, belief)
     return CarefulBelief(belief, known.largest), taken
-
-
-def is_regular(cov: Array) -> bool:
-    """Whether float64 has digits enough for covariances (..., n, n)."""
-    return roots.is_regular(cov, REGULAR)
-
-
-def fell(before: Array, after: Array) -> bool:
-    """Whether a reading leaves less of a variance, (..., n), than float64 tells."""
-    return bool((after < REGULAR * before).any())
 
 
 def _nothing(belief: Belief) -> Twofold:

@@ -24,6 +24,7 @@ from pgm.factors.scope import Scope
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
 from pgm.kernels.arrays import (
+    Array,
     Index,
     Integers,
     cut,
@@ -72,7 +73,10 @@ class ChainPlan:
     prior, transition : list of Link
     sensors : list of Sensor
     first : int
-        The number of the plan's first step: other than zero online, where it is the only one.
+        The number of the plan's first step: other than zero online, and of a window.
+    begin : (ndarray, ndarray) or None
+        The belief at the first step given its readings, of a window: (n, *batch) and
+        (n, n, *batch). None where the prior is the beginning.
     """
 
     layout: SliceLayout
@@ -82,6 +86,7 @@ class ChainPlan:
     transition: list[Link]
     sensors: list[Sensor]
     first: int = 0
+    begin: tuple[Array, Array] | None = None
 
     @cached_property
     def linear(self) -> bool:
@@ -134,6 +139,38 @@ class ChainPlan:
             sensors=sensors,
         )
 
+    def window(self, first: int, last: int, begin: tuple[Array, Array] | None = None) -> ChainPlan:
+        """The plan of a window of steps, with views of these arrays; what is linearised is its own.
+
+        It begins with a belief that knows the readings of its first step, or with the prior.
+        """
+
+        def links(every: list[Link], start: int, end: int) -> list[Link]:
+            return [replace(link, family=link.family.window(start, end)) for link in every]
+
+        after = begin is not None
+        return replace(
+            self,
+            steps=last - first,
+            prior=[] if after else links(self.prior, 0, 1),
+            transition=links(self.transition, first, last),
+            sensors=[sensor.window(first, last, after=after) for sensor in self.sensors],
+            first=self.first + first,
+            begin=begin,
+        )
+
+    def put(self, first: int, part: ChainPlan) -> None:
+        """Keep how the CPDs of a window, which begins at the first step, were linearised."""
+        for link, own in zip(self.prior if part.prior else [], part.prior, strict=True):
+            link.family.put(0, own.family)
+        for link, own in zip(self.transition, part.transition, strict=True):
+            link.family.put(first, own.family)
+        seen = {id(sensor.family.cpd): sensor for sensor in part.sensors}
+        for sensor in self.sensors:
+            read = seen.get(id(sensor.family.cpd))
+            if read is not None:
+                sensor.put(first, read, after=part.begin is not None)
+
     @classmethod
     def make(
         cls,
@@ -147,7 +184,7 @@ class ChainPlan:
     ) -> ChainPlan:
         """Lay out the families of a graph with evidence, and probe their functions.
 
-        Online, where a plan is for one step alone, `first` is that step.
+        `first` is the number of the first step of the evidence.
         """
         layout, lead = graph.layout, bound.lead
 
@@ -179,7 +216,7 @@ class ChainPlan:
             made = family(reading.cpd, place, reading.step + first, reading.inputs)
             return _sensor(made, place, reading, layout, bound.steps)
 
-        start, later = np.zeros(1, dtype=np.intp), np.arange(bound.steps) + max(first, 1)
+        start, later = np.zeros(1, dtype=np.intp), np.arange(bound.steps) + first + 1
         priors = layout.model.prior if prior else ()
         links = [link(cpd, layout.states, start, {}) for cpd in priors]
         transition = [

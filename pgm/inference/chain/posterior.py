@@ -16,6 +16,7 @@ from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference.chain import adjoint, backward
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Careful
+from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.information import backward_messages
 from pgm.inference.chain.innovations import BySensor, Innovations, innovations
@@ -58,6 +59,7 @@ class ChainPosterior(Posterior):
     _smoothed: Beliefs | None
     _reverse_given: Reverse | None
     _careful: Careful | None = None
+    _windows: Windows | None = None
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a hidden variable, at all its steps or at one."""
@@ -92,8 +94,12 @@ class ChainPosterior(Posterior):
 
     @property
     def filtered(self) -> Marginals:
-        """Marginals given the readings up to each step: the forward pass."""
-        return self._marginals(Beliefs(self._swept.mean, self._swept.cov), FILTERED)
+        """Marginals given the readings up to each step: the forward pass.
+
+        Of an iterated fixed lag, those of each window at its newest step.
+        """
+        beliefs = Beliefs(self._swept.mean, self._swept.cov)
+        return self._marginals(beliefs if self._windows is None else self._windows.newest, FILTERED)
 
     @cached_property
     @quiet()
@@ -159,6 +165,11 @@ class ChainPosterior(Posterior):
         require_runs(size * size, self._planned.runs, what)
         if self._careful is not None:
             return self._careful_joint(self._careful, tuple(variables))
+        if self._windows is not None and not self._windows.plain:
+            raise NumericalError(
+                "joints of an iterated fixed lag are not kept where windows of it were solved in "
+                "twice the digits; posterior[x] has marginals, pgm.smooth and pgm.filter joints"
+            )
         mean, cov = joint_moments(self._reverse, self._beliefs, self.graph.layout, variables)
         shape = self._plan.lead
         return Gaussian._make(
@@ -221,9 +232,9 @@ class ChainPosterior(Posterior):
 
     def _weight(self, step: int) -> Array:
         """The log-evidence that a belief at a step knows, (runs,)."""
-        known = self.kind.last(step, self.graph.steps) + 1
-        weight: Array = self._forward.log_density[:known].sum(axis=0)
-        return weight
+        last = self.kind.last(step, self.graph.steps)
+        weight: Array = self._forward.log_density[: last + 1].sum(axis=0)
+        return weight if self._windows is None else self._windows.log_evidence[last]
 
     def _past(self, step: int) -> canonical.Canonical:
         """The states at a step given the readings up to it, times the evidence of these."""
@@ -249,7 +260,7 @@ class ChainPosterior(Posterior):
         weight = self._weight(step)
         if step:
             scope: Scope = tuple(variable.at(step) for variable in layout.pair)
-            if self._careful is None:
+            if self._careful is None and (self._windows is None or self._windows.plain):
                 pair = backward.pairs(beliefs, self._reverse, step - 1)
                 mean, cov = pair.mean, pair.cov
             else:

@@ -13,14 +13,15 @@ from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.factors.scope import positions
-from pgm.inference.chain import careful, certificate, forward, parallel, smoother
+from pgm.inference.chain import careful, certificate, fixed_lag, forward, parallel, smoother
 from pgm.inference.chain.balanced import BalancedPosterior
+from pgm.inference.chain.fixed_lag import Lagged
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
-from pgm.inference.kind import FILTERED, SMOOTHED
-from pgm.inference.schedule import Calibration, Filtering, Schedule, Smoothing
+from pgm.inference.kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.schedule import Calibration, Filtering, FixedLag, Loopy, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.inference.status import Status, digits
 from pgm.kernels.arrays import Array, quiet
@@ -51,14 +52,27 @@ def run(
     Numbers too large for float64 are refused where they end up, so that NumPy need not warn.
     """
     schedule = Smoothing() if schedule is None else schedule
-    if not isinstance(schedule, Filtering | Calibration):
+    if isinstance(schedule, Loopy):
         raise ModelError(
-            f"a chain of slices takes pgm.Filtering() or pgm.Smoothing(), not {schedule!r}"
+            f"a chain of slices takes pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
+            f"{schedule!r}"
         )
-    if start is not None and isinstance(schedule, Filtering):
-        raise EvidenceError("a start is for smoothing; a filter linearises at its own beliefs")
+    if start is not None and isinstance(schedule, Filtering | FixedLag):
+        raise EvidenceError(
+            f"a start is for pgm.Smoothing(), not {schedule!r}, which linearises at its own beliefs"
+        )
+    if isinstance(schedule, FixedLag):
+        if isinstance(graph, BalancedGraph):
+            raise GraphError(
+                f"{schedule!r} goes along a chain of slices, step after step, which {graph!r} is "
+                "not: compile without pgm.Balanced()"
+            )
+        if not schedule.lag:
+            schedule = schedule.filtering
     given = None if start is None else _start(graph.layout, bound, start)
     plan = ChainPlan.make(graph, bound, lineariser)
+    if isinstance(schedule, FixedLag) and fixed_lag.slides(plan, schedule):
+        return _slid(graph, plan, schedule)
     if not certificate.is_flat(plan):
         try:
             found = _solve(graph, plan, schedule, given, room)
@@ -87,7 +101,7 @@ def _refuse_infinite(posterior: ChainPosterior) -> None:
         lost = np.zeros(0, dtype=bool)
         if not np.isfinite(part.sum()):
             lost = np.isnan(part) if flat and part.ndim == 4 else ~np.isfinite(part)
-        elif part.ndim == 4 and posterior._careful is not None:
+        elif part.ndim == 4 and (posterior._careful or posterior._windows) is not None:
             lost = np.diagonal(part, axis1=-2, axis2=-1) < 0.0
         if lost.any():
             step, run = (int(axis[0]) for axis in np.nonzero(lost)[:2])
@@ -103,12 +117,14 @@ def _refuse_infinite(posterior: ChainPosterior) -> None:
 def _solve(
     graph: DynamicGraph,
     plan: ChainPlan,
-    schedule: Filtering | Calibration,
+    schedule: Filtering | FixedLag | Calibration,
     start: Array | None,
     room: Room | None,
 ) -> ChainPosterior:
     balanced = isinstance(graph, BalancedGraph)
     make = _posterior(graph)
+    if isinstance(schedule, FixedLag):
+        return _lagged(graph, plan, schedule, *fixed_lag.smooth(plan, schedule))
     if isinstance(schedule, Filtering):
         ahead, status = _scan(graph, plan) if balanced else _sweep(plan, schedule, room)
         return make(graph, status, FILTERED, plan, ahead, None, None)
@@ -118,17 +134,41 @@ def _solve(
     return make(graph, status, SMOOTHED, plan, ahead, result.beliefs, result.reverse)
 
 
+def _slid(graph: DynamicGraph, plan: ChainPlan, schedule: FixedLag) -> ChainPosterior:
+    """A window that slides sees for itself to the digits that it has."""
+    result, status = fixed_lag.slid(plan, schedule)
+    if result.error is not None:
+        status = status.with_digits(digits(result.error, plan.lead))
+    found = _lagged(graph, plan, schedule, result, status)
+    _refuse_infinite(found)
+    return found
+
+
+def _lagged(
+    graph: DynamicGraph, plan: ChainPlan, schedule: FixedLag, found: Lagged, status: Status
+) -> ChainPosterior:
+    kind, parts = Kind(schedule.lag), (found.beliefs, found.reverse, found.careful, found.windows)
+    return ChainPosterior(graph, status, kind, plan, found.forward, *parts)
+
+
 def _carefully(
-    graph: DynamicGraph, plan: ChainPlan, schedule: Filtering | Calibration, start: Array | None
+    graph: DynamicGraph,
+    plan: ChainPlan,
+    schedule: Filtering | FixedLag | Calibration,
+    start: Array | None,
 ) -> ChainPosterior:
     """`_solve` in twice the digits, one step after another."""
     make = _posterior(graph)
+    error: Array | None
     if isinstance(schedule, Filtering):
         if isinstance(graph, BalancedGraph):
             _refuse_nonlinear(graph, plan)
         swept, status = careful.sweep(plan, schedule)
         found = make(graph, status, FILTERED, plan, swept.forward, None, None, swept)
         error = swept.error
+    elif isinstance(schedule, FixedLag):
+        lagged, status = fixed_lag.carefully(plan, schedule)
+        found, error = _lagged(graph, plan, schedule, lagged, status), lagged.error
     else:
         result, status = smoother.carefully(
             plan, _smoothing(schedule), start, reckoned=isinstance(graph, BalancedGraph)
@@ -137,6 +177,7 @@ def _carefully(
         found = make(graph, status, SMOOTHED, plan, ahead.forward, result.beliefs, None, ahead)
         error = result.error
     _refuse_infinite(found)
+    assert error is not None
     return replace(found, status=status.with_digits(digits(error, plan.lead)))
 
 

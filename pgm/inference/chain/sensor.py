@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -175,6 +176,30 @@ class Sensor:
         self.cross[int(np.searchsorted(self.bounds, at.first, side="right")) - 1] = runs * (
             1.0 - within
         )
+
+    def window(self, first: int, last: int, *, after: bool) -> Sensor:
+        """The readings of some steps, after the first of them or from it on.
+
+        In views of these arrays; what is linearised is its own.
+        """
+        begin = self.bounds[first + after]
+        rows, part = slice(begin, self.bounds[last + 1]), copy(self)
+        part.family = self.family.window(rows.start, rows.stop)
+        part.order = self.order[rows]
+        part.values, part.moved = self.values[rows], self.moved[rows].copy("K")
+        part.taken = None if self.taken is None else self.taken[rows]
+        part.bounds = [max(bound - begin, 0) for bound in self.bounds[first : last + 2]]
+        steps = range(first + after, last + 1)
+        part.cross = {k - first: self.cross[k] for k in steps if k in self.cross}
+        return part
+
+    def put(self, first: int, part: Sensor, *, after: bool) -> None:
+        """Keep how the readings of these steps were linearised."""
+        row = self.bounds[first + after]
+        self.family.put(row, part.family)
+        if self.variable.angles:
+            self.moved[row : row + len(part.moved)] = part.moved
+        self.cross.update({first + k: between for k, between in part.cross.items()})
 
     def move(self, rows: slice, predicted: Array, active: Mask | None = None) -> None:
         """Move angles to the branch nearest the CPD's values at the point of linearisation."""

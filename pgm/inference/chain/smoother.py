@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Generic, TypeVar
 
@@ -96,7 +96,7 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         filter.
     """
     cost.require_cost(schedule, plan.families, first=start is None)
-    chain = _Chain(plan, _in_rounds if _is_long(plan) and schedule.iterations > 1 else _swept)
+    chain = Chain(plan, _in_rounds if _is_long(plan) and schedule.iterations > 1 else swept)
     if start is None:
         return _iterated(chain, schedule, Smoothed.of(plan, forward.run(plan, ONCE)[0]), None)
     at = _start(plan, start)
@@ -111,7 +111,7 @@ def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smo
     are not to be waited for.
     """
     cost.require_cost(schedule, plan.families, first=False)
-    chain = _Chain(plan, _scanned)
+    chain = Chain(plan, _scanned)
     if plan.exact:
         return _iterated(chain, schedule, Smoothed.of(plan, parallel.run(plan)), None)
     at = reckoning.dead(plan) if start is None else _start(plan, start)
@@ -132,7 +132,7 @@ def carefully(
     """
     reckoned = reckoned and not plan.exact
     cost.require_cost(schedule, plan.families, first=start is None and not reckoned)
-    chain = _Chain(plan, _careful)
+    chain = Chain(plan, _careful)
     if start is None and not reckoned:
         swept, _ = careful.sweep(plan, ONCE)
         return _iterated(chain, schedule, CarefulSmoothed.of(plan, swept), None)
@@ -142,7 +142,7 @@ def carefully(
 
 
 def _iterated(
-    chain: _Chain[Either], schedule: Smoothing, solution: Either, first: Point | None
+    chain: Chain[Either], schedule: Smoothing, solution: Either, first: Point | None
 ) -> tuple[Either, Status]:
     plan = chain.plan
     controlled = first is not None and isinstance(schedule.damping, LevenbergMarquardt)
@@ -162,7 +162,7 @@ def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
 
 
 def _newton(
-    chain: _Chain[Smoothed], means: Means, schedule: Smoothing, at: Point
+    chain: Chain[Smoothed], means: Means, schedule: Smoothing, at: Point
 ) -> tuple[Smoothed, Status]:
     """Iterate on means alone, and solve for everything as it was linearised last."""
     unsettled = np.zeros(chain.plan.runs, dtype=bool)
@@ -173,7 +173,8 @@ def _newton(
     return Smoothed.of(chain.plan, ahead), status
 
 
-def _swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
+def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
+    """Smooth step by step, as everything is linearised."""
     return Smoothed.of(plan, forward.stored(plan, anchor))
 
 
@@ -194,35 +195,38 @@ def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoo
     """In rounds, or step by step where rounds do not exist or cost digits."""
     readings = Readings.of(plan, reference)
     if readings.stacks:
-        return _swept(plan, reference, anchor)
+        return swept(plan, reference, anchor)
     try:
         with np.errstate(all="ignore"):  # elements that are not finite are refused
             ahead = parallel.filtered(plan, reference, anchor, readings)
     except NumericalError:
-        return _swept(plan, reference, anchor)
+        return swept(plan, reference, anchor)
     return Smoothed.of(plan, ahead)
 
 
 @dataclass(eq=False)
-class _Chain(Generic[Either]):
+class Chain(Generic[Either]):
     """A chain as a problem to be iterated on: linearised at any point, and solved."""
 
     plan: ChainPlan
     solver: Callable[[ChainPlan, Array, Anchor | None], Either]
-    at: Array | None = None
+    at: Array = field(default_factory=lambda: np.empty(0))
 
     def linearise(self, at: Point, active: Mask | None) -> None:
+        """Linearise every CPD, for the runs that are active."""
         relinearise(self.plan, at, None if active is None or active.all() else active)
         self.at = at.mean
 
     def solve(self, anchor: Anchor | None = None) -> Either:
-        assert self.at is not None
+        """Smooth as everything is linearised."""
         return self.solver(self.plan, self.at, anchor)
 
     def cost(self, at: Point) -> Array:
+        """The cost of means, (runs,)."""
         return cost.trajectory(self.plan, at)
 
     def feasible(self, mean: Array, found: Point) -> Array:
+        """Means projected onto the exact CPDs."""
         nearest, obeyed = relations.projected(self.plan, mean, found.std)
         return np.where(obeyed[:, None], nearest, found.mean)
 
@@ -231,13 +235,12 @@ class _Chain(Generic[Either]):
 class _Means:
     """A chain as such a problem, solved for its means alone."""
 
-    chain: _Chain[Smoothed]
+    chain: Chain[Smoothed]
 
     def linearise(self, at: Point, active: Mask | None) -> None:
         self.chain.linearise(at, active)
 
     def solve(self, anchor: Anchor | None = None) -> Means:
-        assert self.chain.at is not None
         plan, at = self.chain.plan, self.chain.at
         found = newton.step(plan, at)
         if found is not None:
@@ -266,14 +269,15 @@ def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
         family, parents = sensor.family, sensor.parents
         if not family.step.size:
             continue
-        mean = gather(at.mean, family.step)[..., parents]
+        places = family.step - plan.first
+        mean = gather(at.mean, places)[..., parents]
         if sensor.grouped:
             counts = np.diff(sensor.bounds)
             for count in np.unique(counts[counts > 0]):
                 steps = np.flatnonzero(counts == count)
                 grouped.linearise(sensor, steps, at.mean[steps], at.cov[steps], active)
         elif not family.exact:
-            cov = at.cov[:1] if not family.needs_cov else gather(at.cov, family.step)
+            cov = at.cov[:1] if not family.needs_cov else gather(at.cov, places)
             cov = np.broadcast_to(cov, (family.step.size, *cov.shape[1:]))
             family.linearise(everything, mean, block(cov, parents, parents), active)
         sensor.move(everything, family.value(everything, mean), active)

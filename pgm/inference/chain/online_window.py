@@ -1,0 +1,175 @@
+"""The windows of an online filter with a lag: the same as slide along a chain, one at a time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.evidence import BoundEvidence, Reading
+from pgm.evidence.dynamic_layout import Inputs
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.window import Alone, Beginning, Window, newest, settled
+from pgm.inference.schedule import FixedLag
+from pgm.kernels.arrays import Array, Kind
+
+# Lays out the evidence of steps, the first of which has this number, with the prior or without.
+Make = Callable[[BoundEvidence, int, bool], ChainPlan]
+
+
+class Entry(NamedTuple):
+    """The evidence of a step.
+
+    Attributes
+    ----------
+    motion : tuple of Inputs
+        Of each CPD of the transition to it, (1, runs or 1, d); no rows at step 0.
+    readings : tuple of Reading
+        Of its updates.
+    """
+
+    motion: tuple[Inputs, ...]
+    readings: tuple[Reading, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Sliding:
+    """The window of a belief's step, and all that it is found from.
+
+    Attributes
+    ----------
+    schedule : FixedLag
+    lead : tuple of int
+        The axes of runs.
+    entries : tuple of Entry
+        Of the steps whose CPDs are in the window.
+    before : Window or None
+        That of the step before; None at step 0.
+    window : Window or None
+        That of the step; None while nothing has been read there.
+    left : ndarray
+        (runs,): the log-evidence that the window has left behind.
+    """
+
+    schedule: FixedLag
+    lead: tuple[int, ...]
+    entries: tuple[Entry, ...]
+    before: Window | None
+    window: Window | None
+    left: Array
+
+    @classmethod
+    def first(
+        cls, schedule: FixedLag, lead: tuple[int, ...], motion: tuple[Inputs, ...]
+    ) -> Sliding:
+        """At step 0, where the transition has no rows."""
+        return cls(schedule, lead, (Entry(motion),), None, None, np.zeros(1))
+
+    def on(self, make: Make, motion: tuple[Inputs, ...], lead: tuple[int, ...]) -> Sliding:
+        """A step later, of which nothing has been read."""
+        window, kept, left = self.settled(make), self.entries, self.left
+        if window.plan.steps == self.schedule.lag:
+            # The step after the beginning is left behind, as it was linearised last.
+            kept = kept[len(kept) + 1 - self.schedule.lag :]
+            left = left + window.ahead.log_density[:2].sum(axis=0)
+        return Sliding(self.schedule, lead, (*kept, Entry(motion)), window, None, left)
+
+    def read(self, make: Make, readings: tuple[Reading, ...], lead: tuple[int, ...]) -> Sliding:
+        """With further readings of the step, taken in together with those before."""
+        *others, last = self.entries
+        last = last._replace(readings=(*last.readings, *readings))
+        found = replace(self, lead=lead, entries=(*others, last), window=None)
+        return replace(found, window=found.settled(make))
+
+    def settled(self, make: Make) -> Window:
+        """The window of the step."""
+        if self.window is not None:
+            return self.window
+        plan, begin = self._laid(make)
+        return settled(plan, 0, plan.steps, begin, self.schedule)
+
+    def ahead(self, make: Make, step: int) -> Alone:
+        """The belief's step alone, of which nothing has been read."""
+        begun = self.before is not None
+        plan = make(_joined(self.entries[-1:], self.lead, begun=begun), step - begun, not begun)
+        return newest(plan, plan.steps, self._newest)
+
+    @property
+    def _newest(self) -> Beginning | None:
+        """The belief at the step before."""
+        return None if self.before is None else self.before.at(-1)
+
+    @property
+    def log_evidence(self) -> Array:
+        """Of all readings so far, (runs,), of a window that has been settled."""
+        assert self.window is not None
+        total: Array = self.left + self.window.ahead.log_density.sum(axis=0)
+        return total
+
+    def lagged(self, step: int, mean: Array, cov: Array) -> tuple[int, Array, Array]:
+        """The first step of the window of a belief's step, and its moments, (*lead, ...).
+
+        Before anything has been read, those that the window of the step before has left.
+        """
+        window = self.window or self.before
+        if window is None:
+            return step, mean, cov
+        first = max(step - self.schedule.lag, 0)
+        row = first - window.plan.first
+        parts = window.beliefs.mean[row], window.beliefs.cov[row]
+        runs = math.prod(self.lead)
+        mean, cov = (
+            np.broadcast_to(part, (runs, *part.shape[1:])).reshape(*self.lead, *part.shape[1:])
+            for part in parts
+        )
+        return first, mean, cov
+
+    def _laid(self, make: Make) -> tuple[ChainPlan, Beginning | None]:
+        """The plan of the window, its newest step linearised as a filter does; its beginning."""
+        before, begin, first = self.before, None, 0
+        part = None if before is None else before.plan
+        if before is not None and before.plan.steps == self.schedule.lag:
+            begin, first = before.at(1), before.plan.first + 1
+            part = begin.cut(before.plan, 1, before.plan.steps)
+        evidence = _joined(self.entries, self.lead, begun=begin is not None)
+        plan = make(evidence, first, begin is None)
+        if part is not None:
+            plan.put(0, part)
+        plan.put(max(plan.steps - 1, 0), newest(plan, plan.steps, self._newest).plan)
+        return plan, begin
+
+
+def _joined(entries: Sequence[Entry], lead: tuple[int, ...], *, begun: bool) -> BoundEvidence:
+    """The evidence of steps as that of one chain; its first step has none where it is begun."""
+    motions = [entry.motion for entry in entries]
+    transition = tuple(
+        {variable: _rows([motion[k][variable] for motion in motions]) for variable in inputs}
+        for k, inputs in enumerate(motions[0])
+    )
+    read = [
+        (step, reading)
+        for step, entry in enumerate(entries, int(begun))
+        for reading in entry.readings
+    ]
+    sensors = {id(reading.cpd): reading.cpd for _, reading in read}
+    readings = []
+    for key, cpd in sensors.items():
+        own = [(step, reading) for step, reading in read if id(reading.cpd) == key]
+        step = np.concatenate([np.full(len(reading.values), step) for step, reading in own])
+        parts = [reading for _, reading in own]
+        inputs = {v: _rows([part.inputs[v] for part in parts]) for v in parts[0].inputs}
+        values, taken = _rows([p.values for p in parts]), _rows([p.taken for p in parts])
+        readings.append(Reading(cpd, step, np.arange(step.size), values, taken, inputs))
+    return BoundEvidence(len(entries) - 1 + begun, lead, transition, tuple(readings))
+
+
+def _rows(parts: Sequence[npt.NDArray[Kind]]) -> npt.NDArray[Kind]:
+    """Arrays (rows, runs or 1, d) as one; read-only, since functions of users see them."""
+    runs = max(part.shape[1] for part in parts)
+    whole = np.concatenate([np.broadcast_to(p, (len(p), runs, p.shape[2])) for p in parts])
+    whole.flags.writeable = False
+    return whole
