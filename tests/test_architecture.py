@@ -182,7 +182,7 @@ def test_the_files_shown_are_those_that_run(monkeypatch):
     }
     assert shown.keys() == written.keys()
     (told,) = re.findall(
-        r"(\d+) files of ([\d,]+) lines, of which the\s+functions that are called have (\d+)", PAGE
+        r"(\d+) files, ([\d,]+) lines,\s+of which the functions that are called have (\d+)", PAGE
     )
     count, total, run = (int(number.replace(",", "")) for number in told)
     assert count == len(written)
