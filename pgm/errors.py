@@ -81,10 +81,12 @@ class ExecutorError(PgmError, RuntimeError):
         What was found and what to do about it.
     runs : sequence of (int, int), optional
         The runs that were lost: the first of each row of them, and that after its last.
+    **where
+        As of a `PgmError`.
     """
 
-    def __init__(self, message: str, *, runs: Sequence[tuple[int, int]] = ()) -> None:
-        super().__init__(message, run=runs[0][0] if runs else None)
+    def __init__(self, message: str, *, runs: Sequence[tuple[int, int]] = (), **where: Any) -> None:
+        super().__init__(message, **where)
         self.runs = tuple(runs)
 
 

@@ -113,6 +113,7 @@ def test_there_is_nothing_before_step_zero():
         (pgm.EvidenceError, ValueError),
         (pgm.LinearisationError, ValueError),
         (pgm.NumericalError, ArithmeticError),
+        (pgm.ExecutorError, RuntimeError),
     ],
 )
 def test_errors_say_what_they_are_about(error, base):

@@ -1,4 +1,4 @@
-"""One CPD at all its rows: its evidence, its noise, and what the lineariser made of it."""
+"""One CPD at all its rows: its evidence, its noise, and its linearisation."""
 
 from __future__ import annotations
 
@@ -46,14 +46,16 @@ Some = int | slice
 
 @dataclass(eq=False)
 class Family(Rows):
-    """A CPD at its rows, and its linearisation there; the engine's own.
+    """A CPD at its rows, and its linearisation there.
+
+    A family is a child with its parents here; families of beliefs are in `chain.protocol`.
 
     Attributes
     ----------
     noise : ndarray
         (rows, runs, d, d): the CPD's own and the lineariser's error.
     approximate : bool
-        Whether there is room for errors.
+        Whether `noise` holds errors of linearisations, and is an array of its own.
     """
 
     noise: Array = field(init=False, repr=False)
@@ -73,7 +75,7 @@ class Family(Rows):
         template: FunctionTemplate | None = None,
         first_run: int = 0,
     ) -> Family:
-        """Lay out a CPD; an affine one is ready for use. A template at hand need not be made."""
+        """Lay out a CPD; an affine one is ready for use. Without a template it makes its own."""
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
         noise = own_noise(cpd, step if timed else None, rows, inputs, lead, first_run)
@@ -198,7 +200,7 @@ class Family(Rows):
             raise failure from (None if isinstance(error, Misfit) else error)
 
     def keep(self, at: At, matrix: Array, offset: Array, noise: Array | None) -> None:
-        """Keep the linearisation of some rows, a step's; the noise where there is an error."""
+        """Keep the linearisation of a step's rows; the noise where it includes an error."""
         first, last = at.first, at.last
         count, (height, width) = last - first, self.shape[2:]
         if count == 1 and not self.batch:
@@ -269,7 +271,7 @@ class Family(Rows):
         error: Array | None,
         active: Mask | None,
     ) -> None:
-        """Keep what a lineariser made of some rows, for the runs that are active."""
+        """Keep the linearisation of some rows, for the runs that are active."""
         if error is not None and not self.approximate and error.any():
             self.keep_errors()
         if active is None and isinstance(rows, slice) and rows == slice(None):
@@ -286,14 +288,14 @@ class Family(Rows):
             self._put(self.noise, rows, total, active)
 
     def keep_errors(self) -> None:
-        """Make room for approximation errors, before any is known."""
+        """Give `noise` an array of its own, to which errors of linearisations can be added."""
         if not self.approximate:
             room = vacant(self.noise.shape[:2], self.noise.shape[2:])
             room[...] = self.noise
             self.noise, self.approximate = room, True
 
     def settle(self) -> None:
-        """Give up the room for approximation errors where there are none."""
+        """Give that array up again where all errors are zero."""
         if self.approximate and not (self.noise != self.own_noise).any():
             self.noise = np.broadcast_to(self.own_noise, self.noise.shape)
             self.approximate = False
@@ -358,7 +360,7 @@ class Family(Rows):
 
 
 def _unplaced(function: BoundFunction) -> At:
-    """A function to be linearised, of which nothing else is asked."""
+    """A function to be linearised, without rows or noise."""
     return At(function, None, None, np.zeros(0), 0, 0)
 
 

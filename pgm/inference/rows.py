@@ -41,6 +41,14 @@ class At(NamedTuple):
     first: int
     last: int
 
+    def bound(self, step: int, inputs: Sequence[Array | None]) -> At:
+        """The same with other evidence, of one run."""
+        function = self.function
+        assert function is not None
+        template, _, lead, _, group, joint, source = function
+        other = BoundFunction(template, inputs, lead, step, group, joint, source)
+        return At(other, None, None, self.noise, self.first, self.last)
+
 
 @dataclass(eq=False)
 class Rows:
@@ -100,7 +108,7 @@ class Rows:
 
     @cached_property
     def bare(self) -> tuple[int, ...]:
-        """The components that the CPD's own noise leaves out at some row."""
+        """The components to which the CPD's own noise adds nothing at some row."""
         variances = np.diagonal(self.own_noise, axis1=-2, axis2=-1)
         return tuple(int(k) for k in np.flatnonzero((variances == 0.0).any(axis=(0, 1))))
 
@@ -143,7 +151,7 @@ class Rows:
             matrix, shift = self.cpd._affine(self.hidden, self._wide(inputs, count))
             offset = np.broadcast_to(shift, (count, 1, shift.shape[-1])).reshape(-1)
             return At(None, np.tile(matrix, (count, 1)), offset, noise, 0, count)
-        arguments = [None if place is None else inputs[place] for place in self._order]
+        arguments = [None if place is None else inputs[place] for place in self.order]
         group = None if count == 1 else count
         function = BoundFunction(
             self.template, arguments, 0, step, group, self.grouped, self.source
@@ -155,7 +163,7 @@ class Rows:
         return {parent: values.reshape(count, 1, -1) for parent, values in every}
 
     @cached_property
-    def _order(self) -> list[int | None]:
+    def order(self) -> list[int | None]:
         """Which of the inputs each argument of the function is; None for a hidden parent."""
         assert self.template is not None
         places = {parent: k for k, parent in enumerate(self.inputs)}
@@ -214,7 +222,7 @@ class Rows:
         if len(shift) == 1 == len(self.own_noise):
             found = self._constant_at.get(count)
             if found is not None:
-                return found if found.first == first else found._replace(first=first, last=last)
+                return At(None, found.matrix, found.offset, found.noise, first, last)
         offset = np.broadcast_to(
             shift if len(shift) == 1 else shift[first:last], (count, *shift.shape[1:])
         )

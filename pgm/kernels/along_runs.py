@@ -30,7 +30,7 @@ def push(cov: Array, matrix: Array, noise: Array, out: Array) -> None:
 
 
 class Update(NamedTuple):
-    """What a reading makes of many beliefs.
+    """Many beliefs, each given a reading.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Update(NamedTuple):
         (d, d, runs), (d, runs): S = U diag(pivots) Uᵀ with 1 on the diagonal of a lower U, of
         which only what is below the diagonal is there.
     mild : bool
-        Whether no variance has fallen by more than a thousand.
+        Whether no variance has fallen more than a thousand times.
     """
 
     mean: Array
@@ -59,10 +59,10 @@ class Update(NamedTuple):
 
 
 def sharpness(noise: Array, least: float = NEGLIGIBLE) -> Array:
-    """The det S from which a reading with this noise is sharp, (runs or 1,).
+    """The value of det S from which on a reading with this noise is sharp, (runs or 1,).
 
     S is at least the noise, and below this it is at most a thousand times the noise, in whatever
-    direction. So no variance falls by more than a thousand in an update, and P − K S Kᵀ loses
+    direction. So no variance falls more than a thousand times in an update, and P − K S Kᵀ loses
     three of its sixteen digits at most; and where the noise is regular by a thousand times what is
     asked, S is regular. Where it is not, or its determinant too small a number, this is 0.
     """
@@ -149,7 +149,7 @@ def open_share(cov: Array) -> float:
 def least_left(before: Array, after: Array) -> float:
     """The smallest share that is left of a variance, of covariances (n, n, runs).
 
-    Those of zero, which are known, do not count.
+    Variances of zero, which are known, do not count.
     """
     was, left = (np.einsum("iir->ir", cov) for cov in (before, after))
     counts = (left != 0.0) & (was > 0.0)

@@ -48,7 +48,7 @@ def deviations(cov: Array) -> Array:
 
 
 def root(cov: Array) -> Array | None:
-    """The lower triangular L with P = L Lᵀ; None where P is nearly singular, or has none."""
+    """The lower triangular L with P = L Lᵀ; None where P is nearly singular or indefinite."""
     if cov.ndim > 3:
         shape = cov.shape
         flat = along_runs.root(cov.reshape(*shape[:2], -1), _REGULAR)
@@ -74,10 +74,10 @@ def divide(matrix: Array, lower: Array) -> Array:
 
 
 def is_regular(cov: Array, before: Array, least: float) -> bool:
-    """Whether no component is determined to `least` by those before it, nor against another time.
+    """Whether a covariance is neither nearly singular nor far below an earlier one.
 
-    Neither the share of its variance that those before it leave open, nor its variance beside that
-    of an earlier covariance is smaller. Components without a variance now and then do not count.
+    The components before it leave more than the share `least` of each variance, and no variance is
+    a smaller part of the earlier one. A component without a variance in both does not count.
     """
     if cov.ndim == 2:
         written = checking(len(cov), least)
@@ -173,7 +173,7 @@ class Update(NamedTuple):
         Whether no component of the reading is determined by those before it to 10⁻⁶ of its
         variance.
     mild : bool
-        Whether no variance is known to have fallen by more than a thousand.
+        Whether no variance is known to have fallen more than a thousand times.
     left : ndarray or None
         (d, *batch): how far each determined component is from what the model says it is; None
         where nothing is determined.

@@ -27,7 +27,7 @@ ROUNDING = 1e-14
 
 
 class Update(NamedTuple):
-    """What a reading makes of a belief.
+    """A belief given a reading.
 
     Attributes
     ----------

@@ -20,7 +20,7 @@ from pgm.kernels.arrays import LOG_2PI, Array
 # Of n components and d others, beyond n d (n + d) of this size LAPACK is the quicker.
 MOST = 90
 
-# As `single.predict`, `single.update` and `single.is_regular`.
+# Arguments and results as of `predict`, `update_one` and `is_regular` in `gaussian`.
 Predict = Callable[[Array, Array, Array], Array]
 Update = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array, float] | None]
 Check = Callable[[Array, Array], bool]
@@ -30,7 +30,7 @@ Check = Callable[[Array, Array], bool]
 def updating(size: int, height: int, least: float) -> Update | None:
     """The update of n components by d readings; None where that is too large.
 
-    What it returns is None where S has a pivot below `least` of its diagonal entry.
+    The update is None where S has a pivot below `least` of its diagonal entry.
     """
     if not 0 < size * height * (size + height) <= MOST:
         return None

@@ -25,12 +25,12 @@ _FEW = 4096
 
 @dataclass(frozen=True, eq=False)
 class FunctionTemplate:
-    """What does not change from call to call: the function, its parents, and who is hidden.
+    """A CPD's function with its parents, and which of them are hidden: the same in all calls.
 
     Parameters
     ----------
     child : Variable
-        Whose CPD it is.
+        The child of the CPD.
     given : tuple of Variable
         All parents, in the order of the function's arguments.
     hidden : tuple of Variable
@@ -72,7 +72,7 @@ class FunctionTemplate:
 
     @cached_property
     def cuts(self) -> tuple[Index | None, ...]:
-        """The same, None for a parent that is all there is too, which need not be cut out."""
+        """The places, None too for the only hidden parent, which need not be cut out."""
         everything = slice(0, self.size)
         return tuple(None if place == everything else place for place in self.places)
 
@@ -103,7 +103,7 @@ class FunctionTemplate:
 
     @cached_property
     def turning(self) -> list[int]:
-        """The places of those that are angles."""
+        """The places of the value's components that are angles."""
         return [int(k) for k in np.flatnonzero(self.angles)]
 
     @cached_property
@@ -183,7 +183,7 @@ class BoundFunction(_Bound):
 
     @property
     def turning(self) -> list[int]:
-        """The places of these."""
+        """The places of the components that are angles."""
         template, group = self.template, self.group
         if group is None or not template.turning:
             return template.turning
@@ -276,9 +276,13 @@ class BoundFunction(_Bound):
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
     def _arguments(self, x: Array) -> tuple[list[Array], tuple[int, ...]]:
-        if x.ndim == 1 and self.group is None and self.template.undivided:
-            # Of one run there is nothing to broadcast, and often nothing to cut.
-            return [x if value is None else value for value in self.inputs], ()
+        if not self.lead and self.group is None and self.template.undivided and x.ndim <= 2:
+            # Of one run there is little to broadcast, and often nothing to cut.
+            if x.ndim == 1:
+                return [x if value is None else value for value in self.inputs], ()
+            count = len(x)
+            every = (None if v is None else v[None].repeat(count, 0) for v in self.inputs)
+            return [x if value is None else value for value in every], (count,)
         lead, shape = self.lead, x.shape[:-1]
         extra = shape[lead:]
         if self.group is not None:

@@ -1,4 +1,4 @@
-"""Linearisers, and the form in which they are ready for many calls.
+"""Linearisers, and their prepared form, which is ready for many calls.
 
 An engine prepares a lineariser for each function once, and calls the prepared form at one belief
 after another. Its arrays have components first and the batch last: no axis for one run, or an axis
@@ -58,7 +58,7 @@ class Prepared(Protocol):
 
         ``function`` takes points with the batch first, (*batch, ..., n). Where its ``group`` is k,
         a value stacks k sightings, d components each: unless they are ``joint``, each is to be
-        linearised by itself, as `apart` does it.
+        linearised by itself, as `apart` in this module does it.
         """
         ...
 
@@ -114,7 +114,7 @@ _OURS = ("pgm.linearisers.taylor", "pgm.linearisers.regression")
 
 
 class Misfit(Exception):
-    """An answer of a lineariser that is none: what it is, and what was due."""
+    """An answer of a lineariser that cannot be used: what was found, and what was due."""
 
 
 class Wrapped:
@@ -150,7 +150,7 @@ class Wrapped:
 
 
 class _Checked:
-    """A prepared form of a user's, whose answers are looked at."""
+    """A prepared form of a user's, whose answers are checked in every call."""
 
     def __init__(self, prepared: Prepared) -> None:
         self.prepared = prepared

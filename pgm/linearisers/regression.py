@@ -19,7 +19,6 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     deviation,
-    times,
     times_transposed,
     transpose,
 )
@@ -88,7 +87,7 @@ class StatisticalRegression(Builtin):
     means, and the covariance is that of what the line leaves, Σ w r rᵀ. In directions in which P
     is zero F takes the limit P → 0, the Jacobian at μ. Angles of y are averaged as the value at
     the centre plus the mean of offsets, wrapped about the tangent where they exceed half a turn.
-    In components in which what the line leaves may be rounding of the values it is zero.
+    The covariance is zero in components in which what the line leaves may be rounding.
 
     A subclass gives `points`, and may say that they are fresh for each run, or that moments of x
     are the belief's own.
@@ -127,7 +126,7 @@ class StatisticalRegression(Builtin):
         return _Regression(self, template)
 
     def is_semidefinite(self, dimension: int) -> bool:
-        """Whether what a line leaves is weighted by no negative number."""
+        """Whether no weight of what the line leaves is negative."""
         weights = self.points(dimension, "", 0).cov_weights
         return not self.prior_moments and bool((weights >= 0.0).all())
 
@@ -152,13 +151,14 @@ class _Regression:
         if lower is None:
             line = self._generally(function, mean, cov, points)
         else:
-            line = _fitted(function, mean, cov, points, lower)
+            fitted = _fitted if mean.ndim > 1 else _fitted_one
+            line = fitted(function, mean, cov, points, lower)
         if function.group is None or function.joint:
             return line
         return line._replace(error=_within(line.error, function.group))
 
     def _generally(self, function: BoundFunction, mean: Array, cov: Array, points: Points) -> Line:
-        """With any points, at any covariance."""
+        """The regression on any points, at any covariance."""
         rule, s = self.rule, points.points
         at, spread = components_last(mean, 1), components_last(cov, 2)
         lower = roots.root(spread)
@@ -188,47 +188,65 @@ class _Regression:
         )
         matrix = components_first(_divide(slope, lower, function, at, spread), 2)
         value, noise = components_first(reference + centre, 1), components_first(noise, 2)
-        first = components_first(reference, 1)
-        if not rule.prior_moments and not _is_plain(noise, components_first(slope, 2), first):
-            size = components_first(np.abs(raw).max(axis=-2, initial=0.0), 1)
-            noise = _without_rounding(noise, first, size, matrix, mean, points.rounding)
+        if not rule.prior_moments:
+            noise = np.array(noise)
+            known = components_first(slope, 2), components_first(reference, 1)
+            values = components_first(raw, 2).swapaxes(0, 1)
+            _clear_rounding(noise, *known, values, matrix, mean, points.rounding)
         return Line(matrix, value, noise)
 
 
+def _fitted_one(
+    function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array
+) -> Line:
+    """The regression on few points, prepared once, at one belief of a regular covariance."""
+    turning = function.turning
+    extra = int(bool(turning) and not points.centred)
+    x = (points.with_centre if extra else points.points).dot(lower.T)
+    x += mean
+    values = function(x)
+    reference = values[0]
+    raw = values[extra:] - reference
+    # Few numbers are compared more quickly one by one.
+    if any(abs(value) > np.pi for k in turning for value in raw[:, k].tolist()):
+        slopes, offsets = function.jacobian(mean, gaussian.deviations(cov)), x[extra:] - mean
+        for k in turning:
+            raw[:, k] = _about(raw[:, k], offsets.dot(slopes[k]), axis=0)
+    rows, signs = points.fit
+    found, first = rows.dot(raw), 1 + len(mean)
+    left = found[first:]
+    noise = (left if signs is None else signs[:, None] * left).T.dot(left)
+    slope, value = found[1:first].T, reference + found[0]
+    matrix = gaussian.divide(slope, lower)
+    _clear_rounding(noise, slope, reference, raw.T, matrix, mean, points.rounding)
+    return Line(matrix, value, noise)
+
+
 def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array) -> Line:
-    """With few points, shared by all beliefs, of regular covariances: the regression is at hand."""
+    """The regression on few points, which many beliefs of regular covariances share."""
     batch = mean.shape[1:]
     if len(batch) > 1:
         mean, lower = mean.reshape(len(mean), -1), lower.reshape(*lower.shape[:2], -1)
     extra = int(bool(function.turning) and not points.centred)
-    called = points.with_centre if extra else points.points
-    offsets = np.matmul(called, lower) if batch else lower.dot(called.T)
+    offsets = np.matmul(points.with_centre if extra else points.points, lower)
     values = _values(function, offsets + mean[:, None], batch)
     reference = values[:, 0]
-    raw = values[:, extra:] - reference[:, None]
-    if _exceeds(raw, function.turning):
+    # Functions interleave components: along rows of runs all that follows goes faster.
+    raw = np.subtract(values[:, extra:], reference[:, None], order="C")
+    if any(np.abs(raw[k]).max(initial=0.0) > np.pi for k in function.turning):
         at = components_last(mean.reshape(-1, *batch), 1)
         slopes = function.jacobian(at, components_last(gaussian.deviations(cov), 1))
         slopes = components_first(slopes, 2).reshape(-1, *mean.shape)
         for k in function.turning:
-            line = np.einsum("i...,iN...->N...", slopes[k], offsets[:, extra:])
+            line = np.einsum("ir,iNr->Nr", slopes[k], offsets[:, extra:])
             raw[k] = _about(raw[k], line, axis=0)
     rows, signs = points.fit
-    first = 1 + len(mean)
-    found = rows @ raw if batch else raw.dot(rows.T)
+    found, first = rows @ raw, 1 + len(mean)
     left = found[:, first:]
-    if batch:
-        signed = left if signs is None else signs[:, None] * left
-        noise = np.einsum("ikr,jkr->ijr", signed, left)
-    else:
-        noise = (left if signs is None else signs * left).dot(left.T)
+    noise = np.einsum("ikr,jkr->ijr", left if signs is None else signs[:, None] * left, left)
     slope, value = found[:, 1:first], reference + found[:, 0]
     matrix = gaussian.divide(slope, lower)
-    if not batch:
-        _clear_rounding(noise, slope, reference, raw, matrix, mean, points.rounding)
-    elif not _is_plain(noise, slope, reference):
-        size = np.abs(raw).max(axis=1)
-        noise = _without_rounding(noise, reference, size, matrix, mean, points.rounding)
+    _clear_rounding(noise, slope, reference, raw, matrix, mean, points.rounding)
     if len(batch) < 2:
         return Line(matrix, value, noise)
     return Line(*(part.reshape(*part.shape[:-1], *batch) for part in (matrix, value, noise)))
@@ -242,14 +260,6 @@ def _values(function: BoundFunction, x: Array, batch: tuple[int, ...]) -> Array:
     values = function(points.transpose(*range(2, points.ndim), 1, 0))
     last = values.ndim - 1
     return values.transpose(last, last - 1, *range(last - 1)).reshape(-1, *x.shape[1:])
-
-
-def _exceeds(raw: Array, turning: list[int]) -> bool:
-    """Whether an angle's offset, (d, N, *batch), exceeds half a turn."""
-    if raw.ndim == 2:
-        # Few numbers are compared more quickly one by one.
-        return any(abs(value) > np.pi for k in turning for value in raw[k].tolist())
-    return any(np.abs(raw[k]).max() > np.pi for k in turning)
 
 
 def _about(raw: Array, line: Array, axis: int) -> Array:
@@ -277,15 +287,6 @@ def _refuse(function: BoundFunction, cov: Array) -> NoReturn:
     )
 
 
-def _is_plain(noise: Array, slope: Array, reference: Array) -> bool:
-    """Whether the error of a line is much more than rounding of the values may be.
-
-    Of values that lie on their line the slope and one of them tell the size.
-    """
-    square = reference * reference + np.einsum("ij...,ij...->i...", slope, slope)
-    return bool((np.einsum("ii...->i...", noise) > _PLAIN * square).all())
-
-
 def _clear_rounding(
     noise: Array,
     slope: Array,
@@ -295,30 +296,43 @@ def _clear_rounding(
     mean: Array,
     share: float,
 ) -> None:
-    """`_without_rounding` at one belief, in place: few numbers are compared one by one."""
-    sizes = map(hypot, reference.tolist(), *slope.T.tolist())
-    for k, (variance, size) in enumerate(zip(noise.diagonal().tolist(), sizes, strict=True)):
-        if variance > _PLAIN * size * size:
-            continue
-        summands = abs(reference.item(k)) + max(map(abs, raw[k].tolist()), default=0.0)
-        summands += sum(abs(f * m) for f, m in zip(matrix[k].tolist(), mean.tolist(), strict=True))
-        if not abs(variance) > (share * summands) ** 2:
-            noise[k], noise[:, k] = 0.0, 0.0
+    """Make the error of a line zero in components in which it may be rounding of the values.
 
+    Of values that lie on their line the slope and one of them tell the size. A value has summands
+    of |F| |μ| besides, of which it may be the difference.
 
-def _without_rounding(
-    noise: Array, reference: Array, size: Array, matrix: Array, mean: Array, share: float
-) -> Array:
-    """The error of a line, zero in components in which it may be rounding of the values.
-
-    A value of a size has summands of |F| |μ| besides, of which it may be the difference.
+    Parameters
+    ----------
+    noise, slope, reference : ndarray
+        The error (d, d, *batch), the slope J (d, n, *batch) and a value (d, *batch).
+    raw : ndarray
+        (d, N, *batch): values less that one.
+    matrix, mean : ndarray
+        F (d, n, *batch), and μ (n, *batch).
+    share : float
+        As `Points.rounding`.
     """
-    variance = np.einsum("ii...->i...", noise)
-    summands = np.abs(reference) + size + times(np.abs(matrix), np.abs(mean))
-    real = np.abs(variance) > (share * summands) ** 2  # weights may be negative
-    if real.all():
-        return noise
-    return np.where(real[:, None] & real[None], noise, 0.0)
+    if noise.ndim == 2:
+        # Few numbers are compared more quickly one by one.
+        sizes = map(hypot, reference.tolist(), *slope.T.tolist())
+        for k, (variance, size) in enumerate(zip(noise.diagonal().tolist(), sizes, strict=True)):
+            if variance > _PLAIN * size * size:
+                continue
+            numbers = zip(matrix[k].tolist(), mean.tolist(), strict=True)
+            summands = abs(reference.item(k)) + sum(abs(f * m) for f, m in numbers)
+            summands += max(map(abs, raw[k].tolist()), default=0.0)
+            if not abs(variance) > (share * summands) ** 2:  # weights may be negative
+                noise[k], noise[:, k] = 0.0, 0.0
+        return
+    for k in range(len(noise)):
+        square = reference[k] ** 2 + np.einsum("j...,j...->...", slope[k], slope[k])
+        if (noise[k, k] > _PLAIN * square).all():
+            continue
+        summands = np.abs(reference[k]) + np.abs(raw[k]).max(axis=0, initial=0.0)
+        summands += np.einsum("j...,j...->...", np.abs(matrix[k]), np.abs(mean))
+        real = np.abs(noise[k, k]) > (share * summands) ** 2
+        if not real.all():
+            noise[k], noise[:, k] = np.where(real, noise[k], 0.0), np.where(real, noise[:, k], 0.0)
 
 
 def _divide(slope: Array, lower: Array, function: BoundFunction, mean: Array, cov: Array) -> Array:

@@ -22,7 +22,7 @@ class Taylor(Builtin):
     """
 
     def prepare(self, template: FunctionTemplate) -> Prepared:
-        """Nothing is to be made ready."""
+        """The formula, which needs no preparation."""
         return _tangent
 
     @staticmethod

@@ -210,9 +210,13 @@ def _on_chart(cpd, value, before):
 
 
 def run(model, evidence, steps, rule):
-    """Beliefs over all of a slice: predicted, filtered and smoothed, [(mean, cov)], and names."""
+    """Beliefs over all of a slice: predicted, filtered and smoothed, [(mean, cov)], and names.
+
+    Innovations are the residual and predictive covariance of all readings of a step, {step: ...}.
+    """
     rule, joint = RULES[rule], Joint()
     out = SimpleNamespace(predicted=[], filtered=[], smoothed=[], log_evidence=0.0, slices=[])
+    out.innovations = {}
     crosses, now = [], []
     for step in range(steps + 1):
         inputs = {v: e[step - 1] for v, e in evidence.items() if v in model.inputs} if step else {}
@@ -234,7 +238,14 @@ def run(model, evidence, steps, rule):
         joint = joint.only(now)
         out.slices.append(joint.places)
         out.predicted.append((joint.mean, joint.cov))
-        out.log_evidence += _read(model, joint, evidence, step, rule)
+        seen = _seen(model, joint, evidence, step, rule)
+        if seen is not None:
+            residual, slope, noise = seen
+            out.innovations[step] = residual, slope @ joint.cov @ slope.T + noise
+            there = ~np.isnan(residual)
+            if there.any():
+                noise = noise[np.ix_(there, there)]
+                out.log_evidence += joint.read(slope[there], residual[there], noise)
         out.filtered.append((joint.mean, joint.cov))
     mean, cov = out.filtered[-1]
     out.smoothed.append((mean, cov))
@@ -246,8 +257,8 @@ def run(model, evidence, steps, rule):
     return out
 
 
-def _read(model, joint, evidence, step, rule):
-    """Take in the readings of a step as one vector; return their log-density."""
+def _seen(model, joint, evidence, step, rule):
+    """The readings of a step as one vector: residual, NaN where one is missing, F and noise."""
     parts = []
     for cpd in model.observation:
         given = evidence.get(cpd.child)
@@ -268,14 +279,11 @@ def _read(model, joint, evidence, step, rule):
             angles = np.tile(cpd.child.angle_mask, len(group))
             parts.append((np.where(angles, wrap(off), off), slope, noise))
     if not parts:
-        return 0.0
+        return None
     residual = np.concatenate([part[0] for part in parts])
     slope = np.concatenate([part[1] for part in parts])
     noise, top = np.zeros((len(residual), len(residual))), 0
     for off, _, each in parts:
         rows = slice(top, top := top + len(off))
         noise[rows, rows] = each
-    there = ~np.isnan(residual)
-    if not there.any():
-        return 0.0
-    return joint.read(slope[there], residual[there], noise[np.ix_(there, there)])
+    return residual, slope, noise

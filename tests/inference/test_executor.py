@@ -81,7 +81,7 @@ def same(one, other):
     assert_allclose(one[x].mean, other[x].mean, atol=1e-11)
     assert_allclose(one[x].cov, other[x].cov, atol=1e-12)
     assert_allclose(one.log_evidence, other.log_evidence, atol=1e-11)
-    assert one.log_evidence_kind == other.log_evidence_kind
+    assert (one.kind, one.log_evidence_kind) == (other.kind, other.log_evidence_kind)
     assert one.status.iterations == other.status.iterations
     assert_array_equal(one.status.converged, other.status.converged)
     for name in ("residual", "cov", "step", "nis", "dof"):
@@ -389,7 +389,6 @@ def test_a_worker_that_dies(start, asked):
             pgm.filter(model, recording(), executor=pool, **asked)
         assert time.monotonic() - begin < 30.0
         assert any(first <= 12 < stop for first, stop in found.value.runs)
-        assert found.value.runs[-1][1] == RUNS
         assert found.value.run == found.value.runs[0][0]
         with pytest.raises(
             pgm.ExecutorError, match="runs 0 to 22 were lost: BrokenProcess"

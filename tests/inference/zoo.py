@@ -52,6 +52,10 @@ def turning_noise(control):
     return (0.01 + 0.1 * np.abs(control[..., 1, None, None])) * np.eye(3)
 
 
+def near_noise(landmark):
+    return (0.02 + 0.01 * np.abs(landmark[..., 0, None, None])) * np.eye(2)
+
+
 def plain(transition=None, sensor=None, prior=None):
     return pgm.DynamicBayesianNetwork(
         prior=[prior or pgm.GaussianCPD(x, [0.0, 0.0, 0.0], P0)],
@@ -96,6 +100,7 @@ MODELS = {
     "numerical jacobians": plain(drive_cpd(jacobian=None), SIGHT.cpd(jacobian=None)),
     "wrapping drive": plain(drive_cpd(function=wrapping)),
     "noise by control": plain(drive_cpd(cov=pgm.noise(turning_noise, given=u))),
+    "noise by landmark": plain(sensor=SIGHT.cpd(cov=pgm.noise(near_noise, given=m))),
     "grouped": plain(sensor=SIGHT.cpd(grouped=True)),
     "an exact range": plain(sensor=SIGHT.cpd(cov=np.diag([0.0, 0.01]))),
     "sharp readings": plain(sensor=SIGHT.cpd(cov=1e-9 * np.eye(2))),
@@ -115,15 +120,20 @@ def model_of(name, run=None):
     return plain(prior=pgm.GaussianCPD(x, STARTS[run], SPREADS[run]))
 
 
-def recording(name, runs=RUNS, seed=5):
+def recording(name, runs=RUNS):
     """Evidence of a few runs, sightings at step 0 too, some of them missing; headings go round."""
-    model, rng = MODELS[name], np.random.default_rng(seed)
-    given = np.stack([rng.uniform(0.5, 1.5, (runs, T)), rng.uniform(0.2, 0.8, (runs, T))], axis=-1)
+    return dict(_recorded(name, runs))
+
+
+@cache
+def _recorded(name, runs):
+    model, rng = MODELS[name], np.random.default_rng(5)
+    given = np.stack([rng.uniform(0.5, 1.5, (runs, T)), rng.uniform(0.4, 0.9, (runs, T))], axis=-1)
     states = np.stack([drive_along(each, rng) for each in given])
     first = rng.integers(0, 2, (runs, STEP.size))
     first[:, 1:] = np.where(STEP[1:] == STEP[:-1], 1 - first[:, :-1], first[:, 1:])
     landmarks = LANDMARKS[first] + 0.1 * rng.normal(size=(runs, STEP.size, 2))
-    noise = model.observation[0].cov
+    noise = SIGHT.cov if name == "noise by landmark" else model.observation[0].cov
     exact = SIGHT.function(states[:, STEP], landmarks)
     values = exact + rng.multivariate_normal([0.0, 0.0], noise, exact.shape[:-1])
     values[..., 1] %= 2 * np.pi

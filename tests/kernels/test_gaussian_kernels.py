@@ -330,28 +330,37 @@ def test_one_of_a_batch_may_be_certain(batch):
 
 @batches
 @pytest.mark.parametrize("places", [slice(0, 2), np.array([2, 0])], ids=["slice", "array"])
-@pytest.mark.parametrize("bare", [(), (1,)])
-def test_extending_writes_the_child_into_the_joint(places, bare, batch):
+def test_extending_writes_the_child_into_the_joint(places, batch):
     mean, joint, matrix, _, noise = drawn(batch, 3, 2)
-    matrix, own = matrix[:, :2], (slice(None), slice(None))
-    if bare:
-        noise[1] = noise[:, 1] = 0.0
-        matrix[1] = 0.0
+    matrix = matrix[:, :2]
     value = matrix[:, 0] + 0.5
     whole, spread = np.zeros((5, *batch)), np.zeros((5, 5, *batch))
     whole[:3], spread[:3, :3] = mean, joint
-    gaussian.extend(whole, spread, slice(3, 5), places, matrix, value, noise, bare)
+    gaussian.extend(whole, spread, slice(3, 5), places, matrix, value, noise)
     assert_array_equal(whole, np.concatenate([mean, value]))
     assert_array_equal(spread, spread.swapaxes(0, 1))
     for run in each(batch):
-        wide = np.zeros((5, 3))
-        wide[:3] = np.eye(3)
+        wide, moved = np.zeros((5, 3)), np.zeros((5, 5))
+        wide[:3], moved[3:, 3:] = np.eye(3), at(noise, 2, run)
         wide[3:, np.arange(3)[places]] = at(matrix, 2, run)
-        moved = np.zeros((5, 5))
-        moved[3:, 3:] = at(noise, 2, run)
         due = pushed(at(joint, 2, run), wide, moved)
-        assert_allclose(spread[(*own, *run)], due, rtol=1e-12, atol=1e-13)
-        assert not bare or not spread[(4, slice(None), *run)].any()
+        assert_allclose(spread[(slice(None), slice(None), *run)], due, rtol=1e-12, atol=1e-13)
+
+
+@batches
+def test_a_certain_child_varies_with_nothing(batch):
+    """Its covariances are zero, not the rounding of a difference; those of others stay."""
+    factor = np.array([0.3, 0.1, 0.7])
+    whole, spread = np.zeros((5, *batch)), np.zeros((5, 5, *batch))
+    spread[:3, :3] = np.multiply.outer(np.outer(factor, factor), np.ones(batch))
+    matrix = np.multiply.outer(np.array([[0.1, -0.3], [1.0, 1.0]]), np.ones(batch))
+    assert (np.array([0.1, -0.3]) @ np.outer(factor, factor)[:2]).any()  # it is rounding
+    nothing = np.zeros((2, 2, *batch))
+    gaussian.extend(whole, spread, slice(3, 5), slice(0, 2), matrix, whole[:2], nothing, (0, 1))
+    assert not spread[3].any()
+    assert not spread[:, 3].any()
+    due = np.append(0.4 * factor, [0.0, 0.16])
+    assert_allclose(spread[4], np.multiply.outer(due, np.ones(batch)), rtol=1e-12)
 
 
 # ---- roots

@@ -67,7 +67,7 @@ class Later(NamedTuple):
     drift: Array
 
     def before(self, components: list[Component]) -> Later:
-        """With the components read at the step too, for the belief before they are."""
+        """The message with the components read at the step, to the belief before them."""
         vector, matrix, rounding, drift = self
         for row, gain, innovation, weight, error, blur, moved in reversed(components):
             keep = np.eye(matrix.shape[-1]) - gain[..., None] * row[:, None, :]
@@ -103,7 +103,7 @@ class Smooth(NamedTuple):
     ----------
     belief : Belief
     here : Later
-        What is read from its step on.
+        The message of all that is read from its step on.
     back : Back or None
         Where in some run the belief was found from that of the slice after it.
     parts : ndarray
@@ -118,7 +118,7 @@ class Smooth(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CarefulSmoothed:
-    """Both passes.
+    """Both passes in twice the digits.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class CarefulSmoothed:
 
     @classmethod
     def of(cls, plan: ChainPlan, careful: Careful, lag: int | None = None) -> CarefulSmoothed:
-        """Go back, from the last step, or to each step from a lag after it."""
+        """The backward pass, from the last step, or to each step from a lag after it."""
         shape = careful.forward.mean.shape
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
         last = shape[0] - 1
@@ -155,7 +155,7 @@ class CarefulSmoothed:
 
     @property
     def error(self) -> Array:
-        """Of the means, (runs,); see `Belief.error`."""
+        """The error of the means, (runs,); see `Belief.error`."""
         errors = [
             each.belief.error(variance, each.parts)
             for each, variance in zip(self.slices, self.careful.largest, strict=True)
@@ -165,12 +165,12 @@ class CarefulSmoothed:
 
     @property
     def means(self) -> Array:
-        """Of the slices."""
+        """The means of the slices."""
         return self.beliefs.mean
 
     @cached_property
     def point(self) -> Point:
-        """Moments of slices, and of pairs."""
+        """The moments of slices and of pairs, as a point of linearisation."""
         pairs = None if self.layout.single else self._pairs()
         return Point(self.beliefs.mean, self.beliefs.cov, pairs)
 

@@ -47,7 +47,7 @@ def transition(plan: ChainPlan) -> Conditional:
 
 
 class Ahead(Protocol):
-    """What is needed of a forward pass: see `Forward`."""
+    """The parts of a forward pass that the backward one needs: see `Forward`."""
 
     @property
     def predicted_mean(self) -> Array:
@@ -129,7 +129,7 @@ class Reverse:
 
 
 class _Step(NamedTuple):
-    """What `moments.reverse` takes, of many steps."""
+    """The arguments of `moments.reverse`, for many steps."""
 
     mean: Array
     cov: Array

@@ -74,12 +74,12 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Careful:
-    """A forward pass.
+    """A forward pass in twice the digits.
 
     Attributes
     ----------
     forward : Forward
-        Rounded.
+        Its beliefs, rounded.
     steps : list of Step
     unknown : Solved
         δ given all readings.
@@ -98,7 +98,7 @@ class Careful:
 
     @property
     def error(self) -> Array:
-        """Of the means, (runs,); see `Belief.error`."""
+        """The error of the means, (runs,); see `Belief.error`."""
         known = [step.known for step in self.steps]
         errors = [belief.error(each) for belief, each in zip(known, self.largest, strict=True)]
         largest: Array = np.max(errors, axis=0)
@@ -128,9 +128,9 @@ def sweep(
     ----------
     plan : ChainPlan
     schedule : Filtering, optional
-        How CPDs are linearised at the incoming beliefs; without, they are as laid out.
+        The linearisations at incoming beliefs; without, CPDs stay as they were linearised.
     anchor : Anchor, optional
-        What holds the beliefs.
+        Readings that hold the beliefs near a point.
     begin : Begin, optional
         Where a window begins; without, the prior.
     """
@@ -199,17 +199,17 @@ class CarefulUpdate:
 
     @property
     def point(self) -> Point:
-        """Its moments."""
+        """The moments, as a point of linearisation."""
         return Point(self.mean[None], self.cov[None])
 
     @property
     def components(self) -> list[Component]:
-        """In the order in which they were taken in."""
+        """The components, in the order in which they were taken in."""
         return self.taken.components
 
     @property
     def belief(self) -> Belief:
-        """Given the readings."""
+        """The belief given the readings."""
         return self.taken.belief
 
     def at(self, mean: Array) -> CarefulUpdate:
@@ -236,7 +236,7 @@ class CarefulReading(StepReading[CarefulUpdate]):
         information: Twofold,
         schedule: Filtering | None,
     ) -> CarefulReading:
-        """Of a plan's step, at a belief of these moments, (runs, n) and (runs, n, n)."""
+        """The readings of a step, at a belief of these moments, (runs, n) and (runs, n, n)."""
         parts = MomentChain(plan, schedule).readings(step)
         at = Moments.of(plan, *moments)
         made = cls(parts, plan.first + step, at.mean, at.cov)

@@ -74,7 +74,7 @@ def start(plan: ChainPlan, *, linearise: bool) -> Belief:
 
 
 def transition(plan: ChainPlan, rows: slice) -> Move:
-    """The slices of some steps given the slices before them, of which controls play no part."""
+    """The slices of some steps given the slices before them, whose controls play no part."""
     layout = plan.layout
     found = _conditional(plan.transition, rows, layout.state_size, layout.slice_size, plan.runs)
     matrix = Twofold.zeros((*found.matrix.shape[:-1], layout.slice_size))

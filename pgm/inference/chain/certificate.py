@@ -1,4 +1,4 @@
-"""Whether float64 has digits enough for a chain: how far apart its deviations lie.
+"""Whether float64 has digits enough for a chain: how far apart its standard deviations lie.
 
 A covariance in float64 keeps what is small in it to about 10⁻¹⁶ of what is large. Where every
 belief is regular, no variance along any direction is much smaller than its parts, and neither what
@@ -10,9 +10,9 @@ a transition nor what a reading sums up loses digits. These ratios bound what is
 - of readings without noise: (Σ_j |h_j| σ_j)² over the share of the variance of an innovation that
   is left open by those before it.
 
-A mean keeps its digits as parts of the largest numbers that it went through, and these as parts of
-the deviations there: what rounding is of these has to be little, or not more than it is of the
-mean itself.
+A mean is rounded to some 10⁻¹⁶ of the largest numbers that it went through. In units of the
+standard deviations there, that has to be little, or not much more than the rounding of the mean
+itself in units of its own.
 
 Where all ratios are moderate, the passes in float64 are right; where one is not, they are made in
 twice the digits.
@@ -80,7 +80,7 @@ def composes(predicted: Array, known: Array) -> bool:
 def _sinks(swept: Forward | Filtered, *, both: bool) -> bool:
     """Whether means come from numbers so large that their last digits count where they are small.
 
-    An error is as many deviations at other steps at most: later ones, or of both sides.
+    An error is at most as many deviations at other steps: later ones, or with `both` earlier too.
     """
     mean, left = swept.mean, _variances(swept.cov)
     axes = tuple(range(mean.ndim - 1))

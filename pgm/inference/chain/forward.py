@@ -29,7 +29,7 @@ MOST = 10_000
 
 @dataclass(frozen=True, eq=False)
 class Forward:
-    """What a forward sweep leaves, time first: over the slices, before and after their readings.
+    """The beliefs of a forward sweep over the slices, before and after readings, time first.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Forward:
     log_density : ndarray
         (T+1, runs): of each step's readings given those before.
     gentle : bool
-        Whether segments have been composed to it, which takes variances that keep their digits.
+        Whether it was composed of segments, whose variances have been found to be moderate.
     """
 
     predicted_mean: Array
@@ -52,7 +52,7 @@ class Forward:
 
     @classmethod
     def empty(cls, plan: ChainPlan) -> Forward:
-        """Room for a sweep."""
+        """Empty arrays for a sweep."""
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
 
         def moments() -> tuple[Array, Array]:
@@ -63,7 +63,7 @@ class Forward:
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """The beliefs of a filter, from which all else that a sweep leaves is found when asked for.
+    """The beliefs of a filter alone; a second sweep finds the rest when it is asked for.
 
     Attributes
     ----------
@@ -83,12 +83,12 @@ class Filtered:
 
     @cached_property
     def whole(self) -> Forward:
-        """What a sweep leaves; the plan holds its linearisations only then."""
+        """All beliefs, by a second sweep, which leaves its linearisations in the plan."""
         return run(self.plan, self.schedule)[0]
 
 
 class _Record:
-    """Rows of a sweep's arrays, in its own layout; those of predictions may be left out."""
+    """The record of a sweep, in rows of its arrays; those of predictions may be left out."""
 
     def __init__(
         self, plan: ChainPlan, known: tuple[Array, Array, Array], predicted: tuple[Array, ...] = ()
@@ -100,7 +100,7 @@ class _Record:
         self._room: Room | None = None
 
     def room(self, step: int) -> Room:
-        """Where the moments of a step go, which need not be copied then."""
+        """The arrays for the moments of a step, which need not be copied then."""
         self._room = self.mean[step], self.cov[step]
         return self._room
 
@@ -119,14 +119,14 @@ class _Record:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all numbers are; a covariance that is not stays so from one step to the next."""
+        """Whether all numbers are finite; a covariance that is not stays so up to the last step."""
         total = self.mean.sum() + self.cov[-1].sum() + self.log_density.sum()
         return bool(np.isfinite(total + sum(part.sum() for part in self.predicted)))
 
     def refuse(self, schedule: Filtering | None) -> None:
-        """Go again through the first step that has left a number that is not finite.
+        """Raise the error of the first step that has left a number that is not finite.
 
-        There each number is looked at. A sweep that has failed later has failed because of it.
+        The step is done again, with each number looked at; later failures follow from it.
         """
         lost = np.zeros(self.reached, dtype=bool)
         for part in (self.mean, self.cov, self.log_density):
@@ -151,7 +151,7 @@ def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
 
 
 def stored(plan: ChainPlan, anchor: Anchor | None = None) -> Forward:
-    """The forward pass with every CPD as it is laid out."""
+    """The forward pass with every CPD as it was linearised before."""
     out = Forward.empty(plan)
     _swept(plan, MomentChain(plan, None, anchor=anchor), _whole(plan, out), None)
     return out
@@ -171,7 +171,7 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
 def filtered(
     plan: ChainPlan, schedule: Filtering, room: Room | None = None
 ) -> tuple[Filtered, Status]:
-    """The beliefs of `run` alone, in the room for their moments, if there is any."""
+    """The beliefs of `run` alone; `room` has arrays for their moments."""
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
     mean, cov = room or (stacked(shape, (size,)), stacked(shape, (size, size)))

@@ -12,10 +12,12 @@ import numpy.typing as npt
 
 from pgm.errors import EvidenceError
 from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
+from pgm.inference.chain.stacks import stacks
 from pgm.inference.posterior import require_variable
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, sandwich
+from pgm.kernels.arrays import Array, Integers, block, independent, inner, sandwich
 from pgm.variables import Variable
 
 
@@ -74,9 +76,9 @@ class BySensor(Mapping[Variable, Innovations]):
         return len(self._innovations)
 
 
-def innovations(sensor: Sensor, forward: Forward, lead: tuple[int, ...]) -> Innovations:
+def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovations:
     """The innovations of a sensor at the predicted beliefs of a forward sweep."""
-    family, parents = sensor.family, sensor.parents
+    family, parents, lead = sensor.family, sensor.parents, plan.lead
     mean = forward.predicted_mean[family.step][..., parents]
     residual = sensor.moved - family.value(slice(None), mean)
     spread = block(forward.predicted_cov[family.step], parents, parents)
@@ -85,7 +87,7 @@ def innovations(sensor: Sensor, forward: Forward, lead: tuple[int, ...]) -> Inno
         spread = np.where(improper, 0.0, spread)
         taken = taken & ~np.any(improper, axis=(-2, -1), keepdims=True)[..., 0]
     cov = sandwich(family.matrix, spread) + family.noise
-    nis, dof = _by_step(sensor, forward, residual, taken)
+    nis, dof = _by_step(plan, sensor, forward)
     back = np.argsort(sensor.order)
 
     def out(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -102,43 +104,20 @@ def innovations(sensor: Sensor, forward: Forward, lead: tuple[int, ...]) -> Inno
     )
 
 
-def _by_step(
-    sensor: Sensor, forward: Forward, residual: Array, taken: Mask
-) -> tuple[Array, Integers]:
-    """Normalised innovations squared, (T+1, runs): steps with equally many sightings at once."""
-    family, parents = sensor.family, sensor.parents
-    bounds = np.array(sensor.bounds)
-    counts = np.diff(bounds)
-    runs, height = residual.shape[1:]
-    nis = np.full((counts.size, runs), np.nan)
-    dof = np.zeros((counts.size, runs), dtype=np.intp)
-    for count in np.unique(counts[counts > 0]):
-        steps = np.flatnonzero(counts == count)
-        rows = bounds[steps][:, None] + np.arange(count)
-        width = int(count) * height
-
-        def stacked(array: Array, rows: Integers = rows, width: int = width) -> Array:
-            """(steps, runs, sightings, ...) with the sightings' components in one axis."""
-            each = np.moveaxis(array[rows], 1, 2)
-            return each.reshape(*each.shape[:2], width, *each.shape[4:])
-
-        seen = np.moveaxis(taken[rows], 1, 2).reshape(steps.size, runs, width)
-        matrix = stacked(family.matrix)
-        r = stacked(residual) * seen
-        spread = block(forward.predicted_cov[steps], parents, parents)
-        spread = np.where(np.isinf(spread), 0.0, spread)  # what is infinite is not seen
-        cov = sandwich(matrix, spread)
-        noise = np.moveaxis(family.noise[rows], 1, 2)
-        for k in range(int(count)):
-            each = slice(k * height, (k + 1) * height)
-            cov[..., each, each] += noise[..., k, :, :]
-        for index, step in enumerate(steps.tolist()):
-            if step in sensor.cross:
-                cov[index] += sensor.cross[step]
-        lower = roots.root(independent(cov, seen))
-        white = roots.whiten(lower, r)
-        dof[steps] = seen.sum(axis=-1)
-        nis[steps] = np.where(dof[steps] > 0, inner(white, white), np.nan)
+def _by_step(plan: ChainPlan, sensor: Sensor, forward: Forward) -> tuple[Array, Integers]:
+    """Normalised innovations squared, (T+1, runs), and how many components were read."""
+    shape = plan.steps + 1, plan.runs
+    nis, dof = np.full(shape, np.nan), np.zeros(shape, dtype=np.intp)
+    for steps, matrix, residual, noise, missing in stacks(plan, [sensor], forward.predicted_mean):
+        spread = forward.predicted_cov[steps]
+        # Of a prediction that still has an infinite variance there are no innovations.
+        own = block(spread, sensor.parents, sensor.parents)
+        proper = np.isfinite(own).all(axis=(-2, -1))
+        lower = roots.root(sandwich(matrix, np.where(np.isinf(spread), 0.0, spread)) + noise)
+        white = roots.whiten(lower, residual)
+        seen = np.where(proper, residual.shape[-1] - missing, 0)
+        dof[steps] = seen
+        nis[steps] = np.where(seen > 0, inner(white, white), np.nan)
     return nis, dof
 
 

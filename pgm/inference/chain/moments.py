@@ -1,6 +1,6 @@
 """The Gaussian family of a chain: messages in moment form, of one run or of many.
 
-Everything has its components first and the batch last: no axis of one run, one of many.
+Arrays have components first and the batch last, which has no axis for one run and one for many.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _HALF_TURN = 0.5 * TURN
 
 
 class MomentChain:
-    """The forward half of the family.
+    """The Gaussian family forward: predicts a slice, and takes in the measurements of its step.
 
     Parameters
     ----------
@@ -35,9 +35,9 @@ class MomentChain:
     keep : bool
         Whether the plan keeps the linearisations.
     anchor : Anchor, optional
-        What holds the beliefs.
+        Readings of all components that hold the beliefs near a point, for step control.
     room : callable, optional
-        Where the moments of a step may go, in a sweep of many runs.
+        Gives arrays that the moments of a step may be written to, in a sweep of many runs.
     check : bool
         Whether all numbers are looked at, and refused where they are not finite.
 
@@ -117,7 +117,7 @@ class MomentChain:
         return found
 
     def predicted(self, ats: Sequence[At], step: int, belief: Moments) -> Moments:
-        """The slice of a step, with the transition's CPDs bound to its evidence."""
+        """The slice of a step, from that of the step before, with the transition at its rows."""
         layout, (mean, cov, _) = self.plan.layout, belief
         if self.states is not None:
             mean, cov = mean[self.states], within(cov, self.states)
@@ -140,7 +140,7 @@ class MomentChain:
     def taken(
         self, parts: Sequence[Reading], step: int, belief: Moments
     ) -> tuple[Moments, Array | float]:
-        """The belief given readings of its step."""
+        """The belief given readings of its step, and their log-density."""
         mean, cov, _ = belief
         schedule = self.schedule
         if schedule is None or not self.iterates or self.plan.linear:
@@ -206,7 +206,7 @@ class MomentChain:
             bare = tuple(k for k in bare if not noise[k, k].any())
         if at.function is not None:
             # A function may return an array that it uses again.
-            if link.turning:
+            if link.turning and turns_far(link, before, value):
                 value = on_chart(link, at, before, value)
             if value is line.value:
                 value = value.copy()
@@ -216,7 +216,7 @@ class MomentChain:
         return matrix, value, noise, bare
 
 
-def _turns(link: Link, before: Array, value: Array) -> bool:
+def turns_far(link: Link, before: Array, value: Array) -> bool:
     """Whether an angle is more than half a turn from where it was."""
     if value.ndim == 1:
         for new, old in link.turning:
@@ -229,12 +229,11 @@ def _turns(link: Link, before: Array, value: Array) -> bool:
 
 
 def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
-    """A value without whole turns that a function which wraps its angles has made in a step.
+    """The value of a CPD, without the whole turns by which its function wraps angles.
 
     Beliefs live on one unwrapped chart. `before` is the vector in which the CPD's parents stand.
     """
-    if at.function is None or not _turns(link, before, value):
-        return value
+    assert at.function is not None
     turned = value[link.angles] - before[link.before]
     # A function that wraps gives the same for an angle a whole turn on; another turns too.
     further = before.copy()
@@ -248,7 +247,7 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
 
 
 def largest(record: list[Array], residuals: Iterable[Array]) -> list[Array]:
-    """The largest residuals of all steps; a step that was done earlier keeps its last one."""
+    """The largest residuals of all steps; a step that settled earlier keeps its last one."""
     residuals = list(residuals)
     if not record or not residuals:
         return record or residuals

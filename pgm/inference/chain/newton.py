@@ -1,7 +1,7 @@
 """Gauss–Newton steps: the means of a linearised chain, from its normal equations.
 
-They cost a fraction of a smoother's two passes, and give no covariances. What they lose in digits
-where noises differ much the next step mends, and after the last one the passes of a smoother.
+They cost a fraction of a smoother's two passes, and give no covariances. Where noises differ much
+they lose digits, which the next step restores, and after the last one the passes of a smoother.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Means:
     means, variance : ndarray
         (T+1, runs, n).
     readings : Readings
-        What they were made of.
+        The readings that they were found from.
     pair : int
         Components of a pair, of whose covariances there are none.
     """
@@ -73,7 +73,7 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
 
 
 def _equations(plan: ChainPlan, readings: Readings) -> System | None:
-    """In deviations from the readings' reference."""
+    """The normal equations, in deviations from the readings' reference."""
     layout = plan.layout
     states = layout.state_places
     mean, cov = MomentChain(plan, None).start().by_run
@@ -113,13 +113,13 @@ class _Move(NamedTuple):
 
 
 class _Precision(NamedTuple):
-    """The inverse of its noise."""
+    """The inverse of a transition's noise."""
 
     matrix: Array
 
 
 class _Terms(NamedTuple):
-    """What it adds to the equations of its two ends, but for the precision itself."""
+    """The terms of a transition in the equations of its two ends, but for the precision itself."""
 
     before: Array
     across: Array

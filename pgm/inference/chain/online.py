@@ -181,10 +181,11 @@ class OnlineFilter(Immutable):
                 chain = trailing(chain.plan, ats)
             plan, known = chain.plan, _moments(belief, chain.plan)
             found = chain.predicted(ats, step, known)
-            if not _is_finite(found):
+            regular = gaussian.is_regular(found.cov, found.cov, REGULAR)
+            if not (_is_finite(found) and (regular or np.isfinite(found.cov).all())):
                 MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
                 _refuse(step)
-            if gaussian.is_regular(found.cov, found.cov, REGULAR):
+            if regular:
                 log_evidence, status = belief.log_evidence, _DONE
                 if laid is None:
                     log_evidence = np.broadcast_to(log_evidence, plan.lead)
@@ -245,7 +246,7 @@ class OnlineFilter(Immutable):
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
-        """In float64; None where it has too few digits."""
+        """The belief given readings, in float64; None where that has too few digits."""
         laid = None if belief.lead else self._sensors.sensors(belief, readings)
         if laid is None:
             chain = MomentChain(self._seen(belief, readings), self._filtering, keep=False)
@@ -343,10 +344,11 @@ def _moments(belief: OnlineBelief, plan: ChainPlan) -> Moments:
 
 
 def _is_finite(found: Moments) -> bool:
+    """Whether all numbers are finite, of one run's mean alone: its covariance is regular."""
     if found.mean.ndim > 1:
         return bool(np.isfinite(found.mean.sum() + found.cov.sum()))
     # A sum of few numbers tells it most quickly.
-    return isfinite(sum(found.mean.tolist()) + sum(found.cov.ravel().tolist()))
+    return isfinite(sum(found.mean.tolist()))
 
 
 def _careful(belief: OnlineBelief, plan: ChainPlan) -> CarefulBelief:
@@ -365,7 +367,7 @@ def _carried(
     kind: Kind,
     behind: Trail | None,
 ) -> OnlineBelief:
-    """A belief with the digits that it has, carried in twice those of float64 while it must be."""
+    """A belief whose status has its digits, carried in twice those of float64 while it must be."""
     mean, cov = found.moments
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
         _refuse(step)

@@ -41,12 +41,12 @@ class CarefulBelief(NamedTuple):
 
     @property
     def error(self) -> Array:
-        """Of the means, (runs,); see `Belief.error`."""
+        """The error of the means, (runs,); see `Belief.error`."""
         return self.belief.error(self.largest)
 
     @property
     def moments(self) -> tuple[Array, Array]:
-        """In float64."""
+        """The moments in float64."""
         return moments(self.belief, solved(_nothing(self.belief)))
 
     @property
@@ -75,12 +75,12 @@ def first(plan: ChainPlan) -> CarefulBelief:
 
 
 def beginning(mean: Array, cov: Array) -> CarefulBelief:
-    """Of moments in float64, (runs, n) and (runs, n, n)."""
+    """A belief of moments in float64, (runs, n) and (runs, n, n)."""
     return CarefulBelief(Belief.of(mean, cov), variances(cov))
 
 
 def predict(plan: ChainPlan, step: int, known: CarefulBelief) -> CarefulBelief:
-    """A step later, which is then `step`."""
+    """The belief one step later, at `step`."""
     move = careful_motion.moving(plan, 1, *known.moments)
     belief = careful_motion.predict(known.belief, move)
     careful.require_proper(plan, step, belief)
@@ -90,7 +90,7 @@ def predict(plan: ChainPlan, step: int, known: CarefulBelief) -> CarefulBelief:
 def update(
     plan: ChainPlan, step: int, known: CarefulBelief, schedule: Filtering
 ) -> tuple[CarefulBelief, Taken[careful.CarefulUpdate]]:
-    """Given the readings of its step."""
+    """The belief given the readings of its step."""
     nothing = _nothing(known.belief)
     taken = take(
         careful.CarefulReading.of(plan, 0, known.moments, known.belief, nothing, schedule), schedule

@@ -1,4 +1,4 @@
-"""What a user gives for a step of one robot, as far as it is ordinary."""
+"""Inputs and readings of one robot at a step, as rows of plain arrays."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ Key = tuple[Any, ...]
 
 
 def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
-    """The kind of what is given, and its rows, (d,), or (M, d) of several sightings; read-only.
+    """The kind of the values given, and their rows: (d,), or (M, d) of sightings, read-only.
 
-    Each is before what is given with it; None where some are missing, odd, or for many robots.
+    The rows of a sensor come before those of the parents given with it. None where values are
+    missing, of an odd shape, or of many robots.
     """
     key: list[Any] = []
     rows: list[Array] = []
@@ -74,7 +75,7 @@ def _numbers(value: Any) -> Array | None:
 
 
 def places(values: Mapping[Variable, Any]) -> dict[tuple[Variable | None, Variable], int]:
-    """Which of the rows are of which variable, by the sensor whose sightings they came with."""
+    """The place of each variable's row, by the sensor with whose sightings it was given, if any."""
     found: dict[tuple[Variable | None, Variable], int] = {}
     for variable, value in values.items():
         found[None, variable] = len(found)

@@ -1,7 +1,7 @@
-"""Steps of one robot online, laid out once for each kind of input and then only carried out.
+"""Plans for the steps of one robot online, made once for each kind of input.
 
-Inputs that are out of the ordinary are None here, and bound anew each time: batches of robots,
-missing readings, values of odd shapes.
+Batches of robots, missing readings and values of odd shapes have none here: their plans are made
+anew at each step.
 """
 
 from __future__ import annotations
@@ -28,21 +28,37 @@ _MOST = 64
 Values = Mapping[Variable, Any]
 
 
-class _Local(NamedTuple):
-    """A CPD, and which of the rows given are its inputs; of those shared by sightings, tiled."""
+class _Local:
+    """A CPD, and which of the rows given at a step are its inputs.
 
-    family: Family
-    inputs: list[tuple[int, bool]]
-    sightings: int
-    reading: int
+    Parameters
+    ----------
+    family : Family
+    inputs : list of (int, bool)
+        The place of each input among the rows, and whether it is shared by several sightings.
+    sightings : int
+    reading : int
+        The place of the readings.
+    """
+
+    def __init__(
+        self, family: Family, inputs: list[tuple[int, bool]], sightings: int, reading: int
+    ) -> None:
+        self.family, self.inputs, self.sightings, self.reading = family, inputs, sightings, reading
+        # Where nothing is shared or computed, the rows are bound as they come.
+        self.places: list[int | None] | None = None
+        if family.template is not None and not family.noisy and not any(each for _, each in inputs):
+            self.places = [None if k is None else inputs[k][0] for k in family.order]
+            self.at_first = family.given(0, [np.zeros(0)] * len(inputs), sightings)
 
     def at(self, step: int, rows: list[Array]) -> At | None:
         """The CPD at rows; None where its noise there is singular."""
-        values = [
-            np.tile(rows[k], (self.sightings, 1)) if shared else rows[k]
-            for k, shared in self.inputs
-        ]
-        found = self.family.given(step, values, self.sightings)
+        if self.places is not None:
+            known = [None if k is None else rows[k] for k in self.places]
+            return self.at_first.bound(step, known)
+        count = self.sightings
+        values = [np.tile(rows[k], (count, 1)) if each else rows[k] for k, each in self.inputs]
+        found = self.family.given(step, values, count)
         if self.family.noisy and gaussian.root(found.noise) is None:
             return None
         return found

@@ -35,9 +35,9 @@ _BEYOND = 1e30
 
 @dataclass(frozen=True, eq=False)
 class Scanned:
-    """What a forward scan leaves: `Forward`, whose log-densities are computed when asked for.
+    """The forward pass of a scan: a `Forward` whose log-densities are computed when asked for.
 
-    They take the plan as it is linearised, so that they are to be asked for before it is again.
+    They need the plan as it is linearised, and are to be asked for before it is linearised again.
     `agrees` says whether each belief follows from the one before it and variances are moderate,
     which shows that composing segments costs no digits, neither here nor on the way back.
     """
@@ -65,9 +65,9 @@ def filtered(
     anchor: Anchor | None = None,
     readings: Readings | None = None,
 ) -> Ahead:
-    """The forward pass with every CPD as it is laid out, as `forward.stored` gives it.
+    """The forward pass with every CPD as it was linearised, as `forward.stored` gives it.
 
-    Where composing segments costs digits, that is what it is.
+    Where composing segments costs digits, `forward.stored` makes it.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def filtered(
         linearised. Elements are about it, so that large coordinates cost no digits.
     anchor : Anchor, optional
     readings : Readings, optional
-        Those of the plan about the reference, where they are known.
+        The readings of the plan about the reference, where they are known.
     """
     readings = Readings.of(plan, reference) if readings is None else readings
     found = _solve(plan, segments.steps(plan), _first(plan, anchor), readings, anchor)
@@ -87,9 +87,9 @@ def filtered(
 def run(plan: ChainPlan) -> Ahead:
     """The forward pass of an affine model, as `forward.run` gives it.
 
-    It is about a guess of the means. Where that is far from the beliefs, or has led an angle's
-    reading to another branch than the prediction does, it is repeated about what was found; and
-    where that does not end soon, the pass goes step by step.
+    Elements are about a guess of the means. Where that is far from the beliefs, or has led an
+    angle's reading to another branch than the prediction does, the pass is repeated about the means
+    that it found; and where that does not end soon, it goes step by step.
     """
     moves = segments.steps(plan)
     reference = _guess(plan, moves)
@@ -107,7 +107,7 @@ def run(plan: ChainPlan) -> Ahead:
 
 
 def _guess(plan: ChainPlan, moves: Conditional) -> Array:
-    """Means near the beliefs: the solution for means alone, or what the prior's means lead to."""
+    """Means near the beliefs: the solution for means alone, or the prior's as they move."""
     start = MomentChain(plan, None).start().by_run[0]
     if not any(sensor.variable.angle_mask.any() for sensor in plan.sensors):
         found = newton.step(plan, np.broadcast_to(start, (plan.steps + 1, *start.shape)))
@@ -211,7 +211,7 @@ def _agree(found: Moments, due: Moments) -> bool:
 
 
 def _from(belief: Belief, reference: Array, steps: int) -> Moments:
-    """Room for the moments at all steps, with those of the first as deviations."""
+    """Arrays for the moments at all steps, with those of the first as deviations."""
     runs, size = belief.mean.shape
     out = Moments(room((steps + 1, runs), (size,)), room((steps + 1, runs), (size, size)))
     out.mean[0], out.cov[0] = belief.mean - reference, belief.cov
@@ -219,7 +219,7 @@ def _from(belief: Belief, reference: Array, steps: int) -> Moments:
 
 
 def _predicted(moves: Conditional, start: Array) -> Array:
-    """What the transition makes of the prior's means, without any reading, (T+1, runs, n)."""
+    """The prior's means as the transition moves them, without any reading, (T+1, runs, n)."""
     out = room((moves.offset.shape[0] + 1, start.shape[0]), start.shape[1:])
     out[0] = start
     if len(out) > 1:

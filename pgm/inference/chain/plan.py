@@ -1,8 +1,8 @@
-"""Plans: what a schedule on a chain will do, laid out once, before any number flows.
+"""Plans of chains: CPDs with their evidence, placed in the vectors of the slices.
 
-A sweep goes through rounds, one a step; a round is a few batched kernel calls on rows of arrays
-that have the time axis first and the runs second. Reversing a chain, and relinearising it, is one
-round for all steps.
+A sweep goes from step to step, with a few batched kernel calls for each. Reversing a chain, and
+linearising it again, is one call for all steps, on arrays that have the time axis first and the
+runs second.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from pgm.linearisers import Lineariser
 
 @dataclass(eq=False)
 class Link:
-    """A family in place: where its hidden parents and its child stand.
+    """A CPD at its rows, and where its hidden parents and its child stand.
 
     For the prior both stand in the vector of states, for the transition in that of the pair.
 
@@ -55,7 +55,7 @@ class Link:
 
     @cached_property
     def turning(self) -> list[tuple[int, int]]:
-        """Each of these angles, and where that of the step before stands."""
+        """Each of these angles, and the place of the same angle in the step before."""
         return list(zip(self.angles.tolist(), self.before.tolist(), strict=True))
 
 

@@ -1,4 +1,4 @@
-"""What inference on a chain returns: beliefs over time as moments, messages on request."""
+"""The results of inference on a chain: beliefs over time as moments, messages on request."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class ChainPosterior(Posterior):
     @property
     @quiet()
     def _forward(self) -> Forward:
-        """All that the forward sweep leaves, found now if only beliefs were wanted so far."""
+        """The whole forward sweep, made again if only its beliefs were wanted so far."""
         swept = self._swept
         return swept.whole if isinstance(swept, Filtered) else swept
 
@@ -107,7 +107,7 @@ class ChainPosterior(Posterior):
         """The innovations of each sensor with evidence."""
         return BySensor(
             {
-                sensor.variable: innovations(sensor, self._forward, self._plan.lead)
+                sensor.variable: innovations(self._plan, sensor, self._forward)
                 for sensor in self._plan.sensors
             }
         )
@@ -120,7 +120,7 @@ class ChainPosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """What `log_evidence` is: exact, linearised or laplace."""
+        """The kind of `log_evidence`: exact, linearised or laplace."""
         if self._planned.exact:
             return "exact"
         fixed = self.kind == SMOOTHED and bool(self.status.converged.all())

@@ -1,6 +1,6 @@
 """The readings of a step: linearised at a belief, and taken in.
 
-Everything has its components first and the batch last: no axis of one run, one of many.
+Arrays have components first and the batch last, which has no axis for one run and one for many.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Room = tuple[Array, Array]
 class Moments(NamedTuple):
     """Mean (n, *batch) and covariance (n, n, *batch) of a slice.
 
-    `mild` says whether no variance is known to have fallen by more than a thousand in an update.
+    `mild` says whether no variance is known to have fallen more than a thousand times in an update.
     """
 
     mean: Array
@@ -44,13 +44,13 @@ class Moments(NamedTuple):
 
     @classmethod
     def of(cls, plan: ChainPlan, mean: Array, cov: Array) -> Moments:
-        """Of arrays with an axis of runs first, (runs, n) and (runs, n, n)."""
+        """Moments from arrays with the runs first, (runs, n) and (runs, n, n)."""
         if not plan.batch:
             return cls(mean[0], cov[0])
         return cls(components_first(mean, 1), components_first(cov, 2))
 
     def held(self, anchor: Anchor, step: int) -> Moments:
-        """The belief held by the reading of an anchor."""
+        """The belief held near a point, by the reading of an anchor."""
         mean, cov = anchor.hold(step, *self.by_run)
         if self.mean.ndim == 1:
             return Moments(mean[0], cov[0], False)
@@ -58,7 +58,7 @@ class Moments(NamedTuple):
 
     @property
     def by_run(self) -> tuple[Array, Array]:
-        """With an axis of runs first, (runs, n) and (runs, n, n)."""
+        """Mean and covariance with the runs first, (runs, n) and (runs, n, n)."""
         if self.mean.ndim == 1:
             return self.mean[None], self.cov[None]
         return components_last(self.mean, 1), components_last(self.cov, 2)
@@ -69,10 +69,10 @@ def update(
 ) -> tuple[Moments, Array | float]:
     """The belief given sightings of a step, and their log-density.
 
-    There may be room for its moments, which is used where that saves a copy.
+    `room` has arrays for its moments, which are used where that saves a copy.
 
-    Several sharp readings of what is hardly known are better taken in one by one, which is equal
-    but for rounding.
+    Where the joint predictive covariance of several readings is nearly singular, as with sharp
+    readings of a wide belief, they are taken in one by one, which is equal but for rounding.
     """
     if not parts:
         return belief, 0.0
@@ -99,9 +99,10 @@ def update(
 def _absorb(
     parts: Sequence[Measured], step: int, belief: Moments, least: float, room: Room | None = None
 ) -> tuple[Moments, Array | float] | None:
-    """Take in sightings as one; None where their joint covariance is too nearly singular.
+    """Take in sightings as one vector; None where its predictive covariance is nearly singular.
 
-    That is told where a component has to have more than the `least` share left, if any.
+    It is where those before a component leave no more than the share `least` of its variance; with
+    a share of zero nothing is.
     """
     mean, cov, _ = belief
     sharp, first = None, parts[0]
@@ -129,7 +130,7 @@ def _absorb(
 
 
 class Reading:
-    """The sightings of one sensor at a step, to be linearised anywhere.
+    """The sightings of one sensor at a step, to be linearised at any belief.
 
     Parameters
     ----------
@@ -159,7 +160,7 @@ class Reading:
     ) -> Measured:
         """Linearise at a belief over the slice; runs that are not active keep what they have.
 
-        Without a copy an array may be one that a function of the user uses again.
+        Without a copy H and the value may be arrays that the user's function uses again.
         """
         sensor, at = self.sensor, self.at
         if not sensor.whole:
@@ -198,7 +199,7 @@ class Reading:
             faults.require_finite(self.sensor.family, function, seen.point, line)
 
     def keep(self) -> None:
-        """Keep how the sightings were linearised, in the plan."""
+        """Keep the linearisation of the sightings in the plan."""
         seen, sensor = self.seen, self.sensor
         if self.at.function is not None:
             noise = seen.noise if self.erroneous else None
@@ -226,7 +227,7 @@ def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
 
 
 def stored(plan: ChainPlan, step: int, mean: Array) -> Vector | None:
-    """The readings of a step as they were linearised, at means (runs, n), as one vector by runs.
+    """The readings of a step, as they were linearised, as one vector at means (runs, n).
 
     None where nothing is read.
     """

@@ -6,7 +6,7 @@ import numpy as np
 
 from pgm.inference.chain import careful_motion
 from pgm.inference.chain.iteration import Point
-from pgm.inference.chain.moments import on_chart
+from pgm.inference.chain.moments import on_chart, turns_far
 from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels.arrays import Array, components_first, components_last
 
@@ -27,7 +27,8 @@ def dead(plan: ChainPlan) -> Point:
                 pair[link.child] = link.family.line(at, parents, parents).value
             else:
                 value = components_first(at.function(components_last(parents, 1)), 1)
-                pair[link.child] = on_chart(link, at, pair, value)
+                turns = link.turning and turns_far(link, pair, value)
+                pair[link.child] = on_chart(link, at, pair, value) if turns else value
         rows[row + 1] = pair[front:]
     return without_spread(plan, mean)
 

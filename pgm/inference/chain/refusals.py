@@ -1,4 +1,4 @@
-"""Beliefs and readings that are refused: who says what is wrong."""
+"""Beliefs and readings that are refused, with the CPD and the step to blame."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
 
 
 def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array) -> None:
-    """Refuse readings, (D, *batch) from values that an exact model has determined already."""
+    """Refuse readings that are (D, *batch) off values which an exact model determines already."""
     sizes = []
     for seen in parts:
         # Numbers of this size are summed up to the expected value.
@@ -63,9 +63,9 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
 
 
 def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
-    """Refuse what is too large, or indefinite, which only a lineariser's error can make it.
+    """Refuse a predicted covariance that the error of a lineariser has made indefinite.
 
-    `finite` says whether the former is looked for.
+    With `finite`, one that is not finite too.
     """
     family = link.family
     if finite and not np.isfinite(cov).all():

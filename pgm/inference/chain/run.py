@@ -47,7 +47,7 @@ def run(
     start: Start | None,
     room: Room | None = None,
 ) -> ChainPosterior:
-    """Send the messages of a filter or smoother; a filter may leave its moments in a room for them.
+    """Send the messages of a filter or smoother; `room` has arrays for the moments of a filter.
 
     Numbers too large for float64 are refused where they end up, so that NumPy need not warn.
     """
@@ -157,7 +157,7 @@ def _carefully(
     schedule: Filtering | FixedLag | Calibration,
     start: Array | None,
 ) -> ChainPosterior:
-    """The same in twice the digits, one step after another."""
+    """`_solve` in twice the digits, one step after another."""
     make = _posterior(graph)
     error: Array | None
     if isinstance(schedule, Filtering):

@@ -96,7 +96,7 @@ class Sensor:
 
     @cached_property
     def plain(self) -> bool:
-        """Whether it reads the whole slice, with some noise."""
+        """Whether it depends on the whole slice, and its noise is regular."""
         return self.whole and not self.exact
 
     @cached_property
@@ -114,7 +114,7 @@ class Sensor:
         return self.family.cpd.child
 
     def turning(self, height: int) -> list[int]:
-        """The places of angles among so many components of sightings."""
+        """The places of angles in stacked sightings of so many components."""
         if not self._angles or height == self.height:
             return self._angles
         return [first + angle for first in range(0, height, self.height) for angle in self._angles]
@@ -211,7 +211,7 @@ class Sensor:
         self.moved[rows] = moved
 
     def reading(self, rows: slice | Integers) -> Seen:
-        """Some rows, for beliefs to be conditioned on."""
+        """Some readings as they are linearised, for passes over all steps at once."""
         family = self.family
         matrix, offset, value = family.matrix[rows], family.offset[rows], self.moved[rows]
         noise, taken = family.noise[rows], self._taken(rows)

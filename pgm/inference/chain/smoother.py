@@ -39,7 +39,7 @@ from pgm.kernels.scan import gather
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A forward sweep, what reverses it, and the smoothed beliefs.
+    """A forward pass, the reversed chain, and the smoothed beliefs.
 
     `paired` says whether neighbours' covariances are wanted where everything is relinearised.
     """
@@ -51,19 +51,19 @@ class Smoothed:
 
     @classmethod
     def of(cls, plan: ChainPlan, ahead: Ahead) -> Smoothed:
-        """Go back."""
+        """The backward pass."""
         reverse = Reverse.make(plan, ahead)
         paired = not plan.layout.single
         return cls(ahead, reverse, backward.smoothed(ahead, reverse), paired)
 
     @property
     def means(self) -> Array:
-        """Of the slices."""
+        """The means of the slices."""
         return self.beliefs.mean
 
     @cached_property
     def point(self) -> Point:
-        """Moments of slices, and of pairs."""
+        """The moments of slices and of pairs, as a point of linearisation."""
         joint = None
         if self.paired:
             joint = backward.pairs(self.beliefs, self.reverse, slice(None)).cov
@@ -85,7 +85,7 @@ _FEW_NUMBERS = 200
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
     """Run a smoothing schedule, first of all going forward step by step.
 
-    Later linearisations, which are given, may be solved for in rounds over all steps.
+    Later linearisations, which are of all steps at once, may be solved for in rounds over these.
 
     Parameters
     ----------
@@ -127,7 +127,8 @@ def carefully(
 ) -> tuple[CarefulSmoothed, Status]:
     """Run a smoothing schedule in twice the digits, going forward step by step.
 
-    Without a start, everything is linearised first by a filter, or along dead reckoning.
+    Without a start, everything is linearised first by a filter, or, where it is to be `reckoned`,
+    along dead reckoning.
     """
     reckoned = reckoned and not plan.exact
     cost.require_cost(schedule, plan.families, first=start is None and not reckoned)
@@ -205,7 +206,7 @@ def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoo
 
 @dataclass(eq=False)
 class Chain(Generic[Either]):
-    """All CPDs of a chain, to be linearised anywhere and solved."""
+    """A chain as a problem to be iterated on: linearised at any point, and solved."""
 
     plan: ChainPlan
     solver: Callable[[ChainPlan, Array, Anchor | None], Either]
@@ -232,7 +233,7 @@ class Chain(Generic[Either]):
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """The same, to be solved for its means alone."""
+    """A chain as such a problem, solved for its means alone."""
 
     chain: Chain[Smoothed]
 
@@ -283,7 +284,7 @@ def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
 
 
 def _start(plan: ChainPlan, start: Array) -> Point:
-    """A start as a point without spread, its angles without whole turns, from the prior's on."""
+    """A start as a point of zero covariance, its angles unwrapped from the prior's on."""
     layout = plan.layout
     angles = angle_mask(layout.slice)
     angles[layout.control_places] = False

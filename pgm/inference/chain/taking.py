@@ -54,7 +54,7 @@ class Component(NamedTuple):
     error : ndarray
         (runs,): the part of S that rounding may have changed.
     blur, drift : ndarray
-        (runs, n): what it may have changed G by, and through it the mean.
+        (runs, n): the change of G that rounding may have made, and of the mean through it.
     """
 
     row: Twofold
@@ -89,7 +89,7 @@ class Belief(NamedTuple):
 
     @classmethod
     def of(cls, mean: Array, cov: Array) -> Belief:
-        """Of moments in float64, (runs, n) and (runs, n, n), whose last digit is rounding."""
+        """A belief of moments (runs, n) and (runs, n, n) in float64: exact to rounding."""
         rounding, drift = _LAST_DIGIT * variances(cov), (_EPS * mean) ** 2
         columns, eye = Twofold(mean[..., None]), np.eye(mean.shape[-1])
         return cls(columns, Twofold(cov), rounding[..., None] * eye, drift[..., None] * eye)
@@ -117,13 +117,13 @@ class Belief(NamedTuple):
         return found
 
     def shifted(self, mean: Array) -> Belief:
-        """With another mean, by so much."""
+        """The belief with its mean moved, by (runs, n)."""
         columns = self.columns.copy()
         columns[..., 0] = columns[..., 0] + mean
         return self._replace(columns=columns)
 
     def certain(self) -> Belief:
-        """With zeros where a variance may be rounding alone."""
+        """The belief with zeros where a variance may be rounding alone."""
         floor = CLEAR * variances(self.rounding)
         open_ = np.abs(variances(self.cov.hi)) > floor
         if open_.all():

@@ -1,6 +1,6 @@
-"""The measurements of a step as one vector: the one place where they are stacked.
+"""The measurements of a step as one vector, as sweeps take them in.
 
-Everything has its components first and the batch last: no axis of one run, one of many.
+Arrays have components first and the batch last, which has no axis for one run and one for many.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A look at the beliefs of many runs as they go by, where not all of them are kept."""
+"""The ratios of the certificate, measured during a sweep of many runs that keeps no predictions."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Watch:
     Attributes
     ----------
     closest : float
-        The smallest share of a variance that the components before it leave open, of the beliefs
-        looked at, and of the variance before a sharp reading: those before and after sharp
-        readings, where variances have grown, and of some steps between.
+        The smallest share of a variance that the components before it leave open, or that a sharp
+        reading leaves. Beliefs are looked at before and after sharp readings, where variances have
+        grown, and at some steps between.
     """
 
     def __init__(self) -> None:

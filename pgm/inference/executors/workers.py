@@ -190,7 +190,8 @@ class Workers:
                 try:
                     done = waiting[0].done()
                 except Exception as error:
-                    raise self._lost([t.runs for t in waiting if t.lost], error) from error
+                    left = [task.runs for task in waiting if task.lost]
+                    raise self._lost(left or [waiting[0].runs], error) from error
                 waiting.popleft()
                 yield done
         finally:
@@ -210,6 +211,7 @@ class Workers:
             f"{error}; a worker may have died, of a function of the model or of too little memory, "
             "or the executor be shut down; other runs' results are lost with them",
             runs=rows,
+            run=rows[0][0],
         )
 
 
