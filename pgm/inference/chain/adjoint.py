@@ -149,7 +149,7 @@ class CarefulSmoothed:
             unknown = careful.unknown if step + lag >= last else careful.to(step + lag)
             mean, cov = moments(each.belief, unknown)
             if not np.isfinite(mean.sum()) or np.isnan(cov.sum()):
-                _refuse(step)
+                _refuse(plan.first + step)
             beliefs.mean[step], beliefs.cov[step] = mean, cov
         return cls(careful, slices, beliefs, plan.layout)
 

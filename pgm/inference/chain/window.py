@@ -194,8 +194,6 @@ def _settled(chain: Chain[Either], schedule: FixedLag) -> Iterated[Either]:
 def _window(
     plan: ChainPlan, ahead: Forward, found: Iterated[Either], careful: CarefulSmoothed | None
 ) -> Window:
-    beliefs, moved = (
-        Beliefs(found.mean, found.solution.beliefs.cov),
-        found.mean - found.solution.means,
-    )
+    solved = found.solution
+    beliefs, moved = Beliefs(found.mean, solved.beliefs.cov), found.mean - solved.means
     return Window(plan, ahead, beliefs, moved, found.residuals, found.converged, careful)
