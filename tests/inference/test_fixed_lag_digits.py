@@ -59,8 +59,11 @@ def due_at(model, t, lag):
     return *joint[(x.at(t),)], joint.log_evidence
 
 
-@pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("iterations", [1, 3])
+@pytest.mark.parametrize(
+    ("name", "iterations"),
+    [(name, 1) for name in CASES]
+    + [(name, 3) for name in ("noise of rank 1", "a start of rank 1", "sharp readings")],
+)
 def test_singular_and_sharp_models(name, iterations):
     linear, lag = rolling(**CASES[name]), 2
     model = rolling(**CASES[name], nonlinear=iterations > 1)
@@ -87,7 +90,7 @@ def test_singular_and_sharp_models(name, iterations):
 
 
 @pytest.mark.parametrize("iterations", [1, 3])
-@pytest.mark.parametrize("lag", [1, 3, 9])
+@pytest.mark.parametrize("lag", [1, 3])
 def test_flat_priors(lag, iterations):
     """Of a component that no reading up to the lag has determined the variance is infinite."""
     wide = rolling(prior=2.0**70 * I2)

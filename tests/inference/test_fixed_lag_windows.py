@@ -16,7 +16,7 @@ z = SIGHT.z
 ROBOT = network(SIGHT.cpd())
 
 
-@pytest.mark.parametrize("lag", [1, 3, 12])
+@pytest.mark.parametrize("lag", [1, 4])
 @pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Cubature()], ids=str)
 def test_no_reading_counts_twice(rule, lag):
     """However often CPDs are linearised: linear functions have one linearisation alone."""

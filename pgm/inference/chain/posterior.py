@@ -87,7 +87,7 @@ class ChainPosterior(Posterior):
 
     @property
     def predicted(self) -> Marginals:
-        """Marginals given the readings before each step."""
+        """Marginals given the readings before each step, as CPDs were linearised last."""
         forward = self._forward
         beliefs = Beliefs(forward.predicted_mean, forward.predicted_cov)
         return self._marginals(beliefs, PREDICTED)
