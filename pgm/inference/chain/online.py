@@ -53,10 +53,8 @@ class OnlineFilter(Immutable):
     schedule : Filtering or FixedLag, optional
         How often readings are linearised; once without. With a `FixedLag`, ``belief.lagged`` is the
         belief at the step a lag before, given everything so far. Without iterations it is found
-        when it is asked for, from what the transitions of the last steps have left. With them, each
-        update settles the window of its step as `FixedLag` says, so that beliefs are those that
-        `infer` finds on recorded readings; a further update takes all readings of the step
-        together. What a belief holds does not grow with time.
+        when it is asked for; with them each update settles the window of its step, taking all
+        readings of the step together, as `infer` does on recorded ones.
 
     Examples
     --------
