@@ -227,7 +227,7 @@ class ClusterGraph(Immutable):
         return graph
 
     def derived(self, make: Callable[..., T], *key: Any) -> T:
-        """What a function makes of this graph and a key, made once.
+        """The result of a function of this graph and a key, made once.
 
         The place of plans that the layers above compile from the structure; the latest are kept.
         """

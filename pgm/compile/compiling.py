@@ -16,7 +16,7 @@ from pgm.sizes import require_memory
 
 
 class Method(Protocol):
-    """What makes a cluster graph of a network without time."""
+    """A method that makes a cluster graph of a network without time."""
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
         """Compile a network."""

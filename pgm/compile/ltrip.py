@@ -80,7 +80,7 @@ def _layers(clusters: Sequence[Scope]) -> dict[Edge, list[Variable]]:
 def _overlaps(
     clusters: Sequence[Scope], holders: dict[Variable, list[int]]
 ) -> dict[Edge, list[Variable]]:
-    """What clusters share, of the pairs that share more than one variable."""
+    """The shared variables of clusters, of pairs that share more than one."""
     members = [set(scope) for scope in clusters]
     found: dict[Edge, list[Variable]] = {}
     for i, scope in enumerate(clusters):

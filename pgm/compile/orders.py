@@ -18,7 +18,7 @@ from pgm.variables import Variable
 
 
 class Order(Protocol):
-    """What names the variables of a network in the order of their elimination."""
+    """A rule that names the variables of a network in the order of their elimination."""
 
     def __call__(self, network: BayesianNetwork) -> Sequence[Variable]:
         """All variables of a network, each once."""

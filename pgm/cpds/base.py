@@ -1,4 +1,4 @@
-"""What all CPDs have in common."""
+"""The base of all CPDs."""
 
 from __future__ import annotations
 
@@ -244,7 +244,7 @@ class CPD(Immutable):
         raise ModelError(f"{self!r} is of a kind that cannot be drawn from", cpd=self)
 
     def _placed(self, step: int) -> dict[str, Any]:
-        """What a copy at a step has in place of the attributes of this one."""
+        """The attributes of a copy at a step that differ from this one's."""
         return {"child": self.child.at(step), "given": tuple(v.at(step) for v in self.given)}
 
     def __repr__(self) -> str:

@@ -46,7 +46,7 @@ class Room:
 
     @classmethod
     def of(cls, memory: float | None, graph: ClusterGraph) -> Room:
-        """What fits in so many bytes; without, `BATCH` and `KEPT`.
+        """Limits that fit in so many bytes; without, `BATCH` and `KEPT`.
 
         Raises
         ------

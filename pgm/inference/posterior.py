@@ -1,4 +1,4 @@
-"""What inference returns, whatever the network."""
+"""The interface of posteriors, of any network."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Posterior(ABC):
     @property
     @abstractmethod
     def log_evidence_kind(self) -> str:
-        """What `log_evidence` is: exact, linearised, laplace or bethe."""
+        """The kind of `log_evidence`: exact, linearised, laplace or bethe."""
 
 
 def require_variable(variable: Variable) -> Variable:

@@ -186,7 +186,7 @@ class FixedLag:
 
 @dataclass(frozen=True)
 class Loopy:
-    """What schedules for any graph, trees or not, have in common.
+    """Schedules for any graph, a tree or not.
 
     Messages are sent until none changes: the beliefs of neighbours then agree. On a tree they are
     exact. On a graph with loops they need not converge; where they do, Gaussian means are exact,

@@ -1,4 +1,4 @@
-"""What the public boundary asks of arrays that users give."""
+"""Checks of arrays that users give, at the public boundary."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from pgm.kernels.arrays import Array, stacked
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """What the windows of a chain have left, each at its newest step.
+    """The results of the windows of a chain, each at its newest step.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ def slid(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 
 class _Record:
-    """What a window leaves as it slides along a chain."""
+    """A record of what windows leave as they slide along a chain."""
 
     def __init__(self, plan: ChainPlan) -> None:
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)

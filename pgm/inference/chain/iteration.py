@@ -106,7 +106,7 @@ class Anchor(NamedTuple):
 
 
 class Solution(Protocol):
-    """What solving a linearised model gives."""
+    """The solution of a linearised model."""
 
     @property
     def means(self) -> Array:

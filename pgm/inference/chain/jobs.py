@@ -25,7 +25,7 @@ from pgm.linearisers import Lineariser
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is wanted of a posterior: beliefs as arrays, or all of it.
+    """The share of a posterior that is wanted: beliefs as arrays, or all of it.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class Job:
 
 
 class Told(NamedTuple):
-    """What is told of a part.
+    """The result of a part of the runs.
 
     Attributes
     ----------

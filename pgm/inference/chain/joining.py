@@ -30,7 +30,7 @@ def joined(
     status: Status,
     found: Sequence[ChainPosterior],
 ) -> ChainPosterior:
-    """What one run of everything would have left."""
+    """The posterior of all runs, as one call for them all leaves it."""
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     return type(found[0])(
         graph,
@@ -64,7 +64,7 @@ def swept_once(
 
 
 def _swept(plan: ChainPlan, found: Sequence[ChainPosterior]) -> Forward:
-    """What the forward sweeps left; the plan is linearised as they were."""
+    """The forward sweeps of the parts as one; the plan is linearised as they were."""
     plans = [each._plan for each in found]
     for family, *families in zip(plan.families, *(p.families for p in plans), strict=True):
         _family(family, families)

@@ -1,4 +1,4 @@
-"""What inference on a chain returns where only some variables were to be kept."""
+"""Posteriors of chains of which only some marginals are kept."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class KeptPosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """What `log_evidence` is: exact, linearised or laplace."""
+        """The kind of `log_evidence`: exact, linearised or laplace."""
         return self._log_evidence_kind
 
     @property

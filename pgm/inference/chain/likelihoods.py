@@ -1,4 +1,4 @@
-"""What the readings of all steps say, at once: about a reference, in information form."""
+"""Likelihoods of the readings of all steps at once, about a reference, in information form."""
 
 from __future__ import annotations
 

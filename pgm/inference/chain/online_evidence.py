@@ -1,4 +1,4 @@
-"""What a user gives for a step online, checked and laid out as evidence of one step."""
+"""Evidence of one step online, checked and laid out."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class Whitened:
         return cls(sensor, reference, white, -0.5 * (roots.log_determinant(lower) + size * LOG_2PI))
 
     def likelihood(self) -> Likelihood:
-        """What all readings of each step say, (T+1, runs, ...)."""
+        """The likelihood of all readings of each step, (T+1, runs, ...)."""
 
         def said(rows: slice, counts: Integers) -> tuple[Array, Array]:
             matrix = self.sensor.family.matrix[rows]
@@ -118,7 +118,7 @@ def distinct(array: Array) -> Array:
 def _by_step(
     sensor: Sensor, part: Callable[[slice, Integers], tuple[Array, ...]]
 ) -> tuple[Array, ...]:
-    """What is made of the readings of each step, (T+1, ...), a chunk of steps at a time.
+    """Arrays made of the readings of each step, (T+1, ...), a chunk of steps at a time.
 
     `part` takes rows of readings, and how many are of each step.
     """
