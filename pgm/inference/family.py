@@ -97,7 +97,7 @@ class Family(Rows):
             made.offset = np.broadcast_to(shift, (rows, runs, height))
         return made
 
-    @property
+    @cached_property
     def shape(self) -> tuple[int, ...]:
         """The shape of `matrix`: rows, runs, d, n."""
         return (*self.noise.shape[:3], dimension(self.hidden))
@@ -131,7 +131,7 @@ class Family(Rows):
     def window(self, first: int, last: int) -> Family:
         """Some of the rows, with views of these arrays; what is linearised is its own."""
         rows, part = slice(first, last), copy(self)
-        for name in ("_known", "_steps"):
+        for name in ("shape", "_known", "_by_row", "_steps"):
             part.__dict__.pop(name, None)
         part.step = self.step[rows]
         part.inputs = {parent: values[rows] for parent, values in self.inputs.items()}
@@ -202,13 +202,13 @@ class Family(Rows):
     def keep(self, at: At, matrix: Array, offset: Array, noise: Array | None) -> None:
         """Keep the linearisation of a step's rows; the noise where it includes an error."""
         first, last = at.first, at.last
-        count, (height, width) = last - first, self.shape[2:]
-        if count == 1 and not self.batch:
+        if last - first == 1 and not self.batch:
             self.matrix[first, 0], self.offset[first, 0] = matrix, offset
             if noise is not None:
                 self.keep_errors()
                 self.noise[first, 0] = noise
             return
+        count, (height, width) = last - first, self.shape[2:]
         shape = (count, height)
         if noise is not None:
             self.keep_errors()

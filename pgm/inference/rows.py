@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -121,21 +121,22 @@ class Rows:
         """Some rows, a step's, to be linearised as one."""
         if self.template is None:
             return self._affine_at(first, last)
-        count = last - first
-        rows: Any = first if count == 1 else slice(first, last)
-        inputs = [None if values is None else values[rows] for values in self._known]
-        if count > 1 and self.batch:
-            inputs = [None if values is None else values.swapaxes(0, 1) for values in inputs]
+        count, lead = last - first, len(self.batch)
+        inputs: Sequence[Array | None]
+        if count == 1:
+            inputs = self._by_row[first]
+        else:
+            inputs = [None if values is None else values[first:last] for values in self._known]
+            if lead:
+                inputs = [None if values is None else values.swapaxes(0, 1) for values in inputs]
+        step, group = self._steps[first], None if count == 1 else count
         function = BoundFunction(
-            self.template,
-            inputs,
-            len(self.batch),
-            self._steps[first],
-            None if count == 1 else count,
-            self.grouped,
-            self.source,
+            self.template, inputs, lead, step, group, self.grouped, self.source
         )
-        return At(function, None, None, self._own(first, last), first, last)
+        noise = self._constant_noise.get(count)
+        if noise is None:
+            noise = self._own(first, last)
+        return At(function, None, None, noise, first, last)
 
     def given(self, step: int, inputs: Sequence[Array], count: int) -> At:
         """The CPD of one run with values of its observed parents, (d,), or (count, d) each."""
@@ -188,6 +189,13 @@ class Rows:
                 values.flags.writeable = False
             found.append(values)
         return found
+
+    @cached_property
+    def _by_row(self) -> list[tuple[Array | None, ...]]:
+        """These values, row by row."""
+        nothing = [None] * self.step.size
+        every = (nothing if values is None else list(values) for values in self._known)
+        return list(zip(*every, strict=True))
 
     @cached_property
     def _steps(self) -> list[int]:

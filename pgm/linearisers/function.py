@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -207,7 +207,8 @@ class BoundFunction(_Bound):
     def __call__(self, x: Array) -> Array:
         """The value, (..., d), at stacked hidden parents x, (..., n)."""
         arguments, shape = self._arguments(x)
-        return _along_runs(self._value(x, arguments, shape), 1)
+        value = self._value(x, arguments, shape)
+        return value if not self.lead else _along_runs(value, 1)
 
     def jacobian(self, x: Array, std: Array | None = None) -> Array:
         """The derivative, (..., d, n), as the user gave it, else by central differences.
@@ -223,24 +224,29 @@ class BoundFunction(_Bound):
 
     def tangent(self, x: Array, std: Array | None = None) -> tuple[Array, Array]:
         """The value and the derivative."""
-        arguments, shape = self._arguments(x)
-        template = self.template
-        if template.derivative is None or self.group is not None:
+        template, inputs, lead, _, group, _, _ = self
+        derivative = template.derivative
+        if derivative is None or group is not None:
+            arguments, shape = self._arguments(x)
             return self._value(x, arguments, shape), self._jacobian(x, std, arguments, shape)
         # Of a single hidden parent the derivative is all of the Jacobian.
+        if lead:
+            arguments, shape = self._arguments(x)
+        else:
+            arguments, shape = [x if value is None else value for value in inputs], ()
         role, function = "function", template.function
         try:
             value = function(*arguments)
-            role, function = template.derivatives[0][0], template.derivative
+            role, function = "derivative", derivative
             slope = function(*arguments)
         except Exception as error:
             raise self._told(role, x).failure(function, arguments, error) from error
         due = (*shape, template.height)
-        if not _is(value, due):
+        if not (type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due):
             value = self._told("function", x).array(template.function, arguments, value, due)
         due = (*due, template.size)
-        if not _is(slope, due):
-            slope = self._told(role, x).array(function, arguments, slope, due)
+        if not (type(slope) is _ARRAY and slope.dtype is _FLOAT and slope.shape == due):
+            slope = self._told("derivative", x).array(derivative, arguments, slope, due)
         return value, slope
 
     def apart(self) -> BoundFunction:
@@ -250,8 +256,7 @@ class BoundFunction(_Bound):
 
     def _value(self, x: Array, arguments: list[Array], shape: tuple[int, ...]) -> Array:
         template = self.template
-        due = (*shape, template.height)
-        value = self._call("function", template.function, x, arguments, due)
+        value = self._call("function", template.function, x, arguments, (*shape, template.height))
         return value if self.group is None else value.reshape(*x.shape[:-1], -1)
 
     def _jacobian(
@@ -281,8 +286,7 @@ class BoundFunction(_Bound):
             if x.ndim == 1:
                 return [x if value is None else value for value in self.inputs], ()
             count = len(x)
-            every = (None if v is None else v[None].repeat(count, 0) for v in self.inputs)
-            return [x if value is None else value for value in every], (count,)
+            return [x if v is None else v[None].repeat(count, 0) for v in self.inputs], (count,)
         lead, shape = self.lead, x.shape[:-1]
         extra = shape[lead:]
         if self.group is not None:
@@ -305,20 +309,17 @@ class BoundFunction(_Bound):
             value = function(*arguments)
         except Exception as error:
             raise self._told(role, x).failure(function, arguments, error) from error
-        if _is(value, due):
+        if type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due:
             return value
         return self._told(role, x).array(function, arguments, value, due)
 
     def _told(self, role: str, x: Array) -> Call:
         source = self.source
+        if role == "derivative":
+            role = self.template.derivatives[0][0]
         step = self.step if source.timed else None
         lead = x.shape[: self.lead]
         return Call(self.template.child, role, lead, step, source.first_run, source.cpd)
-
-
-def _is(value: Any, shape: tuple[int, ...]) -> TypeGuard[Array]:
-    """Whether a value is an array of floats of a shape, and of no subclass."""
-    return type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == shape
 
 
 def _along_runs(array: Array, own: int) -> Array:

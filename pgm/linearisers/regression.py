@@ -5,7 +5,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from math import hypot
+from math import hypot, pi
+from operator import mul
 from typing import NamedTuple, NoReturn
 
 import numpy as np
@@ -136,23 +137,25 @@ class _Regression:
 
     def __init__(self, rule: StatisticalRegression, template: FunctionTemplate) -> None:
         self.rule, self.size, self.name = rule, template.size, template.child.name
+        self.fresh, self.prior_moments = rule.fresh_per_run, rule.prior_moments
 
     def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
         """Linearise at beliefs (n, *batch) and (n, n, *batch)."""
         rule, step = self.rule, function.step
-        if rule.fresh_per_run:
+        if self.fresh:
             if function.group is not None and not function.joint:
                 return apart(self, function, mean, cov)
             step = np.broadcast_to(0 if step is None else step, mean.shape[1:])
         points = rule.points(self.size, self.name, step)
         s = points.points
-        shared = s.ndim == 2 and len(s) <= FEW and not rule.prior_moments
+        shared = s.ndim == 2 and len(s) <= FEW and not self.prior_moments
         lower = gaussian.root(cov) if shared else None
         if lower is None:
             line = self._generally(function, mean, cov, points)
+        elif mean.ndim > 1:
+            line = _fitted(function, mean, cov, points, lower)
         else:
-            fitted = _fitted if mean.ndim > 1 else _fitted_one
-            line = fitted(function, mean, cov, points, lower)
+            line = _fitted_one(function, mean, cov, points, lower)
         if function.group is None or function.joint:
             return line
         return line._replace(error=_within(line.error, function.group))
@@ -206,9 +209,9 @@ def _fitted_one(
     x += mean
     values = function(x)
     reference = values[0]
-    raw = values[extra:] - reference
+    raw = (values[1:] if extra else values) - reference
     # Few numbers are compared more quickly one by one.
-    if any(abs(value) > np.pi for k in turning for value in raw[:, k].tolist()):
+    if any(max(map(abs, raw[:, k].tolist())) > pi for k in turning):
         slopes, offsets = function.jacobian(mean, gaussian.deviations(cov)), x[extra:] - mean
         for k in turning:
             raw[:, k] = _about(raw[:, k], offsets.dot(slopes[k]), axis=0)
@@ -318,11 +321,13 @@ def _clear_rounding(
         for k, (variance, size) in enumerate(zip(noise.diagonal().tolist(), sizes, strict=True)):
             if variance > _PLAIN * size * size:
                 continue
-            numbers = zip(matrix[k].tolist(), mean.tolist(), strict=True)
-            summands = abs(reference.item(k)) + sum(abs(f * m) for f, m in numbers)
-            summands += max(map(abs, raw[k].tolist()), default=0.0)
-            if not abs(variance) > (share * summands) ** 2:  # weights may be negative
-                noise[k], noise[:, k] = 0.0, 0.0
+            summands, variance = abs(reference.item(k)), abs(variance)  # weights may be negative
+            if variance > (share * summands) ** 2:
+                summands += sum(map(abs, map(mul, matrix[k].tolist(), mean.tolist())))
+                summands += max(map(abs, raw[k].tolist()), default=0.0)
+                if variance > (share * summands) ** 2:
+                    continue
+            noise[k], noise[:, k] = 0.0, 0.0
         return
     for k in range(len(noise)):
         square = reference[k] ** 2 + np.einsum("j...,j...->...", slope[k], slope[k])

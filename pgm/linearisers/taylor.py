@@ -22,8 +22,8 @@ class Taylor(Builtin):
     """
 
     def prepare(self, template: FunctionTemplate) -> Prepared:
-        """The formula, which needs no preparation."""
-        return _tangent
+        """The formula, with the deviations that set the steps of differences where it takes any."""
+        return _numerical if template.numerical else _analytic
 
     @staticmethod
     def needs_cov(template: FunctionTemplate) -> bool:
@@ -31,18 +31,27 @@ class Taylor(Builtin):
         return bool(template.numerical)
 
 
-def _tangent(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    x, std = components_last(mean, 1), None
-    if not function.analytic:
-        std = components_last(deviations(cov), 1)
+def _analytic(function: BoundFunction, mean: Array, cov: Array) -> Line:
+    if mean.ndim == 1 and isinstance(function, BoundFunction):
+        value, slope = function.tangent(mean)
+        return Line(slope, value, None)
+    return _tangent(function, mean, None)
+
+
+def _numerical(function: BoundFunction, mean: Array, cov: Array) -> Line:
+    return _tangent(function, mean, components_last(deviations(cov), 1))
+
+
+def _tangent(function: BoundFunction, mean: Array, std: Array | None) -> Line:
+    x = components_last(mean, 1)
     if isinstance(function, BoundFunction):
         value, slope = function.tangent(x, std)
-    else:  # a user's own, in its place
+    else:  # one of the user's own, which stands in for it
         value, slope = function(x), function.jacobian(x, std)
-    if mean.ndim == 1:
-        return Line(slope, value, None)
-    slope, value = components_first(slope, 2), components_first(value, 1)
-    return Line(np.ascontiguousarray(slope), np.ascontiguousarray(value), None)
+    if mean.ndim > 1:
+        value = np.ascontiguousarray(components_first(value, 1))
+        slope = np.ascontiguousarray(components_first(slope, 2))
+    return Line(slope, value, None)
 
 
 # The default of everything that takes a lineariser.

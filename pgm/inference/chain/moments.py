@@ -93,8 +93,7 @@ class MomentChain:
 
     def predict(self, step: int, belief: Moments) -> Moments:
         """The slice of a step, from that of the step before."""
-        number = int(self.plan.transition[0].family.step[step - 1])
-        return self.predicted(self.motion(step), number, belief)
+        return self.predicted(self.motion(step), self.plan.first + step, belief)
 
     def take(self, step: int, belief: Moments) -> tuple[Moments, Array | float]:
         """The belief given the readings of its step."""

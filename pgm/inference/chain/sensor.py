@@ -145,17 +145,25 @@ class Sensor:
         first, last = self.bounds[step], self.bounds[step + 1]
         if first == last:
             return None
-        taken = self._taken(slice(first, last))
+        taken = None if self.taken is None else self._taken(slice(first, last))
         flat = None if taken is None else self._flat(taken)
+        family = self.family
         if not stored:
-            return self.family.at(first, last), self._flat(self.values[first:last]), flat
-        at = self.family.stored_at(first, last)
+            if last - first == 1 and not family.batch:
+                return family.at(first, last), self._by_row[first], flat
+            return family.at(first, last), self._flat(self.values[first:last]), flat
+        at = family.stored_at(first, last)
         cross = self.cross.get(step)
         if cross is not None:
             at = at._replace(
-                noise=at.noise + (components_first(cross, 2) if self.family.batch else cross[0])
+                noise=at.noise + (components_first(cross, 2) if family.batch else cross[0])
             )
         return at, self._flat(self.moved[first:last]), flat
+
+    @cached_property
+    def _by_row(self) -> list[Array]:
+        """The values of each row, (d,), of one run."""
+        return list(self.values[:, 0])
 
     def _flat(self, rows: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
         """Some rows (k, runs or 1, d) as one vector, (k d, *batch)."""
@@ -166,7 +174,9 @@ class Sensor:
     def keep(self, at: At, reading: Array, noise: Array | None) -> None:
         """Keep where angles were moved to, and the covariances between sightings' errors."""
         count, height = at.last - at.first, self.height
-        if self._angles:
+        if self._angles and count == 1 and not self.family.batch:
+            self.moved[at.first, 0] = reading
+        elif self._angles:
             wide = reading.reshape(count, height, *(reading.shape[1:] or (1,)))
             self.moved[at.first : at.last] = wide.transpose(0, 2, 1)
         if noise is None or count == 1 or not self.grouped:
@@ -184,6 +194,7 @@ class Sensor:
         """
         begin = self.bounds[first + after]
         rows, part = slice(begin, self.bounds[last + 1]), copy(self)
+        part.__dict__.pop("_by_row", None)
         part.family = self.family.window(rows.start, rows.stop)
         part.order = self.order[rows]
         part.values, part.moved = self.values[rows], self.moved[rows].copy("K")
