@@ -132,21 +132,28 @@ class Wrapped:
         batch = mean.shape[1:]
         if not isinstance(found, AffineGaussian):
             raise Misfit(f"returned {type(found).__name__}", "it must return a pgm.AffineGaussian")
-        matrix, offset, error = found.F, found.b, found.cov
+        matrix, offset = found.F, found.b
+        error = found.cov if np.count_nonzero(found.cov) else None
         due = (function.template.height * (function.group or 1), len(mean))
         if matrix.shape[-2:] != due:
             raise Misfit(f"returned an F of shape {matrix.shape}", f"it must end in {due}")
-        if matrix.ndim != 2 or offset.ndim != 1 or error.ndim != 2:
-            lead = np.broadcast_shapes(matrix.shape[:-2], offset.shape[:-1], error.shape[:-2])
+        if matrix.ndim != 2 or offset.ndim != 1 or found.cov.ndim != 2:
+            lead = np.broadcast_shapes(matrix.shape[:-2], offset.shape[:-1], found.cov.shape[:-2])
             if lead not in ((), batch):
                 raise Misfit(f"returned the leading axes {lead}", f"the belief has {batch}")
         if batch:
-            matrix = components_first(np.broadcast_to(matrix, (*batch, *due)), 2)
-            offset = components_first(np.broadcast_to(offset, (*batch, *due[:1])), 1)
-            error = components_first(np.broadcast_to(error, (*batch, *due[:1], *due[:1])), 2)
+            matrix, offset = _over(batch, matrix, 2), _over(batch, offset, 1)
+            error = None if error is None else _over(batch, error, 2)
         value = times(matrix, mean)
         value += offset
-        return Line(matrix, value, error if error.any() else None)
+        return Line(matrix, value, error)
+
+
+def _over(batch: tuple[int, ...], array: Array, own: int) -> Array:
+    """An array (*batch or nothing, own axes) as (own axes, *batch)."""
+    if array.ndim != own + len(batch) or array.shape[:-own] != batch:
+        array = np.broadcast_to(array, (*batch, *array.shape[-own:]))
+    return components_first(array, own)
 
 
 class _Checked:
