@@ -76,10 +76,11 @@ def update(
     """
     if not parts:
         return belief, 0.0
-    if len(parts) == 1 and parts[0].plain and belief.mean.ndim == 1:
+    first, mean = parts[0], belief.mean
+    if mean.ndim == 1 and len(parts) == 1 and first.taken is None and not first.sensor.exact:
         # A regular reading of one run, the usual case.
-        seen, (mean, cov, _) = parts[0], belief
-        one = gaussian.update_one(mean, cov, seen.matrix, seen.residual(mean), seen.noise)
+        matrix, residual, noise, _ = vector(parts, mean)
+        one = gaussian.update_one(mean, belief.cov, matrix, residual, noise)
         if one is not None and isfinite(one[2]):
             return Moments(one[0], one[1], False), one[2]
     several = len(parts) > 1 or len(parts[0].value) > parts[0].sensor.height

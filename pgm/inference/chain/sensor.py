@@ -95,11 +95,6 @@ class Sensor:
         return self.variable.dimension
 
     @cached_property
-    def plain(self) -> bool:
-        """Whether it depends on the whole slice, and its noise is regular."""
-        return self.whole and not self.exact
-
-    @cached_property
     def exact(self) -> bool:
         """Whether the noise of some reading is singular."""
         return bool(roots.determined(roots.root(self.family.own_noise)).any())

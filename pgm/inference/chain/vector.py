@@ -43,11 +43,6 @@ class Measured(NamedTuple):
     offset: Array | None
 
     @property
-    def plain(self) -> bool:
-        """Whether all components of the whole slice are read with some noise."""
-        return self.taken is None and self.sensor.plain
-
-    @property
     def constant(self) -> Array:
         """The b of E[z] = H x + b."""
         if self.offset is not None:
@@ -111,8 +106,13 @@ class Vector(NamedTuple):
 
 def vector(parts: Sequence[Measured], mean: Array) -> Vector:
     """Sightings as one vector, at a belief over the slice of mean (n, *batch)."""
-    if len(parts) == 1 and parts[0].sensor.whole:
-        return _masked(parts[0], mean)
+    if len(parts) == 1:
+        only, sensor = _masked(parts[0], mean), parts[0].sensor
+        if sensor.whole:
+            return only
+        wide = np.zeros((len(only.residual), len(mean), *only.matrix.shape[2:]))
+        wide[:, sensor.parents] = only.matrix
+        return Vector(wide, only.residual, only.noise, only.missing)
     size, batch = len(mean), mean.shape[1:]
     found = [_masked(seen, mean) for seen in parts]
     lost = [each.missing for each in found if each.missing is not None]
