@@ -48,7 +48,7 @@ Some = int | slice
 class Family(Rows):
     """A CPD at its rows, and its linearisation there.
 
-    A family is a child with its parents here; families of beliefs are in `chain.protocol`.
+    A family is a child with its parents here; families of beliefs are in `chain.sweep`.
 
     Attributes
     ----------

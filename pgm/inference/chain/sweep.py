@@ -1,10 +1,51 @@
-"""Sweeps along a chain of slices, forward and back, for any family of beliefs."""
+"""Sweeps along a chain of slices, and the chain families that they carry.
+
+A family is a kind of belief. It says how a belief starts, is predicted, takes the measurements of a
+step, and flows back; a sweep knows nothing else. Moments of Gaussians are one family, tables are
+another.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Protocol, TypeVar
 
-from pgm.inference.chain.protocol import B, Backwards, Onwards, Record
+from pgm.kernels.arrays import Array
+
+B = TypeVar("B")
+C = TypeVar("C", contravariant=True)
+
+
+class Onwards(Protocol[B]):
+    """The forward half of a family: messages from cluster 0 to cluster T."""
+
+    def start(self) -> B:
+        """The belief over the slice at step 0, before its measurements."""
+        ...
+
+    def predict(self, step: int, belief: B) -> B:
+        """The belief over the slice of a step, from that of the step before."""
+        ...
+
+    def take(self, step: int, belief: B) -> tuple[B, Array | float]:
+        """The belief given the measurements of its step, and their log-density, (*runs)."""
+        ...
+
+
+class Record(Protocol[C]):
+    """Where a forward sweep leaves its beliefs."""
+
+    def keep(self, step: int, predicted: C, known: C, log_density: Array | float) -> None:
+        """Keep a step: its beliefs before and after its measurements, and their log-density."""
+        ...
+
+
+class Backwards(Protocol[B]):
+    """A reversed chain: the model of the past given the future, for the same evidence."""
+
+    def back(self, step: int, belief: B) -> B:
+        """The belief over the slice of a step given all evidence, from that of the step after."""
+        ...
 
 
 def forward(family: Onwards[B], steps: int, record: Record[B]) -> None:
