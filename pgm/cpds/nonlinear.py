@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds.conditional import ConditionalGaussian
@@ -111,4 +113,13 @@ class NonlinearGaussianCPD(ConditionalGaussian):
             hidden=hidden,
             function=self.function,
             jacobians=tuple(self.jacobian.get(parent) for parent in self.given),
+            variances=self._variances,
         )
+
+    @cached_property
+    def _variances(self) -> tuple[float, ...]:
+        """The least variance of each component's own noise; zero where evidence sets it."""
+        if isinstance(self.cov, Noise):
+            return (0.0,) * self.child.dimension
+        each = np.diagonal(self.cov, axis1=-2, axis2=-1).reshape(-1, self.child.dimension)
+        return tuple(each.min(axis=0).tolist())

@@ -39,6 +39,8 @@ class FunctionTemplate:
         ``function(*given)``.
     jacobians : tuple of callable or None
         The derivative by each parent, where one was given.
+    variances : tuple of float
+        The least variance of each component's own noise; zero where it is not known beforehand.
     """
 
     child: Variable
@@ -46,6 +48,7 @@ class FunctionTemplate:
     hidden: Scope
     function: Function
     jacobians: tuple[Function | None, ...]
+    variances: tuple[float, ...]
 
     @cached_property
     def angles(self) -> Mask:

@@ -88,7 +88,8 @@ class StatisticalRegression(Builtin):
     means, and the covariance is that of what the line leaves, Σ w r rᵀ. In directions in which P
     is zero F takes the limit P → 0, the Jacobian at μ. Angles of y are averaged as the value at
     the centre plus the mean of offsets, wrapped about the tangent where they exceed half a turn.
-    The covariance is zero in components in which what the line leaves may be rounding.
+    The covariance is zero in components in which what the line leaves may be rounding, unless their
+    own noise is far above it.
 
     A subclass gives `points`, and may say that they are fresh for each run, or that moments of x
     are the belief's own.
@@ -195,7 +196,7 @@ class _Regression:
             noise = np.array(noise)
             known = components_first(slope, 2), components_first(reference, 1)
             values = components_first(raw, 2).swapaxes(0, 1)
-            _clear_rounding(noise, *known, values, matrix, mean, points.rounding)
+            _clear_rounding(function, noise, *known, values, matrix, mean, points.rounding)
         return Line(matrix, value, noise)
 
 
@@ -221,7 +222,7 @@ def _fitted_one(
     noise = (left if signs is None else signs[:, None] * left).T.dot(left)
     slope, value = found[1:first].T, reference + found[0]
     matrix = gaussian.divide(slope, lower)
-    _clear_rounding(noise, slope, reference, raw.T, matrix, mean, points.rounding)
+    _clear_rounding(function, noise, slope, reference, raw.T, matrix, mean, points.rounding)
     return Line(matrix, value, noise)
 
 
@@ -249,7 +250,7 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
     noise = np.einsum("ikr,jkr->ijr", left if signs is None else signs[:, None] * left, left)
     slope, value = found[:, 1:first], reference + found[:, 0]
     matrix = gaussian.divide(slope, lower)
-    _clear_rounding(noise, slope, reference, raw, matrix, mean, points.rounding)
+    _clear_rounding(function, noise, slope, reference, raw, matrix, mean, points.rounding)
     if len(batch) < 2:
         return Line(matrix, value, noise)
     return Line(*(part.reshape(*part.shape[:-1], *batch) for part in (matrix, value, noise)))
@@ -291,6 +292,7 @@ def _refuse(function: BoundFunction, cov: Array) -> NoReturn:
 
 
 def _clear_rounding(
+    function: BoundFunction,
     noise: Array,
     slope: Array,
     reference: Array,
@@ -302,10 +304,12 @@ def _clear_rounding(
     """Make the error of a line zero in components in which it may be rounding of the values.
 
     Of values that lie on their line the slope and one of them tell the size. A value has summands
-    of |F| |μ| besides, of which it may be the difference.
+    of |F| |μ| besides, of which it may be the difference. Rounding that is far below a component's
+    own noise may stay.
 
     Parameters
     ----------
+    function : BoundFunction
     noise, slope, reference : ndarray
         The error (d, d, *batch), the slope J (d, n, *batch) and a value (d, *batch).
     raw : ndarray
@@ -315,11 +319,13 @@ def _clear_rounding(
     share : float
         As `Points.rounding`.
     """
+    own = function.template.variances * (function.group or 1)
     if noise.ndim == 2:
         # Few numbers are compared more quickly one by one.
         sizes = map(hypot, reference.tolist(), *slope.T.tolist())
-        for k, (variance, size) in enumerate(zip(noise.diagonal().tolist(), sizes, strict=True)):
-            if variance > _PLAIN * size * size:
+        variances = noise.diagonal().tolist()
+        for k, (variance, least, size) in enumerate(zip(variances, own, sizes, strict=True)):
+            if variance + least > _PLAIN * size * size:
                 continue
             summands, variance = abs(reference.item(k)), abs(variance)  # weights may be negative
             if variance > (share * summands) ** 2:
@@ -329,14 +335,22 @@ def _clear_rounding(
                     continue
             noise[k], noise[:, k] = 0.0, 0.0
         return
-    for k in range(len(noise)):
-        square = reference[k] ** 2 + np.einsum("j...,j...->...", slope[k], slope[k])
-        if (noise[k, k] > _PLAIN * square).all():
+    runs = tuple(range(1, reference.ndim))
+    variances = np.einsum("kk...->k...", noise).min(axis=runs, initial=np.inf).tolist()
+    values = np.abs(reference).max(axis=runs, initial=0.0).tolist()
+    slopes = np.abs(slope).max(axis=tuple(range(1, slope.ndim)), initial=0.0).tolist()
+    every = zip(variances, own, values, slopes, strict=True)
+    for k, (variance, least, value, most) in enumerate(every):
+        if variance + least > _PLAIN * (value * value + len(mean) * most * most):
             continue
-        summands = np.abs(reference[k]) + np.abs(raw[k]).max(axis=0, initial=0.0)
-        summands += np.einsum("j...,j...->...", np.abs(matrix[k]), np.abs(mean))
+        summands = np.abs(reference[k]) + np.maximum(raw[k].max(axis=0), -raw[k].min(axis=0))
         real = np.abs(noise[k, k]) > (share * summands) ** 2
-        if not real.all():
+        if real.any():
+            summands += np.einsum("j...,j...->...", np.abs(matrix[k]), np.abs(mean))
+            real = np.abs(noise[k, k]) > (share * summands) ** 2
+        if not real.any():
+            noise[k], noise[:, k] = 0.0, 0.0
+        elif not real.all():
             noise[k], noise[:, k] = np.where(real, noise[k], 0.0), np.where(real, noise[:, k], 0.0)
 
 
