@@ -148,8 +148,11 @@ def extend(
 
     The joint's covariance must be zero where its components are not yet written.
     """
-    rows = cov[parents]
     mean[child] = value
+    if not matrix.shape[1]:
+        cov[child, child] = noise
+        return
+    rows = cov[parents]
     cross = matrix.dot(rows) if cov.ndim == 2 else np.einsum("ijr,jkr->ikr", matrix, rows)
     own = predict(rows[:, parents], matrix, noise, bare)
     for i in bare:
