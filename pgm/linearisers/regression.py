@@ -232,8 +232,9 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
     if len(batch) > 1:
         mean, lower = mean.reshape(len(mean), -1), lower.reshape(*lower.shape[:2], -1)
     extra = int(bool(function.turning) and not points.centred)
-    offsets = np.matmul(points.with_centre if extra else points.points, lower)
-    values = _values(function, offsets + mean[:, None], batch)
+    x = np.matmul(points.with_centre if extra else points.points, lower)
+    x += mean[:, None]
+    values = _values(function, x, batch)
     reference = values[:, 0]
     # Functions interleave components: along rows of runs all that follows goes faster.
     raw = np.subtract(values[:, extra:], reference[:, None], order="C")
@@ -241,8 +242,9 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
         at = components_last(mean.reshape(-1, *batch), 1)
         slopes = function.jacobian(at, components_last(gaussian.deviations(cov), 1))
         slopes = components_first(slopes, 2).reshape(-1, *mean.shape)
+        offsets = x[:, extra:] - mean[:, None]
         for k in function.turning:
-            line = np.einsum("ir,iNr->Nr", slopes[k], offsets[:, extra:])
+            line = np.einsum("ir,iNr->Nr", slopes[k], offsets)
             raw[k] = _about(raw[k], line, axis=0)
     rows, signs = points.fit
     found, first = rows @ raw, 1 + len(mean)
