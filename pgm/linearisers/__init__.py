@@ -1,7 +1,7 @@
 """Linearisers: what turns a nonlinear CPD into an affine Gaussian one at a belief."""
 
 from pgm.linearisers.function import BoundFunction, FunctionTemplate
-from pgm.linearisers.lineariser import ArrayLineariser, Line, Lineariser, Prepared
+from pgm.linearisers.lineariser import ArrayLineariser, Line, Lineariser, Prepared, apart
 from pgm.linearisers.regression import Points, StatisticalRegression
 from pgm.linearisers.rules import Cubature, GaussHermite, Unscented
 from pgm.linearisers.sampled import MonteCarlo, QuasiMonteCarlo
@@ -23,4 +23,5 @@ __all__ = [
     "StatisticalRegression",
     "Taylor",
     "Unscented",
+    "apart",
 ]

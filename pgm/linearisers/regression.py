@@ -25,7 +25,7 @@ from pgm.kernels.arrays import (
 )
 from pgm.kernels.regression import Fit, range_inverse, regress
 from pgm.linearisers.function import BoundFunction, FunctionTemplate
-from pgm.linearisers.lineariser import Builtin, Line, Prepared, apart
+from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared, apart
 from pgm.sizes import require_memory
 
 # An error of a larger share of a value's square is none of rounding.
@@ -80,7 +80,7 @@ class Points(_Points):
 
 
 @dataclass(frozen=True)
-class StatisticalRegression(Builtin):
+class StatisticalRegression(ArrayLineariser):
     """Linear regression of a function on sigma points: a rule is only points and weights.
 
     With points X = μ + L s for a root P = L Lᵀ, values Y, and weights: the mean of y is

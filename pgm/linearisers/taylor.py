@@ -9,11 +9,11 @@ import numpy as np
 from pgm.kernels.arrays import Array, components_first, components_last
 from pgm.kernels.gaussian import deviations
 from pgm.linearisers.function import BoundFunction, FunctionTemplate
-from pgm.linearisers.lineariser import Builtin, Line, Prepared
+from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared
 
 
 @dataclass(frozen=True)
-class Taylor(Builtin):
+class Taylor(ArrayLineariser):
     """First-order Taylor expansion at the mean: F = f'(μ), b = f(μ) − F μ.
 
     Uses the Jacobians given with the CPD, fourth-order central differences for the others. With
