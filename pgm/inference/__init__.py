@@ -2,8 +2,7 @@
 
 from pgm.inference.audit import Audit, audit
 from pgm.inference.chain.innovations import Innovations
-from pgm.inference.chain.kept import KeptPosterior
-from pgm.inference.chain.marginals import Marginals
+from pgm.inference.chain.marginals import KeptPosterior, Marginals
 from pgm.inference.chain.online import OnlineFilter
 from pgm.inference.chain.online_belief import OnlineBelief
 from pgm.inference.chain.posterior import ChainPosterior

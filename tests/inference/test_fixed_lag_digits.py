@@ -8,7 +8,7 @@ from robots import x as pose
 from textbooks import assert_belief, assert_covs, assert_log, assert_means, exact_linear
 
 import pgm
-from pgm.inference.chain import window
+from pgm.inference.chain import fixed_lag
 
 x = pgm.Variable("x", components=("place", "speed"))
 z = pgm.Variable("z")
@@ -133,8 +133,8 @@ def test_twice_the_digits_are_the_same_where_float64_has_enough(damping, monkeyp
     model = network(SENSORS["range_bearing"].cpd())
     call = {"lag": 2, "iterations": 4, "tolerance": 0.0, "damping": damping}
     plain = pgm.smooth(model, sighted(runs=2, steps=6), **call)
-    monkeypatch.setattr(window.certificate, "suffices", lambda *_: False)
-    monkeypatch.setattr(window.certificate, "is_ordinary", lambda *_: False)
+    monkeypatch.setattr(fixed_lag.certificate, "suffices", lambda *_: False)
+    monkeypatch.setattr(fixed_lag.certificate, "is_ordinary", lambda *_: False)
     careful = pgm.smooth(model, sighted(runs=2, steps=6), **call)
     assert plain.status.digits is None
     assert (careful.status.digits > 15).all()

@@ -32,7 +32,7 @@ def noticed(monkeypatch):
             found.append((part.runs.start, part.runs.stop))
             yield part
 
-    monkeypatch.setattr("pgm.inference.chain.keeping.split", split)
+    monkeypatch.setattr("pgm.inference.chain.in_parts.split", split)
     return found
 
 

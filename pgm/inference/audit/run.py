@@ -12,7 +12,7 @@ from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.innovations import checks
 from pgm.inference.audit.result import Audit
 from pgm.inference.audit.tree import TreeDraws
-from pgm.inference.chain.kept import KeptPosterior
+from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs

@@ -29,7 +29,7 @@ from pgm.compile import SliceLayout
 from pgm.errors import NumericalError
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.careful import Careful, Step
-from pgm.inference.chain.flat import moments
+from pgm.inference.chain.certificate import moments
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.taking import (

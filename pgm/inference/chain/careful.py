@@ -27,7 +27,7 @@ import numpy as np
 from pgm.errors import NumericalError
 from pgm.inference.chain import careful_motion as motion
 from pgm.inference.chain.careful_motion import proper
-from pgm.inference.chain.flat import Solved, moments, solved
+from pgm.inference.chain.certificate import Solved, moments, solved
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Point
 from pgm.inference.chain.moments import MomentChain, largest

@@ -14,7 +14,7 @@ from pgm.errors import EvidenceError
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
-from pgm.inference.chain.stacks import stacks
+from pgm.inference.chain.vector import stacks
 from pgm.inference.posterior import require_variable
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, block, independent, inner, sandwich

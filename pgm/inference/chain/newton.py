@@ -11,12 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.chain import segments
+from pgm.inference.chain import parallel
 from pgm.inference.chain.iteration import Point
-from pgm.inference.chain.likelihoods import Readings
+from pgm.inference.chain.likelihoods import Readings, distinct
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.whitened import distinct
 from pgm.kernels import banded, canonical, roots
 from pgm.kernels.arrays import Array, apply, block, multiply, transpose
 from pgm.kernels.banded import System
@@ -79,7 +78,7 @@ def _equations(plan: ChainPlan, readings: Readings) -> System | None:
     mean, cov = MomentChain(plan, None).start().by_run
     mean, cov = mean[:, states], block(cov, states, states)
     lower = canonical.strict_root(cov)
-    matrix, offset, noise = segments.about(segments.steps(plan), readings.reference)
+    matrix, offset, noise = parallel.about(parallel.steps(plan), readings.reference)
     noise_lower = canonical.strict_root(distinct(noise))
     if not (roots.is_proper(lower) and roots.is_proper(noise_lower)):
         return None

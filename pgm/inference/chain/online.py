@@ -13,14 +13,12 @@ from pgm.compile import compile
 from pgm.errors import ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
-from pgm.inference.chain import online_careful, online_evidence
+from pgm.inference.chain import online_belief, online_evidence
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
-from pgm.inference.chain.online_belief import OnlineBelief
-from pgm.inference.chain.online_careful import REGULAR, CarefulBelief
-from pgm.inference.chain.online_layouts import Layouts
-from pgm.inference.chain.online_trail import Passed, Trail, trailing
-from pgm.inference.chain.online_window import Sliding
+from pgm.inference.chain.online_belief import REGULAR, CarefulBelief, OnlineBelief
+from pgm.inference.chain.online_evidence import Layouts
+from pgm.inference.chain.online_window import Passed, Sliding, Trail, trailing
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.kind import FILTERED, PREDICTED, Kind
@@ -139,7 +137,7 @@ class OnlineFilter(Immutable):
         log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
         if gaussian.is_regular(found.cov, found.cov, REGULAR):
             return _belief(plan, 0, found, log_evidence, status, PREDICTED, self._behind)
-        carried = online_careful.first(plan)
+        carried = online_belief.first(plan)
         return _carried(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
 
     @_quiet
@@ -192,7 +190,7 @@ class OnlineFilter(Immutable):
                     behind = behind.on(Passed(plan, known, found))
                 return _belief(plan, step, found, log_evidence, status, PREDICTED, behind)
         plan = self._ahead(belief, inputs)
-        carried = online_careful.predict(plan, step, _careful(belief, plan))
+        carried = online_belief.predict(plan, step, _careful(belief, plan))
         log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
         status = _nothing_to_iterate(plan.lead)
         behind = None if behind is None else behind.on(None)
@@ -234,7 +232,7 @@ class OnlineFilter(Immutable):
                 return ordinary
         plan = self._seen(belief, readings)
         known = _careful(belief, plan)
-        found, taken = online_careful.update(plan, belief.step, known, self._filtering)
+        found, taken = online_belief.update(plan, belief.step, known, self._filtering)
         log_density = taken.solution.log_density.reshape(plan.lead)
         log_evidence = np.asarray(belief.log_evidence + log_density)
         status = Status.of(taken.residuals, taken.converged, plan.lead)
@@ -353,7 +351,7 @@ def _careful(belief: OnlineBelief, plan: ChainPlan) -> CarefulBelief:
     """A belief in twice the digits, for the runs of a plan."""
     if belief.careful is not None:
         return belief.careful.over(belief.lead, plan.lead)
-    return online_careful.beginning(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
+    return online_belief.beginning(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
 
 
 def _carried(

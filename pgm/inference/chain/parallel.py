@@ -1,4 +1,7 @@
-"""Both passes over a chain as scans: 2 log₂ T rounds each, every round one batched call."""
+"""Both passes over a chain as scans: 2 log₂ T rounds each, every round one batched call.
+
+Steps are elements, each a transition with the readings at its end, and segments are compositions.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +12,19 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.errors import NumericalError
-from pgm.inference.chain import certificate, forward, newton, segments
-from pgm.inference.chain.backward import Ahead
+from pgm.inference.chain import certificate, forward, newton
+from pgm.inference.chain.backward import Ahead, absorb_readings, transition
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.likelihoods import Readings, know
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.vector import Stack
 from pgm.inference.schedule import ONCE
 from pgm.kernels import conditionals, elements, moments
 from pgm.kernels.arrays import Array, apply, deviation, room
 from pgm.kernels.conditionals import Map, Moments, Value
-from pgm.kernels.elements import Belief
+from pgm.kernels.elements import Belief, Element, Likelihood
 from pgm.kernels.moments import Conditional
 from pgm.kernels.scan import gather, in_chunks, levels, prefixes, take
 
@@ -80,7 +84,7 @@ def filtered(
         The readings of the plan about the reference, where they are known.
     """
     readings = Readings.of(plan, reference) if readings is None else readings
-    found = _solve(plan, segments.steps(plan), _first(plan, anchor), readings, anchor)
+    found = _solve(plan, steps(plan), _first(plan, anchor), readings, anchor)
     return found if found.agrees else forward.stored(plan, anchor)
 
 
@@ -91,7 +95,7 @@ def run(plan: ChainPlan) -> Ahead:
     angle's reading to another branch than the prediction does, the pass is repeated about the means
     that it found; and where that does not end soon, it goes step by step.
     """
-    moves = segments.steps(plan)
+    moves = steps(plan)
     reference = _guess(plan, moves)
     first = _first(plan, None)
     for _ in range(_TRIES):
@@ -149,14 +153,14 @@ def _solve(
     plan: ChainPlan, moves: Conditional, first: _First, readings: Readings, anchor: Anchor | None
 ) -> Scanned:
     reference = readings.reference
-    near = segments.about(moves, reference)
+    near = about(moves, reference)
     known = _from(first.known, reference[0], plan.steps)
     predicted = _from(first.predicted, reference[0], plan.steps)
     evidence = np.zeros((plan.steps + 1, plan.runs))
     agrees = True
     if plan.steps:
         likelihood = readings.held(anchor)
-        leaves = segments.leaves(near, likelihood, readings.stacks)
+        leaves = steps_as_elements(near, likelihood, readings.stacks)
         start = Belief(known.mean[:1], known.cov[:1])
         before = prefixes(start, levels(leaves, elements.compose), elements.push)
         known.mean[1:], known.cov[1:], evidence[1:] = in_chunks(
@@ -242,3 +246,75 @@ def _refuse(known: Moments) -> None:
         "samples, or compile without pgm.Balanced(), for a chain of slices",
         step=step,
     )
+
+
+def steps(plan: ChainPlan) -> Conditional:
+    """The slice given that before it, (T, runs, n, n), of which controls play no part."""
+    found = transition(plan)
+    layout = plan.layout
+    if layout.state_size == layout.slice_size:
+        return found
+    matrix = room((plan.steps, plan.runs), (layout.slice_size, layout.slice_size))
+    matrix[...] = 0.0
+    matrix[..., layout.state_places] = found.matrix
+    return found._replace(matrix=matrix)
+
+
+def about(conditional: Conditional, reference: Array) -> Conditional:
+    """The same for deviations from a reference, (T+1, runs, n)."""
+    matrix, offset, cov = conditional
+    return Conditional(matrix, apply(matrix, reference[:-1]) + offset - reference[1:], cov)
+
+
+def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[Stack]) -> Element:
+    """The element of every step, in deviations from a reference: (T, runs, ...).
+
+    It begins with the readings at the step before, and ends before those of its own step; but for
+    those of a singular noise, which it has with it, since they can only be absorbed by the
+    transition that leads to them. Step 0 is left to the belief from which all begins.
+
+    Parameters
+    ----------
+    moves : Conditional
+        As `about` makes them.
+    likelihood : Likelihood
+        Of the readings with a regular noise, (T+1, runs, ...).
+    stacks : list of Stack
+        Those of a singular one.
+    """
+    precision = room(moves.matrix.shape[:2], moves.matrix.shape[2:])
+    h = room(moves.offset.shape[:2], moves.offset.shape[2:])
+    precision[:1], h[:1] = 0.0, 0.0
+    precision[1:], h[1:] = likelihood.K[1:-1], likelihood.h[1:-1]
+    if not stacks:
+        return Element(*moves, precision, h)
+    matrix, offset, cov = (np.array(part) for part in moves)
+    whole = Element(matrix, offset, cov, precision, h)
+    for stack in stacks:
+        _absorb_exact(whole, stack)
+    return whole
+
+
+def _absorb_exact(moves: Element, stack: Stack) -> None:
+    """Bring readings into the transitions to their steps, in place."""
+    later = np.flatnonzero(stack.steps)
+    if not later.size:
+        return
+    rows = stack.steps[later] - 1
+    matrix, noise = stack.matrix[later], stack.noise[later]
+    left = stack.residual[later] - apply(matrix, moves.b[rows])
+    moves.F[rows], shift, moves.cov[rows], (precision, h, g) = absorb_readings(
+        moves.F[rows], moves.cov[rows], matrix, left, noise, stack.missing[later]
+    )
+    bad = np.isnan(g).any(axis=-1)
+    if bad.any():
+        step = int(rows[np.flatnonzero(bad)[0]]) + 1
+        raise NumericalError(
+            f"the readings at step {step} are exact, and so is what the transition leads to: "
+            "their covariance given the states before is singular, and the step has no element; "
+            "compile without pgm.Balanced(), for a chain of slices",
+            step=step,
+        )
+    moves.b[rows] += shift
+    moves.K[rows] += precision
+    moves.h[rows] += h

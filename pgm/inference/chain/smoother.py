@@ -17,23 +17,23 @@ from pgm.inference.chain import (
     careful_motion,
     cost,
     forward,
-    grouped,
     newton,
     parallel,
-    reckoning,
     relations,
 )
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
 from pgm.inference.chain.iteration import Anchor, Point, iterate
 from pgm.inference.chain.likelihoods import Readings
+from pgm.inference.chain.moments import on_chart, turns_far
 from pgm.inference.chain.newton import Means
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.sensor import linearise_grouped
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.schedule import ONCE, Smoothing
 from pgm.inference.status import Status
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Mask, block
+from pgm.kernels.arrays import Array, Mask, block, components_first, components_last
 from pgm.kernels.scan import gather
 
 
@@ -114,7 +114,7 @@ def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smo
     chain = Chain(plan, _scanned)
     if plan.exact:
         return _iterated(chain, schedule, Smoothed.of(plan, parallel.run(plan)), None)
-    at = reckoning.dead(plan) if start is None else _start(plan, start)
+    at = dead_reckoning(plan) if start is None else _start(plan, start)
     chain.linearise(at, None)
     means = newton.step(plan, at.mean) if _is_newton(plan, schedule) else None
     if means is None:
@@ -136,7 +136,7 @@ def carefully(
     if start is None and not reckoned:
         swept, _ = careful.sweep(plan, ONCE)
         return _iterated(chain, schedule, CarefulSmoothed.of(plan, swept), None)
-    at = reckoning.dead(plan) if start is None else _start(plan, start)
+    at = dead_reckoning(plan) if start is None else _start(plan, start)
     chain.linearise(at, None)
     return _iterated(chain, schedule, chain.solve(), at)
 
@@ -275,7 +275,7 @@ def relinearise(plan: ChainPlan, at: Point, active: Mask | None) -> None:
             counts = np.diff(sensor.bounds)
             for count in np.unique(counts[counts > 0]):
                 steps = np.flatnonzero(counts == count)
-                grouped.linearise(sensor, steps, at.mean[steps], at.cov[steps], active)
+                linearise_grouped(sensor, steps, at.mean[steps], at.cov[steps], active)
         elif not family.exact:
             cov = at.cov[:1] if not family.needs_cov else gather(at.cov, places)
             cov = np.broadcast_to(cov, (family.step.size, *cov.shape[1:]))
@@ -289,10 +289,42 @@ def _start(plan: ChainPlan, start: Array) -> Point:
     angles = angle_mask(layout.slice)
     angles[layout.control_places] = False
     if not angles.any():
-        return reckoning.without_spread(plan, start)
+        return _without_spread(plan, start)
     mean = start.copy()
     prior = mean[0].copy()
     prior[:, layout.state_places] = careful_motion.prior_mean(plan)
     mean[0] = nearest_branch(mean[0], prior, angles)
     mean[..., angles] = np.unwrap(mean[..., angles], axis=0)
-    return reckoning.without_spread(plan, mean)
+    return _without_spread(plan, mean)
+
+
+def dead_reckoning(plan: ChainPlan) -> Point:
+    """The means that the transition's functions make of the prior's, one step after another."""
+    layout = plan.layout
+    front, states = layout.state_size, layout.state_places
+    mean = np.zeros((plan.steps + 1, plan.runs, layout.slice_size))
+    mean[0][:, states] = careful_motion.prior_mean(plan)
+    rows = mean.transpose(0, 2, 1) if plan.batch else mean[:, 0]
+    pair = np.empty((front + layout.slice_size, *plan.batch))
+    for row in range(plan.steps):
+        pair[:front] = rows[row][states]
+        for link in plan.transition:
+            at, parents = link.family.at(row, row + 1), pair[link.parents]
+            if at.function is None:
+                pair[link.child] = link.family.line(at, parents, parents).value
+            else:
+                value = components_first(at.function(components_last(parents, 1)), 1)
+                turns = link.turning and turns_far(link, pair, value)
+                pair[link.child] = on_chart(link, at, pair, value) if turns else value
+        rows[row + 1] = pair[front:]
+    return _without_spread(plan, mean)
+
+
+def _without_spread(plan: ChainPlan, mean: Array) -> Point:
+    """A trajectory as a point of linearisation."""
+    size = plan.layout.state_size + plan.layout.slice_size
+    return Point(
+        mean,
+        np.broadcast_to(0.0, (*mean.shape, mean.shape[-1])),
+        np.broadcast_to(0.0, (plan.steps, plan.runs, size, size)),
+    )
