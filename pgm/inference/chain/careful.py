@@ -29,15 +29,15 @@ from pgm.inference.chain import careful_motion as motion
 from pgm.inference.chain.careful_motion import proper
 from pgm.inference.chain.certificate import Solved, moments, solved
 from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.iterated_update import UpdateProblem, iterated
 from pgm.inference.chain.iteration import Anchor, Point
 from pgm.inference.chain.moments import MomentChain, largest
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.reading import StepReading, take
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.taking import (
     Belief,
     Component,
-    Taken,
+    IteratedUpdate,
     hold,
     update,
     variances,
@@ -162,7 +162,7 @@ def sweep(
         if schedule is None:
             found = reading.solve(None if anchor is None else anchor.at(step))
         else:
-            taken = take(reading, schedule)
+            taken = iterated(reading, schedule)
             reading.keep()
             found = taken.solution.at(taken.mean)
             record = largest(record, taken.residuals)
@@ -188,7 +188,7 @@ class CarefulUpdate:
     mean: Array
     cov: Array
     log_density: Array
-    taken: Taken
+    taken: IteratedUpdate
     information: Twofold
     unknown: Solved
 
@@ -220,7 +220,7 @@ class CarefulUpdate:
         return replace(self, mean=mean, taken=taken)
 
 
-class CarefulReading(StepReading[CarefulUpdate]):
+class CarefulReading(UpdateProblem[CarefulUpdate]):
     """The readings of a step, taken in in twice the digits."""
 
     belief: Belief
@@ -253,7 +253,7 @@ class CarefulReading(StepReading[CarefulUpdate]):
 
     def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
         """The belief given the readings."""
-        taken = Taken(self.belief, [], np.zeros(len(self.belief.cov.hi)))
+        taken = IteratedUpdate(self.belief, [], np.zeros(len(self.belief.cov.hi)))
         if self.parts:
             taken = update(self.measured, self.step, self.belief, self.mean)
         if anchor is not None:

@@ -4,7 +4,7 @@ With one linearisation the filter's forward pass is reversed, and beliefs go bac
 steps at once. With more, a window slides along the chain: its CPDs are linearised at its smoothed
 beliefs, and it is smoothed again from where it begins, until that settles. A window begins with the
 belief at its first step given the readings up to there, as the window before has left it, so that
-no reading counts twice. It is solved in float64, and where that has too few digits in twice as many.
+no reading counts twice. It is solved in float64, and in twice the digits where that has too few.
 """
 
 from __future__ import annotations

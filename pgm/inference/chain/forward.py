@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -154,6 +156,18 @@ class _Record:
         else:
             self.watch.look(predicted.cov, known.cov, known.mild, last=step == self.plan.steps)
 
+    @contextmanager
+    def refusing(self, schedule: Filtering | None) -> Iterator[None]:
+        """Refuse the first step of a sweep that fails, or leaves a number that is not finite."""
+        memory.retain()
+        try:
+            yield
+        except PgmError:
+            self.refuse(schedule)
+            raise
+        if not self.is_finite:
+            self.refuse(schedule)
+
     @property
     def is_finite(self) -> bool:
         """Whether all numbers are finite; a covariance that is not stays so up to the last step."""
@@ -190,7 +204,9 @@ def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
 def stored(plan: ChainPlan, anchor: Anchor | None = None) -> Forward:
     """The forward pass with every CPD as it was linearised before."""
     out = Forward.empty(plan)
-    _swept(plan, MomentChain(plan, None, anchor=anchor), _whole(plan, out), None)
+    record = _whole(plan, out)
+    with record.refusing(None):
+        sweep.forward(MomentChain(plan, None, anchor=anchor), plan.steps, record)
     return out
 
 
@@ -198,8 +214,9 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     """The forward pass, each CPD linearised at its incoming belief."""
     require_cost(schedule, (sensor.family for sensor in plan.sensors))
     out = Forward.empty(plan)
-    chain = MomentChain(plan, schedule)
-    _swept(plan, chain, _whole(plan, out), schedule)
+    chain, record = MomentChain(plan, schedule), _whole(plan, out)
+    with record.refusing(schedule):
+        sweep.forward(chain, plan.steps, record)
     for family in plan.families:
         family.settle()
     return out, Status.of(chain.residuals, chain.converged, plan.lead)
@@ -220,7 +237,8 @@ def filtered(
         part = plan.of(runs) if parts > 1 else plan
         record = _Record(part, (mean[:, runs], cov[:, runs], log_density[:, runs]))
         chain = MomentChain(part, schedule, keep=False, room=record.room)
-        _swept(part, chain, record, schedule)
+        with record.refusing(schedule):
+            sweep.forward(chain, part.steps, record)
         closest, converged[runs] = min(closest, record.watch.closest), chain.converged
         records.append(chain.residuals)
     found = Filtered(plan, mean, cov, log_density, schedule, closest)
@@ -234,16 +252,3 @@ def filtered(
 def _whole(plan: ChainPlan, out: Forward) -> _Record:
     known = out.mean, out.cov, out.log_density
     return _Record(plan, known, (out.predicted_mean, out.predicted_cov))
-
-
-def _swept(
-    plan: ChainPlan, chain: MomentChain, record: _Record, schedule: Filtering | None
-) -> None:
-    memory.retain()
-    try:
-        sweep.forward(chain, plan.steps, record)
-    except PgmError:
-        record.refuse(schedule)
-        raise
-    if not record.is_finite:
-        record.refuse(schedule)

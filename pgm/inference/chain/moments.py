@@ -11,9 +11,9 @@ import numpy as np
 
 from pgm.inference import faults
 from pgm.inference.chain import readings, refusals
+from pgm.inference.chain.iterated_update import MomentUpdate, iterated
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Link
-from pgm.inference.chain.reading import MomentReading, take
 from pgm.inference.chain.readings import Moments, Reading, Room
 from pgm.inference.rows import At
 from pgm.inference.schedule import Filtering
@@ -162,7 +162,7 @@ class MomentChain:
     def _iterated(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
     ) -> tuple[Moments, Array | float]:
-        found = take(MomentReading(parts, step, mean, cov), schedule)
+        found = iterated(MomentUpdate(parts, step, mean, cov), schedule)
         self.residuals = largest(self.residuals, found.residuals)
         self._settled = (
             found.converged if self._settled is None else self._settled & found.converged

@@ -19,9 +19,9 @@ from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
 from pgm.inference.chain import careful, careful_motion
 from pgm.inference.chain.certificate import MODERATE, is_ordinary, moments, solved
+from pgm.inference.chain.iterated_update import IteratedUpdate, iterated
 from pgm.inference.chain.online_window import Sliding, Trail
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.reading import Taken, take
 from pgm.inference.chain.taking import Belief, variances
 from pgm.inference.kind import Kind
 from pgm.inference.posterior import require_variable
@@ -205,10 +205,10 @@ def predict(plan: ChainPlan, step: int, known: CarefulBelief) -> CarefulBelief:
 
 def update(
     plan: ChainPlan, step: int, known: CarefulBelief, schedule: Filtering
-) -> tuple[CarefulBelief, Taken[careful.CarefulUpdate]]:
+) -> tuple[CarefulBelief, IteratedUpdate[careful.CarefulUpdate]]:
     """The belief given the readings of its step."""
     nothing = _nothing(known.belief)
-    taken = take(
+    taken = iterated(
         careful.CarefulReading.of(plan, 0, known.moments, known.belief, nothing, schedule), schedule
     )
     belief = taken.solution.at(taken.mean).belief

@@ -126,7 +126,14 @@ def _solve(
     if isinstance(schedule, FixedLag):
         return _lagged(graph, plan, schedule, *fixed_lag.smooth(plan, schedule))
     if isinstance(schedule, Filtering):
-        ahead, status = _scan(graph, plan) if balanced else _sweep(plan, schedule, room)
+        ahead: Forward | Filtered
+        if balanced:
+            ahead, status = _scan(graph, plan)
+        elif plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
+            # Of many runs only the beliefs, as long as nothing else is asked for.
+            ahead, status = forward.filtered(plan, schedule, room)
+        else:
+            ahead, status = forward.run(plan, schedule)
         return make(graph, status, FILTERED, plan, ahead, None, None)
     run_smoothing = smoother.scan if balanced else smoother.smooth
     result, status = run_smoothing(plan, _smoothing(schedule), start)
@@ -189,15 +196,6 @@ def _smoothing(schedule: Calibration) -> Smoothing:
     if isinstance(schedule, Smoothing):
         return schedule
     return Smoothing(schedule.iterations, schedule.tolerance)
-
-
-def _sweep(
-    plan: ChainPlan, schedule: Filtering, room: Room | None
-) -> tuple[Forward | Filtered, Status]:
-    """Filter; of many runs only the beliefs, as long as nothing else is asked for."""
-    if plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
-        return forward.filtered(plan, schedule, room)
-    return forward.run(plan, schedule)
 
 
 def _scan(graph: DynamicGraph, plan: ChainPlan) -> tuple[Forward, Status]:

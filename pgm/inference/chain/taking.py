@@ -178,7 +178,7 @@ def reach(rounding: Array, vector: Array) -> Array:
     return found
 
 
-class Taken(NamedTuple):
+class IteratedUpdate(NamedTuple):
     """A belief given readings.
 
     Attributes
@@ -195,7 +195,7 @@ class Taken(NamedTuple):
 
 
 @quiet()
-def update(parts: Sequence[Measured], step: int, belief: Belief, mean: Array) -> Taken:
+def update(parts: Sequence[Measured], step: int, belief: Belief, mean: Array) -> IteratedUpdate:
     """Take in the readings of a step; the rounded mean, (n, *batch), tells the numbers' size."""
     runs = len(belief.cov.hi)
     rows, noises, seen = _decorrelated(parts, runs, len(mean))
@@ -218,10 +218,10 @@ def update(parts: Sequence[Measured], step: int, belief: Belief, mean: Array) ->
         refusals.indefinite(parts, step)
     if left.any():
         refusals.contradiction(parts, step, mean, left.T if mean.ndim > 1 else left[0])
-    return Taken(belief, components, log_density)
+    return IteratedUpdate(belief, components, log_density)
 
 
-def hold(anchor: Anchor, taken: Taken) -> Taken:
+def hold(anchor: Anchor, taken: IteratedUpdate) -> IteratedUpdate:
     """Take in the reading of an anchor of one step too, which is no evidence."""
     belief, components = taken.belief, list(taken.components)
     size = belief.cov.shape[-1]
@@ -232,7 +232,7 @@ def hold(anchor: Anchor, taken: Taken) -> Taken:
         value, noise = Twofold(anchor.mean[0][:, k]), Twofold(variance[:, k])
         belief, component, *_ = _take(belief, row, value, noise, held[:, k])
         components.append(component)
-    return Taken(belief, components, taken.log_density)
+    return IteratedUpdate(belief, components, taken.log_density)
 
 
 def _take(

@@ -51,7 +51,7 @@ U = TypeVar("U", bound=Solution, covariant=True)
 
 
 @dataclass(frozen=True, eq=False)
-class Taken(Generic[U]):
+class IteratedUpdate(Generic[U]):
     """The belief at a step given its readings.
 
     Attributes
@@ -72,7 +72,7 @@ class Taken(Generic[U]):
     converged: Mask
 
 
-class StepReading(ABC, Generic[U]):
+class UpdateProblem(ABC, Generic[U]):
     """The readings of a step, which can be linearised anywhere and taken into the predicted belief.
 
     Parameters
@@ -155,7 +155,7 @@ class StepReading(ABC, Generic[U]):
         return components_first(at.mean[0], 1), components_first(at.cov[0], 2)
 
 
-class MomentReading(StepReading[Updated]):
+class MomentUpdate(UpdateProblem[Updated]):
     """Readings taken in as one vector, in float64."""
 
     def taken_in(self, anchor: Anchor | None) -> Updated:
@@ -171,7 +171,7 @@ def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
     return components_last(array, own)[None]
 
 
-def take(reading: StepReading[U], schedule: Filtering) -> Taken[U]:
+def iterated(reading: UpdateProblem[U], schedule: Filtering) -> IteratedUpdate[U]:
     """Take the readings of a step into the predicted belief, as often linearised as is due.
 
     They are linearised at the predicted belief.
@@ -182,6 +182,6 @@ def take(reading: StepReading[U], schedule: Filtering) -> Taken[U]:
     linear = all(part.sensor.family.exact for part in reading.parts)
     nothing = np.full(predicted.mean.shape[1], linear)
     if schedule.iterations == 1 or linear:
-        return Taken(once, once.means[0], [], nothing)
+        return IteratedUpdate(once, once.means[0], [], nothing)
     result = iterate(reading, once, schedule, nothing, predicted)
-    return Taken(result.solution, result.mean[0], result.residuals, result.converged)
+    return IteratedUpdate(result.solution, result.mean[0], result.residuals, result.converged)
