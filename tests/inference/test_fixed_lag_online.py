@@ -298,6 +298,16 @@ def test_without_a_lag_it_is_the_filter_s_belief():
             assert ours.lagged is ours
 
 
+def test_a_lag_is_a_schedule_of_that_lag():
+    robot = pgm.OnlineFilter(ROBOT, lag=2)
+    assert robot.schedule == pgm.FixedLag(2)
+    evidence = of_run(recording("plain"), 0)
+    both = zip(journey(robot, evidence), journey(made(ONCE)[0], evidence), strict=True)
+    for (_, ours), (_, theirs) in both:
+        assert ours.lagged.kind == theirs.lagged.kind
+        assert_array_equal(ours.lagged.mean, theirs.lagged.mean)
+
+
 def made(schedule, steps=3, lead=()):
     robot = pgm.OnlineFilter(ROBOT, schedule=schedule)
     belief = robot.initial()
@@ -327,11 +337,23 @@ REFUSALS = [
         "an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not Smoothing(",
     ),
     refusal(
+        "a lag beside a schedule",
+        lambda: pgm.OnlineFilter(ROBOT, schedule=pgm.Filtering(iterations=3), lag=2),
+        pgm.ModelError,
+        "lag=2 beside Filtering(iterations=3",
+    ),
+    refusal(
+        "a lag that is no number",
+        lambda: pgm.OnlineFilter(ROBOT, lag=1.5),
+        pgm.ModelError,
+        "a lag is a whole number of steps, 0 or more, not 1.5",
+    ),
+    refusal(
         "a filter without a lag",
         lambda: made(pgm.Filtering())[1].lagged,
         pgm.EvidenceError,
         "OnlineBelief(filtered, step 3, over [x]) is of a filter without a lag",
-        "OnlineFilter(model, schedule=pgm.FixedLag(5))",
+        "OnlineFilter(model, lag=5)",
         step=3,
     ),
     refusal(

@@ -53,6 +53,14 @@ class OnlineFilter(Immutable):
         belief at the step a lag before, given everything so far. Without iterations it is found
         when it is asked for; with them each update settles the window of its step, taking all
         readings of the step together, as `infer` does on recorded ones.
+    lag : int, optional
+        In place of a schedule, as ``schedule=FixedLag(lag)``.
+
+    Raises
+    ------
+    ModelError
+        If one of these is of a wrong kind, both a schedule and a lag are given, or a prior is
+        improper.
 
     Examples
     --------
@@ -60,7 +68,7 @@ class OnlineFilter(Immutable):
     >>> belief = robot.initial()  # doctest: +SKIP
     >>> belief = robot.predict(belief, {u: odometry})  # doctest: +SKIP
     >>> belief = robot.update(belief, {z: sightings(zs, given={m: ms})})  # doctest: +SKIP
-    >>> belief[x].mean, belief.lagged[x].mean  # with schedule=FixedLag(5)  # doctest: +SKIP
+    >>> belief[x].mean, belief.lagged[x].mean  # with lag=5  # doctest: +SKIP
     """
 
     model: DynamicBayesianNetwork
@@ -71,12 +79,20 @@ class OnlineFilter(Immutable):
         self,
         model: DynamicBayesianNetwork,
         lineariser: Lineariser = TAYLOR,
-        schedule: Filtering | FixedLag = ONCE,
+        schedule: Filtering | FixedLag | None = None,
+        lag: int | None = None,
     ) -> None:
         if not isinstance(model, DynamicBayesianNetwork):
             raise ModelError(f"a dynamic network was due, not {model!r}")
         if not callable(lineariser) or isinstance(lineariser, type):
             raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
+        if lag is not None and schedule is not None:
+            raise ModelError(
+                f"lag={lag!r} beside {schedule!r}: an online filter takes one of them; a FixedLag "
+                "has iterations of its own"
+            )
+        if schedule is None:
+            schedule = ONCE if lag is None else FixedLag(lag)
         if not isinstance(schedule, Filtering | FixedLag):
             raise ModelError(
                 f"an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not {schedule!r}"
@@ -270,7 +286,7 @@ class OnlineFilter(Immutable):
         if chain.residuals or plan.lead:
             status = Status.of(chain.residuals, chain.converged, plan.lead)
         else:
-            status = _DONE if chain.converged[0] else _LINEARISED
+            status = _DONE if plan.linear else _LINEARISED
         return _belief(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:

@@ -123,7 +123,7 @@ class OnlineBelief(Immutable):
         if self.behind is None:
             raise EvidenceError(
                 f"{self!r} is of a filter without a lag; make it with "
-                "OnlineFilter(model, schedule=pgm.FixedLag(5))",
+                "OnlineFilter(model, lag=5)",
                 step=self.step,
             )
         step, mean, cov = self.behind.lagged(self.step, self.mean, self.cov)
