@@ -122,8 +122,7 @@ class OnlineBelief(Immutable):
         """
         if self.behind is None:
             raise EvidenceError(
-                f"{self!r} is of a filter without a lag; make it with "
-                "OnlineFilter(model, lag=5)",
+                f"{self!r} is of a filter without a lag; make it with OnlineFilter(model, lag=5)",
                 step=self.step,
             )
         step, mean, cov = self.behind.lagged(self.step, self.mean, self.cov)

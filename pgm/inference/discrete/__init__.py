@@ -7,20 +7,18 @@ Where tables stand:
 
 - ``place``: one table in the flat array that holds the tables of all clusters;
 - ``storage``: that array, and the clusters' potentials in it;
-- ``axis_sums``: sums over axes of a large table, where it stands;
-- ``sums``: sums of entries of the array, as of a table to a sepset or to one variable;
+- ``sums``: sums of entries of the array, as of a table to a sepset or to one variable, or over axes
+  of a large table, where it stands;
 - ``products``: messages multiplied into it;
-- ``evidence``: states and weights put into it; batches of runs cut into pieces that fit;
-- ``distinct``: runs of equal evidence, which are computed once.
+- ``evidence``: states and weights put into it; batches of runs cut into pieces that fit, runs of
+  equal evidence computed once.
 
 Graphs without loops:
 
-- ``tree_planner``: lays out the passes, clusters of one shape as the columns of one matrix;
-- ``tree_plan``: what it makes;
-- ``tree_passes``: messages to the roots and back;
-- ``entry``: what they begin with, so that messages to the roots are sent from evidence alone;
+- ``tree_plan``: lays out the passes, clusters of one shape as the columns of one matrix;
+- ``tree_passes``: messages to the roots and back, with numbers or with logarithms, and the tables
+  with which they begin, so that messages to the roots are sent from evidence alone;
 - ``enumeration``: of tiny networks the joint of all variables, of which every table is a sum;
-- ``calibration``: both passes, with numbers or with logarithms;
 - ``tree_messages``: single messages by their definition, made on request;
 - ``tree_beliefs``: the calibrated tables of all runs;
 - ``maximum``: maxima in place of sums, and the most probable assignment.
@@ -28,8 +26,7 @@ Graphs without loops:
 Graphs of any shape, on which messages go round:
 
 - ``loopy_plan``: lays out rounds of messages, clusters of one shape in one call;
-- ``loopy_messages``: the messages, and the beliefs and the Bethe value that they make;
-- ``loopy_beliefs``: the tables after the last round.
+- ``loopy_messages``: the messages, and the beliefs and the Bethe value that they make.
 
 Reading:
 

@@ -18,13 +18,10 @@ from pgm.evidence import Evidence
 from pgm.evidence.discrete import BoundStates, bind_discrete
 from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
-from pgm.inference.discrete.distinct import Distinct
-from pgm.inference.discrete.entry import enter
-from pgm.inference.discrete.evidence import some_runs, tree_pieces
+from pgm.inference.discrete.evidence import Distinct, some_runs, tree_pieces
 from pgm.inference.discrete.impossible import require_possible
-from pgm.inference.discrete.tree_passes import collect
-from pgm.inference.discrete.tree_plan import Stack, TreePlan
-from pgm.inference.discrete.tree_planner import plan_for
+from pgm.inference.discrete.tree_passes import collect, enter
+from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.inference.executors import Workers
 from pgm.inference.limits import Room, require_runs
 from pgm.inference.posterior import require_variable

@@ -8,8 +8,7 @@ from pgm.clustergraph import ClusterGraph
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.discrete import bind_discrete
-from pgm.inference.discrete.loopy_beliefs import LoopyBeliefs
-from pgm.inference.discrete.loopy_messages import TableMessages
+from pgm.inference.discrete.loopy_messages import LoopyBeliefs, TableMessages
 from pgm.inference.discrete.posterior import DiscretePosterior
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
 from pgm.inference.limits import Room

@@ -13,15 +13,13 @@ from pgm.evidence.discrete import BoundStates
 from pgm.factors import Table
 from pgm.factors.axes import States
 from pgm.inference.discrete.beliefs import Beliefs
-from pgm.inference.discrete.calibration import Calibrated, calibrate
-from pgm.inference.discrete.distinct import Distinct
-from pgm.inference.discrete.evidence import pieces, tree_pieces
+from pgm.inference.discrete.evidence import Distinct, pieces, tree_pieces
 from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.joints import joint
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.discrete.tree_messages import TreeMessages
-from pgm.inference.discrete.tree_plan import TreePlan
-from pgm.inference.discrete.tree_planner import plan_for
+from pgm.inference.discrete.tree_passes import Calibrated, calibrate
+from pgm.inference.discrete.tree_plan import TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete

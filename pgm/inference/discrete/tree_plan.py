@@ -16,13 +16,15 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.discrete import BoundStates
-from pgm.factors.axes import States, sizes
+from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference.discrete.enumeration import Enumeration
-from pgm.inference.discrete.place import Place
-from pgm.inference.discrete.products import Product
-from pgm.inference.discrete.storage import Storage
-from pgm.inference.discrete.sums import Marginals, Sum
+from pgm.inference.discrete.evidence import at_once
+from pgm.inference.discrete.place import LARGE, Place
+from pgm.inference.discrete.products import BlockProduct, GatheredProduct, Product
+from pgm.inference.discrete.storage import Storage, sepset_to_parent
+from pgm.inference.discrete.sums import BlockSum, GatheredSum, Marginals, Sum
 from pgm.inference.forest import Forest
+from pgm.inference.limits import require_size
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.variables import Discrete
@@ -204,3 +206,196 @@ class TreePlan:
             for variable in sepset:
                 found.setdefault(variable, []).append((k, sepset))
         return found
+
+
+# A hub multiplies this many messages at the most into its table before it is rescaled.
+CHUNK = 32
+# In batches, tables of this many entries stand by themselves: runs make calls long, and gathering
+# entries that stand anywhere takes longer than using them where they stand.
+LARGE_OF_MANY = 2**9
+# Entries of expanded messages that are multiplied with one another in one call.
+SMALL = 2**12
+
+
+def plan_for(graph: ClusterGraph, runs: int, batch: int) -> TreePlan:
+    """The passes over a graph without loops, laid out once for one run and once for many.
+
+    Raises
+    ------
+    GraphError
+        If its tables are too large.
+    """
+    if runs == 1 or at_once(sum(graph.sizes), batch) == 1:
+        return graph.derived(make_plan, LARGE)
+    return graph.derived(make_plan, LARGE_OF_MANY)
+
+
+def make_plan(graph: ClusterGraph, large: int) -> TreePlan:
+    """Lay out the passes over a graph without loops.
+
+    Parameters
+    ----------
+    graph : ClusterGraph
+    large : int
+        Tables of so many entries stand by themselves.
+
+    Raises
+    ------
+    GraphError
+        If its tables are too large.
+    """
+    require_size(graph, graph.sizes, "tables")
+    return _Planner(graph, large).plan()
+
+
+class _Planner:
+    """The working place of `make_plan`."""
+
+    def __init__(self, graph: ClusterGraph, large: int) -> None:
+        self.graph, self.large, self.forest = graph, large, Forest.of(graph)
+        everywhere = range(len(graph))
+        shared = [sepset_to_parent(graph, self.forest, k) for k in everywhere]
+        self.sepsets = [self._ordered(k, scope, shared) for k, scope in enumerate(shared)]
+        self.width = [math.prod(sizes(sepset)) for sepset in self.sepsets]
+        self.places: list[Place | None] = [None for _ in everywhere]
+        self.first = np.zeros(len(graph), dtype=np.intp)
+        self.bits = [0 for _ in everywhere]
+
+    def plan(self) -> TreePlan:
+        groups: dict[tuple[int, ...], list[int]] = {}
+        for level in self.forest.levels:
+            for k in level.tolist():
+                groups.setdefault(self._kind(k), []).append(k)
+        start = column = 0
+        for number, clusters in enumerate(groups.values()):
+            start, column = self._place(clusters, start, column)
+            for k in clusters:
+                self.bits[k] = 1 << number
+        placed = [place for place in self.places if place is not None]
+        storage = Storage(self.graph, placed)
+        stacks, tops = list[Stack](), 0
+        for clusters in groups.values():
+            stacks.append(self._stack(clusters, storage, tops))
+            tops = stacks[-1].tops.stop
+        made = storage, self.forest, stacks, self.sepsets, column, tops, self.first, self.large
+        return TreePlan(*made)
+
+    def _rows(self, cluster: int) -> int:
+        return self.graph.sizes[cluster] // self.width[cluster]
+
+    def _kind(self, cluster: int) -> tuple[int, ...]:
+        """What clusters of one stack have in common."""
+        parent = int(self.forest.parent[cluster])
+        above = self.graph.sizes[parent] // self.width[cluster] if parent >= 0 else 0
+        depth, children = int(self.forest.depth[cluster]), len(self.forest.children[cluster])
+        alone = cluster if self._large(cluster) or (parent >= 0 and self._large(parent)) else -1
+        return depth, self._rows(cluster), children, above, alone
+
+    def _large(self, cluster: int) -> bool:
+        return self.graph.sizes[cluster] >= self.large
+
+    def _ordered(self, cluster: int, scope: States, sepsets: Sequence[States]) -> States:
+        """Some variables of a cluster, in a large table those of each child's sepset together.
+
+        What is multiplied and summed there is then in few axes, the last of them long.
+        """
+        if not self._large(cluster):
+            return scope
+        children = [set(sepsets[k]) for k in self.forest.children[cluster]]
+        children.sort(key=lambda sepset: math.prod(variable.size for variable in sepset))
+        found = {v: [k for k, sepset in enumerate(children) if v in sepset] for v in scope}
+        return tuple(sorted(scope, key=lambda v: (found[v][0], found[v][-1]) if found[v] else ()))
+
+    def _place(self, clusters: list[int], start: int, column: int) -> tuple[int, int]:
+        """Place the tables of a stack: as columns of one matrix, or as its rows if that is flat."""
+        rows = self._rows(clusters[0])
+        columns = sum(self.width[k] for k in clusters)
+        offset = 0
+        for k in clusters:
+            rest = without(discrete(self.graph.clusters[k].scope), self.sepsets[k])
+            scope = (*self._ordered(k, rest, self.sepsets), *self.sepsets[k])
+            self.first[k] = column + offset
+            large = self._large(k)
+            if rows <= columns:
+                place = Place(scope, rows, self.width[k], start + offset, columns, 1, large)
+            else:
+                place = Place(scope, rows, self.width[k], start + offset * rows, 1, rows, large)
+            self.places[k] = place
+            offset += self.width[k]
+        return start + rows * columns, column + columns
+
+    def _stack(self, clusters: list[int], storage: Storage, tops: int) -> Stack:
+        rows = self._rows(clusters[0])
+        widths = np.array([self.width[k] for k in clusters])
+        columns = int(widths.sum())
+        start = storage.places[clusters[0]].start
+        first = int(self.first[clusters[0]])
+        absorbed = self._absorbed(clusters, storage, start, rows * columns)
+        hub = len(self.forest.children[clusters[0]]) > CHUNK
+        scales = len(clusters) * (len(absorbed) if hub else 1)
+        return Stack(
+            np.array(clusters),
+            self.bits[clusters[0]],
+            slice(start, start + rows * columns),
+            slice(first, first + columns),
+            slice(tops, tops + scales),
+            (rows, columns) if rows <= columns else (columns, rows),
+            int(rows > columns),
+            np.cumsum(widths) - widths,
+            widths,
+            absorbed,
+            [self._set(product.children.ravel().tolist()) for product in absorbed],
+            hub,
+            self._down(clusters, storage),
+        )
+
+    def _set(self, clusters: list[int]) -> int:
+        """The set of the stacks of some clusters."""
+        found = 0
+        for k in clusters:
+            found |= self.bits[k]
+        return found
+
+    def _absorbed(
+        self, clusters: list[int], storage: Storage, start: int, entries: int
+    ) -> list[Product]:
+        """Which column of each child's message meets each entry."""
+        only = storage.places[clusters[0]]
+        if only.large:
+            return [
+                BlockProduct.of(k, only, self.sepsets[k], int(self.first[k]))
+                for k in self.forest.children[clusters[0]]
+            ]
+        senders = np.array([self.forest.children[k] for k in clusters], dtype=np.intp).T
+        count = len(self.forest.children[clusters[0]])
+        maps = np.empty((count, entries), dtype=np.intp)
+        for k in clusters:
+            place = storage.places[k]
+            axis = {variable: j for j, variable in enumerate(place.scope)}
+            target = place.positions(place.scope) - start
+            for slot, child in enumerate(self.forest.children[k]):
+                sepset = self.sepsets[child]
+                shape = np.ones(len(place.scope), dtype=np.intp)
+                shape[[axis[v] for v in sepset]] = sizes(sepset)
+                own = np.arange(self.width[child]).reshape(sizes(sepset))
+                order = np.argsort([axis[v] for v in sepset])
+                maps[slot, target] = self.first[child] + own.transpose(order).reshape(shape)
+        size = min(CHUNK, max(1, SMALL // entries))
+        chunks = [slice(at, at + size) for at in range(0, count, size)]
+        return [GatheredProduct(senders[some], maps[some]) for some in chunks]
+
+    def _down(self, clusters: list[int], storage: Storage) -> Sum | None:
+        """What sums the parents' tables to the columns of a stack."""
+        parent = int(self.forest.parent[clusters[0]])
+        if parent < 0:
+            return None
+        start = storage.entries + int(self.first[clusters[0]])
+        if storage.places[parent].large:
+            return BlockSum.of(storage.places[parent], self.sepsets[clusters[0]], start)
+        sources = []
+        for k in clusters:
+            place = storage.places[int(self.forest.parent[k])]
+            rest = tuple(v for v in place.scope if v not in self.sepsets[k])
+            positions = np.ascontiguousarray(place.positions((*rest, *self.sepsets[k])))
+            sources.append(positions.reshape(-1, self.width[k]))
+        return GatheredSum.of(sources, start)

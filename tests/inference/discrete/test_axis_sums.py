@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pgm.inference.discrete.axis_sums import AxisSums
+from pgm.inference.discrete.sums import AxisSums
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, MAX_PRODUCT, SUM_PRODUCT
 
 shapes = st.lists(st.integers(1, 9), min_size=1, max_size=5).map(tuple)

@@ -8,7 +8,7 @@ from discrete.enumeration import Enumeration
 from scipy.special import logsumexp
 
 import pgm
-from pgm.inference.discrete import calibration
+from pgm.inference.discrete import tree_passes
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT
 
 CLOSE = {"rtol": 0.0, "atol": 1e-12}
@@ -18,13 +18,13 @@ CLOSE = {"rtol": 0.0, "atol": 1e-12}
 def kernels(monkeypatch):
     """Record which kernels calibrate."""
     used = []
-    calibrate = calibration._calibrate
+    calibrate = tree_passes._calibrate
 
     def recorded(plan, evidence, semiring):
         used.append(semiring)
         return calibrate(plan, evidence, semiring)
 
-    monkeypatch.setattr(calibration, "_calibrate", recorded)
+    monkeypatch.setattr(tree_passes, "_calibrate", recorded)
     return used
 
 
@@ -83,8 +83,8 @@ def test_the_log_kernel_agrees_with_numbers(monkeypatch):
             raise FloatingPointError
         return calibrate(plan, evidence, semiring)
 
-    calibrate = calibration._calibrate
-    monkeypatch.setattr(calibration, "_calibrate", never)
+    calibrate = tree_passes._calibrate
+    monkeypatch.setattr(tree_passes, "_calibrate", never)
     logs = pgm.infer(graph, evidence)
     np.testing.assert_allclose(logs.log_evidence, plain.log_evidence, rtol=1e-13)
     for state in states:

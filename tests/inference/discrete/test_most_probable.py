@@ -12,13 +12,13 @@ from discrete.test_trees import evidence, question
 
 import pgm
 from models.discrete import asia, dyspnoea, smoking, xray
-from pgm.inference.discrete import storage, tree_planner
+from pgm.inference.discrete import storage, tree_plan
 
 
 @pytest.mark.parametrize("least", [2**16, 1])
 @pytest.mark.parametrize("seed", range(25))
 def test_it_attains_the_largest_probability(seed, least, monkeypatch):
-    for module in (tree_planner, storage):
+    for module in (tree_plan, storage):
         monkeypatch.setattr(module, "LARGE", least)
     net = network(seed, count=4 + seed % 6, zeros=0.1, deterministic=0.1)
     states, weights = question(net, seed)

@@ -9,7 +9,7 @@ from discrete.enumeration import Enumeration, network
 import pgm
 from models.discrete import asia, cancer, dyspnoea, either, smoking, xray
 from pgm.inference.discrete import enumeration
-from pgm.inference.discrete.tree_planner import plan_for
+from pgm.inference.discrete.tree_plan import plan_for
 
 
 def summed(graph):

@@ -7,7 +7,7 @@ from discrete.enumeration import Enumeration, network
 import pgm
 from models.discrete import asia, cancer, rain, sprinkler, wet, xray
 from pgm.evidence import bind_discrete
-from pgm.inference.discrete import entry, storage, tree_planner
+from pgm.inference.discrete import storage, tree_passes, tree_plan
 
 CLOSE = {"rtol": 0.0, "atol": 1e-12}
 
@@ -103,7 +103,7 @@ def test_a_sepset_that_shares_nothing():
 @pytest.mark.parametrize("seed", range(12))
 def test_tables_that_are_used_where_they_stand(seed, least, monkeypatch):
     """What large tables take, on small ones."""
-    for module in (tree_planner, storage):
+    for module in (tree_plan, storage):
         monkeypatch.setattr(module, "LARGE", least)
     net = network(400 + seed, count=9)
     assert check(net, pgm.compile(net), seed)
@@ -116,8 +116,8 @@ def test_potentials_that_are_made_again_and_tables_that_are_entered_apart(
     seed, held, zeros, monkeypatch
 ):
     """What the largest graphs take, and larger ones, on small ones."""
-    monkeypatch.setattr(entry, "HELD", held)
-    monkeypatch.setattr(entry, "SMALL", 0)
+    monkeypatch.setattr(tree_passes, "HELD", held)
+    monkeypatch.setattr(tree_passes, "SMALL", 0)
     net = network(500 + seed, count=9, zeros=zeros, deterministic=zeros)
     graph = pgm.compile(net)
     for again in range(3):
@@ -126,7 +126,7 @@ def test_potentials_that_are_made_again_and_tables_that_are_entered_apart(
 
 def test_without_evidence_only_the_roots_are_active():
     net = network(8, count=10)
-    plan = tree_planner.plan_for(pgm.compile(net), 1, 2**22)
+    plan = tree_plan.plan_for(pgm.compile(net), 1, 2**22)
     everywhere = bind_discrete(net.variables, dict.fromkeys(net.variables, 0))
     assert plan.above(everywhere) == plan.everything
     roots = [stack.bit for stack in plan.stacks if stack.down is None]
