@@ -1,4 +1,4 @@
-"""How large clusters are, and how much work they make: known before anything runs."""
+"""The sizes of clusters and the work they make, known before anything runs."""
 
 from __future__ import annotations
 

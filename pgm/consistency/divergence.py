@@ -1,4 +1,4 @@
-"""How far a belief is from another one."""
+"""Divergences of one belief from another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large errors are at each step, and how they differ from run to run."""
+"""Errors at each step, and their spread from run to run."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def coverage(
     *,
     band: float = 0.99,
 ) -> Coverage:
-    r"""How often the confidence region of a belief holds the truth.
+    r"""The share of confidence regions that hold the truth.
 
     .. math:: \{x : (x - \mu)^\top P^{-1} (x - \mu) \le \chi^2_n(c)\}
 

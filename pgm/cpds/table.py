@@ -127,5 +127,5 @@ class TableCPD(CPD):
 
 
 def _tolerance(size: int) -> float:
-    """How far a sum of so many probabilities may be from one."""
+    """The rounding that a sum of so many probabilities may have."""
     return max(ROUNDED * size, 1e-6) + size * float(np.finfo(float).eps)

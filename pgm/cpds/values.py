@@ -42,7 +42,7 @@ class Known:
 
     @property
     def runs(self) -> int:
-        """How many combinations of values there are."""
+        """Number of combinations of values."""
         return math.prod(self.lead)
 
 

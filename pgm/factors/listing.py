@@ -19,7 +19,7 @@ SCALE = 10.0
 
 
 def title(scope: States, lead: tuple[int, ...]) -> str:
-    """What a table is over, in one line."""
+    """The variables of a table, in one line."""
     many = f" of {sizes(scope)} states" if len(scope) > 1 else ""
     return f"Table{names(scope)}{many}" + (f", {lead} of them" if lead else "")
 

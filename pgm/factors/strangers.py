@@ -1,4 +1,4 @@
-"""What a key that is none of the known variables was probably meant to be, for messages."""
+"""Unknown variables: the known one that was probably meant, for messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large the tables and covariances of a graph, and what is read from them, may be."""
+"""Limits of the tables and covariances of a graph, and of what is read from them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LISTED = 8
 
 @dataclass(frozen=True)
 class Room:
-    """How much of many runs is held at a time.
+    """The share of many runs that is held at a time.
 
     Attributes
     ----------

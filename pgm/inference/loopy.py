@@ -143,7 +143,7 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
 
 
 def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array]:
-    """How much the messages along each edge would still change, the larger of both ways."""
+    """The change left in the messages along each edge, the larger of both ways."""
     directed = messages.directed
     change = messages.propose(messages.round(range(len(directed))))
     edges = zip(directed.source[::2].tolist(), directed.target[::2].tolist(), strict=True)

@@ -1,4 +1,4 @@
-"""How a schedule went."""
+"""The status of a schedule: iterations, convergence, digits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def digits(error: Array, lead: tuple[int, ...]) -> Array:
 
 
 def _levels_to_user() -> int:
-    """How many calls up a user's own line stands, for a warning to point at."""
+    """The number of calls up to a user's own line, for a warning to point at."""
     frame, levels = sys._getframe(1), 1
     while frame.f_back is not None:
         name = frame.f_globals.get("__name__", "")
@@ -39,7 +39,7 @@ def _levels_to_user() -> int:
 
 
 class Status(Immutable):
-    """How a schedule went.
+    """The status of a schedule: iterations, convergence, digits.
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ DT = "dt"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ControlReport:
-    """What became of the rows of one control; arrays are in the order of the log.
+    """The fate of each row of one control; arrays are in the order of the log.
 
     Attributes
     ----------

@@ -37,7 +37,7 @@ NOT_TAKEN, BEFORE, AFTER, FAR = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReadingReport:
-    """What became of the readings of one sensor; arrays are in the order of the log.
+    """The fate of each reading of one sensor; arrays are in the order of the log.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ def _logs(variable: Variable, value: Any) -> list[Stamped]:
 
 
 def _parents(variable: Variable, logs: Sequence[Stamped]) -> tuple[Variable, ...]:
-    """What the logs are given, the same in each."""
+    """The parents given with the logs, the same in each."""
     for log in logs:
         if set(log.given) != set(logs[0].given):
             raise EvidenceError(
@@ -178,7 +178,7 @@ def _given(
     counts: Sequence[int],
     taken: Mask,
 ) -> Array:
-    """What each reading is given, (M, d)."""
+    """The parents' values at each reading, (M, d)."""
     what = f"{parent!r}, given for the readings of {variable!r}"
     tables = []
     for log, count in zip(logs, counts, strict=True):

@@ -49,7 +49,7 @@ def damped(old: Rows, new: Rows, damping: float) -> Rows:
 
 
 def change(old: Rows, new: Rows, against: Rows) -> Array:
-    """How much the sepsets' beliefs would move, (B, runs): means and variances, relatively.
+    """The relative move of the sepsets' beliefs, (B, runs): of means and variances.
 
     With a message's information K and h, and the belief N(m, D²) that the new one makes with the
     message against it: the largest of D |ΔK| D and D |Δh − ΔK m|; infinite where it is undefined.
@@ -117,7 +117,7 @@ def _relations(rows: Rows) -> tuple[Array, Array]:
 
 
 def _relations_moved(old: Rows, new: Rows) -> Array | None:
-    """How much exact relations differ, (V, B, N), whatever rows they are written as."""
+    """The difference of exact relations, (V, B, N), whatever rows they are written as."""
     if new.exact is None or old.exact is None:
         return None
     exact, sides = _relations(old)

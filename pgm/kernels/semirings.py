@@ -14,7 +14,7 @@ Axes = int | tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class Semiring:
-    """How entries of tables are multiplied and summed.
+    """A product and a sum of entries of tables.
 
     Attributes
     ----------

@@ -94,12 +94,12 @@ def scrambled_net(uniforms: Array, samples: int, dimension: int) -> Array:
 
 
 def scrambling_size(samples: int, dimension: int) -> int:
-    """How many uniform numbers a scrambling takes: a shift, and a matrix column for each digit."""
+    """The number of uniform draws for a scrambling: a shift, and a matrix column for each digit."""
     return (1 + _digits(samples)) * dimension
 
 
 def _digits(samples: int) -> int:
-    """How many binary digits the coordinates of a net's points have before scrambling."""
+    """The number of binary digits of a net's coordinates before scrambling."""
     return (int(samples) - 1).bit_length()
 
 

@@ -66,7 +66,7 @@ class Points(_Points):
 
     @cached_property
     def rounding(self) -> float:
-        """How far rounding may put a value off its line, as a part of the value's summands.
+        """The rounding by which a value may be off its line, as a part of the value's summands.
 
         The deviation, with the rule's weights, of values that are each off by four units in the
         last place, from a line that these move as well.

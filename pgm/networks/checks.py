@@ -1,4 +1,4 @@
-"""What networks check of their CPDs, whatever their kind."""
+"""Checks of the CPDs of networks of any kind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a dynamic network checks of its prior, transition and observation."""
+"""Checks of a dynamic network's prior, transition and observation."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def bends(graph: nx.DiGraph, points: dict[Variable, Point], radius: float) -> di
 
 
 def _clearance(points: dict[Variable, Point], arrow: Arrow, bend: float) -> float:
-    """How near an arrow comes to other nodes; its curve is that of matplotlib's ``arc3``."""
+    """The distance of an arrow from other nodes; its curve is that of matplotlib's ``arc3``."""
     others = np.array([at for node, at in points.items() if node not in arrow])
     if not len(others):
         return np.inf

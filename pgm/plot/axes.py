@@ -1,4 +1,4 @@
-"""What every plot of numbers does with an axes: make it, name it, give it a legend."""
+"""Axes of plots of numbers: made, named, and given a legend."""
 
 from __future__ import annotations
 

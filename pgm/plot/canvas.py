@@ -54,7 +54,7 @@ class Box(NamedTuple):
 
 
 def text_size(text: str) -> Size:
-    """How much room a text of some lines takes at the size `FONT`."""
+    """The width and height of a text of some lines at the size `FONT`."""
     lines = text.split("\n")
     font = FontProperties(size=FONT)
     widths = [

@@ -89,7 +89,7 @@ class _Slice:
         return self.across * self.columns + self.radius + 10.0
 
     def cost(self, x: Array) -> float:
-        """How bad the columns are; 1 is an arrow that goes two columns sideways."""
+        """The cost of the columns; 1 is an arrow that goes two columns sideways."""
         y = -self.down * self.row
         parent, child, lag = self.edges.T
         nodes = np.stack([np.concatenate([x, x - self.width]), np.tile(y, 2)], axis=-1)

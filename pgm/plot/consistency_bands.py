@@ -1,4 +1,4 @@
-"""What plots of statistics over time share: their horizontal axis, a band, a line."""
+"""Common parts of plots of statistics over time: the horizontal axis, a band, a line."""
 
 from __future__ import annotations
 

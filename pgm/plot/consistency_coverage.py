@@ -1,4 +1,4 @@
-"""How often regions hold the truth, against how often they say they do."""
+"""The share of regions that hold the truth, against the share that they promise."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def joined(graph: ClusterGraph, clusters: Sequence[Cluster]) -> tuple[dict[Edge,
 
 
 def links(graph: ClusterGraph, clusters: Sequence[Cluster], edges: Iterable[Edge]) -> nx.Graph:
-    """What is joined; in a balanced tree from each cluster to its children, in their order."""
+    """The edges; in a balanced tree from each cluster to its children, in their order."""
     drawn = [cluster.index for cluster in clusters]
     found = nx.Graph()
     if isinstance(graph, BalancedGraph):

@@ -1,4 +1,4 @@
-"""What the shapes of a picture say."""
+"""Labels of the shapes of a picture."""
 
 from __future__ import annotations
 

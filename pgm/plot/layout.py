@@ -53,7 +53,7 @@ class Layout:
         return Box(*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
 
     def worth(self, sizes: Mapping[Node, Size], room: Size | None) -> float:
-        """How large it can be drawn, 1 at the most, less a little for each crossing."""
+        """The size at which it can be drawn, 1 at the most, less a little for each crossing."""
         page, size = room or PAGE, self.box(sizes).size
         scale = min(page.width / size.width, page.height / size.height, 1.0)
         return scale / (1.0 + _CROSSING * self.crossings)

@@ -1,4 +1,4 @@
-"""How a schedule converged: the residual of each iteration."""
+"""The convergence of a schedule: the residual of each iteration."""
 
 from __future__ import annotations
 

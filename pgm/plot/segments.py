@@ -18,7 +18,7 @@ def distances(points: Array, start: Array, end: Array) -> Array:
 
 
 def crossings(start: Array, end: Array) -> int:
-    """How many pairs of segments cross; a shared end is no crossing."""
+    """The number of pairs of segments that cross; a shared end is no crossing."""
 
     def side(point: Array) -> Array:
         """On which side of each segment points lie, (E, E)."""

@@ -1,4 +1,4 @@
-"""How often each sensor of a chain reads at each step."""
+"""The number of readings of each sensor of a chain at each step."""
 
 from __future__ import annotations
 

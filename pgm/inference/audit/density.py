@@ -1,4 +1,4 @@
-"""What each CPD adds to the log-weight of draws."""
+"""The part of each CPD in the log-weight of draws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an audit finds."""
+"""The result of an audit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ UNTRUSTED = 0.7
 
 
 class Audit(Immutable):
-    """How far a Gaussian answer is from the exact one, by importance sampling; (...) are runs.
+    """The distance of a Gaussian answer from the exact one, by importance sampling; (...) are runs.
 
     For draws x_s from the Gaussian answer q and weights w_s = p(x_s, z) / q(x_s).
 

@@ -92,7 +92,7 @@ class Filtered:
 
 
 class Watch:
-    """How close components come to being determined by others.
+    """The least share of a variance that other components leave open, during a sweep.
 
     Attributes
     ----------

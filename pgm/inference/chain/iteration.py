@@ -148,7 +148,7 @@ class Problem(Protocol[Found]):
 
 @dataclass(frozen=True, eq=False)
 class Iterated(Generic[S]):
-    """How an iteration went.
+    """The result of an iteration.
 
     Attributes
     ----------

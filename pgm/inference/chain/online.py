@@ -107,7 +107,7 @@ class OnlineFilter(Immutable):
 
     @cached_property
     def _filtering(self) -> Filtering:
-        """How a step's readings are linearised, where its window is not."""
+        """The schedule of a step's readings, where its window is not linearised."""
         schedule = self.schedule
         if isinstance(schedule, FixedLag):
             return ONCE if schedule.lag else schedule.filtering

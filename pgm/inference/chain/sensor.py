@@ -51,7 +51,7 @@ class Seen(NamedTuple):
 
     @property
     def missing(self) -> Integers:
-        """How many components of each reading are missing, (k, runs or 1)."""
+        """The number of missing components of each reading, (k, runs or 1)."""
         none: Integers = np.zeros((1, 1), dtype=np.intp)
         return none if self.taken is None else (~self.taken).sum(axis=-1)
 

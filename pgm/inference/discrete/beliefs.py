@@ -1,4 +1,4 @@
-"""What a discrete posterior reads: the tables of a graph after a schedule of messages."""
+"""The beliefs of a discrete graph: its tables after a schedule of messages."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Beliefs(ABC):
 
     @abstractmethod
     def read(self, reader: Callable[[Array], Array]) -> Array:
-        """What a function makes of the tables, whose last axis, if any, is of runs."""
+        """The result of a function of the tables, whose last axis, if any, is of runs."""
 
     @abstractmethod
     def joint(self, scope: States) -> Array:

@@ -103,7 +103,7 @@ def axes_left(evidence: BoundStates, scope: States) -> States:
 
 
 def at_once(entries: int, batch: int) -> int:
-    """How many runs of a tree are calibrated at once: as many as fit, or one, if only few do."""
+    """The runs of a tree that are calibrated at once: as many as fit, or one if only few do."""
     size = batch // entries
     return size if size >= FEW else 1
 

@@ -80,7 +80,7 @@ def _contradiction(
 
 
 def contradicted(empty: Mask, clusters: Iterable[Cluster], lead: tuple[int, ...]) -> EvidenceError:
-    """What to raise where sums over clusters' states, (clusters, runs), are zero."""
+    """The error where sums over clusters' states, (clusters, runs), are zero."""
     runs = empty.any(axis=0)
     row = int(empty[:, runs.argmax()].argmax())
     cluster = list(clusters)[row]

@@ -225,7 +225,7 @@ class LoopyBeliefs(Beliefs):
         return self._marginals[self.storage.marginals.where[variable]]
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
-        """What a function makes of the tables, whose last axis, if any, is of runs."""
+        """The result of a function of the tables, whose last axis, if any, is of runs."""
         return reader(self._tables)
 
     def joint(self, scope: States) -> Array:

@@ -131,7 +131,7 @@ class LoopyPlan:
         )
 
     def _shape(self, cluster: int, message: int) -> tuple[Integers, Integers]:
-        """How a cluster's entries are summed to a sepset, and which column meets each.
+        """The sum of a cluster's entries to a sepset, and the column that meets each.
 
         Entries (rows, columns), and columns (entries,); they depend on shapes alone.
         """

@@ -168,7 +168,7 @@ class _Search:
 
 
 def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
-    """What is found, by part of the runs, one for each worker."""
+    """The assignments by part of the runs, one for each worker."""
     runs = search.runs
     edges = [runs * k // workers.count for k in range(workers.count + 1)]
     parts = [slice(*pair) for pair in pairwise(edges) if pair[0] < pair[1]]

@@ -117,7 +117,7 @@ class Merged:
     order: tuple[int, ...]
 
     def axes(self, tail: int) -> tuple[int, ...]:
-        """What transposes wanted variables from the stored order to that asked for."""
+        """The permutation of wanted variables from the stored order to that asked for."""
         return (*self.order, *range(len(self.order), len(self.order) + tail))
 
     def spread(self, values: Array) -> Array:

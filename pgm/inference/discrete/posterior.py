@@ -1,4 +1,4 @@
-"""What inference on a discrete network returns."""
+"""Posteriors of discrete networks."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ class DiscretePosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """What `log_evidence` is: exact, of a tree whose messages have settled, or bethe."""
+        """The kind of `log_evidence`: exact, of a tree whose messages have settled, or bethe."""
         return "exact" if self.graph.is_tree and self.status.converged.all() else "bethe"
 
     def __repr__(self) -> str:

@@ -82,7 +82,7 @@ class Storage:
 
     @cached_property
     def marginals(self) -> Marginals:
-        """What sums the tables to the probabilities of each variable."""
+        """The sums of the tables to the probabilities of each variable."""
         return Marginals.of(self.by_state, self.entries)
 
     def potentials(self, semiring: Semiring, room: int = 0) -> Array:

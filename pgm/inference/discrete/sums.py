@@ -176,7 +176,7 @@ ENTRIES, SUMS = 128, 8
 
 @dataclass(frozen=True, eq=False)
 class AxisSums:
-    """How some axes of a table are summed over.
+    """A sum over some axes of a table.
 
     Attributes
     ----------

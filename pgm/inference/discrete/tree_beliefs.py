@@ -93,7 +93,7 @@ class TreeBeliefs(Beliefs):
         return self._distinct.spread(self._marginals[self.plan.marginals.where[variable]])
 
     def read(self, reader: Callable[[Array], Array]) -> Array:
-        """What a function makes of the tables, whose last axis, if any, is of runs."""
+        """The result of a function of the tables, whose last axis, if any, is of runs."""
         return self._distinct.spread(self._read(reader))
 
     def _read(self, reader: Callable[[Array], Array]) -> Array:
@@ -129,7 +129,7 @@ class TreeBeliefs(Beliefs):
         return TreeMessages(self.storage, evidence, self.plan.logs)
 
     def _messages(self) -> Iterator[TreeMessages]:
-        """Those of all runs, or of some runs after the other, none of which is kept."""
+        """The messages of all runs, or of some runs after the other, none of which is kept."""
         if self._whole is not None:
             yield self._whole
             return
@@ -169,7 +169,7 @@ class _Gathered:
         self.done = 0
 
     def add(self, values: Array, runs: int) -> None:
-        """Those of the next runs."""
+        """Add the tables of the next runs."""
         if runs == self.runs:
             self.whole = values
             return

@@ -18,7 +18,7 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """What a pass to the roots begins with.
+    """The tables with which a pass to the roots begins.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Collected:
-    """What a pass to the roots leaves.
+    """The tables that a pass to the roots leaves.
 
     Attributes
     ----------

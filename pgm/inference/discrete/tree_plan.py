@@ -1,4 +1,4 @@
-"""What a pass of messages over a tree of tables does, laid out once for a graph.
+"""The plan of a pass of messages over a tree of tables, laid out once for a graph.
 
 The clusters of a tree hang at its centre. Those of one depth that have as many entries for each
 entry of the sepset to their parent, the same number of children and parents of like shape form a
@@ -183,7 +183,7 @@ class TreePlan:
 
     @cached_property
     def marginals(self) -> Marginals:
-        """What sums the tables and sepsets to the probabilities of each variable."""
+        """The sums of tables and sepsets to the probabilities of each variable."""
         sources = self.storage.by_state
         smallest = {v: self._smallest(v, source) for v, source in sources.items()}
         return Marginals.of(smallest, self.storage.entries + self.columns)
@@ -284,7 +284,7 @@ class _Planner:
         return self.graph.sizes[cluster] // self.width[cluster]
 
     def _kind(self, cluster: int) -> tuple[int, ...]:
-        """What clusters of one stack have in common."""
+        """The shape that clusters of one stack have in common."""
         parent = int(self.forest.parent[cluster])
         above = self.graph.sizes[parent] // self.width[cluster] if parent >= 0 else 0
         depth, children = int(self.forest.depth[cluster]), len(self.forest.children[cluster])
@@ -385,7 +385,7 @@ class _Planner:
         return [GatheredProduct(senders[some], maps[some]) for some in chunks]
 
     def _down(self, clusters: list[int], storage: Storage) -> Sum | None:
-        """What sums the parents' tables to the columns of a stack."""
+        """The sums of the parents' tables to the columns of a stack."""
         parent = int(self.forest.parent[clusters[0]])
         if parent < 0:
             return None

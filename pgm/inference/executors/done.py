@@ -18,7 +18,7 @@ class Elsewhere(Exception):
 
 
 class Done(NamedTuple):
-    """What a worker has to tell.
+    """The answer of a worker.
 
     Attributes
     ----------

@@ -40,7 +40,7 @@ _idle: weakref.WeakKeyDictionary[Executor, list[Block]] = weakref.WeakKeyDiction
 
 
 class Name(NamedTuple):
-    """What another process finds a block by: who made it, as which number, its file, its size."""
+    """The name of a block in other processes: its maker, number, file and size."""
 
     process: int
     number: int

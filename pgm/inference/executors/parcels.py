@@ -89,7 +89,7 @@ class Parcel:
         return Pickle(file.getvalue(), list(itertools.islice(self._put.values(), before, None)))
 
     def place(self, array: AnyArray) -> _Place | None:
-        """How an array travels; None if as any object."""
+        """The place of an array in the parcel; None if it is pickled as any object."""
         seen = (array.dtype, array.strides, array.shape, array.flags.writeable)
         if self.room is not None and (offset := self.room.offset(array)) is not None:
             return _Place(self.room.block.name, offset, *seen)

@@ -1,4 +1,4 @@
-"""What cannot be handed to another process, by name."""
+"""Refusals of objects that cannot be pickled, by name."""
 
 from __future__ import annotations
 

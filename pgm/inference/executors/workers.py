@@ -47,7 +47,7 @@ class Task:
     answer: Block | None
 
     def done(self) -> Done:
-        """What the worker has to tell, once it is done."""
+        """The worker's answer, once it is done."""
         found = self.future.result()
         if not isinstance(found, Done):
             data, size = found
@@ -63,7 +63,7 @@ class Task:
 
 
 class Workers:
-    """Those who do the parts of some work: an executor's, or the caller alone.
+    """The workers of an executor, or the caller alone.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class Workers:
         large: bool,
         named: Sequence[Any] = (),
     ) -> Iterator[Done]:
-        """What the work makes of each job, in their order; alone, errors are raised at once.
+        """The results of jobs, in their order; without an executor errors are raised at once.
 
         Parameters
         ----------

@@ -101,7 +101,7 @@ class Buffer:
         )
 
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
-        """What a stack's elimination leaves, and its log-scale, (V, B, N)."""
+        """The rows that a stack's elimination leaves, and their log-scale, (V, B, N)."""
         done = eliminate(self.factor(stack), stack.drop)
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
         if done.contradiction is not None and done.contradiction.any():

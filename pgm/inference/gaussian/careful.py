@@ -217,7 +217,7 @@ def _read(
 
 
 def _rounding(model: Model, g: int) -> Array:
-    """How much rounding F x + b of a linearised CPD may have, (CPDs, runs, d)."""
+    """The rounding that F x + b of a linearised CPD may have, (CPDs, runs, d)."""
     family = model.families[g]
     rule, template = family.lineariser, family.template
     assert template is not None

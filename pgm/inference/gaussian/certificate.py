@@ -1,4 +1,4 @@
-"""How many digits float64 leaves of a tree's beliefs: how far apart its deviations lie.
+"""The digits that float64 leaves of a tree's beliefs, by how far apart its deviations lie.
 
 Rows are divided by their noise and multiplied by the prior's deviations, so that the size a of a
 row's entries says by how much a CPD or reading is sharper than the prior. A factorisation moves

@@ -24,7 +24,7 @@ def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
 
 
 def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
-    """What inference can leave out, since it lacks inputs and nothing depends on it.
+    """The variables that inference leaves out: they lack inputs, and nothing depends on them.
 
     Children without evidence of CPDs whose inputs have none, such as sensors not read, unless
     something observed or kept depends on them; and these inputs.

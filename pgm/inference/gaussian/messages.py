@@ -170,7 +170,7 @@ class RowMessages:
 
 
 class _Sepsets(NamedTuple):
-    """What tells the messages of a stack: their numbers and size."""
+    """The numbers and the size of a stack's messages."""
 
     members: Integers
     kept: int

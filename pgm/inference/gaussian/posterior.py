@@ -1,4 +1,4 @@
-"""What inference on a Gaussian network returns."""
+"""Posteriors of Gaussian networks."""
 
 from __future__ import annotations
 
@@ -274,7 +274,7 @@ class GaussianPosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """What `log_evidence` is: exact, linearised, laplace or bethe."""
+        """The kind of `log_evidence`: exact, linearised, laplace or bethe."""
         model = self._model
         sent = self._loopy is None or bool(self.status.converged.all())
         if not self.graph.is_tree or not sent:

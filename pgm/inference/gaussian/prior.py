@@ -39,7 +39,7 @@ class Frame:
 
 
 class Predictive(Protocol):
-    """How the prior's moments are found; see `prior_predictive`."""
+    """The plan of the prior's moments; see `prior_predictive`."""
 
     def __call__(
         self,

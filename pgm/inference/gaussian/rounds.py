@@ -47,7 +47,7 @@ class Stack:
 
     @property
     def kept(self) -> int:
-        """How many columns are left: the sepset's components."""
+        """The number of columns left: the sepset's components."""
         return int(self.components.shape[1] - self.drop)
 
 

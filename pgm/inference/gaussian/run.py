@@ -142,7 +142,7 @@ def _calibrate(
 
 
 def _move(before: Array, beliefs: Beliefs) -> Array:
-    """How far the means of each run moved, (runs,), in standard deviations."""
+    """The move of each run's means, (runs,), in standard deviations."""
     mean, std = beliefs.components()
     return moments.marginal_error(mean[None], before[None], std[None])
 

@@ -116,7 +116,7 @@ class Tables:
         return reduced
 
     def _weights(self, variable: Discrete) -> Array:
-        """What the evidence of a variable that is not known weighs its states with."""
+        """The weights that evidence gives to the states of a variable that is not known."""
         soft = self.evidence.weights.get(variable)
         if soft is not None:
             return soft.T

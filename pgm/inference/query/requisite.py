@@ -1,4 +1,4 @@
-"""What of a discrete network bears on a query."""
+"""The part of a discrete network that bears on a query."""
 
 from __future__ import annotations
 

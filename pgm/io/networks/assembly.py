@@ -38,7 +38,7 @@ class Family:
 
     @property
     def rows(self) -> int:
-        """How many combinations of parents' states there are."""
+        """Number of combinations of the parents' states."""
         return math.prod(v.size for v in self.given)
 
     def row(self, index: int) -> str:
@@ -162,7 +162,7 @@ class Assembly:
         self._cpds[family.child.name] = cpd
 
     def network(self) -> BayesianNetwork:
-        """What was put together, variables in the order of their declarations."""
+        """The network, its variables in the order of their declarations."""
         if not self.variables:
             raise self._fail("it declares no variable", None)
         missing = [name for name in self.variables if self._cpds.get(name) is None]

@@ -15,7 +15,7 @@ from pgm.kernels.arrays import Array
 
 @dataclass(slots=True)
 class Statements:
-    """What a block says of its family's probabilities, as far as it has been read.
+    """The statements of a block about its family's probabilities, as far as it has been read.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ GZIP = b"\x1f\x8b"
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """What a file is called, and the errors that name it and a line."""
+    """The name of a file, and the errors that name it and a line."""
 
     name: str
     path: str | None
@@ -34,7 +34,7 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What was read from a source: text, where the source was opened as text, else bytes."""
+    """The content of a source: text, where it was opened as text, else bytes."""
 
     data: str | bytes = field(repr=False)
     origin: Origin
@@ -101,7 +101,7 @@ def _unpacked(file: IO[Any], origin: Origin, limit: int) -> Content:
 
 
 def _all(file: Any, limit: int) -> str | bytes:
-    """What a file holds, or somewhat more than `limit` of it."""
+    """The content of a file, or somewhat more than `limit` of it."""
     pieces, held = [], 0
     while held <= limit and (piece := file.read(limit + 1 - held)):  # may be less than asked for
         pieces.append(piece)

@@ -41,7 +41,7 @@ class Words:
 
     @property
     def left(self) -> int:
-        """How many numbers are left."""
+        """The number of numbers left."""
         return len(self._values) - self.at
 
     def count(self, what: str) -> int:

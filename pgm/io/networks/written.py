@@ -1,4 +1,4 @@
-"""What the writers of networks have in common."""
+"""The common part of the writers of networks."""
 
 from __future__ import annotations
 

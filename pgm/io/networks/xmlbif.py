@@ -82,7 +82,7 @@ def read_xmlbif(source: Source, *, normalise: bool = False, limit: int = LIMIT) 
 
 @dataclass(slots=True)
 class Definition:
-    """What a table's element says, before all variables are known."""
+    """The element of a table, before all variables are known."""
 
     line: int
     child: str = ""
