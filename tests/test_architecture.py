@@ -173,8 +173,8 @@ def test_the_files_shown_are_those_that_run(monkeypatch):
         path = Path(code.co_filename)
         if times < T and code is not forward.__code__:
             continue  # what the first step prepares for all
-        if code.co_filename == "<string>":  # as `straight` writes them
-            lines.setdefault("kernels/straight.py", set())
+        if code.co_filename == "<string>":  # as `unrolled` writes them
+            lines.setdefault("kernels/unrolled.py", set())
         elif PACKAGE in path.parents:
             own = lines.setdefault(path.relative_to(PACKAGE).as_posix(), set())
             own.update(range(code.co_firstlineno, max(k for *_, k in code.co_lines() if k) + 1))

@@ -25,7 +25,7 @@ from pgm.kernels.arrays import (
     symmetric,
 )
 from pgm.kernels.moments import ROUNDING
-from pgm.kernels.straight import checking, predicting, updating
+from pgm.kernels.unrolled import checking, predicting, updating
 
 # Below this part of its diagonal entry a pivot of several readings together costs too many digits.
 NEARLY_SINGULAR = 1e-6

@@ -12,7 +12,7 @@ import numpy as np
 
 from pgm.errors import ModelError
 from pgm.evidence import Evidence, Reading, Sightings, bind, sightings
-from pgm.factors.strangers import stranger
+from pgm.factors.unknown_names import unknown_name
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
 from pgm.sizes import require_memory
@@ -41,7 +41,7 @@ class Sample(Immutable):
         """The values of a variable."""
         if variable not in self.values:
             raise ModelError(
-                f"no values of {variable!r}, {stranger(variable, self.values, 'the sample')}",
+                f"no values of {variable!r}, {unknown_name(variable, self.values, 'the sample')}",
                 variable=variable,
             )
         return self.values[variable]

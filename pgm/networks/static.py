@@ -15,7 +15,7 @@ from pgm.cpds.values import Values
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each
-from pgm.factors.strangers import stranger
+from pgm.factors.unknown_names import unknown_name
 from pgm.immutable import Immutable
 from pgm.networks import ancestral, checks
 from pgm.variables import Variable
@@ -122,7 +122,7 @@ class BayesianNetwork(Immutable):
             if variable in self.inputs:
                 why = "since it is an input, which no CPD explains"
             else:
-                why = stranger(variable, self.variables)
+                why = unknown_name(variable, self.variables)
             raise ModelError(f"no CPD of {variable!r}, {why}", variable=variable)
         return self._by_child[variable]
 
@@ -240,7 +240,7 @@ class BayesianNetwork(Immutable):
             for name, found in members.items()
         ]
         for variable in set().union(*sets).difference(self.variables):
-            why = stranger(variable, self.variables)
+            why = unknown_name(variable, self.variables)
             raise ModelError(f"d_separated of {variable!r}, {why}", variable=variable)
         for one, other in combinations(sets, 2):
             for variable in one & other:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from pgm.kernels import gaussian, straight
+from pgm.kernels import gaussian, unrolled
 from tests.dense import random_covariance
 
 # Of one Gaussian the first of these are written out number by number, the others go to LAPACK.
@@ -115,11 +115,11 @@ def assert_conditioned(found, arguments, batch):
 
 def test_small_ones_are_written_out():
     for size, height in SMALL:
-        assert straight.updating(size, height, 1e-6) is not None
-        assert straight.predicting(height, size) is not None
+        assert unrolled.updating(size, height, 1e-6) is not None
+        assert unrolled.predicting(height, size) is not None
     for size, height in [*LARGE, (3, 0)]:
-        assert straight.updating(size, height, 1e-6) is None
-    assert straight.predicting(7, 7) is None
+        assert unrolled.updating(size, height, 1e-6) is None
+    assert unrolled.predicting(7, 7) is None
 
 
 # ---- updates

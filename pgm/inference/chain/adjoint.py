@@ -29,10 +29,7 @@ from pgm.compile import SliceLayout
 from pgm.errors import NumericalError
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.careful import Careful, Step
-from pgm.inference.chain.certificate import moments
-from pgm.inference.chain.iteration import Point
-from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.taking import (
+from pgm.inference.chain.careful_update import (
     CLEAR,
     ROUNDING,
     Belief,
@@ -42,6 +39,9 @@ from pgm.inference.chain.taking import (
     through,
     variances,
 )
+from pgm.inference.chain.certificate import moments
+from pgm.inference.chain.iteration import Point
+from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels import twofold
 from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stacked
 from pgm.kernels.twofold import Twofold

@@ -27,14 +27,7 @@ import numpy as np
 from pgm.errors import NumericalError
 from pgm.inference.chain import careful_motion as motion
 from pgm.inference.chain.careful_motion import proper
-from pgm.inference.chain.certificate import Solved, moments, solved
-from pgm.inference.chain.forward import Forward
-from pgm.inference.chain.iterated_update import UpdateProblem, iterated
-from pgm.inference.chain.iteration import Anchor, Point
-from pgm.inference.chain.moments import MomentChain, largest
-from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.readings import Moments, Reading
-from pgm.inference.chain.taking import (
+from pgm.inference.chain.careful_update import (
     Belief,
     Component,
     IteratedUpdate,
@@ -42,6 +35,13 @@ from pgm.inference.chain.taking import (
     update,
     variances,
 )
+from pgm.inference.chain.certificate import Solved, moments, solved
+from pgm.inference.chain.forward import Forward
+from pgm.inference.chain.iterated_update import UpdateProblem, iterated
+from pgm.inference.chain.iteration import Anchor, Point
+from pgm.inference.chain.moments import MomentChain, largest
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.schedule import Filtering
 from pgm.inference.status import Status
 from pgm.kernels import roots

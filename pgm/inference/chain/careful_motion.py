@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.errors import LinearisationError
+from pgm.inference.chain.careful_update import ROUNDING, Belief, cancelled, rounded, through
 from pgm.inference.chain.certificate import is_flat
 from pgm.inference.chain.likelihoods import distinct
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments
-from pgm.inference.chain.taking import ROUNDING, Belief, cancelled, rounded, through
 from pgm.inference.family import Family
 from pgm.inference.schedule import ONCE
 from pgm.kernels import twofold

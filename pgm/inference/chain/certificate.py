@@ -24,9 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.inference.chain.careful_update import CLEAR, ROUNDING, Belief, variances
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.taking import CLEAR, ROUNDING, Belief, variances
 from pgm.inference.chain.vector import stacks
 from pgm.kernels import along_runs, roots, twofold
 from pgm.kernels.arrays import Array, apply, sandwich, symmetric

@@ -19,13 +19,13 @@ from pgm.inference.chain import backward, careful, certificate, cost, forward
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Begin, Careful
+from pgm.inference.chain.careful_update import Belief
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Iterated, iterate
 from pgm.inference.chain.moments import largest
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.smoother import Chain, Either, swept
-from pgm.inference.chain.taking import Belief
 from pgm.inference.schedule import ONCE, FixedLag
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Mask, stacked

@@ -18,11 +18,11 @@ from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
 from pgm.inference.chain import careful, careful_motion
+from pgm.inference.chain.careful_update import Belief, variances
 from pgm.inference.chain.certificate import MODERATE, is_ordinary, moments, solved
 from pgm.inference.chain.iterated_update import IteratedUpdate, iterated
 from pgm.inference.chain.online_window import Sliding, Trail
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.taking import Belief, variances
 from pgm.inference.kind import Kind
 from pgm.inference.posterior import require_variable
 from pgm.inference.schedule import Filtering

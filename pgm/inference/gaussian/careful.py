@@ -1,9 +1,9 @@
 """Inference on a small network in as many digits as its numbers need, where float64 loses them.
 
-The CPDs, linearised, are the laws of a dense joint; see `dense`. Their parameters and the evidence
-are taken as they are, to all digits, so that only what a lineariser rounds is lost: of a value
-F μ + b the last places of its summands. Where these go, to first order, says how many digits of a
-posterior mean they leave.
+The CPDs, linearised, are the conditionals of a dense joint; see `dense`. Their parameters and the
+evidence are taken as they are, to all digits, so that only the rounding of a lineariser is lost: of
+a value F μ + b the last places of its summands. Where these go, to first order, says how many digits
+of a posterior mean they leave.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 
 from pgm.inference.family import Family
 from pgm.inference.gaussian.beliefs import Beliefs
+from pgm.inference.gaussian.conditionals import Conditional, Conditionals, Root
 from pgm.inference.gaussian.dense import Joint
-from pgm.inference.gaussian.laws import Law, Laws, Root
 from pgm.inference.gaussian.layout import Layout
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.prior import SHARE, Frame
@@ -98,22 +98,28 @@ def predictive(
     start: Array | None = None,
 ) -> Frame:
     """As `prior_predictive` without a start, but that moments are rounded once, at the end."""
-    laws = Laws(layout, families, runs, shared)
+    conditionals = Conditionals(layout, families, runs, shared)
     with decimals.digits(MANY):
         joint = Joint.empty(
-            laws.stacked, layout.size, runs if shared else 1, Decimal(10) ** -(MANY // 2)
+            conditionals.stacked, layout.size, runs if shared else 1, Decimal(10) ** -(MANY // 2)
         )
         for g, row in layout.order:
             group, family = layout.groups[g], families[g]
             parents = group.parents[row]
             if not family.exact:
                 inside = decimals.floats(joint.cov[:, parents[:, None], parents])
-                mean = laws.by_float(joint.mean[:, parents])
+                mean = conditionals.by_float(joint.mean[:, parents])
                 family.linearise(row, mean, np.broadcast_to(inside, (runs, *inside.shape[1:])))
             if not group.observed:
-                law = laws.law(g, row)
-                joint.add(group.child[row], parents, law.matrix, law.offset, law.noise)
-        mean = laws.by_float(joint.mean)
+                conditional = conditionals.conditional(g, row)
+                joint.add(
+                    group.child[row],
+                    parents,
+                    conditional.matrix,
+                    conditional.offset,
+                    conditional.noise,
+                )
+        mean = conditionals.by_float(joint.mean)
         variance = decimals.floats(np.diagonal(joint.cov, axis1=-2, axis2=-1))
     scale = np.sqrt(variance.max(axis=0, initial=0.0))
     scale = np.maximum(scale, SHARE * np.abs(mean).max(axis=0, initial=0.0))
@@ -122,14 +128,14 @@ def predictive(
 
 def solve(plan: TreePlan, model: Model) -> Solution:
     """The beliefs of a network as it is linearised."""
-    laws = Laws(plan.layout, model.families, model.runs, model.shared)
+    conditionals = Conditionals(plan.layout, model.families, model.runs, model.shared)
     with decimals.digits(FEW):
-        count = min(2 * (2 * laws.span() + FEW), MOST_DIGITS)
+        count = min(2 * (2 * conditionals.span() + FEW), MOST_DIGITS)
     with decimals.digits(count):
-        return _solve(plan, model, laws, Decimal(10) ** -(count // 2))
+        return _solve(plan, model, conditionals, Decimal(10) ** -(count // 2))
 
 
-def _solve(plan: TreePlan, model: Model, laws: Laws, nothing: Decimal) -> Solution:
+def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: Decimal) -> Solution:
     layout = plan.layout
     sides = model.runs if model.shared else 1
     rounding = [None if f.exact else _rounding(model, g) for g, f in enumerate(model.families)]
@@ -139,13 +145,14 @@ def _solve(plan: TreePlan, model: Model, laws: Laws, nothing: Decimal) -> Soluti
         if lost is not None
     )
     height = max((group.height for group in layout.groups if group.observed), default=0)
-    joint = Joint.empty(laws.stacked, layout.size + height, sides + columns, nothing)
-    log_density, moved = np.zeros((laws.stacked, sides)), np.zeros(laws.stacked)
+    joint = Joint.empty(conditionals.stacked, layout.size + height, sides + columns, nothing)
+    log_density, moved = np.zeros((conditionals.stacked, sides)), np.zeros(conditionals.stacked)
     done = sides
-    for law in laws:
-        group, row, lost = law.group, law.row, rounding[law.g]
+    for conditional in conditionals:
+        group, row, lost = conditional.group, conditional.row, rounding[conditional.g]
         offset = np.concatenate(
-            [law.offset, decimals.zeros(laws.stacked, group.height, columns)], axis=-1
+            [conditional.offset, decimals.zeros(conditionals.stacked, group.height, columns)],
+            axis=-1,
         )
         if lost is not None:
             own = np.arange(group.height)
@@ -153,30 +160,34 @@ def _solve(plan: TreePlan, model: Model, laws: Laws, nothing: Decimal) -> Soluti
             done += group.height
         parents = group.parents[row]
         if not group.observed:
-            joint.add(group.child[row], parents, law.matrix, offset, law.noise)
+            joint.add(group.child[row], parents, conditional.matrix, offset, conditional.noise)
         else:
-            said, lost_of_it = _read(model, laws, law, joint, offset)
+            said, lost_of_it = _read(model, conditionals, conditional, joint, offset)
             log_density += said
             moved = np.maximum(moved, lost_of_it)
     size = layout.size
     mean, cov = joint.mean[:, :size, :sides], decimals.floats(joint.cov[:, :size, :size])
-    found = DenseBeliefs.of(plan, laws.by_float(mean), cov)
+    found = DenseBeliefs.of(plan, conditionals.by_float(mean), cov)
     return Solution(found, log_density, _digits(model, joint, sides, moved))
 
 
 def _read(
-    model: Model, laws: Laws, law: Law, joint: Joint, offset: Decimals
+    model: Model,
+    conditionals: Conditionals,
+    conditional: Conditional,
+    joint: Joint,
+    offset: Decimals,
 ) -> tuple[Array, Array]:
     """Condition on an observed child, its noise decorrelated.
 
     Returns ln p of it, (V, N), and by how much rounding may move that, (V,).
     """
-    group, row, g = law.group, law.row, law.g
+    group, row, g = conditional.group, conditional.row, conditional.g
     reading, taken = model.moved[g], model.taken[g]
     assert reading is not None
-    value = laws.by_run(decimals.exact(reading[row]))
-    matrix, noise = law.matrix, law.noise
-    open_ = np.ones((laws.stacked, group.height), dtype=bool)
+    value = conditionals.by_run(decimals.exact(reading[row]))
+    matrix, noise = conditional.matrix, conditional.noise
+    open_ = np.ones((conditionals.stacked, group.height), dtype=bool)
     if taken is not None:
         # What is missing is read as a number of unit variance that nothing depends on.
         open_ = np.broadcast_to(taken[row], open_.shape)
@@ -198,7 +209,7 @@ def _read(
     diagonal = pivots[..., None] * decimals.exact(np.eye(group.height))
     joint.add(places, parents, matrix, offset, diagonal)
     sides = value.shape[-1]
-    total, moved = np.zeros((laws.stacked, sides)), np.zeros(laws.stacked)
+    total, moved = np.zeros((conditionals.stacked, sides)), np.zeros(conditionals.stacked)
     for k, place in enumerate(places.tolist()):
         at = np.abs(joint.mean[:, parents, :sides])
         numbers = decimals.product(np.abs(matrix[:, k : k + 1]), at)[:, 0]

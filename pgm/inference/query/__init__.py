@@ -6,9 +6,9 @@ The files, in the order of the computation:
 - ``plan``: in which order the other variables are summed out, and what it costs;
 - ``elimination``: products and sums of tables in that order;
 - ``impossible``: evidence of probability zero, and where it contradicts the tables;
-- ``asking``: `pgm.query`.
+- ``question``: `pgm.query`.
 """
 
-from pgm.inference.query.asking import query
+from pgm.inference.query.question import query
 
 __all__ = ["query"]

@@ -6,7 +6,7 @@ from discrete.enumeration import Enumeration
 
 import pgm
 from pgm.inference import limits
-from pgm.inference.query import asking
+from pgm.inference.query import question
 
 
 def table(rng, child, *given):
@@ -38,7 +38,7 @@ def test_a_query_sums_out_where_the_tree_needs_too_large_tables(monkeypatch):
     a, b, p, q, c = (pgm.Discrete(n, k) for n, k in zip("abpqc", (50, 50, 10, 10, 2), strict=True))
     cpds = [table(rng, a), table(rng, p, a), table(rng, b), table(rng, q, b), table(rng, c, p, q)]
     graph = pgm.compile(pgm.BayesianNetwork(cpds))
-    monkeypatch.setattr(asking, "VARIABLE", 10**6)  # the tree is taken to be the cheaper way
+    monkeypatch.setattr(question, "VARIABLE", 10**6)  # the tree is taken to be the cheaper way
     due = np.outer(cpds[0].table, cpds[2].table)
     np.testing.assert_allclose(pgm.query(graph, (a, b)).values, due, rtol=0.0, atol=1e-15)
     monkeypatch.setattr(limits, "LIMIT", 2_700)

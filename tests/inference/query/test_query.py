@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import pgm
 from models.discrete import asia, cancer, rain, sprinkler, wet, xray
-from pgm.inference.query import asking, elimination
+from pgm.inference.query import elimination, question
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT
 
 CLOSE = {"rtol": 0.0, "atol": 1e-12}
@@ -23,13 +23,13 @@ def routes(monkeypatch):
     """Record which way each answer was computed."""
     used = []
     for name in ("_eliminated", "_read"):
-        found = getattr(asking, name)
+        found = getattr(question, name)
 
         def recorded(*args, found=found, name=name):
             used.append(name)
             return found(*args)
 
-        monkeypatch.setattr(asking, name, recorded)
+        monkeypatch.setattr(question, name, recorded)
     return used
 
 
@@ -114,8 +114,8 @@ def test_both_ways_give_the_joint_of_a_posterior(seed, routes, monkeypatch):
     wanted = (order[9], order[2], order[0])
     due = pgm.infer(graph, batch).joint(*wanted).values
     for cost, way in ((0, "_read"), (10**9, "_eliminated")):
-        monkeypatch.setattr(asking, "PASS", cost)
-        monkeypatch.setattr(asking, "ENTRY", cost)
+        monkeypatch.setattr(question, "PASS", cost)
+        monkeypatch.setattr(question, "ENTRY", cost)
         found = pgm.query(graph, wanted, batch)
         assert found.values.shape == (3, 4, *(v.size for v in wanted))
         np.testing.assert_allclose(found.values, due, **CLOSE)
@@ -143,14 +143,14 @@ def test_runs_in_pieces(monkeypatch):
     wanted = net.variables[:3]
     whole = pgm.query(net, wanted, evidence)
     counts = []
-    eliminate = asking.eliminate
+    eliminate = question.eliminate
 
     def counted(plan, piece):
         counts.append(piece.runs)
         return eliminate(plan, piece)
 
-    monkeypatch.setattr(asking, "eliminate", counted)
-    monkeypatch.setattr(asking.limits, "BATCH", 1000)
+    monkeypatch.setattr(question, "eliminate", counted)
+    monkeypatch.setattr(question.limits, "BATCH", 1000)
     np.testing.assert_array_equal(pgm.query(net, wanted, evidence).values, whole.values)
     assert sum(counts) == 100
     assert len(counts) > 3

@@ -19,7 +19,7 @@ from pgm.evidence.discrete import BoundStates, bind_discrete
 from pgm.factors import Table
 from pgm.factors.axes import States, as_states, sizes
 from pgm.factors.scope import names
-from pgm.factors.strangers import stranger
+from pgm.factors.unknown_names import unknown_name
 from pgm.inference import limits
 from pgm.inference.discrete.evidence import pieces
 from pgm.inference.engine import infer
@@ -143,7 +143,7 @@ def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -
     for variable in found:
         if not isinstance(variable, Variable) or variable not in known:
             raise EvidenceError(
-                f"query of {variable!r}, {stranger(variable, known)}",
+                f"query of {variable!r}, {unknown_name(variable, known)}",
                 variable=variable if isinstance(variable, Variable) else None,
             )
     scope = as_states(found)

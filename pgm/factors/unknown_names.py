@@ -8,7 +8,7 @@ from pgm.factors.scope import described, kind, listed
 from pgm.variables import Variable
 
 
-def stranger(key: object, known: Collection[Variable], where: str = "the network") -> str:
+def unknown_name(key: object, known: Collection[Variable], where: str = "the network") -> str:
     """A clause that says why a key is none of the known variables, and what to use instead."""
     named = key.name if isinstance(key, Variable) else key
     alike = _in_order(v for v in known if v.name == named)

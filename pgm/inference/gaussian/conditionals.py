@@ -18,7 +18,7 @@ from pgm.kernels.decimals import Decimals
 
 
 @dataclass(frozen=True, eq=False)
-class Law:
+class Conditional:
     """A CPD of a network: y = F p + b + n, in (V, d, n), (V, d, N) and (V, d, d)."""
 
     g: int
@@ -30,7 +30,7 @@ class Law:
 
 
 @dataclass(eq=False)
-class Laws:
+class Conditionals:
     """The linearised CPDs of a network, in decimals."""
 
     layout: Layout
@@ -44,15 +44,15 @@ class Laws:
         """V, how many runs have matrices of their own."""
         return 1 if self.shared else self.runs
 
-    def __iter__(self) -> Iterator[Law]:
+    def __iter__(self) -> Iterator[Conditional]:
         for g, row in self.layout.order:
-            yield self.law(g, row)
+            yield self.conditional(g, row)
 
-    def law(self, g: int, row: int) -> Law:
+    def conditional(self, g: int, row: int) -> Conditional:
         """One of them."""
         group, family = self.layout.groups[g], self.families[g]
         noise = family.noise[row, : self.stacked]
-        return Law(
+        return Conditional(
             g,
             group,
             row,
@@ -87,14 +87,14 @@ class Laws:
         edge = decimals.zeros(self.stacked, self.layout.size)
         least, most = Decimal(1), Decimal(1)
         slopes = [Decimal(1)]
-        for law in self:
-            size = np.abs(law.matrix)
-            parents = law.group.parents[law.row]
+        for conditional in self:
+            size = np.abs(conditional.matrix)
+            parents = conditional.group.parents[conditional.row]
             reach = decimals.product(size, edge[:, parents][..., None])[..., 0]
-            variance = np.diagonal(law.noise, axis1=-2, axis2=-1)
+            variance = np.diagonal(conditional.noise, axis1=-2, axis2=-1)
             own = decimals.sqrt(reach * reach + variance)
-            if not law.group.observed:
-                edge[:, law.group.child[law.row]] = own
+            if not conditional.group.observed:
+                edge[:, conditional.group.child[conditional.row]] = own
             found = [x for x in (*own.flat, *decimals.sqrt(variance).flat) if x]
             least, most = min([least, *found]), max([most, *found])
             slopes += [x for x in size.flat if x]
