@@ -67,10 +67,10 @@ class Variable:
                 "give each component a name of its own",
                 variable=self,
             )
-        strangers = [name for name in self.angles if name not in self.components]
-        if strangers:
+        unknown = [name for name in self.angles if name not in self.components]
+        if unknown:
             raise ModelError(
-                f"variable {self.name}: angles {strangers} are not among its components "
+                f"variable {self.name}: angles {unknown} are not among its components "
                 f"{self.components}",
                 variable=self,
             )

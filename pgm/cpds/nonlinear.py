@@ -72,11 +72,11 @@ class NonlinearGaussianCPD(ConditionalGaussian):
                 cpd=self,
             )
         derivatives = dict(jacobian or {})
-        strangers = [parent for parent in derivatives if parent not in self.given]
-        if strangers:
+        unknown = [parent for parent in derivatives if parent not in self.given]
+        if unknown:
             raise ModelError(
-                f"{self!r}: a Jacobian is given by [{listed(strangers)}], not among its parents",
-                variable=strangers[0],
+                f"{self!r}: a Jacobian is given by [{listed(unknown)}], not among its parents",
+                variable=unknown[0],
                 cpd=self,
             )
         for what, value in [("function", function), *derivatives.items()]:

@@ -124,9 +124,9 @@ class DynamicBayesianNetwork(Immutable):
             "transition": self.transition,
             "observation": self.observation,
         }
-        strangers = set(changes) - set(parts)
-        if strangers:
-            raise ModelError(f"replace takes {list(parts)}, not {sorted(strangers)}")
+        unknown = set(changes) - set(parts)
+        if unknown:
+            raise ModelError(f"replace takes {list(parts)}, not {sorted(unknown)}")
         return DynamicBayesianNetwork(**(parts | changes))
 
     @property

@@ -209,7 +209,7 @@ def test_orders_given_by_hand_are_checked():
         ([a, b, d], r"lacks \(x2\)", c),
         ([a, b, c, d, b], "names x1 twice", b),
         ([a, b, c, c], r"lacks \(x3\)", d),
-        ([a, b, c, d, unknown_name], "holds stranger", stranger),
+        ([a, b, c, d, stranger], "holds stranger", stranger),
         (lambda network: network.variables[1:], r"lacks \(x0\)", a),
     ):
         with pytest.raises(pgm.GraphError, match=words) as caught:

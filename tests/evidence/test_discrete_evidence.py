@@ -263,7 +263,7 @@ def test_malformed_weights_are_refused(weights, words):
 def test_unknown_variables_are_refused(stranger, value):
     words = "which the network (does not have|has only as rain)"
     with pytest.raises(pgm.EvidenceError, match=words) as caught:
-        bind({WIND: "calm", unknown_name: value})
+        bind({WIND: "calm", stranger: value})
     assert caught.value.variable == stranger
 
 

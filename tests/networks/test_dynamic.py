@@ -236,9 +236,9 @@ def test_noise_of_a_sensor_may_not_depend_on_what_it_sees():
 
 @pytest.mark.parametrize("where", ["prior", "transition", "observation"])
 @pytest.mark.parametrize("stranger", [A, "p(a)", 3])
-def test_only_cpds_are_taken(where, unknown_name):
+def test_only_cpds_are_taken(where, stranger):
     parts = {"prior": [start(A)], "transition": [walk(A)], "observation": [linear(Z, A)]}
-    parts[where] = [*parts[where], unknown_name]
+    parts[where] = [*parts[where], stranger]
     with pytest.raises(pgm.ModelError, match=f"{where} holds CPDs"):
         DynamicBayesianNetwork(**parts)
 

@@ -2,8 +2,8 @@
 
 The CPDs, linearised, are the conditionals of a dense joint; see `dense`. Their parameters and the
 evidence are taken as they are, to all digits, so that only the rounding of a lineariser is lost: of
-a value F μ + b the last places of its summands. Where these go, to first order, says how many digits
-of a posterior mean they leave.
+a value F μ + b the last places of its summands. Where these go, to first order, says how many
+digits of a posterior mean they leave.
 """
 
 from __future__ import annotations

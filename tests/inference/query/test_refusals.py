@@ -20,7 +20,7 @@ def test_observed_and_unknown_variables():
     assert pgm.query(net, xray, {xray: ["yes", -1]}).values[0].tolist() == [0.0, 1.0]
     stranger = pgm.Discrete("stranger", 2)
     with pytest.raises(pgm.EvidenceError, match="query of stranger, which the network does not"):
-        pgm.query(net, unknown_name)
+        pgm.query(net, stranger)
     with pytest.raises(pgm.EvidenceError, match="'visit', which is no variable; use the variable"):
         pgm.query(net, "visit")
     with pytest.raises(pgm.EvidenceError, match="'visit', which is no variable; use the variable"):
