@@ -70,7 +70,8 @@ def prepare(lineariser: Lineariser, template: FunctionTemplate) -> Prepared:
         return Wrapped(lineariser, template)
     prepared: Prepared = own(template)
     # A form made in this package is known to fit; a user's is checked in every call.
-    ours = getattr(own, "__module__", "").startswith(f"{__package__}.")
+    # Code that was executed without a module's name, as in a notebook's cell, has None for it.
+    ours = (getattr(own, "__module__", None) or "").startswith(f"{__package__}.")
     return prepared if ours else _Checked(prepared)
 
 
