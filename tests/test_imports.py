@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import networkx as nx
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "pgm"
@@ -69,6 +70,49 @@ def modules():
 def test_imports_point_one_way():
     found = [fault for path, name in modules() for fault in faults(path.read_text(), name)]
     assert not found, "\n".join(found)
+
+
+def circles(sources):
+    """List the modules that import each other, of texts by name, lazily too."""
+    graph = nx.DiGraph()
+    for name, source in sources.items():
+        for node in ast.walk(running(ast.parse(source))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                whole = [f"{node.module}.{alias.name}" for alias in node.names]
+                found = [each if each in sources else node.module for each in whole]
+            elif isinstance(node, ast.Import):
+                found = [alias.name for alias in node.names]
+            else:
+                continue
+            graph.add_edges_from((name, other) for other in found if other in sources)
+    return [sorted(circle) for circle in nx.strongly_connected_components(graph) if len(circle) > 1]
+
+
+def running(tree):
+    """Leave out what is for type checking alone."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            node.body = []
+    return tree
+
+
+def test_no_module_imports_one_that_imports_it():
+    texts = {name.removesuffix(".__init__"): path.read_text() for path, name in modules()}
+    assert not circles(texts)
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("from pgm.a import x", [["pgm.a", "pgm.b"]]),
+        ("def f():\n    from pgm import a", [["pgm.a", "pgm.b"]]),
+        ("import pgm.a", [["pgm.a", "pgm.b"]]),
+        ("if TYPE_CHECKING:\n    from pgm.a import x", []),
+        ("import numpy", []),
+    ],
+)
+def test_the_check_finds_circles(source, found):
+    assert circles({"pgm.a": "from pgm.b import y", "pgm.b": source}) == found
 
 
 def test_every_module_has_a_layer():

@@ -3,14 +3,14 @@
 from pgm.inference.audit import Audit, audit
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.marginals import KeptPosterior, Marginals
-from pgm.inference.chain.online import OnlineFilter
-from pgm.inference.chain.online_belief import OnlineBelief
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
 from pgm.inference.kind import Kind
+from pgm.inference.online.beliefs import OnlineBelief
+from pgm.inference.online.filter import OnlineFilter
 from pgm.inference.posterior import Posterior
 from pgm.inference.query import query
 from pgm.inference.schedule import (

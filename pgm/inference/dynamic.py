@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, overload
 
 from pgm.compile import Balanced, compile
 from pgm.evidence import Evidence
-from pgm.inference.chain.in_parts import run as run_chain
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
 from pgm.inference.damping import Damping
+from pgm.inference.parts.run import run as run_chain
 from pgm.inference.schedule import Filtering, FixedLag, Smoothing
 from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser

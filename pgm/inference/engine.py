@@ -10,11 +10,11 @@ from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.inference import discrete, gaussian
-from pgm.inference.chain.in_parts import run as run_chain
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
+from pgm.inference.parts.run import run as run_chain
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
 from pgm.inference.start import Start

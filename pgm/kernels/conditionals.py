@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pgm.kernels import moments
 from pgm.kernels.arrays import Array, apply, multiply, sandwich, symmetric
 from pgm.kernels.moments import Conditional
 
@@ -26,10 +27,7 @@ def compose(first: Conditional, then: Conditional) -> Conditional:
 
 def push(belief: Moments, conditional: Conditional) -> Moments:
     """Moments of F x + b + n."""
-    matrix, offset, cov = conditional
-    return Moments(
-        apply(matrix, belief.mean) + offset, symmetric(sandwich(matrix, belief.cov) + cov)
-    )
+    return Moments(*moments.push(*belief, conditional))
 
 
 class Map(NamedTuple):

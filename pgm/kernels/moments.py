@@ -75,14 +75,19 @@ def update(
     log_density = -0.5 * (
         inner(white_residual, white_residual) + roots.log_determinant(lower) + dimension * LOG_2PI
     )
-    keep = one_minus(multiply(gain, matrix))
-    posterior = make_symmetric(sandwich(keep, cov) + sandwich(gain, noise))
+    keep, posterior = joseph(cov, gain, matrix, noise)
     if exact:
         # 1 − GH is rounded itself, which leaves about 1e-32 of what is certain now.
         left_over = ROUNDING * spread(keep, cov, np.zeros_like(cov))
         prior = np.diagonal(cov, axis1=-2, axis2=-1)
         posterior = certain(posterior, np.maximum(left_over, ROUNDING**2 * prior))
     return Update(mean + apply(gain, residual), posterior, log_density, lower, left)
+
+
+def joseph(cov: Array, gain: Array, matrix: Array, noise: Array) -> tuple[Array, Array]:
+    """The factor I − G H and the covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ, for any gain."""
+    keep = one_minus(multiply(gain, matrix))
+    return keep, make_symmetric(sandwich(keep, cov) + sandwich(gain, noise))
 
 
 def spread(matrix: Array, cov: Array, noise: Array) -> Array:
@@ -119,8 +124,7 @@ def reverse(
     # The rest is right for any gain: only what is no more than rounding has to go.
     lower = roots.root(forward_cov, spread(matrix, cov, noise), negligible=0.1 * ROUNDING)
     gain = pseudoinverse.gain(cross, forward_cov, lower)
-    keep = one_minus(multiply(gain, matrix))
-    rest = make_symmetric(sandwich(keep, cov) + sandwich(gain, noise))
+    _, rest = joseph(cov, gain, matrix, noise)
     return Conditional(gain, mean - apply(gain, forward_mean), rest)
 
 

@@ -16,7 +16,7 @@ from zoo import T as STEPS
 
 import pgm
 from pgm.evidence import Sightings
-from pgm.inference.chain import parts
+from pgm.inference.parts import split as parts
 
 ROBOT = network(SENSORS["range_bearing"].cpd())
 

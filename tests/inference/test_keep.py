@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from robots import LANDMARKS, P0, SENSORS, controls, drive_along, drive_cpd, m, network, u, x
 
 import pgm
-from pgm.inference.chain import parts
+from pgm.inference.parts import split as parts
 
 RUNS, T = 23, 8
 SIGHT = SENSORS["range_bearing"]
@@ -32,7 +32,7 @@ def noticed(monkeypatch):
             found.append((part.runs.start, part.runs.stop))
             yield part
 
-    monkeypatch.setattr("pgm.inference.chain.in_parts.split", split)
+    monkeypatch.setattr("pgm.inference.parts.run.split", split)
     return found
 
 

@@ -8,7 +8,7 @@ import pytest
 from precise import Reference, floats
 
 import pgm
-from pgm.inference.chain import parts
+from pgm.inference.parts import split as parts
 
 MEAN = EVIDENCE = 1e-6
 x = pgm.Variable("x", components=("position", "velocity"))

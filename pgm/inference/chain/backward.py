@@ -65,6 +65,24 @@ def transition(plan: ChainPlan) -> Conditional:
     return Conditional(matrix[..., front:, :], offset[..., front:], total)
 
 
+def between_slices(plan: ChainPlan) -> Conditional:
+    """The slice given that before it, (T, runs, n, n), of which controls play no part."""
+    found = transition(plan)
+    layout = plan.layout
+    if layout.state_size == layout.slice_size:
+        return found
+    matrix = room((plan.steps, plan.runs), (layout.slice_size, layout.slice_size))
+    matrix[...] = 0.0
+    matrix[..., layout.state_places] = found.matrix
+    return found._replace(matrix=matrix)
+
+
+def about(conditional: Conditional, reference: Array) -> Conditional:
+    """The same for deviations from a reference, (T+1, runs, n)."""
+    matrix, offset, cov = conditional
+    return Conditional(matrix, apply(matrix, reference[:-1]) + offset - reference[1:], cov)
+
+
 class Ahead(Protocol):
     """The parts of a forward pass that the backward one needs: see `Forward`."""
 
@@ -329,8 +347,7 @@ def absorb_readings(
     reach = h_matrix @ matrix
     white = roots.solve_lower(lower, reach)
     white_residual = roots.solve_lower(lower, residual[..., None])
-    keep = np.eye(noise.shape[-1]) - gain @ h_matrix
-    absorbed = sandwich(keep, noise) + sandwich(gain, reading_noise)
+    keep, absorbed = moments.joseph(noise, gain, h_matrix, reading_noise)
     h = (transpose(white) @ white_residual)[..., 0]
     white_residual = white_residual[..., 0]
     g = -0.5 * (

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.chain import parallel
+from pgm.inference.chain.backward import about, between_slices
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.likelihoods import Readings, distinct
 from pgm.inference.chain.moments import MomentChain
@@ -78,7 +78,7 @@ def _equations(plan: ChainPlan, readings: Readings) -> System | None:
     mean, cov = MomentChain(plan, None).start().by_run
     mean, cov = mean[:, states], block(cov, states, states)
     lower = canonical.strict_root(cov)
-    matrix, offset, noise = parallel.about(parallel.steps(plan), readings.reference)
+    matrix, offset, noise = about(between_slices(plan), readings.reference)
     noise_lower = canonical.strict_root(distinct(noise))
     if not (roots.is_proper(lower) and roots.is_proper(noise_lower)):
         return None

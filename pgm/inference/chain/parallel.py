@@ -13,7 +13,7 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.inference.chain import certificate, forward, newton
-from pgm.inference.chain.backward import Ahead, absorb_readings, transition
+from pgm.inference.chain.backward import Ahead, about, absorb_readings, between_slices
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.likelihoods import Readings, know
@@ -84,7 +84,7 @@ def filtered(
         The readings of the plan about the reference, where they are known.
     """
     readings = Readings.of(plan, reference) if readings is None else readings
-    found = _solve(plan, steps(plan), _first(plan, anchor), readings, anchor)
+    found = _solve(plan, between_slices(plan), _first(plan, anchor), readings, anchor)
     return found if found.agrees else forward.stored(plan, anchor)
 
 
@@ -95,7 +95,7 @@ def run(plan: ChainPlan) -> Ahead:
     angle's reading to another branch than the prediction does, the pass is repeated about the means
     that it found; and where that does not end soon, it goes step by step.
     """
-    moves = steps(plan)
+    moves = between_slices(plan)
     reference = _guess(plan, moves)
     first = _first(plan, None)
     for _ in range(_TRIES):
@@ -246,24 +246,6 @@ def _refuse(known: Moments) -> None:
         "samples, or compile without pgm.Balanced(), for a chain of slices",
         step=step,
     )
-
-
-def steps(plan: ChainPlan) -> Conditional:
-    """The slice given that before it, (T, runs, n, n), of which controls play no part."""
-    found = transition(plan)
-    layout = plan.layout
-    if layout.state_size == layout.slice_size:
-        return found
-    matrix = room((plan.steps, plan.runs), (layout.slice_size, layout.slice_size))
-    matrix[...] = 0.0
-    matrix[..., layout.state_places] = found.matrix
-    return found._replace(matrix=matrix)
-
-
-def about(conditional: Conditional, reference: Array) -> Conditional:
-    """The same for deviations from a reference, (T+1, runs, n)."""
-    matrix, offset, cov = conditional
-    return Conditional(matrix, apply(matrix, reference[:-1]) + offset - reference[1:], cov)
 
 
 def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[Stack]) -> Element:

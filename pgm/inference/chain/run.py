@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,14 +14,16 @@ from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.factors.scope import positions
 from pgm.inference.chain import careful, certificate, fixed_lag, forward, parallel, smoother
+from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.balanced import BalancedPosterior
-from pgm.inference.chain.fixed_lag import Lagged
+from pgm.inference.chain.careful import Careful
+from pgm.inference.chain.fixed_lag import Lagged, Windows
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
 from pgm.inference.kind import FILTERED, SMOOTHED, Kind
-from pgm.inference.schedule import Calibration, Filtering, FixedLag, Loopy, Schedule, Smoothing
+from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.inference.status import Status, digits
 from pgm.kernels.arrays import Array, quiet
@@ -52,38 +54,29 @@ def run(
     Numbers too large for float64 are refused where they end up, so that NumPy need not warn.
     """
     schedule = Smoothing() if schedule is None else schedule
-    if isinstance(schedule, Loopy):
-        raise ModelError(
-            f"a chain of slices takes pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
-            f"{schedule!r}"
-        )
-    if start is not None and isinstance(schedule, Filtering | FixedLag):
+    if isinstance(schedule, FixedLag) and not schedule.lag and not isinstance(graph, BalancedGraph):
+        schedule = schedule.filtering
+    solver = solver_of(graph, schedule)
+    if start is not None and not solver.starts:
         raise EvidenceError(
             f"a start is for smoothing all at once, not {schedule!r}, which linearises at beliefs"
         )
-    if isinstance(schedule, FixedLag):
-        if isinstance(graph, BalancedGraph):
-            raise GraphError(
-                f"{schedule!r} goes along a chain of slices, step after step, which {graph!r} is "
-                "not: compile without pgm.Balanced()"
-            )
-        if not schedule.lag:
-            schedule = schedule.filtering
     given = None if start is None else _start(graph.layout, bound, start)
     plan = ChainPlan.make(graph, bound, lineariser)
-    if isinstance(schedule, FixedLag) and fixed_lag.slides(plan, schedule):
-        return _slid(graph, plan, schedule)
     if not certificate.is_flat(plan):
         try:
-            found = _solve(graph, plan, schedule, given, room)
+            found = solver.solve(plan, given, room)
             _refuse_infinite(found)
             smoothed = None if found._smoothed is None else found._smoothed.cov
-            if certificate.suffices(found._planned, found._swept, smoothed):
+            # Windows that slide have each been looked at.
+            if found._windows or certificate.suffices(found._planned, found._swept, smoothed):
                 return found
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
         plan = ChainPlan.make(graph, bound, lineariser, probe=False)
-    return _carefully(graph, plan, schedule, given)
+    found = solver.carefully(plan, given)
+    _refuse_infinite(found)
+    return found
 
 
 def _refuse_infinite(posterior: ChainPosterior) -> None:
@@ -114,105 +107,166 @@ def _refuse_infinite(posterior: ChainPosterior) -> None:
             )
 
 
-def _solve(
-    graph: DynamicGraph,
-    plan: ChainPlan,
-    schedule: Filtering | FixedLag | Calibration,
-    start: Array | None,
-    room: Room | None,
-) -> ChainPosterior:
-    balanced = isinstance(graph, BalancedGraph)
-    make = _posterior(graph)
-    if isinstance(schedule, FixedLag):
-        return _lagged(graph, plan, schedule, *fixed_lag.smooth(plan, schedule))
-    if isinstance(schedule, Filtering):
+class Solver(ABC):
+    """The solution of a chain by one kind of schedule.
+
+    Attributes
+    ----------
+    starts : bool
+        Whether a start may be given, means at which everything is linearised first.
+    """
+
+    starts: ClassVar[bool] = False
+
+    def __init__(self, graph: DynamicGraph, schedule: Any) -> None:
+        self.graph, self.schedule = graph, schedule
+        self.balanced = isinstance(graph, BalancedGraph)
+
+    @abstractmethod
+    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
+        """In float64."""
+
+    @abstractmethod
+    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
+        """In twice the digits, one step after another."""
+
+    def _posterior(
+        self,
+        plan: ChainPlan,
+        kind: Kind,
+        swept: Forward | Filtered,
+        status: Status,
+        smoothed: Beliefs | None = None,
+        reverse: Reverse | None = None,
+        careful: Careful | None = None,
+        windows: Windows | None = None,
+        error: Array | None = None,
+    ) -> ChainPosterior:
+        if error is not None:
+            status = status.with_digits(digits(error, plan.lead))
+        parts = kind, plan, swept, smoothed, reverse, careful, windows
+        if isinstance(self.graph, BalancedGraph):
+            return BalancedPosterior(self.graph, status, *parts)
+        return ChainPosterior(self.graph, status, *parts)
+
+
+class _FilterSolver(Solver):
+    """Forward messages alone."""
+
+    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
         ahead: Forward | Filtered
-        if balanced:
-            ahead, status = _scan(graph, plan)
+        if self.balanced:
+            self._refuse_nonlinear(plan)
+            ahead = parallel.whole(parallel.run(plan))
+            status = Status.of([], np.ones(plan.runs, dtype=bool), plan.lead)
         elif plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
             # Of many runs only the beliefs, as long as nothing else is asked for.
-            ahead, status = forward.filtered(plan, schedule, room)
+            ahead, status = forward.filtered(plan, self.schedule, room)
         else:
-            ahead, status = forward.run(plan, schedule)
-        return make(graph, status, FILTERED, plan, ahead, None, None)
-    run_smoothing = smoother.scan if balanced else smoother.smooth
-    result, status = run_smoothing(plan, _smoothing(schedule), start)
-    ahead = parallel.whole(result.forward)
-    return make(graph, status, SMOOTHED, plan, ahead, result.beliefs, result.reverse)
+            ahead, status = forward.run(plan, self.schedule)
+        return self._posterior(plan, FILTERED, ahead, status)
 
-
-def _slid(graph: DynamicGraph, plan: ChainPlan, schedule: FixedLag) -> ChainPosterior:
-    """A window that slides sees for itself to the digits that it has."""
-    result, status = fixed_lag.slid(plan, schedule)
-    if result.error is not None:
-        status = status.with_digits(digits(result.error, plan.lead))
-    found = _lagged(graph, plan, schedule, result, status)
-    _refuse_infinite(found)
-    return found
-
-
-def _lagged(
-    graph: DynamicGraph, plan: ChainPlan, schedule: FixedLag, found: Lagged, status: Status
-) -> ChainPosterior:
-    kind, parts = Kind(schedule.lag), (found.beliefs, found.reverse, found.careful, found.windows)
-    return ChainPosterior(graph, status, kind, plan, found.forward, *parts)
-
-
-def _carefully(
-    graph: DynamicGraph,
-    plan: ChainPlan,
-    schedule: Filtering | FixedLag | Calibration,
-    start: Array | None,
-) -> ChainPosterior:
-    """`_solve` in twice the digits, one step after another."""
-    make = _posterior(graph)
-    error: Array | None
-    if isinstance(schedule, Filtering):
-        if isinstance(graph, BalancedGraph):
-            _refuse_nonlinear(graph, plan)
-        swept, status = careful.sweep(plan, schedule)
-        found = make(graph, status, FILTERED, plan, swept.forward, None, None, swept)
-        error = swept.error
-    elif isinstance(schedule, FixedLag):
-        lagged, status = fixed_lag.carefully(plan, schedule)
-        found, error = _lagged(graph, plan, schedule, lagged, status), lagged.error
-    else:
-        result, status = smoother.carefully(
-            plan, _smoothing(schedule), start, reckoned=isinstance(graph, BalancedGraph)
+    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
+        if self.balanced:
+            self._refuse_nonlinear(plan)
+        swept, status = careful.sweep(plan, self.schedule)
+        return self._posterior(
+            plan, FILTERED, swept.forward, status, careful=swept, error=swept.error
         )
-        ahead = result.careful
-        found = make(graph, status, SMOOTHED, plan, ahead.forward, result.beliefs, None, ahead)
-        error = result.error
-    _refuse_infinite(found)
-    assert error is not None
-    return replace(found, status=status.with_digits(digits(error, plan.lead)))
+
+    def _refuse_nonlinear(self, plan: ChainPlan) -> None:
+        for family in plan.families:
+            if not family.exact:
+                raise GraphError(
+                    f"{family.cpd!r} is nonlinear, and {self.graph!r} solves for all steps at "
+                    "once, where a filter linearises at the belief before: compile without "
+                    "pgm.Balanced(), or smooth"
+                )
 
 
-def _posterior(graph: DynamicGraph) -> type[ChainPosterior]:
-    return BalancedPosterior if isinstance(graph, BalancedGraph) else ChainPosterior
+class _LagSolver(Solver):
+    """Backward messages over a lag; windows, where CPDs are linearised again, see to digits."""
 
-
-def _smoothing(schedule: Calibration) -> Smoothing:
-    if isinstance(schedule, Smoothing):
-        return schedule
-    return Smoothing(schedule.iterations, schedule.tolerance)
-
-
-def _scan(graph: DynamicGraph, plan: ChainPlan) -> tuple[Forward, Status]:
-    """Filter on a balanced tree."""
-    _refuse_nonlinear(graph, plan)
-    return parallel.whole(parallel.run(plan)), Status.of(
-        [], np.ones(plan.runs, dtype=bool), plan.lead
-    )
-
-
-def _refuse_nonlinear(graph: DynamicGraph, plan: ChainPlan) -> None:
-    for family in plan.families:
-        if not family.exact:
+    def __init__(self, graph: DynamicGraph, schedule: FixedLag) -> None:
+        super().__init__(graph, schedule)
+        if self.balanced:
             raise GraphError(
-                f"{family.cpd!r} is nonlinear, and {graph!r} solves for all steps at once, where a "
-                "filter linearises at the belief before: compile without pgm.Balanced(), or smooth"
+                f"{schedule!r} goes along a chain of slices, step after step, which {graph!r} is "
+                "not: compile without pgm.Balanced()"
             )
+
+    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
+        return self._lagged(plan, fixed_lag.smooth)
+
+    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
+        return self._lagged(plan, fixed_lag.carefully)
+
+    def _lagged(
+        self, plan: ChainPlan, once: Callable[[ChainPlan, FixedLag], tuple[Lagged, Status]]
+    ) -> ChainPosterior:
+        slides = fixed_lag.slides(plan, self.schedule)
+        found, status = (fixed_lag.slid if slides else once)(plan, self.schedule)
+        return self._posterior(
+            plan,
+            Kind(self.schedule.lag),
+            found.forward,
+            status,
+            found.beliefs,
+            found.reverse,
+            found.careful,
+            found.windows,
+            found.error,
+        )
+
+
+class _SmootherSolver(Solver):
+    """Messages forward and back."""
+
+    starts = True
+
+    def __init__(self, graph: DynamicGraph, schedule: Calibration) -> None:
+        if not isinstance(schedule, Smoothing):
+            schedule = Smoothing(schedule.iterations, schedule.tolerance)
+        super().__init__(graph, schedule)
+
+    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
+        smooth = smoother.scan if self.balanced else smoother.smooth
+        found, status = smooth(plan, self.schedule, start)
+        ahead = parallel.whole(found.forward)
+        return self._posterior(plan, SMOOTHED, ahead, status, found.beliefs, found.reverse)
+
+    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
+        found, status = smoother.carefully(plan, self.schedule, start, reckoned=self.balanced)
+        swept = found.careful
+        return self._posterior(
+            plan,
+            SMOOTHED,
+            swept.forward,
+            status,
+            found.beliefs,
+            careful=swept,
+            error=found.error,
+        )
+
+
+# Every schedule for chains, with its solver.
+SOLVERS: dict[type[Any], type[Solver]] = {
+    Filtering: _FilterSolver,
+    FixedLag: _LagSolver,
+    Calibration: _SmootherSolver,
+    Smoothing: _SmootherSolver,
+}
+
+
+def solver_of(graph: DynamicGraph, schedule: Schedule) -> Solver:
+    """The solver for a schedule, of its very class, since a subclass may mean something else."""
+    solver = SOLVERS.get(type(schedule))
+    if solver is None:
+        raise ModelError(
+            f"a chain of slices takes pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
+            f"{schedule!r}"
+        )
+    return solver(graph, schedule)
 
 
 def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Array:

@@ -19,7 +19,6 @@ from pgm.inference.chain import (
     forward,
     newton,
     parallel,
-    relations,
 )
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
@@ -227,7 +226,7 @@ class Chain(Generic[Either]):
 
     def feasible(self, mean: Array, found: Point) -> Array:
         """Means projected onto the exact CPDs."""
-        nearest, obeyed = relations.projected(self.plan, mean, found.std)
+        nearest, obeyed = cost.projected(self.plan, mean, found.std)
         return np.where(obeyed[:, None], nearest, found.mean)
 
 

@@ -1,21 +1,15 @@
-"""Many runs in parts: cut out with their share of the evidence, and joined to one posterior."""
+"""The results of parts of the runs, joined to one posterior of them all."""
 
 from __future__ import annotations
 
-import copy
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from itertools import pairwise
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from pgm.compile import DynamicGraph
-from pgm.cpds import ConditionalGaussian, NonlinearGaussianCPD
 from pgm.evidence import BoundEvidence
-from pgm.evidence.arrays import as_rows
-from pgm.factors.runs import flat
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
@@ -24,122 +18,9 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family
 from pgm.inference.kind import FILTERED, SMOOTHED
-from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.inference.status import Status
-from pgm.kernels.arrays import Array, cut, frozen
+from pgm.kernels.arrays import Array
 from pgm.linearisers import Lineariser
-
-# What the working arrays of all parts at work may take, in bytes.
-ROOM = 2**30
-# Runs to a part at the most: with more, the numbers of a step leave the processor's cache.
-MOST = 5000
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """Some of the runs, with their own share of everything that differs between runs.
-
-    Attributes
-    ----------
-    runs : slice
-        Which of all runs, their axes as one.
-    graph, bound, start
-        As they would be if there were no other runs.
-    """
-
-    runs: slice
-    graph: DynamicGraph
-    bound: BoundEvidence
-    start: Start | None
-
-
-def split(
-    graph: DynamicGraph,
-    bound: BoundEvidence,
-    lineariser: Lineariser,
-    start: Start | None,
-    workers: int,
-) -> Iterator[Part]:
-    """The parts in turn, none larger than the room for it, as many for each of the workers."""
-    size = _size(graph, bound, lineariser, workers)
-    if size >= bound.runs:
-        yield Part(slice(0, bound.runs), graph, bound, start)
-        return
-    if start is not None:
-        require_hidden(start, graph.layout.slice)
-        start = {v: over_runs(v, as_rows(v, a, "T+1"), bound.lead, 2) for v, a in start.items()}
-    edges = [*range(0, bound.runs, size), bound.runs]
-    for runs in (slice(first, last) for first, last in pairwise(edges)):
-        own = None if start is None else {v: frozen(np.asarray(a)[runs]) for v, a in start.items()}
-        yield Part(runs, _graph(graph, bound.lead, runs), _evidence(bound, runs), own)
-
-
-def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
-    """Runs to a part."""
-    model = graph.model
-    rules = [lineariser]
-    for cpd in (*model.prior, *model.transition, *model.observation):
-        if isinstance(cpd, NonlinearGaussianCPD) and cpd.lineariser is not None:
-            rules.append(cpd.lineariser)
-    if any(getattr(rule, "fresh_per_run", False) for rule in rules):
-        return bound.runs  # what a run draws depends on how many come before it
-    # About ten matrices and vectors of the slice for each step, five of each reading.
-    width = graph.layout.slice_size + graph.layout.state_size
-    numbers = (bound.steps + 1) * 5 * width * (graph.layout.slice_size + 1)
-    for reading in bound.readings:
-        height = reading.cpd.child.dimension
-        numbers += reading.step.size * 5 * height * (height + 1)
-    most = min(max(ROOM // (8 * numbers * workers), 1), MOST)
-    count = workers * math.ceil(bound.runs / (most * workers))
-    return math.ceil(bound.runs / count)
-
-
-def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGraph:
-    """The graph of a model whose densities with a mean for each run have those of some runs."""
-    model = graph.model
-    changed = {
-        name: tuple(_cpd(cpd, lead, runs) for cpd in getattr(model, name))
-        for name in ("prior", "transition")
-    }
-    if all(new == getattr(model, name) for name, new in changed.items()):
-        return graph
-    own = copy.copy(model)
-    own._set(**changed)
-    return type(graph)(own, graph.steps)
-
-
-def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> ConditionalGaussian:
-    changed: dict[str, Any] = {}
-    for name, own in (("offset", 1), ("cov", 2)):
-        value = getattr(cpd, name, None)
-        if isinstance(value, np.ndarray) and value.ndim > own:
-            changed[name] = cut(flat(value, lead, own), runs, 0)
-    if not changed:
-        return cpd
-    part = copy.copy(cpd)
-    part._set(**changed, _origin=cpd.origin)
-    return part
-
-
-def _evidence(bound: BoundEvidence, runs: slice) -> BoundEvidence:
-    def inputs(values: Mapping[Any, Array]) -> dict[Any, Array]:
-        return {variable: cut(array, runs) for variable, array in values.items()}
-
-    return replace(
-        bound,
-        lead=(runs.stop - runs.start,),
-        first_run=runs.start,
-        transition=tuple(map(inputs, bound.transition)),
-        readings=tuple(
-            replace(
-                reading,
-                values=cut(reading.values, runs),
-                taken=cut(reading.taken, runs),
-                inputs=inputs(reading.inputs),
-            )
-            for reading in bound.readings
-        ),
-    )
 
 
 def joined(

@@ -17,11 +17,12 @@ from pgm.evidence import BoundEvidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.inference.chain.marginals import KeptPosterior
-from pgm.inference.chain.parts import Part, joined, one_status, split, swept_once
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run as run_chain
 from pgm.inference.executors import Shape, Workers, address
 from pgm.inference.kind import Kind
+from pgm.inference.parts.join import joined, one_status, swept_once
+from pgm.inference.parts.split import Part, split
 from pgm.inference.schedule import Calibration, Filtering, Schedule
 from pgm.inference.start import Start
 from pgm.inference.status import Status

@@ -13,15 +13,15 @@ from pgm.compile import compile
 from pgm.errors import ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
-from pgm.inference.chain import online_belief, online_evidence
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
-from pgm.inference.chain.online_belief import REGULAR, CarefulBelief, OnlineBelief
-from pgm.inference.chain.online_evidence import Layouts
-from pgm.inference.chain.online_window import Passed, Sliding, Trail, trailing
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.kind import FILTERED, PREDICTED, Kind
+from pgm.inference.online import beliefs, step_evidence
+from pgm.inference.online.beliefs import REGULAR, CarefulBelief, OnlineBelief
+from pgm.inference.online.step_evidence import Layouts
+from pgm.inference.online.window import Passed, Sliding, Trail, trailing
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.inference.status import Status, digits
 from pgm.kernels import gaussian
@@ -153,7 +153,7 @@ class OnlineFilter(Immutable):
         log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
         if gaussian.is_regular(found.cov, found.cov, REGULAR):
             return _belief(plan, 0, found, log_evidence, status, PREDICTED, self._behind)
-        carried = online_belief.first(plan)
+        carried = beliefs.first(plan)
         return _carried(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
 
     @_quiet
@@ -176,10 +176,10 @@ class OnlineFilter(Immutable):
         self._check(belief)
         if type(inputs) is not dict:
             given = {} if inputs is None else inputs
-            inputs = online_evidence.mapping(given, "predict", "inputs to values")
+            inputs = step_evidence.mapping(given, "predict", "inputs to values")
         step, behind = belief.step + 1, belief.behind
         if isinstance(behind, Sliding):
-            bound = online_evidence.inputs(self.model, belief, inputs)
+            bound = step_evidence.inputs(self.model, belief, inputs)
             behind = behind.on(self._windows, bound.transition, bound.lead)
             return self._slid(step, behind, np.broadcast_to(belief.log_evidence, bound.lead))
         if belief.careful is None:
@@ -206,7 +206,7 @@ class OnlineFilter(Immutable):
                     behind = behind.on(Passed(plan, known, found))
                 return _belief(plan, step, found, log_evidence, status, PREDICTED, behind)
         plan = self._ahead(belief, inputs)
-        carried = online_belief.predict(plan, step, _careful(belief, plan))
+        carried = beliefs.predict(plan, step, _careful(belief, plan))
         log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
         status = _nothing_to_iterate(plan.lead)
         behind = None if behind is None else behind.on(None)
@@ -214,7 +214,7 @@ class OnlineFilter(Immutable):
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of a prediction, its inputs checked."""
-        return self._plan(online_evidence.inputs(self.model, belief, inputs), belief.step)
+        return self._plan(step_evidence.inputs(self.model, belief, inputs), belief.step)
 
     @_quiet
     def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
@@ -236,10 +236,10 @@ class OnlineFilter(Immutable):
         """
         self._check(belief)
         if type(readings) is not dict:
-            readings = online_evidence.mapping(readings, "update", "sensors to readings")
+            readings = step_evidence.mapping(readings, "update", "sensors to readings")
         behind = belief.behind
         if isinstance(behind, Sliding):
-            bound = online_evidence.readings(self.model, belief, readings)
+            bound = step_evidence.readings(self.model, belief, readings)
             behind = behind.read(self._windows, bound.readings, bound.lead)
             return self._slid(belief.step, behind, belief.log_evidence)
         if belief.careful is None:
@@ -248,7 +248,7 @@ class OnlineFilter(Immutable):
                 return ordinary
         plan = self._seen(belief, readings)
         known = _careful(belief, plan)
-        found, taken = online_belief.update(plan, belief.step, known, self._filtering)
+        found, taken = beliefs.update(plan, belief.step, known, self._filtering)
         log_density = taken.solution.log_density.reshape(plan.lead)
         log_evidence = np.asarray(belief.log_evidence + log_density)
         status = Status.of(taken.residuals, taken.converged, plan.lead)
@@ -291,7 +291,7 @@ class OnlineFilter(Immutable):
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its readings checked."""
-        plan = self._plan(online_evidence.readings(self.model, belief, readings), belief.step)
+        plan = self._plan(step_evidence.readings(self.model, belief, readings), belief.step)
         require_cost(self._filtering, (sensor.family for sensor in plan.sensors))
         return plan
 
@@ -367,7 +367,7 @@ def _careful(belief: OnlineBelief, plan: ChainPlan) -> CarefulBelief:
     """A belief in twice the digits, for the runs of a plan."""
     if belief.careful is not None:
         return belief.careful.over(belief.lead, plan.lead)
-    return online_belief.beginning(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
+    return beliefs.beginning(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
 
 
 def _carried(

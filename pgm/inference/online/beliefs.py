@@ -21,9 +21,9 @@ from pgm.inference.chain import careful, careful_motion
 from pgm.inference.chain.careful_update import Belief, variances
 from pgm.inference.chain.certificate import MODERATE, is_ordinary, moments, solved
 from pgm.inference.chain.iterated_update import IteratedUpdate, iterated
-from pgm.inference.chain.online_window import Sliding, Trail
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.kind import Kind
+from pgm.inference.online.window import Sliding, Trail
 from pgm.inference.posterior import require_variable
 from pgm.inference.schedule import Filtering
 from pgm.inference.status import Status
