@@ -16,7 +16,7 @@ from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
 from pgm.inference.parts.run import run as run_chain
 from pgm.inference.posterior import Posterior
-from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
+from pgm.inference.schedule import Calibration, Filtering, FixedLag, Loopy, Schedule, Smoothing
 from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.variables import Variable
@@ -156,7 +156,7 @@ def infer(
             "records pgm.records(table, network) makes it"
         )
     require_lineariser(lineariser)
-    if schedule is not None and not isinstance(schedule, Schedule):
+    if type(schedule) is Loopy or not isinstance(schedule, Schedule | None):
         raise ModelError(
             f"{schedule!r} is no schedule; give one like pgm.Smoothing() or pgm.Flooding()"
         )

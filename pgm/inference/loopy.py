@@ -113,7 +113,7 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
 
     A run that has converged keeps its messages, so that a batch equals its single runs.
     """
-    step = _STEPS[type(schedule)](messages)
+    step = next(_STEPS[each] for each in type(schedule).__mro__ if each in _STEPS)(messages)
     active = np.ones(messages.runs, dtype=bool)
     converged = np.zeros(messages.runs, dtype=bool)
     gate = np.full(messages.runs, max(_SETTLED, schedule.tolerance))

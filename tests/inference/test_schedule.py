@@ -2,11 +2,13 @@
 
 import copy
 import pickle
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 import pgm
+from pgm.inference.schedule import Loopy
 
 LOOPY = (pgm.Flooding, pgm.Sequential, pgm.Residual)
 TREES = (pgm.Calibration, pgm.Smoothing, pgm.Filtering)
@@ -37,6 +39,41 @@ def test_smooth_refuses_it_too():
     )
     with pytest.raises(pgm.ModelError, match="a tolerance must be 0 or more, not 'tight'"):
         pgm.smooth(model, {}, steps=2, tolerance="tight")
+
+
+@dataclass(frozen=True)
+class Thorough(pgm.Smoothing):
+    iterations: int = 5
+
+
+@dataclass(frozen=True)
+class Hasty(pgm.Flooding):
+    tolerance: float = 1e-3
+
+
+def test_a_subclass_is_run_as_its_base():
+    x = pgm.Variable("x")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0)],
+        [pgm.NonlinearGaussianCPD(x, x.previous, lambda x: x + 0.1 * np.sin(x), 1.0)],
+    )
+    graph = pgm.compile(model, 3)
+    own, plain = (
+        pgm.infer(graph, {}, schedule=schedule) for schedule in (Thorough(), pgm.Smoothing(5))
+    )
+    assert own.status.iterations == plain.status.iterations > 1
+    assert np.array_equal(own[x].mean, plain[x].mean)
+    tree = pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(x, 0.0, 1.0)]))
+    assert pgm.infer(tree, {}, schedule=Hasty()).status.converged
+    with pytest.raises(pgm.ModelError, match=r"pgm.Filtering\(\), .* not Hasty"):
+        pgm.infer(graph, {}, schedule=Hasty())
+
+
+def test_a_schedule_without_an_order_is_none():
+    x = pgm.Variable("x")
+    tree = pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(x, 0.0, 1.0)]))
+    with pytest.raises(pgm.ModelError, match=r"Loopy.* is no schedule"):
+        pgm.infer(tree, {}, schedule=Loopy())
 
 
 def test_numpys_numbers_are_numbers():

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
-from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
+from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.factors.scope import positions
-from pgm.inference.chain import careful, certificate, fixed_lag, forward, parallel, smoother
-from pgm.inference.chain.backward import Beliefs, Reverse
-from pgm.inference.chain.balanced import BalancedPosterior
-from pgm.inference.chain.careful import Careful
-from pgm.inference.chain.fixed_lag import Lagged, Windows
-from pgm.inference.chain.forward import Filtered, Forward
+from pgm.inference.chain import certificate
+from pgm.inference.chain.forward import Filtered
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.readings import Room
-from pgm.inference.kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.chain.solvers import FilterSolver, LagSolver, SmootherSolver, Solver
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
-from pgm.inference.status import Status, digits
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -107,166 +101,24 @@ def _refuse_infinite(posterior: ChainPosterior) -> None:
             )
 
 
-class Solver(ABC):
-    """The solution of a chain by one kind of schedule.
-
-    Attributes
-    ----------
-    starts : bool
-        Whether a start may be given, means at which everything is linearised first.
-    """
-
-    starts: ClassVar[bool] = False
-
-    def __init__(self, graph: DynamicGraph, schedule: Any) -> None:
-        self.graph, self.schedule = graph, schedule
-        self.balanced = isinstance(graph, BalancedGraph)
-
-    @abstractmethod
-    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
-        """In float64."""
-
-    @abstractmethod
-    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        """In twice the digits, one step after another."""
-
-    def _posterior(
-        self,
-        plan: ChainPlan,
-        kind: Kind,
-        swept: Forward | Filtered,
-        status: Status,
-        smoothed: Beliefs | None = None,
-        reverse: Reverse | None = None,
-        careful: Careful | None = None,
-        windows: Windows | None = None,
-        error: Array | None = None,
-    ) -> ChainPosterior:
-        if error is not None:
-            status = status.with_digits(digits(error, plan.lead))
-        parts = kind, plan, swept, smoothed, reverse, careful, windows
-        if isinstance(self.graph, BalancedGraph):
-            return BalancedPosterior(self.graph, status, *parts)
-        return ChainPosterior(self.graph, status, *parts)
-
-
-class _FilterSolver(Solver):
-    """Forward messages alone."""
-
-    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
-        ahead: Forward | Filtered
-        if self.balanced:
-            self._refuse_nonlinear(plan)
-            ahead = parallel.whole(parallel.run(plan))
-            status = Status.of([], np.ones(plan.runs, dtype=bool), plan.lead)
-        elif plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
-            # Of many runs only the beliefs, as long as nothing else is asked for.
-            ahead, status = forward.filtered(plan, self.schedule, room)
-        else:
-            ahead, status = forward.run(plan, self.schedule)
-        return self._posterior(plan, FILTERED, ahead, status)
-
-    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        if self.balanced:
-            self._refuse_nonlinear(plan)
-        swept, status = careful.sweep(plan, self.schedule)
-        return self._posterior(
-            plan, FILTERED, swept.forward, status, careful=swept, error=swept.error
-        )
-
-    def _refuse_nonlinear(self, plan: ChainPlan) -> None:
-        for family in plan.families:
-            if not family.exact:
-                raise GraphError(
-                    f"{family.cpd!r} is nonlinear, and {self.graph!r} solves for all steps at "
-                    "once, where a filter linearises at the belief before: compile without "
-                    "pgm.Balanced(), or smooth"
-                )
-
-
-class _LagSolver(Solver):
-    """Backward messages over a lag; windows, where CPDs are linearised again, see to digits."""
-
-    def __init__(self, graph: DynamicGraph, schedule: FixedLag) -> None:
-        super().__init__(graph, schedule)
-        if self.balanced:
-            raise GraphError(
-                f"{schedule!r} goes along a chain of slices, step after step, which {graph!r} is "
-                "not: compile without pgm.Balanced()"
-            )
-
-    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
-        return self._lagged(plan, fixed_lag.smooth)
-
-    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        return self._lagged(plan, fixed_lag.carefully)
-
-    def _lagged(
-        self, plan: ChainPlan, once: Callable[[ChainPlan, FixedLag], tuple[Lagged, Status]]
-    ) -> ChainPosterior:
-        slides = fixed_lag.slides(plan, self.schedule)
-        found, status = (fixed_lag.slid if slides else once)(plan, self.schedule)
-        return self._posterior(
-            plan,
-            Kind(self.schedule.lag),
-            found.forward,
-            status,
-            found.beliefs,
-            found.reverse,
-            found.careful,
-            found.windows,
-            found.error,
-        )
-
-
-class _SmootherSolver(Solver):
-    """Messages forward and back."""
-
-    starts = True
-
-    def __init__(self, graph: DynamicGraph, schedule: Calibration) -> None:
-        if not isinstance(schedule, Smoothing):
-            schedule = Smoothing(schedule.iterations, schedule.tolerance)
-        super().__init__(graph, schedule)
-
-    def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
-        smooth = smoother.scan if self.balanced else smoother.smooth
-        found, status = smooth(plan, self.schedule, start)
-        ahead = parallel.whole(found.forward)
-        return self._posterior(plan, SMOOTHED, ahead, status, found.beliefs, found.reverse)
-
-    def carefully(self, plan: ChainPlan, start: Array | None) -> ChainPosterior:
-        found, status = smoother.carefully(plan, self.schedule, start, reckoned=self.balanced)
-        swept = found.careful
-        return self._posterior(
-            plan,
-            SMOOTHED,
-            swept.forward,
-            status,
-            found.beliefs,
-            careful=swept,
-            error=found.error,
-        )
-
-
 # Every schedule for chains, with its solver.
 SOLVERS: dict[type[Any], type[Solver]] = {
-    Filtering: _FilterSolver,
-    FixedLag: _LagSolver,
-    Calibration: _SmootherSolver,
-    Smoothing: _SmootherSolver,
+    Filtering: FilterSolver,
+    FixedLag: LagSolver,
+    Calibration: SmootherSolver,
+    Smoothing: SmootherSolver,
 }
 
 
 def solver_of(graph: DynamicGraph, schedule: Schedule) -> Solver:
-    """The solver for a schedule, of its very class, since a subclass may mean something else."""
-    solver = SOLVERS.get(type(schedule))
-    if solver is None:
-        raise ModelError(
-            f"a chain of slices takes pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
-            f"{schedule!r}"
-        )
-    return solver(graph, schedule)
+    """The solver for a schedule, or for the nearest of its base classes that has one."""
+    for each in type(schedule).__mro__:
+        if each in SOLVERS:
+            return SOLVERS[each](graph, schedule)
+    raise ModelError(
+        f"a chain of slices takes pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
+        f"{schedule!r}"
+    )
 
 
 def _start(layout: SliceLayout, bound: BoundEvidence, start: Start) -> Array:
