@@ -21,7 +21,7 @@ from pgm.kernels.arrays import Array, Integers, block, independent, inner, sandw
 from pgm.variables import Variable
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Innovations:
     """The innovations of one sensor, one row a sighting, in the order of the evidence.
 
@@ -51,6 +51,12 @@ class Innovations:
     nis: Array
     dof: Integers
 
+    def __repr__(self) -> str:
+        *lead, count, size = self.residual.shape
+        runs = f", runs {tuple(lead)}" if lead else ""
+        steps = f" at steps {self.step.min()}..{self.step.max()}" if count else ""
+        return f"Innovations({count} of {size} components{steps}{runs})"
+
 
 class BySensor(Mapping[Variable, Innovations]):
     """The innovations of each sensor that was read."""
@@ -74,6 +80,9 @@ class BySensor(Mapping[Variable, Innovations]):
 
     def __len__(self) -> int:
         return len(self._innovations)
+
+    def __repr__(self) -> str:
+        return f"BySensor({self._innovations})"
 
 
 def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovations:

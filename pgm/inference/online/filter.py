@@ -142,6 +142,10 @@ class OnlineFilter(Immutable):
         # What was prepared is not part of the value.
         return {name: getattr(self, name) for name in ("model", "lineariser", "schedule")}
 
+    def __repr__(self) -> str:
+        states = [cpd.child for cpd in self.model.prior]
+        return f"OnlineFilter(over {states}, {self.lineariser!r}, {self.schedule!r})"
+
     @_quiet
     def initial(self) -> OnlineBelief:
         """The prior, at step 0."""

@@ -58,54 +58,76 @@ def run(
     executor : Executor or None
         Whose workers share the parts.
     """
-    workers = Workers(executor)
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)
-    parts = [Part(slice(0, bound.runs), graph, bound, start)]
+    workers = Workers(executor)
+    whole = Part(slice(0, bound.runs), graph, bound, start)
+    parts = [whole]
     if kept is not None or executor is not None:
-        parts = list(split(graph, bound, lineariser, start, workers.count))
+        parts = list(split(whole, lineariser, workers.count))
     if len(parts) == 1:
-        workers = Workers(None)
         if kept is None:
             return run_chain(graph, bound, schedule, lineariser, start)
-    wanted = Wanted.of(graph, schedule, start, kept)
-    room = workers.room(wanted.shapes(graph, bound))
-    jobs = [
-        Job(part, schedule, lineariser, wanted, _of(room, part) if workers.shares else None)
-        for part in parts
-    ]
-    model, told = graph.model, list[Told]()
-    named = (*model.prior, *model.transition, *model.observation, lineariser)
-    work = workers.each(do, jobs, [part.runs for part in parts], large=not room, named=named)
-    for part, done in zip(parts, work, strict=True):
-        if isinstance(done.error, PgmError) and not isinstance(done.error, ExecutorError):
-            # The error is to be that of one process, whose first one is of other runs maybe.
-            whole = [Part(slice(0, bound.runs), graph, bound, start)]
-            for own in whole if kept is None else split(graph, bound, lineariser, start, 1):
-                if own.runs.stop > part.runs.start and own.runs.start < part.runs.stop:
-                    run_chain(own.graph, own.bound, schedule, lineariser, own.start)
-        each = done.result()
-        if each.careful and kept is None:
-            # Its joints need all that the careful pass leaves.
-            return run_chain(graph, bound, schedule, lineariser, start)
-        if each.arrays is not None:
-            write(_of(room, part), each.arrays)
-        told.append(each._replace(arrays=None))
-    status = one_status((each.status for each in told), bound.lead)
+        workers = Workers(None)
+    share = Share.of(graph, schedule, start, kept)
+    room = workers.room(share.shapes(graph, bound))
+    results = _results(workers, whole, parts, schedule, lineariser, share, room)
+    if kept is None and any(result.careful for result in results):
+        # Its joints need all that the careful pass leaves.
+        return run_chain(graph, bound, schedule, lineariser, start)
+    status = one_status((result.status for result in results), bound.lead)
     if kept is not None:
-        kinds = {each.log_evidence_kind for each in told}
+        kinds = {result.log_evidence_kind for result in results}
         return KeptPosterior(
             graph,
             status,
-            told[0].kind,
+            results[0].kind,
             _gaussians(kept, room, bound),
             frozen(room[-1].reshape(bound.lead).copy()),
             kinds.pop() if len(kinds) == 1 else "linearised",  # a fixed point is one of all runs
         )
-    if wanted.beliefs:
+    if share.beliefs:
         return swept_once(graph, bound, lineariser, status, room)
-    found = [each.found for each in told if each.found is not None]
+    found = [result.found for result in results if result.found is not None]
     return joined(graph, bound, lineariser, status, found)
+
+
+def _results(
+    workers: Workers,
+    whole: Part,
+    parts: Sequence[Part],
+    schedule: Schedule | None,
+    lineariser: Lineariser,
+    share: Share,
+    room: Sequence[Array],
+) -> list[Result]:
+    """The results of all parts, their arrays in the room; of those up to a careful one, if any."""
+    jobs = [
+        Job(part, schedule, lineariser, share, _of(room, part) if workers.shares else None)
+        for part in parts
+    ]
+    model, results = whole.graph.model, list[Result]()
+    named = (*model.prior, *model.transition, *model.observation, lineariser)
+    work = workers.each(run_job, jobs, [part.runs for part in parts], large=not room, named=named)
+    for part, done in zip(parts, work, strict=True):
+        if isinstance(done.error, PgmError) and not isinstance(done.error, ExecutorError):
+            _fail_alone(whole, part, schedule, lineariser, share)
+        result: Result = done.result()
+        if result.arrays is not None:
+            write(_of(room, part), result.arrays)
+        results.append(result._replace(arrays=None))
+        if share.kept is None and result.careful:
+            break
+    return results
+
+
+def _fail_alone(
+    whole: Part, failed: Part, schedule: Schedule | None, lineariser: Lineariser, share: Share
+) -> None:
+    """Raise the error of one process, whose first one is of other runs maybe."""
+    for part in [whole] if share.kept is None else split(whole, lineariser, 1):
+        if part.runs.stop > failed.runs.start and part.runs.start < failed.runs.stop:
+            run_chain(part.graph, part.bound, schedule, lineariser, part.start)
 
 
 def _of(room: Sequence[Array], part: Part) -> list[Array]:
@@ -153,8 +175,8 @@ def _gaussians(
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """The share of a posterior that is wanted: beliefs as arrays, or all of it.
+class Share:
+    """The share of a posterior that is asked for: beliefs as arrays, or all of it.
 
     Attributes
     ----------
@@ -173,7 +195,7 @@ class Wanted:
     @classmethod
     def of(
         cls, graph: DynamicGraph, schedule: Schedule | None, start: Start | None, kept: Scope | None
-    ) -> Wanted:
+    ) -> Share:
         """A posterior of one linearisation is found again from its beliefs; others are not."""
         once = schedule is None or (
             isinstance(schedule, Filtering | Calibration) and schedule.iterations == 1
@@ -182,7 +204,7 @@ class Wanted:
         return cls(kept, kept is None and once and plain, not isinstance(schedule, Filtering))
 
     def shapes(self, graph: DynamicGraph, bound: BoundEvidence) -> list[Shape]:
-        """The shapes of the arrays for all runs."""
+        """The shapes of the arrays asked for, for all runs."""
         layout, everywhere = graph.layout, (bound.steps + 1, bound.runs)
         found: list[Shape] = []
         if self.kept is not None:
@@ -196,7 +218,7 @@ class Wanted:
         return []
 
     def arrays(self, found: ChainPosterior, runs: int) -> list[Array]:
-        """These arrays of a part."""
+        """The arrays of a part that are asked for."""
         if self.kept is None:
             swept, smoothed = found._swept, found._smoothed
             last = [] if smoothed is None else [smoothed.mean, smoothed.cov]
@@ -213,26 +235,26 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """Some runs, and what to make of them.
+    """The work on a part of the runs.
 
     Attributes
     ----------
     part : Part
     schedule, lineariser
         As of `run`.
-    wanted : Wanted
+    share : Share
     room : sequence of ndarray or None
-        Where the arrays wanted are written to; None, where they are told.
+        Where the arrays asked for are written to; None, where the result has them.
     """
 
     part: Part
     schedule: Schedule | None
     lineariser: Lineariser
-    wanted: Wanted
+    share: Share
     room: Sequence[Array] | None
 
 
-class Told(NamedTuple):
+class Result(NamedTuple):
     """The result of a part of the runs.
 
     Attributes
@@ -241,11 +263,11 @@ class Told(NamedTuple):
     kind : Kind
     log_evidence_kind : str
     careful : bool
-        Whether it took twice the digits; then nothing else is told, unless variables are kept.
+        Whether it took twice the digits; then nothing else is here, unless variables are kept.
     arrays : list of ndarray or None
-        Those wanted, if they have not been written.
+        Those asked for, if they have not been written.
     found : ChainPosterior or None
-        All of it, if that is wanted.
+        All of it, if that is asked for.
     """
 
     status: Status
@@ -256,24 +278,24 @@ class Told(NamedTuple):
     found: ChainPosterior | None = None
 
 
-def do(job: Job) -> Told:
+def run_job(job: Job) -> Result:
     """Send the messages of the runs of a job."""
-    part, wanted = job.part, job.wanted
+    part, share = job.part, job.share
     slice_, room = part.graph.layout.slice, None
-    if job.room and (wanted.kept is None or wanted.kept == slice_):
+    if job.room and (share.kept is None or share.kept == slice_):
         room = job.room[0], job.room[1]
     found = run_chain(part.graph, part.bound, job.schedule, job.lineariser, part.start, room)
     careful = found._careful is not None
-    told = Told(found.status, found.kind, found.log_evidence_kind, careful)
-    if wanted.kept is None and told.careful:
-        return told
-    if wanted.kept is None and not wanted.beliefs:
-        return told._replace(found=found)
-    arrays = wanted.arrays(found, part.bound.runs)
+    result = Result(found.status, found.kind, found.log_evidence_kind, careful)
+    if share.kept is None and careful:
+        return result
+    if share.kept is None and not share.beliefs:
+        return result._replace(found=found)
+    arrays = share.arrays(found, part.bound.runs)
     if job.room is None:
-        return told._replace(arrays=arrays)
+        return result._replace(arrays=arrays)
     write(job.room, arrays)
-    return told
+    return result
 
 
 def write(room: Sequence[Array], arrays: Sequence[Array]) -> None:

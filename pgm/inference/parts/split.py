@@ -44,17 +44,12 @@ class Part:
     start: Start | None
 
 
-def split(
-    graph: DynamicGraph,
-    bound: BoundEvidence,
-    lineariser: Lineariser,
-    start: Start | None,
-    workers: int,
-) -> Iterator[Part]:
+def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
     """The parts in turn, none larger than the room for it, as many for each of the workers."""
+    graph, bound, start = whole.graph, whole.bound, whole.start
     size = _size(graph, bound, lineariser, workers)
     if size >= bound.runs:
-        yield Part(slice(0, bound.runs), graph, bound, start)
+        yield whole
         return
     if start is not None:
         require_hidden(start, graph.layout.slice)
