@@ -120,7 +120,7 @@ def infer(
         this one. What a worker process is handed is pickled: the functions and classes that a
         model is made of must stand in modules, by name. On Linux a `ProcessPoolExecutor` shares
         memory with its caller, which is kept for the next call while the executor lives. Threads
-        gain little, since most calls are short, and the functions of the CPDs must bear them. The
+        gain little, since most calls are short, and need CPDs' functions that are thread-safe. The
         threads of NumPy's linear algebra are other ones: with small states they only get in the
         way (OMP_NUM_THREADS=1).
     memory : number, optional

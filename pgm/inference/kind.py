@@ -1,4 +1,4 @@
-"""Which readings the beliefs of a chain know."""
+"""The kind of a chain's beliefs: predicted, filtered, fixed-lag or smoothed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pgm.errors import ModelError
 
 @dataclass(frozen=True)
 class Kind:
-    r"""Which readings the beliefs of a chain know: at each step those up to a lag after it.
+    r"""The kind of a chain's beliefs: each knows the readings up to a lag after its step.
 
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + \mathrm{lag},\, T)})
 

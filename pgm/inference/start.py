@@ -1,4 +1,4 @@
-"""Where nonlinear CPDs are linearised first, if the user says so."""
+"""Initial points of linearisation for nonlinear CPDs."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
 
 
 def vacant(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
-    """As `stacked`, not initialised."""
+    """Uninitialised `stacked`."""
     *before, runs = lead
     return _last_to(np.empty((*before, *shape, runs)), len(before))
 

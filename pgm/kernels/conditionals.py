@@ -17,7 +17,7 @@ class Moments(NamedTuple):
 
 
 def compose(first: Conditional, then: Conditional) -> Conditional:
-    """Of z given x, from y given x and z given y."""
+    """The composition p(z|x) of p(y|x) and p(z|y)."""
     return Conditional(
         multiply(then.matrix, first.matrix),
         apply(then.matrix, first.offset) + then.offset,

@@ -52,7 +52,7 @@ def log_density(lower: Array, white: Array) -> Array:
 
 
 def off(lower: Array, left: Array, error: Array) -> Mask:
-    """Where what is left, (..., S, d), is more than rounding: off the subspace, (..., S).
+    """Whether residuals (..., S, d) leave the subspace of the noise, (..., S).
 
     Parameters
     ----------

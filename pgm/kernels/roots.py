@@ -79,7 +79,7 @@ def _semidefinite_root(matrix: Array, diagonal: Array, negligible: float) -> Arr
 
 
 def determined(lower: Array) -> Mask:
-    """Which components a root shows to be determined by those before them, (..., n)."""
+    """The mask of components that those before them determine, (..., n), by a root."""
     fixed: Mask = np.diagonal(lower, axis1=-2, axis2=-1) == 0.0
     return fixed
 

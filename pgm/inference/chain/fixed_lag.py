@@ -99,7 +99,7 @@ def carefully(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     return found, Status.of([], np.full(plan.runs, plan.exact), plan.lead)
 
 
-def slid(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
+def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     """Slide a window along the chain."""
     cost.require_cost(schedule.smoothing, plan.families)
     record = _Record(plan)
@@ -107,12 +107,12 @@ def slid(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     window: Window | None = None
     for step in range(plan.steps + 1):
         before = None if window is None else window.at(-1)
-        plan.put(max(step - 1, 0), newest(plan, step, before).plan)
+        plan.put(max(step - 1, 0), filter_step(plan, step, before).plan)
         first = max(step - schedule.lag, 0)
         if first and window is not None:
             begin = window.at(1)
             record.leave(window)
-        window = settled(plan, first, step, begin, schedule)
+        window = iterate_window(plan, first, step, begin, schedule)
         plan.put(first, window.plan)
         record.keep(first, window)
     for family in plan.families:
@@ -159,14 +159,14 @@ class _Record:
 
     @property
     def found(self) -> tuple[Lagged, Status]:
-        """All of it."""
+        """The record as a result, and its status."""
         windows = Windows(self.newest, self.log_evidence, self.error is None)
         found = Lagged(self.forward, self.beliefs, windows=windows, error=self.error)
         return found, Status.of(self.residuals, self.converged, self.lead)
 
 
 class Beginning(NamedTuple):
-    """Where a window begins: a belief given the readings up to its step.
+    """The belief at a window's first step, given the readings up to there.
 
     Attributes
     ----------
@@ -203,7 +203,7 @@ class Beginning(NamedTuple):
 
     @property
     def in_digits(self) -> Begin:
-        """In twice the digits."""
+        """The belief in twice the digits."""
         if self.careful is not None:
             return self.careful
         return Begin(Belief.of(self.mean, self.cov), Twofold.zeros((len(self.mean), 1, 1)))
@@ -251,8 +251,8 @@ class Window:
         return Beginning(mean, cov, Begin(step.known.shifted(self.moved[row]), step.information))
 
 
-class Alone(NamedTuple):
-    """A step alone, its CPDs linearised at the beliefs before it.
+class SingleStep(NamedTuple):
+    """The newest step of a window, its CPDs linearised as a filter does.
 
     Attributes
     ----------
@@ -267,23 +267,23 @@ class Alone(NamedTuple):
     error: Array | None
 
 
-def newest(plan: ChainPlan, step: int, begin: Beginning | None) -> Alone:
-    """A step alone, linearised as a filter does."""
+def filter_step(plan: ChainPlan, step: int, begin: Beginning | None) -> SingleStep:
+    """Filter one step: its transition and its readings, from the belief before."""
     first = max(step - 1, 0)
     alone, begin = _cut(plan, first, step, begin)
     if _is_plain(alone, begin):
         try:
             ahead, _ = forward.run(alone, ONCE)
             if certificate.suffices(alone, ahead):
-                return Alone(alone, ahead, None)
+                return SingleStep(alone, ahead, None)
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
         alone, begin = _cut(plan, first, step, begin)
     swept, _ = careful.sweep(alone, ONCE, begin=None if begin is None else begin.in_digits)
-    return Alone(alone, swept.forward, swept.error)
+    return SingleStep(alone, swept.forward, swept.error)
 
 
-def settled(
+def iterate_window(
     plan: ChainPlan, first: int, last: int, begin: Beginning | None, schedule: FixedLag
 ) -> Window:
     """Iterate on a window of steps, all of whose CPDs have been linearised."""

@@ -92,7 +92,7 @@ class Filtered:
 
 
 class Watch:
-    """The least share of a variance that other components leave open, during a sweep.
+    """The running minimum of conditional shares of variance over a sweep, for the certificate.
 
     Attributes
     ----------

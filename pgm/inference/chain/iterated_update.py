@@ -1,4 +1,4 @@
-"""The readings of a step as a problem to be iterated on: linearised anywhere, and solved."""
+"""A step's measurement update as an iterated problem: linearised at any point, and solved."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ class UpdateProblem(ABC, Generic[U]):
         return _as_point(readings.update(exact, self.step, Moments(first, self.cov))[0].mean, 1)
 
     def _moments(self, at: Point) -> tuple[Array, Array]:
-        """In the layout of a sweep."""
+        """The moments of a point with the batch last, as a sweep has them."""
         if self.mean.ndim == 1:
             return at.mean[0, 0], at.cov[0, 0]
         return components_first(at.mean[0], 1), components_first(at.cov[0], 2)

@@ -139,7 +139,7 @@ class Problem(Protocol[Found]):
         ...
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """Means that obey exact CPDs, whose others have no finite cost: these, or a projection.
+        """Means projected onto exact linear CPDs, off whose solutions no cost is finite.
 
         Distances may be measured in the deviations of what was found.
         """
@@ -232,7 +232,7 @@ class _Control:
         return point.mixed(found, self.damping) if self.damping else found
 
     def shown(self, solved: Array, point: Point, active: Mask) -> Array:
-        """The means to tell of: those solved for, unless the control has held them back."""
+        """The means to report: the solution's, or the point's where a control holds back."""
         if not isinstance(self.damping, LevenbergMarquardt):
             return solved
         return np.where(active[:, None], point.mean, solved)

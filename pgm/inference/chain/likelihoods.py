@@ -106,7 +106,7 @@ class Readings:
 
 
 class Known(NamedTuple):
-    """Beliefs after readings, as deviations, and what the readings have moved them by.
+    """Filtered moments as deviations from a reference, and the evidence term of their readings.
 
     Attributes
     ----------
@@ -221,7 +221,7 @@ class Whitened:
 
 
 def distinct(array: Array) -> Array:
-    """A broadcast stack with each leading axis along which all is the same of length one."""
+    """A broadcast stack, its constant leading axes reduced to length one."""
     for axis in (0, 1):
         if array.strides[axis] == 0 and array.shape[axis] > 1:
             array = array.take([0], axis=axis)

@@ -127,7 +127,7 @@ class LagSolver(Solver):
         self, plan: ChainPlan, once: Callable[[ChainPlan, FixedLag], tuple[Lagged, Status]]
     ) -> ChainPosterior:
         slides = fixed_lag.slides(plan, self.schedule)
-        found, status = (fixed_lag.slid if slides else once)(plan, self.schedule)
+        found, status = (fixed_lag.slide if slides else once)(plan, self.schedule)
         return self._posterior(
             plan,
             Kind(self.schedule.lag),

@@ -13,8 +13,8 @@ from pgm.inference.executors.memory import Name, seen
 from pgm.inference.executors.parcels import Parcel, loads
 
 
-class Elsewhere(Exception):
-    """The cause of an error of another process: where it was raised there, in words."""
+class RemoteTraceback(Exception):
+    """The traceback of an error of another process, as the cause of the error here."""
 
 
 class Done(NamedTuple):
@@ -44,7 +44,7 @@ class Done(NamedTuple):
         if self.error is None:
             return self.value
         raise self.error from self.error.__cause__ or (
-            Elsewhere(self.trace) if self.trace else None
+            RemoteTraceback(self.trace) if self.trace else None
         )
 
 

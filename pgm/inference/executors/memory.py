@@ -60,12 +60,12 @@ class Name(NamedTuple):
 
 @lru_cache(_SEEN)
 def seen(name: Name) -> mmap.mmap:
-    """The memory of a block, in a worker: pages that it has used once cost nothing again."""
+    """A shared block mapped in a worker, kept mapped: pages used once cost nothing again."""
     return name.open()
 
 
 class Block:
-    """Memory that grows when more of it is wanted."""
+    """A growable block of shared memory."""
 
     def __init__(self) -> None:
         self.file = os.memfd_create("pgm")
@@ -93,7 +93,7 @@ class Block:
 
 
 class Room:
-    """Arrays as of `vacant`, that workers fill in.
+    """Uninitialised arrays in one shared block, which workers fill in.
 
     Their block is kept for another call once it is `done`, and no array of it is left.
     """
@@ -131,7 +131,7 @@ def idle_blocks(executor: Executor) -> list[Block] | None:
 
 
 def borrow(idle: list[Block], size: int) -> Block:
-    """A block: that which fits best, or a new one."""
+    """The idle block that fits best, or a new one."""
     fitting = sorted(idle, key=lambda block: (block.size < size, abs(block.size - size)))
     for block in fitting:
         try:
@@ -149,7 +149,7 @@ def keep(idle: list[Block], block: Block) -> None:
 
 
 def lines(size: int) -> int:
-    """So many bytes in whole lines."""
+    """Bytes rounded up to whole cache lines."""
     return -(-size // LINE) * LINE
 
 

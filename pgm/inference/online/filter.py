@@ -256,7 +256,7 @@ class OnlineFilter(Immutable):
         log_density = taken.solution.log_density.reshape(plan.lead)
         log_evidence = np.asarray(belief.log_evidence + log_density)
         status = Status.of(taken.residuals, taken.converged, plan.lead)
-        behind = None if behind is None else behind._replace(rough=True)
+        behind = None if behind is None else behind._replace(imprecise=True)
         return _carried(plan, belief.step, found, log_evidence, status, FILTERED, behind)
 
     def _updated(

@@ -64,7 +64,7 @@ def readings(
 
 
 def _same_runs(belief: OnlineBelief, bound: BoundEvidence) -> BoundEvidence:
-    """Refuse runs other than those of a window before, but for many after one."""
+    """Refuse a change of the number of runs within a window, but from one run to many."""
     lead = belief.lead
     if isinstance(belief.behind, Sliding) and lead and lead != bound.lead:
         raise EvidenceError(

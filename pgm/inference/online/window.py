@@ -20,7 +20,7 @@ from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic_layout import Inputs
 from pgm.inference.chain.backward import Reverse
 from pgm.inference.chain.certificate import MODERATE
-from pgm.inference.chain.fixed_lag import Alone, Beginning, Window, newest, settled
+from pgm.inference.chain.fixed_lag import Beginning, SingleStep, Window, filter_step, iterate_window
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
@@ -103,13 +103,13 @@ class Sliding:
         if self.window is not None:
             return self.window
         plan, begin = self._laid(make)
-        return settled(plan, 0, plan.steps, begin, self.schedule)
+        return iterate_window(plan, 0, plan.steps, begin, self.schedule)
 
-    def ahead(self, make: Make, step: int) -> Alone:
+    def ahead(self, make: Make, step: int) -> SingleStep:
         """The belief's step alone, of which nothing has been read."""
         begun = self.before is not None
         plan = make(_joined(self.entries[-1:], self.lead, begun=begun), step - begun, not begun)
-        return newest(plan, plan.steps, self._newest)
+        return filter_step(plan, plan.steps, self._newest)
 
     @property
     def _newest(self) -> Beginning | None:
@@ -152,7 +152,7 @@ class Sliding:
         plan = make(evidence, first, begin is None)
         if part is not None:
             plan.put(0, part)
-        plan.put(max(plan.steps - 1, 0), newest(plan, plan.steps, self._newest).plan)
+        plan.put(max(plan.steps - 1, 0), filter_step(plan, plan.steps, self._newest).plan)
         return plan, begin
 
 
@@ -196,17 +196,17 @@ class _Ends(NamedTuple):
 
     @property
     def predicted_mean(self) -> Array:
-        """The same."""
+        """The predicted means: no readings are taken at either end."""
         return self.mean
 
     @property
     def predicted_cov(self) -> Array:
-        """The same."""
+        """The predicted covariances."""
         return self.cov
 
 
 class Passed:
-    """A transition that was made in float64, and the slice before it given the slice after it.
+    """A transition behind the belief, made in float64, with its reverse for lagged beliefs.
 
     Parameters
     ----------
@@ -257,17 +257,17 @@ class Trail(NamedTuple):
     lag : int
     passed : tuple of Passed or None
         The last of them ends at the belief's step; None where a step took twice the digits.
-    rough : bool
+    imprecise : bool
         Whether the readings of the belief's step did.
     """
 
     lag: int
     passed: tuple[Passed | None, ...] = ()
-    rough: bool = False
+    imprecise: bool = False
 
     def on(self, passed: Passed | None) -> Trail:
         """A step later."""
-        kept = (*self.passed, None if self.rough else passed)
+        kept = (*self.passed, None if self.imprecise else passed)
         return Trail(self.lag, kept[-self.lag :] if self.lag else ())
 
     def lagged(self, step: int, mean: Array, cov: Array) -> tuple[int, Array, Array]:
@@ -275,7 +275,7 @@ class Trail(NamedTuple):
         first, before = step - len(self.passed), step
         for passed in reversed(self.passed):
             before -= 1
-            if passed is None or (self.rough and before == step - 1):
+            if passed is None or (self.imprecise and before == step - 1):
                 self._refuse(first, before, step)
             mean, cov = moments.push(mean, cov, passed.back)
             left = np.einsum("...ii->...i", cov)

@@ -81,7 +81,7 @@ def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, wor
 
 
 def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGraph:
-    """The graph of a model whose densities with a mean for each run have those of some runs."""
+    """The graph of a model, its parameters that differ between runs cut to some of these."""
     model = graph.model
     changed = {
         name: tuple(_cpd(cpd, lead, runs) for cpd in getattr(model, name))
