@@ -93,7 +93,7 @@ class Status(Immutable):
 
     @classmethod
     def of(cls, residuals: list[Array], converged: Mask, lead: tuple[int, ...]) -> Status:
-        """The status of relinearisations, from residuals (runs,) each, in the user's axes of runs."""
+        """The status of relinearisations, from residuals (runs,) each, in the user's axes."""
         count = len(residuals)
         record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
         return cls(count + 1, record, converged.reshape(lead))
