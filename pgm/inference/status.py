@@ -32,7 +32,8 @@ def _levels_to_user() -> int:
     frame, levels = sys._getframe(1), 1
     while frame.f_back is not None:
         name = frame.f_globals.get("__name__", "")
-        if not name.startswith("pgm.") and name != "contextlib":  # which stands in decorators
+        # contextlib and NumPy's errstate stand in decorators.
+        if not name.startswith(("pgm.", "numpy.")) and name != "contextlib":
             break
         frame, levels = frame.f_back, levels + 1
     return levels

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
+from pgm.immutable import sealed
 from pgm.kernels import differences
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Index, Integers, Mask, components_first, components_last
@@ -236,6 +237,7 @@ class BoundFunction(_Bound):
         if lead:
             arguments, shape = self._arguments(x)
         else:
+            x = sealed(x)
             arguments, shape = [x if value is None else value for value in inputs], ()
         role, function = "function", template.function
         try:
@@ -284,6 +286,7 @@ class BoundFunction(_Bound):
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
     def _arguments(self, x: Array) -> tuple[list[Array], tuple[int, ...]]:
+        x = sealed(x)  # a function that writes into its arguments would change the belief
         if not self.lead and self.group is None and self.template.undivided and x.ndim <= 2:
             # Of one run there is little to broadcast, and often nothing to cut.
             if x.ndim == 1:

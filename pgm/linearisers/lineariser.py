@@ -13,7 +13,9 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from pgm.errors import LinearisationError
 from pgm.factors import AffineGaussian, Gaussian
+from pgm.immutable import sealed
 from pgm.kernels.arrays import (
     Array,
     block_diagonal,
@@ -21,6 +23,7 @@ from pgm.kernels.arrays import (
     components_last,
     times,
 )
+from pgm.kernels.checks import is_symmetric, symmetrised
 from pgm.linearisers.function import BoundFunction, FunctionTemplate
 
 
@@ -78,7 +81,13 @@ def prepare(lineariser: Lineariser, template: FunctionTemplate) -> Prepared:
 def needs_cov(lineariser: Lineariser, template: FunctionTemplate) -> bool:
     """Whether a linearisation depends on the belief's covariance; it does unless it says not."""
     need: Any = getattr(lineariser, "needs_cov", True)
-    return bool(need(template) if callable(need) else need)
+    said = need(template) if callable(need) else need
+    if not isinstance(said, bool | np.bool_ | int):
+        raise LinearisationError(
+            f"{lineariser!r}: needs_cov is {said!r}; True or False was due, or a function of a "
+            "template that returns one of them"
+        )
+    return bool(said)
 
 
 class ArrayLineariser(ABC):
@@ -128,6 +137,8 @@ class Wrapped:
             raise Misfit(f"returned {type(found).__name__}", "it must return a pgm.AffineGaussian")
         matrix, offset = found.F, found.b
         error = found.cov if np.count_nonzero(found.cov) else None
+        if error is not None:
+            _require_symmetric(error)
         due = (function.template.height * (function.group or 1), len(mean))
         if matrix.shape[-2:] != due:
             raise Misfit(f"returned an F of shape {matrix.shape}", f"it must end in {due}")
@@ -158,7 +169,7 @@ class _Checked:
 
     def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
         """Linearise at beliefs (n, *batch) and (n, n, *batch)."""
-        found = self.prepared(function, mean, cov)
+        found = self.prepared(function, sealed(mean), sealed(cov))
         if not isinstance(found, Line):
             raise Misfit(
                 f"returned {type(found).__name__}",
@@ -170,11 +181,19 @@ class _Checked:
         for name, part, shape in zip(Line._fields, found, due, strict=True):
             if name == "error" and part is None:
                 continue
-            if not isinstance(part, np.ndarray) or part.dtype != np.float64:
+            if type(part) is not np.ndarray or part.dtype != np.float64:
                 raise Misfit(f"returned a {name} that is no array of floats", f"{shape} was due")
             if part.shape != shape:
                 raise Misfit(f"returned a {name} of shape {part.shape}", f"{shape} was due")
+        if found.error is not None:
+            _require_symmetric(components_last(found.error, 2))
         return found
+
+
+def _require_symmetric(error: Array) -> None:
+    """Refuse an error's covariance that is not symmetric; one that is not finite fails later."""
+    if not is_symmetric(symmetrised(error)) and np.isfinite(error).all():
+        raise Misfit("returned an error whose covariance is not symmetric", "E = Eᵀ was due")
 
 
 def apart(prepared: Prepared, function: BoundFunction, mean: Array, cov: Array) -> Line:
@@ -185,7 +204,7 @@ def apart(prepared: Prepared, function: BoundFunction, mean: Array, cov: Array) 
     prepared : Prepared
         Called once, with the sightings as the first axis of the batch.
     function : BoundFunction
-        With a ``group`` of k sightings.
+        With a ``group`` of k sightings; one without is linearised as it is.
     mean, cov : ndarray
         (n, *batch), (n, n, *batch).
 
@@ -195,7 +214,8 @@ def apart(prepared: Prepared, function: BoundFunction, mean: Array, cov: Array) 
         Of k d components; the error is block-diagonal.
     """
     count = function.group
-    assert count is not None
+    if count is None:
+        return prepared(function, mean, cov)  # a single sighting
     size, *batch = mean.shape
     at = np.broadcast_to(mean[:, None], (size, count, *batch))
     spread = np.broadcast_to(cov[:, :, None], (size, size, count, *batch))

@@ -331,7 +331,7 @@ class OnlineFilter(Immutable):
                 f"{belief!r} is no belief of this filter's model; begin with initial()"
             )
         own, behind = self._behind, belief.behind
-        if type(behind) is not type(own) or belief.kind.lag > 0:
+        if not _is_like(behind, own) or belief.kind.lag > 0:
             raise ModelError(
                 f"{belief!r} is no belief to go on from with {self.schedule!r}: it is of a filter "
                 "with another schedule, or lags behind one; begin with initial(), and go on from "
@@ -340,6 +340,15 @@ class OnlineFilter(Immutable):
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)
+
+
+def _is_like(behind: Trail | Sliding | None, own: Trail | Sliding | None) -> bool:
+    """Whether the steps behind a belief are kept as a filter keeps its own."""
+    if isinstance(behind, Trail) and isinstance(own, Trail):
+        return behind.lag == own.lag
+    if isinstance(behind, Sliding) and isinstance(own, Sliding):
+        return behind.schedule == own.schedule
+    return behind is None and own is None
 
 
 def _nothing_to_iterate(lead: tuple[int, ...]) -> Status:
