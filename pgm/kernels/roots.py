@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.kernels.arrays import Array, Mask, apply, by_runs, transpose
+from pgm.kernels.arrays import Array, Mask, apply, by_runs, symmetric, transpose
 
 # A pivot below this part of its diagonal entry is rounding: the component is determined.
 NEGLIGIBLE = 1e-13
@@ -16,6 +16,8 @@ NEGLIGIBLE = 1e-13
 INDEFINITE = 1e-9
 # From this many matrices on, one vectorised operation a column beats one LAPACK call a matrix.
 _MANY = 16
+# A share of the variances beyond which a negative eigenvalue is visible in float64.
+_VISIBLE = 1e-12
 
 
 def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIBLE) -> Array:
@@ -173,3 +175,23 @@ def is_regular(cov: Array, least: float) -> bool:
 def is_proper(lower: Array) -> bool:
     """Whether every root of the stack exists (its matrix was semidefinite and finite)."""
     return not np.isnan(np.diagonal(lower, axis1=-2, axis2=-1).sum())
+
+
+def semidefinite(cov: Array, largest: float) -> Array:
+    """Covariances without the asymmetry and the negative eigenvalues that rounding has left.
+
+    Eigenvalues are in units of the variances; one that is `largest` below zero is no rounding.
+    """
+    cov = symmetric(cov)
+    unit = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
+    unit = np.where(unit > 0.0, unit, 1.0)
+    scaled = cov / unit[..., None] / unit[..., None, :]
+    if not np.isfinite(scaled).all():
+        return cov
+    values, axes = np.linalg.eigh(scaled)
+    least = values.min(axis=-1, initial=0.0)
+    blurred = (least < -_VISIBLE) & (least > -largest)
+    if not blurred.any():
+        return cov
+    kept = (axes * np.maximum(values, 0.0)[..., None, :]) @ axes.mT
+    return np.where(blurred[..., None, None], kept * unit[..., None] * unit[..., None, :], cov)

@@ -118,6 +118,11 @@ def where(mask: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
     return Twofold(np.where(mask, a.hi, b.hi), np.where(mask, a.lo, b.lo))
 
 
+def eye(shape: tuple[int, ...]) -> Twofold:
+    """Unit matrices, (..., n, n)."""
+    return Twofold(np.broadcast_to(np.eye(shape[-1]), shape).copy())
+
+
 def eliminated(
     matrix: Array | Twofold, negligible: float, rounding: Array | None = None
 ) -> tuple[Twofold, Twofold]:
@@ -142,7 +147,7 @@ def eliminated(
     left = _twofold(matrix).copy()
     size = left.shape[-1]
     diagonal = np.abs(np.einsum("...ii->...i", left.hi)) if rounding is None else rounding.copy()
-    unit = Twofold(np.broadcast_to(np.eye(size), left.shape).copy())
+    unit = eye(left.shape)
     pivots = Twofold.zeros(left.shape[:-1])
     for j in range(size):
         pivot = left[..., j, j]
@@ -184,9 +189,14 @@ def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
     return solution
 
 
+def inverse_unit(unit: Twofold) -> Twofold:
+    """The inverse of a lower U with 1 on its diagonal."""
+    return solve_unit(unit, eye(unit.shape))
+
+
 def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
     """A generalised inverse U⁻ᵀ D⁺ U⁻¹ of U D Uᵀ, exact on its range."""
-    back = solve_unit(unit, Twofold(np.broadcast_to(np.eye(unit.shape[-1]), unit.shape).copy()))
+    back = inverse_unit(unit)
     return back.mT @ _divided(back, pivots)
 
 

@@ -1,35 +1,296 @@
-"""The belief of an online filter, and its steps in twice the digits where float64 has too few.
+"""The belief of an online filter, and the steps behind it that a filter with a lag goes back over.
 
-A step in float64 leaves all the digits that are promised where its beliefs are regular: no
-component is determined to 5·10⁻⁸ of its variance by others, nor suddenly to that by a reading. Then
-neither what a transition nor what a reading sums up is much smaller than its parts. Other
-steps are made in twice the digits, and the belief is carried in these until it is regular.
+With one linearisation a trail of predictions is enough to go back over; with more, windows are
+smoothed, the same as slide along a recorded chain, one at a time.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.compile import SliceLayout
-from pgm.errors import EvidenceError
+from pgm.errors import EvidenceError, NumericalError
+from pgm.evidence import BoundEvidence, Reading
+from pgm.evidence.dynamic_layout import Inputs
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
-from pgm.inference.chain import careful, careful_motion
-from pgm.inference.chain.careful_update import Belief, variances
-from pgm.inference.chain.certificate import MODERATE, is_ordinary, moments, solved
-from pgm.inference.chain.iterated_update import IteratedUpdate, iterated
-from pgm.inference.chain.online_window import Sliding, Trail
+from pgm.inference.chain.backward import Reverse
+from pgm.inference.chain.careful_belief import Belief
+from pgm.inference.chain.certificate import MODERATE
+from pgm.inference.chain.fixed_lag import Alone, Beginning, Window, newest, settled
+from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.readings import Moments
 from pgm.inference.kind import Kind
 from pgm.inference.posterior import require_variable
-from pgm.inference.schedule import Filtering
+from pgm.inference.rows import At
+from pgm.inference.schedule import ONCE, FixedLag
 from pgm.inference.status import Status
+from pgm.kernels import arrays, moments
 from pgm.kernels.arrays import Array, block, symmetric
-from pgm.kernels.twofold import Twofold
+from pgm.kernels.moments import Conditional
 from pgm.variables import Variable
+
+# Lays out the evidence of steps, the first of which has this number, with the prior or without.
+Make = Callable[[BoundEvidence, int, bool], ChainPlan]
+
+
+class Entry(NamedTuple):
+    """The evidence of a step.
+
+    Attributes
+    ----------
+    motion : tuple of Inputs
+        Of each CPD of the transition to it, (1, runs or 1, d); no rows at step 0.
+    readings : tuple of Reading
+        Of its updates.
+    """
+
+    motion: tuple[Inputs, ...]
+    readings: tuple[Reading, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Sliding:
+    """The window of a belief's step, and all that it is found from.
+
+    Attributes
+    ----------
+    schedule : FixedLag
+    lead : tuple of int
+        The axes of runs.
+    entries : tuple of Entry
+        Of the steps whose CPDs are in the window.
+    before : Window or None
+        That of the step before; None at step 0.
+    window : Window or None
+        That of the step; None while nothing has been read there.
+    left : ndarray
+        (runs,): the log-evidence that the window has left behind.
+    """
+
+    schedule: FixedLag
+    lead: tuple[int, ...]
+    entries: tuple[Entry, ...]
+    before: Window | None
+    window: Window | None
+    left: Array
+
+    @classmethod
+    def first(
+        cls, schedule: FixedLag, lead: tuple[int, ...], motion: tuple[Inputs, ...]
+    ) -> Sliding:
+        """At step 0, where the transition has no rows."""
+        return cls(schedule, lead, (Entry(motion),), None, None, np.zeros(1))
+
+    def on(self, make: Make, motion: tuple[Inputs, ...], lead: tuple[int, ...]) -> Sliding:
+        """A step later, of which nothing has been read."""
+        window, kept, left = self.settled(make), self.entries, self.left
+        if window.plan.steps == self.schedule.lag:
+            # The step after the beginning is left behind, as it was linearised last.
+            kept = kept[len(kept) + 1 - self.schedule.lag :]
+            left = left + window.ahead.log_density[:2].sum(axis=0)
+        return Sliding(self.schedule, lead, (*kept, Entry(motion)), window, None, left)
+
+    def read(self, make: Make, readings: tuple[Reading, ...], lead: tuple[int, ...]) -> Sliding:
+        """With further readings of the step, taken in together with those before."""
+        *others, last = self.entries
+        last = last._replace(readings=(*last.readings, *readings))
+        found = replace(self, lead=lead, entries=(*others, last), window=None)
+        return replace(found, window=found.settled(make))
+
+    def settled(self, make: Make) -> Window:
+        """The window of the step."""
+        if self.window is not None:
+            return self.window
+        plan, begin = self._laid(make)
+        return settled(plan, 0, plan.steps, begin, self.schedule)
+
+    def ahead(self, make: Make, step: int) -> Alone:
+        """The belief's step alone, of which nothing has been read."""
+        begun = self.before is not None
+        plan = make(_joined(self.entries[-1:], self.lead, begun=begun), step - begun, not begun)
+        return newest(plan, plan.steps, self._newest)
+
+    @property
+    def _newest(self) -> Beginning | None:
+        """The belief at the step before."""
+        return None if self.before is None else self.before.at(-1)
+
+    @property
+    def log_evidence(self) -> Array:
+        """Of all readings so far, (runs,), of a window that has been settled."""
+        assert self.window is not None
+        total: Array = self.left + self.window.ahead.log_density.sum(axis=0)
+        return total
+
+    def lagged(self, step: int, mean: Array, cov: Array) -> tuple[int, Array, Array]:
+        """The first step of the window of a belief's step, and its moments, (*lead, ...).
+
+        Before anything has been read, those that the window of the step before has left.
+        """
+        window = self.window or self.before
+        if window is None:
+            return step, mean, cov
+        first = max(step - self.schedule.lag, 0)
+        row = first - window.plan.first
+        parts = window.beliefs.mean[row], window.beliefs.cov[row]
+        runs = math.prod(self.lead)
+        mean, cov = (
+            np.broadcast_to(part, (runs, *part.shape[1:])).reshape(*self.lead, *part.shape[1:])
+            for part in parts
+        )
+        return first, mean, cov
+
+    def _laid(self, make: Make) -> tuple[ChainPlan, Beginning | None]:
+        """The plan of the window, its newest step linearised as a filter does; its beginning."""
+        before, begin, first = self.before, None, 0
+        part = None if before is None else before.plan
+        if before is not None and before.plan.steps == self.schedule.lag:
+            begin, first = before.at(1), before.plan.first + 1
+            part = begin.cut(before.plan, 1, before.plan.steps)
+        evidence = _joined(self.entries, self.lead, begun=begin is not None)
+        plan = make(evidence, first, begin is None)
+        if part is not None:
+            plan.put(0, part)
+        plan.put(max(plan.steps - 1, 0), newest(plan, plan.steps, self._newest).plan)
+        return plan, begin
+
+
+def _joined(entries: Sequence[Entry], lead: tuple[int, ...], *, begun: bool) -> BoundEvidence:
+    """The evidence of steps as that of one chain; its first step has none where it is begun."""
+    motions = [entry.motion for entry in entries]
+    transition = tuple(
+        {variable: _rows([motion[k][variable] for motion in motions]) for variable in inputs}
+        for k, inputs in enumerate(motions[0])
+    )
+    read = [
+        (step, reading)
+        for step, entry in enumerate(entries, int(begun))
+        for reading in entry.readings
+    ]
+    sensors = {id(reading.cpd): reading.cpd for _, reading in read}
+    readings = []
+    for key, cpd in sensors.items():
+        own = [(step, reading) for step, reading in read if id(reading.cpd) == key]
+        step = np.concatenate([np.full(len(reading.values), step) for step, reading in own])
+        parts = [reading for _, reading in own]
+        inputs = {v: _rows([part.inputs[v] for part in parts]) for v in parts[0].inputs}
+        values, taken = _rows([p.values for p in parts]), _rows([p.taken for p in parts])
+        readings.append(Reading(cpd, step, np.arange(step.size), values, taken, inputs))
+    return BoundEvidence(len(entries) - 1 + begun, lead, transition, tuple(readings))
+
+
+def _rows(parts: Sequence[npt.NDArray[arrays.Kind]]) -> npt.NDArray[arrays.Kind]:
+    """Arrays (rows, runs or 1, d) as one; read-only, since functions of users see them."""
+    runs = max(part.shape[1] for part in parts)
+    whole = np.concatenate([np.broadcast_to(p, (len(p), runs, p.shape[2])) for p in parts])
+    whole.flags.writeable = False
+    return whole
+
+
+class _Ends(NamedTuple):
+    """A transition's belief before it, and what it predicts: (2, runs, ...) each."""
+
+    mean: Array
+    cov: Array
+    predicted_mean: Array
+    predicted_cov: Array
+
+
+class Passed:
+    """A transition that was made in float64, and the slice before it given the slice after it.
+
+    Parameters
+    ----------
+    plan : ChainPlan
+        Of one step, as it was linearised.
+    before, after : Moments
+        The belief before it, and what it predicts.
+    """
+
+    def __init__(self, plan: ChainPlan, before: Moments, after: Moments) -> None:
+        self._made, self._lead = (plan, before, after), plan.lead
+
+    @cached_property
+    def back(self) -> Conditional:
+        """The slice before given the slice after, (*lead, ...); found when it is asked for."""
+        plan, *ends = self._made
+        (mean, cov), (later, spread) = (each.by_run for each in ends)
+        both = np.stack([mean, later]), np.stack([cov, spread])
+        parts = Reverse.make(plan, _Ends(*both, *both)).whole
+        return Conditional(*(part[0].reshape(*self._lead, *part.shape[2:]) for part in parts))
+
+    @cached_property
+    def variances(self) -> Array:
+        """Of the slice before, given the readings up to it, (*lead, n)."""
+        cov = self._made[1].by_run[1]
+        found: Array = np.einsum("...ii->...i", cov).reshape(*self._lead, cov.shape[-1])
+        return found
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What they are found from need not travel.
+        return {"back": self.back, "variances": self.variances}
+
+
+def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
+    """A chain of one step that keeps how its CPDs are linearised at rows, in a plan of its own."""
+    own = plan.window(0, 1)
+    for link, at in zip(own.transition, ats, strict=True):
+        if link.family.noisy and not plan.batch:  # laid out for other rows, maybe
+            link.family.noise = link.family.own_noise = at.noise[None, None]
+    return MomentChain(own, ONCE)
+
+
+class Trail(NamedTuple):
+    """The transitions behind a belief, as many as the lag has steps.
+
+    Attributes
+    ----------
+    lag : int
+    passed : tuple of Passed or None
+        The last of them ends at the belief's step; None where a step took twice the digits.
+    rough : bool
+        Whether the readings of the belief's step did.
+    """
+
+    lag: int
+    passed: tuple[Passed | None, ...] = ()
+    rough: bool = False
+
+    def on(self, passed: Passed | None) -> Trail:
+        """A step later."""
+        kept = (*self.passed, None if self.rough else passed)
+        return Trail(self.lag, kept[-self.lag :] if self.lag else ())
+
+    def lagged(self, step: int, mean: Array, cov: Array) -> tuple[int, Array, Array]:
+        """The first step of the trail, and the moments of its slice from those at the last one."""
+        first, before = step - len(self.passed), step
+        for passed in reversed(self.passed):
+            before -= 1
+            if passed is None or (self.rough and before == step - 1):
+                self._refuse(first, before, step)
+            mean, cov = moments.push(mean, cov, passed.back)
+            left = np.einsum("...ii->...i", cov)
+            if ((MODERATE * left < passed.variances) & (left != 0.0)).any():
+                self._refuse(first, before, step)
+        return first, mean, cov
+
+    def _refuse(self, first: int, before: int, step: int) -> NoReturn:
+        raise NumericalError(
+            f"float64 loses the belief at step {first} given the readings up to step {step}: at "
+            f"step {before} or the next, deviations lie too far apart. That at step {step} is "
+            "right; the other is found on recorded readings, pgm.smooth(..., lag=...), and by an "
+            "online filter with iterations=2, which solves its windows in twice the digits",
+            step=first,
+        )
 
 
 class OnlineBelief(Immutable):
@@ -55,7 +316,7 @@ class OnlineBelief(Immutable):
     log_evidence: Array
     status: Status
     kind: Kind
-    careful: CarefulBelief | None
+    careful: Belief | None
     behind: Trail | Sliding | None
 
     def __init__(
@@ -68,7 +329,7 @@ class OnlineBelief(Immutable):
         log_evidence: Array,
         status: Status,
         kind: Kind,
-        careful: CarefulBelief | None = None,
+        careful: Belief | None = None,
         behind: Trail | Sliding | None = None,
     ) -> None:
         set_writeable(mean, False)
@@ -135,86 +396,3 @@ class OnlineBelief(Immutable):
 
     def __repr__(self) -> str:
         return f"OnlineBelief({self.kind}, step {self.step}, over {list(self.layout.slice)})"
-
-
-# The share of its variance below which a component counts as determined.
-REGULAR = 1.0 / MODERATE
-
-
-class CarefulBelief(NamedTuple):
-    """A belief in twice the digits.
-
-    Attributes
-    ----------
-    belief : Belief
-    largest : ndarray
-        (runs, n): the largest variances since it is carried so.
-    """
-
-    belief: Belief
-    largest: Array
-
-    @property
-    def error(self) -> Array:
-        """The error of the means, (runs,); see `Belief.error`."""
-        return self.belief.error(self.largest)
-
-    @property
-    def moments(self) -> tuple[Array, Array]:
-        """The moments in float64."""
-        return moments(self.belief, solved(_nothing(self.belief)))
-
-    @property
-    def is_ordinary(self) -> bool:
-        """Whether float64 can carry it: covariances, and means beside their deviations."""
-        return is_ordinary(*self.moments)
-
-    def over(self, before: tuple[int, ...], after: tuple[int, ...]) -> CarefulBelief:
-        """The same for runs on other axes, which those before broadcast to."""
-        if before == after:
-            return self
-
-        def wide(array: Array) -> Array:
-            own = array.shape[1:]
-            return np.broadcast_to(array.reshape(*before, *own), (*after, *own)).reshape(-1, *own)
-
-        columns, cov = (Twofold(wide(part.hi), wide(part.lo)) for part in self.belief[:2])
-        rounding, drift = map(wide, self.belief[2:])
-        return CarefulBelief(Belief(columns, cov, rounding, drift), wide(self.largest))
-
-
-def first(plan: ChainPlan) -> CarefulBelief:
-    """The prior."""
-    belief = careful_motion.start(plan, linearise=True)
-    return CarefulBelief(belief, variances(belief.cov.hi))
-
-
-def beginning(mean: Array, cov: Array) -> CarefulBelief:
-    """A belief of moments in float64, (runs, n) and (runs, n, n)."""
-    return CarefulBelief(Belief.of(mean, cov), variances(cov))
-
-
-def predict(plan: ChainPlan, step: int, known: CarefulBelief) -> CarefulBelief:
-    """The belief one step later, at `step`."""
-    move = careful_motion.moving(plan, 1, *known.moments)
-    belief = careful_motion.predict(known.belief, move)
-    careful.require_proper(plan, step, belief)
-    return CarefulBelief(belief, np.maximum(known.largest, variances(belief.cov.hi)))
-
-
-def update(
-    plan: ChainPlan, step: int, known: CarefulBelief, schedule: Filtering
-) -> tuple[CarefulBelief, IteratedUpdate[careful.CarefulUpdate]]:
-    """The belief given the readings of its step."""
-    nothing = _nothing(known.belief)
-    taken = iterated(
-        careful.CarefulReading.of(plan, 0, known.moments, known.belief, nothing, schedule), schedule
-    )
-    belief = taken.solution.at(taken.mean).belief
-    careful.require_proper(plan, step, belief)
-    return CarefulBelief(belief, known.largest), taken
-
-
-def _nothing(belief: Belief) -> Twofold:
-    """No information about an unknown δ, which an online filter has not."""
-    return Twofold.zeros((len(belief.cov.hi), 1, 1))

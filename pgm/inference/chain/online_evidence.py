@@ -18,8 +18,7 @@ from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sig
 from pgm.evidence.arrays import as_rows
 from pgm.immutable import set_writeable
 from pgm.inference.chain.moments import MomentChain
-from pgm.inference.chain.online_belief import OnlineBelief
-from pgm.inference.chain.online_window import Sliding
+from pgm.inference.chain.online_belief import OnlineBelief, Sliding
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Reading
 from pgm.inference.family import Family
