@@ -38,12 +38,11 @@ from pgm.inference.chain.careful_belief import (
     moments,
     rounded,
     through,
-    variances,
 )
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels import twofold
-from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stacked
+from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stacked, variances
 from pgm.kernels.twofold import Twofold
 
 # A difference is found in another way where this part of it may be rounding.
@@ -59,34 +58,39 @@ class Later(NamedTuple):
         r as a function of δ, (runs, n, 1 + q), and N, (runs, n, n).
     rounding, drift : ndarray
         (runs, n, n): bounds of what rounding has changed N and r by so far, as those of a `Belief`.
+    blurred : ndarray
+        (runs,): the largest part of an innovation's variance that rounding may have changed.
     """
 
     vector: Twofold
     matrix: Twofold
     rounding: Array
     drift: Array
+    blurred: Array
 
     def before(self, components: list[Component]) -> Later:
         """The message with the components read at the step, to the belief before them."""
-        vector, matrix, rounding, drift = self
-        for row, gain, innovation, weight, error, blur, moved in reversed(components):
-            keep = np.eye(matrix.shape[-1]) - gain[..., None] * row[:, None, :]
+        vector, matrix, rounding, drift, blurred = self
+        for row, keep, innovation, weight, error, blur, moved in reversed(components):
             said = innovation * weight[:, None]
             lost = (blur * np.abs(vector.hi[..., 0])).sum(-1) + np.abs(said.hi[:, 0]) * error
+            along = row.hi * lost[:, None]
             drift = drift + sandwich(matrix.hi, diagonal(moved**2))
-            drift = through(keep.hi.mT, drift) + _outer(row.hi * lost[:, None])
+            drift = through(keep.hi.mT, drift) + along[..., None] * along[..., None, :]
             own = (row * weight[:, None])[..., None] * row[:, None, :]
             rounding = through(keep.hi.mT, rounding) + rounded(keep.hi.mT, matrix.hi, own.hi)
             vector = keep.mT @ vector + row[..., None] * said[:, None, :]
             matrix = keep.mT @ matrix @ keep + own
-        return Later(vector, matrix, rounding, drift)
+            blurred = np.maximum(blurred, error)
+        return Later(vector, matrix, rounding, drift, blurred)
 
     def back(self, matrix: Twofold) -> Later:
         """The message to the slice before, through a transition."""
         slope, said = matrix.hi.mT, self.matrix
         rounding = through(slope, self.rounding) + rounded(slope, said.hi)
         drift = through(slope, self.drift)
-        return Later(matrix.mT @ self.vector, matrix.mT @ said @ matrix, rounding, drift)
+        said = matrix.mT @ said @ matrix
+        return Later(matrix.mT @ self.vector, said, rounding, drift, self.blurred)
 
 
 class Back(NamedTuple):
@@ -198,12 +202,12 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
     """Every slice from a first up to a last step, given the readings up to this."""
     columns, cov, *_ = careful.steps[last].predicted
     nothing = np.zeros(cov.shape)
-    later = Later(Twofold.zeros(columns.shape), Twofold.zeros(cov.shape), nothing, nothing)
-    blurred = np.zeros(columns.shape[0])
+    said = Twofold.zeros(columns.shape), Twofold.zeros(cov.shape)
+    later = Later(*said, nothing, nothing, np.zeros(len(nothing)))
     out: list[Smooth] = []
     for step in range(last, first - 1, -1):
         move, _, taken = careful.steps[step]
-        belief, parts, back = *_given(taken.belief, later, blurred), None
+        belief, parts, back = *_given(taken.belief, later), None
         if out and (parts > _CLOSE).any():
             gain, other, error = _reversed(taken.belief, careful.steps[step + 1], out[-1])
             lost = error < parts.max(axis=-1)
@@ -212,8 +216,6 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
             parts = np.where(lost[:, None], error[:, None], parts)
         here = later.before(taken.components)
         out.append(Smooth(belief, here, back, parts))
-        for component in taken.components:
-            blurred = np.maximum(blurred, component.error)
         if move is not None:
             later = here.back(move.matrix)
     return out[::-1]
@@ -257,8 +259,8 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
         assert move is not None
         across = across @ move.matrix.mT
         if step < second:
-            for row, gain, *_ in taken.components:
-                across = across - (across @ row[..., None]) @ gain[:, None, :]
+            for component in taken.components:
+                across = across @ component.keep.mT
     across = across - across @ slices[second].here.matrix @ predicted.cov
     back = slices[first].back
     if back is None:
@@ -269,16 +271,13 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
     return twofold.where(back.lost, back.gain @ rest, across)
 
 
-def _given(known: Belief, later: Later, blurred: Array) -> tuple[Belief, Array]:
-    """A belief with what is read after its step, and the parts of variances that may be rounding.
-
-    `blurred` is the largest part of an innovation's variance, after the step, that may be rounding.
-    """
+def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
+    """A belief with what is read after it, and the parts of variances that may be rounding."""
     columns, cov, own, drift, largest = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
     before = variances(cov.hi)
     changed = through(cov.hi, later.rounding) + rounded(cov.hi, later.matrix.hi, cov.hi)
-    rounding = blurred[:, None] * before + variances(changed)
+    rounding = later.blurred[:, None] * before + variances(changed)
     pull = later.vector.hi[..., 0]
     size = np.abs(columns.hi[..., 0]) + apply(np.abs(cov.hi), np.abs(pull))
     # A change E of P within its bound changes P r by E r.
@@ -325,11 +324,6 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     error = (floor / proper).max(axis=-1) + later.parts.max(axis=-1)
     found = Belief(columns + gain @ shift, _symmetric(left), rounding, drift, largest)
     return gain, found.certain(), error
-
-
-def _outer(vector: Array) -> Array:
-    """The product v vᵀ of vectors (..., n)."""
-    return vector[..., None] * vector[..., None, :]
 
 
 def _either(mask: Mask, a: Belief, b: Belief) -> Belief:

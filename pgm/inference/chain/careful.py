@@ -36,7 +36,6 @@ from pgm.inference.chain.careful_belief import (
     predicted,
     solved,
     take,
-    variances,
 )
 from pgm.inference.chain.certificate import is_flat
 from pgm.inference.chain.forward import Forward
@@ -50,7 +49,7 @@ from pgm.inference.family import Family
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
 from pgm.kernels import twofold
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, quiet
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, quiet, variances
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
 
@@ -326,7 +325,7 @@ def _conditional(links: list[Link], rows: slice, front: int, size: int, runs: in
     """The links' children given the first `front` components of the vector that all stand in."""
     families = [link.family for link in links]
     parts = [[distinct(part[rows]) for part in (f.matrix, f.offset, f.noise)] for f in families]
-    flat = [np.isinf(np.einsum("...ii->...i", each[2])).any(axis=(0, 1)) for each in parts]
+    flat = [np.asarray(np.isinf(variances(each[2])).any(axis=(0, 1))) for each in parts]
     lead = np.broadcast_shapes(*(part.shape[:2] for each in parts for part in each))
     whole, q = front + size, int(sum(each.sum() for each in flat))
     matrix = Twofold.zeros((*lead, whole, front))

@@ -14,7 +14,16 @@ import numpy.typing as npt
 
 from pgm.inference.chain.vector import Measured
 from pgm.kernels import roots, twofold
-from pgm.kernels.arrays import Array, Kind, Mask, components_last, independent, quiet, sandwich
+from pgm.kernels.arrays import (
+    Array,
+    Kind,
+    Mask,
+    components_last,
+    independent,
+    quiet,
+    sandwich,
+    variances,
+)
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
 
@@ -143,12 +152,6 @@ def diagonal(values: Array) -> Array:
     return found
 
 
-def variances(cov: Array) -> Array:
-    """The diagonal of a covariance."""
-    found: Array = np.einsum("...ii->...i", cov)
-    return found
-
-
 def rounded(matrix: Array, cov: Array, noise: Array | None = None) -> Array:
     """A bound, as a covariance, of the rounding of F P Fᵀ, or of F P Fᵀ + noise."""
     summed = _summed(matrix, cov)
@@ -269,8 +272,10 @@ class Component(NamedTuple):
 
     Attributes
     ----------
-    row, gain : Twofold
-        (runs, n): h and G; the gain is zero where nothing was learnt.
+    row : Twofold
+        (runs, n): h.
+    keep : Twofold
+        (runs, n, n): 1 − G h; the gain is zero where nothing was learnt.
     innovation : Twofold
         (runs, 1 + q): v and V.
     weight : Twofold
@@ -282,7 +287,7 @@ class Component(NamedTuple):
     """
 
     row: Twofold
-    gain: Twofold
+    keep: Twofold
     innovation: Twofold
     weight: Twofold
     error: Array
@@ -338,7 +343,7 @@ def take(
     drift = through(keep.hi, drift) + diagonal(moved**2)
     cov = keep @ cov @ keep.mT + own
     after = Belief(columns, cov, rounding, drift, belief.largest).certain()
-    component = Component(row, gain, innovation, weight, floor * weight.hi, blur, moved)
+    component = Component(row, keep, innovation, weight, floor * weight.hi, blur, moved)
     return after, component, predictive.hi, indefinite
 
 

@@ -26,7 +26,7 @@ from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.vector import stacks
 from pgm.kernels import along_runs, roots
-from pgm.kernels.arrays import Array, apply, sandwich
+from pgm.kernels.arrays import Array, apply, deviation, sandwich, variances
 
 # The largest ratio at which float64 leaves all the digits that are promised.
 MODERATE = 2e7
@@ -48,8 +48,7 @@ def is_ordinary(mean: Array, cov: Array) -> bool:
     """Whether float64 can carry beliefs: covariances (..., n, n), and means beside deviations."""
     if not np.isfinite(cov).all() or not roots.is_regular(cov, 1.0 / MODERATE):
         return False
-    told = _TOLD * np.sqrt(np.maximum(_variances(cov), 0.0)) >= _EPS * np.abs(mean)
-    return bool(told.all())
+    return bool((_TOLD * deviation(cov) >= _EPS * np.abs(mean)).all())
 
 
 def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:
@@ -62,19 +61,14 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
         predicted, known = swept.predicted_cov, swept.cov
         if smoothed is not None and not _stands(known, smoothed, MODERATE):
             return False
-        regular = swept.gentle or (
-            _stands(predicted, known, MODERATE)
-            and _is_open(predicted, MODERATE)
-            and _is_open(known, MODERATE)
-        )
-        return regular and _told(plan, swept)
+        return (swept.gentle or composes(predicted, known, MODERATE)) and _told(plan, swept)
 
 
-def composes(predicted: Array, known: Array) -> bool:
+def composes(predicted: Array, known: Array, limit: float = _GENTLE) -> bool:
     """Whether segments about these covariances, before and after readings, compose well."""
     with np.errstate(all="ignore"):
-        stands = _stands(predicted, known, _GENTLE)
-        return stands and _is_open(predicted, _GENTLE) and _is_open(known, _GENTLE)
+        stands = _stands(predicted, known, limit)
+        return stands and _is_open(predicted, limit) and _is_open(known, limit)
 
 
 def _sinks(swept: Forward | Filtered, *, both: bool) -> bool:
@@ -82,7 +76,7 @@ def _sinks(swept: Forward | Filtered, *, both: bool) -> bool:
 
     An error is at most as many deviations at other steps: later ones, or with `both` earlier too.
     """
-    mean, left = swept.mean, _variances(swept.cov)
+    mean, left = swept.mean, variances(swept.cov)
     axes = tuple(range(mean.ndim - 1))
     farthest = np.maximum(mean.max(axis=axes), -mean.min(axis=axes))
     least = left.min(axis=axes)
@@ -108,8 +102,8 @@ def _is_open(cov: Array, limit: float) -> bool:
 
 def _stands(before: Array, after: Array, limit: float) -> bool:
     """Whether no variance falls by much; one of zero is known, and a negative one is rounding."""
-    left = _variances(after)
-    fallen = limit * left < _variances(before)
+    left = variances(after)
+    fallen = limit * left < variances(before)
     return not fallen.any() or not (fallen & (left != 0.0)).any()
 
 
@@ -118,14 +112,8 @@ def _told(plan: ChainPlan, swept: Forward) -> bool:
     exact = [s for s in plan.sensors if s.exact and s.family.step.size]
     for steps, matrix, _, noise, _ in stacks(plan, exact, swept.predicted_mean) if exact else []:
         cov = swept.predicted_cov[steps]
-        pivots = _variances(roots.root(sandwich(matrix, cov) + noise)) ** 2
-        size = apply(np.abs(matrix), np.sqrt(np.maximum(_variances(cov), 0.0))) ** 2
-        size = size + _variances(noise)
+        pivots = variances(roots.root(sandwich(matrix, cov) + noise)) ** 2
+        size = apply(np.abs(matrix), deviation(cov)) ** 2 + variances(noise)
         if not ((MODERATE * pivots > size) | (size == 0.0)).all():
             return False
     return True
-
-
-def _variances(cov: Array) -> Array:
-    found: Array = np.diagonal(cov, axis1=-2, axis2=-1)
-    return found

@@ -23,7 +23,7 @@ from pgm.inference.gaussian.prior import SHARE, Frame
 from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.tree import TreePlan
 from pgm.kernels import decimals, differences
-from pgm.kernels.arrays import Array, apply
+from pgm.kernels.arrays import Array, apply, variances
 from pgm.kernels.decimals import ONE, ZERO, Decimals
 from pgm.linearisers import Taylor
 from pgm.linearisers.regression import StatisticalRegression
@@ -120,7 +120,7 @@ def predictive(
                     conditional.noise,
                 )
         mean = conditionals.by_float(joint.mean)
-        variance = decimals.floats(np.diagonal(joint.cov, axis1=-2, axis2=-1))
+        variance = decimals.floats(variances(joint.cov))
     scale = np.sqrt(variance.max(axis=0, initial=0.0))
     scale = np.maximum(scale, SHARE * np.abs(mean).max(axis=0, initial=0.0))
     return Frame(mean, np.where(scale > 0.0, scale, 1.0), (variance == 0.0).all(axis=0))
@@ -256,7 +256,7 @@ def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
     lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))
     if joint.mean.shape[-1] == sides:
         return np.full(model.runs, ALL_DIGITS)
-    variance = np.diagonal(joint.cov[:, :size, :size], axis1=-2, axis2=-1)
+    variance = variances(joint.cov[:, :size, :size])
     std = decimals.floats(decimals.sqrt(np.maximum(variance, ZERO)))
     # Where there is no deviation a billionth of the numbers is as good.
     unit = np.where(std > 0.0, std, 1e-3 * model.frame.scale)

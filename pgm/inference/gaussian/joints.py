@@ -8,7 +8,7 @@ from pgm.inference.gaussian.beliefs import Beliefs
 from pgm.inference.gaussian.careful import DenseBeliefs
 from pgm.inference.gaussian.tree import TreeBeliefs, TreePlan
 from pgm.kernels.arrays import Array, Integers, transpose
-from pgm.kernels.pseudoinverse import regression
+from pgm.kernels.roots import regression
 
 
 def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[Array, Array]:
