@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.kernels import decimals
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, variances
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose, variances
 from pgm.kernels.decimals import ONE, ZERO, Decimals
 
 # F is known to half a unit in its last place. What cancels to less than this share of its summands'
@@ -87,7 +87,7 @@ class Joint:
         """A child with F (V, d, n), b (V, d, N) and noise (V, d, d)."""
         self.mean[:, places] = decimals.product(matrix, self.mean[:, parents]) + offset
         cross = decimals.product(matrix, self.cov[:, parents])
-        own = decimals.product(cross[:, :, parents], decimals.transpose(matrix))
+        own = decimals.product(cross[:, :, parents], transpose(matrix))
         size = np.abs(matrix)
         prior = decimals.product(size, self.edge[:, parents][..., None])[..., 0]
         deviation = decimals.sqrt(np.maximum(variances(self.cov), ZERO)[:, parents])
@@ -99,7 +99,7 @@ class Joint:
         cross[nothing] = ZERO
         own = np.where(nothing[..., :, None] | nothing[..., None, :], ZERO, own)
         self.cov[:, places] = cross
-        self.cov[:, :, places] = decimals.transpose(cross)
+        self.cov[:, :, places] = transpose(cross)
         self.cov[:, places[:, None], places] = own + noise
         self.edge[:, places] = decimals.sqrt(prior * prior + variance)
 
