@@ -206,23 +206,6 @@ def _sum_of_squares(gain: Array, cov: Array, matrix: Array, noise: Array, out: A
     _mirror(out)
 
 
-def root(matrix: Array, least: float) -> Array | None:
-    """The Cholesky factor of (n, n, runs); None if one is singular, indefinite or not finite.
-
-    Singular is one in which a component has no more than the `least` share left.
-    """
-    lower = np.zeros_like(matrix)
-    for j in range(len(matrix)):
-        column = matrix[j:, j]
-        for k in range(j):
-            column = column - lower[j:, k] * lower[j, k]
-        if not (column[0] > least * matrix[j, j]).all():
-            return None
-        lower[j, j] = np.sqrt(column[0])
-        np.divide(column[1:], lower[j, j], out=lower[j + 1 :, j])
-    return lower
-
-
 def divide(matrix: Array, lower: Array) -> Array:
     """The F with F L = J for J (d, n, runs)."""
     result = np.empty_like(matrix)

@@ -183,9 +183,15 @@ def inner(a: Array, b: Array) -> Array:
     return product
 
 
+def variances(cov: Array) -> Array:
+    """The diagonals of stacked matrices, (..., n), as a view to read."""
+    found: Array = np.diagonal(cov, axis1=-2, axis2=-1)
+    return found
+
+
 def deviation(cov: Array) -> Array:
     """Standard deviations, (..., n); zero where rounding has left a variance below zero."""
-    return np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
+    return np.sqrt(np.maximum(variances(cov), 0.0))
 
 
 def symmetric(matrix: Array) -> Array:

@@ -66,11 +66,6 @@ def product(a: Decimals, b: Decimals) -> Decimals:
     return zeros(*lead, a.shape[-2], b.shape[-1])
 
 
-def transpose(a: Decimals) -> Decimals:
-    """The transposed matrices."""
-    return np.asarray(a.swapaxes(-1, -2))
-
-
 def log(number: Decimal) -> float:
     """The natural logarithm, rounded; of a number of any exponent."""
     exponent = number.adjusted()

@@ -49,12 +49,8 @@ def deviations(cov: Array) -> Array:
 
 def root(cov: Array) -> Array | None:
     """The lower triangular L with P = L Lᵀ; None where P is nearly singular or indefinite."""
-    if cov.ndim > 3:
-        shape = cov.shape
-        flat = along_runs.root(cov.reshape(*shape[:2], -1), _REGULAR)
-        return None if flat is None else flat.reshape(shape)
-    if cov.ndim == 3:
-        return along_runs.root(cov, _REGULAR)
+    if cov.ndim > 2:
+        return roots.regular_root(cov, _REGULAR)
     lower, fault = _lapack().dpotrf(cov, 1)
     if fault:
         return None

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels import pseudoinverse, roots
+from pgm.kernels import roots
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
@@ -123,7 +123,7 @@ def reverse(
     cross = transpose(times_symmetric(matrix, cov))
     # The rest is right for any gain: only what is no more than rounding has to go.
     lower = roots.root(forward_cov, spread(matrix, cov, noise), negligible=0.1 * ROUNDING)
-    gain = pseudoinverse.gain(cross, forward_cov, lower)
+    gain = roots.gain(cross, lower, forward_cov)
     _, rest = joseph(cov, gain, matrix, noise)
     return Conditional(gain, mean - apply(gain, forward_mean), rest)
 

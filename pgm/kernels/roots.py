@@ -8,7 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.kernels.arrays import Array, Mask, apply, by_runs, transpose
+from pgm.kernels.arrays import (
+    Array,
+    Mask,
+    apply,
+    by_runs,
+    components_first,
+    components_last,
+    deviation,
+    symmetric,
+    transpose,
+    variances,
+)
 
 # A pivot below this part of its diagonal entry is rounding: the component is determined.
 NEGLIGIBLE = 1e-13
@@ -16,6 +27,8 @@ NEGLIGIBLE = 1e-13
 INDEFINITE = 1e-9
 # From this many matrices on, one vectorised operation a column beats one LAPACK call a matrix.
 _MANY = 16
+# A share of the variances beyond which a negative eigenvalue is visible in float64.
+_VISIBLE = 1e-12
 
 
 def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIBLE) -> Array:
@@ -31,10 +44,12 @@ def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIB
     negligible : float
         The part of the scale below which a pivot is rounding.
     """
-    diagonal = np.diagonal(matrix, axis1=-2, axis2=-1) if scale is None else scale
+    diagonal = variances(matrix) if scale is None else scale
     if by_runs(matrix):
-        along = _root_along_runs(matrix, diagonal, negligible)
-        return _semidefinite_root(matrix, diagonal, negligible) if along is None else along
+        along = regular_root(components_first(matrix, 2), negligible, components_first(diagonal, 1))
+        if along is not None:
+            return components_last(along, 2)
+        return _semidefinite_root(matrix, diagonal, negligible)
     try:
         lower = np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -45,18 +60,22 @@ def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIB
     return _semidefinite_root(matrix, diagonal, negligible)
 
 
-def _root_along_runs(matrix: Array, diagonal: Array, negligible: float) -> Array | None:
-    """The roots column by column; None where one has no proper pivot."""
+def regular_root(matrix: Array, least: float, scale: Array | None = None) -> Array | None:
+    """The roots of matrices (n, n, *batch), whose batch stands together in memory.
+
+    None where a pivot is not above the `least` part of the diagonal, or of the scale, (n, *batch).
+    """
     lower = np.zeros_like(matrix)
     with np.errstate(invalid="ignore", divide="ignore"):  # such pivots are not proper: see below
-        for j in range(matrix.shape[-1]):
-            column = matrix[..., j:, j]
+        for j in range(len(matrix)):
+            column = matrix[j:, j]
             if j:
-                column = column - apply(lower[..., j:, :j], lower[..., j, :j])
-            pivot = np.sqrt(column[..., 0], out=lower[..., j, j])
-            np.divide(column[..., 1:], pivot[..., None], out=lower[..., j + 1 :, j])
-    pivots = np.diagonal(lower, axis1=-2, axis2=-1)
-    return lower if (pivots * pivots > negligible * diagonal).all() else None
+                column = column - np.einsum("ik...,k...->i...", lower[j:, :j], lower[j, :j])
+            pivot = np.sqrt(column[0], out=lower[j, j, ...])
+            np.divide(column[1:], pivot, out=lower[j + 1 :, j])
+    pivots = np.einsum("ii...->i...", lower)
+    scale = np.einsum("ii...->i...", matrix) if scale is None else scale
+    return lower if (pivots * pivots > least * scale).all() else None
 
 
 def _semidefinite_root(matrix: Array, diagonal: Array, negligible: float) -> Array:
@@ -129,9 +148,31 @@ def solve(lower: Array, right: Array) -> Array:
     return solve_upper(lower, solve_lower(lower, right))
 
 
-def gain(cross: Array, lower: Array) -> Array:
-    """C (L Lᵀ)⁺ for a cross-covariance C, (..., m, n), whose rows lie in the range of L Lᵀ."""
-    return transpose(solve(lower, transpose(cross)))
+def regression(cross: Array, cov: Array) -> Array:
+    """The gain C P⁺ of a covariance P and a cross-covariance C, (..., m, n), on its components.
+
+    The pseudo-inverse is taken in deviations, so that units do not matter.
+    """
+    variance = variances(cov)
+    unit = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    correlation = cov / (unit[..., :, None] * unit[..., None, :])
+    inverse = np.linalg.pinv(correlation, rcond=NEGLIGIBLE, hermitian=True)
+    found: Array = (cross / unit[..., None, :]) @ inverse / unit[..., None, :]
+    return found
+
+
+def gain(cross: Array, lower: Array, cov: Array | None = None) -> Array:
+    """C P⁺ for P = L Lᵀ and a cross-covariance C, (..., m, n), whose rows lie in the range of P.
+
+    With P itself, by `regression` where its root was lost to rounding: eliminating a component that
+    is nearly determined magnifies the rounding of those after it.
+    """
+    result = transpose(solve(lower, transpose(cross)))
+    if cov is not None:
+        lost = np.isnan(lower).any(axis=(-2, -1))
+        if lost.any():
+            result[lost] = regression(cross[lost], cov[lost])
+    return result
 
 
 def whiten(lower: Array, residual: Array) -> Array:
@@ -166,10 +207,30 @@ def is_regular(cov: Array, least: float) -> bool:
     Components without a variance do not count.
     """
     pivots = np.diagonal(root(cov), axis1=-2, axis2=-1)
-    variances = np.diagonal(cov, axis1=-2, axis2=-1)
-    return bool(((pivots * pivots > least * variances) | (variances == 0.0)).all())
+    variance = variances(cov)
+    return bool(((pivots * pivots > least * variance) | (variance == 0.0)).all())
 
 
 def is_proper(lower: Array) -> bool:
     """Whether every root of the stack exists (its matrix was semidefinite and finite)."""
     return not np.isnan(np.diagonal(lower, axis1=-2, axis2=-1).sum())
+
+
+def semidefinite(cov: Array, largest: float) -> Array:
+    """Covariances without the asymmetry and the negative eigenvalues that rounding has left.
+
+    Eigenvalues are in units of the variances; one that is `largest` below zero is no rounding.
+    """
+    cov = symmetric(cov)
+    unit = deviation(cov)
+    unit = np.where(unit > 0.0, unit, 1.0)
+    scaled = cov / unit[..., None] / unit[..., None, :]
+    if not np.isfinite(scaled).all():
+        return cov
+    values, axes = np.linalg.eigh(scaled)
+    least = values.min(axis=-1, initial=0.0)
+    blurred = (least < -_VISIBLE) & (least > -largest)
+    if not blurred.any():
+        return cov
+    kept = (axes * np.maximum(values, 0.0)[..., None, :]) @ axes.mT
+    return np.where(blurred[..., None, None], kept * unit[..., None] * unit[..., None, :], cov)

@@ -79,9 +79,7 @@ class Twofold:
 
     def __mul__(self, other: Twofold | Array | float) -> Twofold:
         other = _twofold(other)
-        product, error = _exact_product(self.hi, other.hi)
-        error = error + (self.hi * other.lo + self.lo * other.hi)
-        return Twofold(*_normal(product, error))
+        return Twofold(*_normal(*_product(self.hi, self.lo, other.hi, other.lo)))
 
     __rmul__ = __mul__
 
@@ -98,13 +96,8 @@ class Twofold:
 
     def __matmul__(self, other: Twofold | Array) -> Twofold:
         other = _twofold(other)
-        a, b = self.hi[..., :, :, None], other.hi[..., None, :, :]
-        a_high, a_low = _halves(a)
-        b_high, b_low = _halves(b)
-        product = a * b
-        error = (a_high * b_high - product) + a_high * b_low + a_low * b_high + a_low * b_low
-        error = error + (a * other.lo[..., None, :, :] + self.lo[..., :, :, None] * b)
-        return Twofold(*_sum(product, error))
+        a, b = self[..., :, :, None], other[..., None, :, :]
+        return Twofold(*_sum(*_product(a.hi, a.lo, b.hi, b.lo)))
 
     def dot(self, other: Twofold) -> Twofold:
         """The inner products of stacked vectors, (...)."""
@@ -116,6 +109,11 @@ def where(mask: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
     """A where the mask holds, else b."""
     a, b = _twofold(a), _twofold(b)
     return Twofold(np.where(mask, a.hi, b.hi), np.where(mask, a.lo, b.lo))
+
+
+def eye(shape: tuple[int, ...]) -> Twofold:
+    """Unit matrices, (..., n, n)."""
+    return Twofold(np.broadcast_to(np.eye(shape[-1]), shape).copy())
 
 
 def eliminated(
@@ -142,7 +140,7 @@ def eliminated(
     left = _twofold(matrix).copy()
     size = left.shape[-1]
     diagonal = np.abs(np.einsum("...ii->...i", left.hi)) if rounding is None else rounding.copy()
-    unit = Twofold(np.broadcast_to(np.eye(size), left.shape).copy())
+    unit = eye(left.shape)
     pivots = Twofold.zeros(left.shape[:-1])
     for j in range(size):
         pivot = left[..., j, j]
@@ -184,9 +182,14 @@ def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
     return solution
 
 
+def inverse_unit(unit: Twofold) -> Twofold:
+    """The inverse of a lower U with 1 on its diagonal."""
+    return solve_unit(unit, eye(unit.shape))
+
+
 def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
     """A generalised inverse U⁻ᵀ D⁺ U⁻¹ of U D Uᵀ, exact on its range."""
-    back = solve_unit(unit, Twofold(np.broadcast_to(np.eye(unit.shape[-1]), unit.shape).copy()))
+    back = inverse_unit(unit)
     return back.mT @ _divided(back, pivots)
 
 
@@ -217,12 +220,13 @@ def _halves(a: Array) -> tuple[Array, Array]:
     return high, a - high
 
 
-def _exact_product(a: Array, b: Array) -> tuple[Array, Array]:
+def _product(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
+    """A product and its error, element by element."""
     product = a * b
-    a_high, a_low = _halves(a)
-    b_high, b_low = _halves(b)
-    error = ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
-    return product, error
+    a_head, a_tail = _halves(a)
+    b_head, b_tail = _halves(b)
+    error = ((a_head * b_head - product) + a_head * b_tail + a_tail * b_head) + a_tail * b_tail
+    return product, error + (a * b_low + a_low * b)
 
 
 def _add(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
@@ -234,14 +238,8 @@ def _sum(high: Array, low: Array) -> tuple[Array, Array]:
     """Sums over the last axis but one, by halves."""
     while (count := high.shape[-2]) > 1:
         half = count // 2
-        parts = [
-            _add(
-                high[..., :half, :],
-                low[..., :half, :],
-                high[..., half : 2 * half, :],
-                low[..., half : 2 * half, :],
-            )
-        ]
+        first, second = (..., slice(half), slice(None)), (..., slice(half, 2 * half), slice(None))
+        parts = [_add(high[first], low[first], high[second], low[second])]
         if count % 2:
             parts.append((high[..., -1:, :], low[..., -1:, :]))
         high, low = (np.concatenate(each, axis=-2) for each in zip(*parts, strict=True))

@@ -26,24 +26,23 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.compile import SliceLayout
-from pgm.errors import NumericalError
+from pgm.inference.chain import refusals
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.careful import Careful, Step
-from pgm.inference.chain.careful_update import (
+from pgm.inference.chain.careful_belief import (
     CLEAR,
     ROUNDING,
     Belief,
     Component,
-    reach,
+    diagonal,
+    moments,
     rounded,
     through,
-    variances,
 )
-from pgm.inference.chain.certificate import moments
 from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels import twofold
-from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stacked
+from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stacked, variances
 from pgm.kernels.twofold import Twofold
 
 # A difference is found in another way where this part of it may be rounding.
@@ -59,34 +58,39 @@ class Later(NamedTuple):
         r as a function of δ, (runs, n, 1 + q), and N, (runs, n, n).
     rounding, drift : ndarray
         (runs, n, n): bounds of what rounding has changed N and r by so far, as those of a `Belief`.
+    blurred : ndarray
+        (runs,): the largest part of an innovation's variance that rounding may have changed.
     """
 
     vector: Twofold
     matrix: Twofold
     rounding: Array
     drift: Array
+    blurred: Array
 
     def before(self, components: list[Component]) -> Later:
         """The message with the components read at the step, to the belief before them."""
-        vector, matrix, rounding, drift = self
-        for row, gain, innovation, weight, error, blur, moved in reversed(components):
-            keep = np.eye(matrix.shape[-1]) - gain[..., None] * row[:, None, :]
+        vector, matrix, rounding, drift, blurred = self
+        for row, keep, innovation, weight, error, blur, moved in reversed(components):
             said = innovation * weight[:, None]
             lost = (blur * np.abs(vector.hi[..., 0])).sum(-1) + np.abs(said.hi[:, 0]) * error
-            drift = drift + sandwich(matrix.hi, moved[..., None] ** 2 * np.eye(moved.shape[-1]))
-            drift = through(keep.hi.mT, drift) + _outer(row.hi * lost[:, None])
+            along = row.hi * lost[:, None]
+            drift = drift + sandwich(matrix.hi, diagonal(moved**2))
+            drift = through(keep.hi.mT, drift) + along[..., None] * along[..., None, :]
             own = (row * weight[:, None])[..., None] * row[:, None, :]
             rounding = through(keep.hi.mT, rounding) + rounded(keep.hi.mT, matrix.hi, own.hi)
             vector = keep.mT @ vector + row[..., None] * said[:, None, :]
             matrix = keep.mT @ matrix @ keep + own
-        return Later(vector, matrix, rounding, drift)
+            blurred = np.maximum(blurred, error)
+        return Later(vector, matrix, rounding, drift, blurred)
 
     def back(self, matrix: Twofold) -> Later:
         """The message to the slice before, through a transition."""
         slope, said = matrix.hi.mT, self.matrix
-        rounding = through(slope, self.rounding) + rounded(slope, said.hi, np.zeros_like(slope))
+        rounding = through(slope, self.rounding) + rounded(slope, said.hi)
         drift = through(slope, self.drift)
-        return Later(matrix.mT @ self.vector, matrix.mT @ said @ matrix, rounding, drift)
+        said = matrix.mT @ said @ matrix
+        return Later(matrix.mT @ self.vector, said, rounding, drift, self.blurred)
 
 
 class Back(NamedTuple):
@@ -146,21 +150,17 @@ class CarefulSmoothed:
         slices = smoothed(careful, last, max(last - lag, 0))
         slices = [smoothed(careful, step + lag, step)[0] for step in range(last - lag)] + slices
         for step, each in enumerate(slices):
-            unknown = careful.unknown if step + lag >= last else careful.to(step + lag)
-            mean, cov = moments(each.belief, unknown)
+            known = careful.steps[min(step + lag, last)].taken
+            mean, cov = moments(each.belief, known.unknown)
             if not np.isfinite(mean.sum()) or np.isnan(cov.sum()):
-                _refuse(plan.first + step)
+                refusals.infinite("the smoothed belief", plan.first + step)
             beliefs.mean[step], beliefs.cov[step] = mean, cov
         return cls(careful, slices, beliefs, plan.layout)
 
     @property
     def error(self) -> Array:
         """The error of the means, (runs,); see `Belief.error`."""
-        errors = [
-            each.belief.error(variance, each.parts)
-            for each, variance in zip(self.slices, self.careful.largest, strict=True)
-        ]
-        largest: Array = np.max(errors, axis=0)
+        largest: Array = np.max([each.belief.error(each.parts) for each in self.slices], axis=0)
         return np.maximum(largest, self.careful.error)
 
     @property
@@ -200,26 +200,24 @@ class CarefulSmoothed:
 @quiet()
 def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
     """Every slice from a first up to a last step, given the readings up to this."""
-    columns, cov, *_ = careful.steps[last].known
+    columns, cov, *_ = careful.steps[last].predicted
     nothing = np.zeros(cov.shape)
-    later = Later(Twofold.zeros(columns.shape), Twofold.zeros(cov.shape), nothing, nothing)
-    blurred = np.zeros(columns.shape[0])
+    said = Twofold.zeros(columns.shape), Twofold.zeros(cov.shape)
+    later = Later(*said, nothing, nothing, np.zeros(len(nothing)))
     out: list[Smooth] = []
     for step in range(last, first - 1, -1):
-        made = careful.steps[step]
-        belief, parts, back = *_given(made.known, later, blurred), None
+        move, _, taken = careful.steps[step]
+        belief, parts, back = *_given(taken.belief, later), None
         if out and (parts > _CLOSE).any():
-            gain, other, error = _reversed(made.known, careful.steps[step + 1], out[-1])
+            gain, other, error = _reversed(taken.belief, careful.steps[step + 1], out[-1])
             lost = error < parts.max(axis=-1)
             back = Back(gain, lost[:, None, None])
             belief = _either(back.lost, other, belief)
             parts = np.where(lost[:, None], error[:, None], parts)
-        here = later.before(made.components)
+        here = later.before(taken.components)
         out.append(Smooth(belief, here, back, parts))
-        for component in made.components:
-            blurred = np.maximum(blurred, component.error)
-        if made.matrix is not None:
-            later = here.back(made.matrix)
+        if move is not None:
+            later = here.back(move.matrix)
     return out[::-1]
 
 
@@ -235,7 +233,7 @@ def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Arr
     mean, cov : ndarray
         (runs, k n) and (runs, k n, k n).
     """
-    known = careful.to(len(slices) - 1)
+    known = careful.steps[len(slices) - 1].taken.unknown
     runs, size = careful.forward.mean.shape[1:]
     mean = np.empty((runs, len(steps), size))
     cov = np.empty((runs, len(steps), size, len(steps), size))
@@ -255,16 +253,15 @@ def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Arr
 
 def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> Twofold:
     """The covariance given δ of a slice with a later one."""
-    across = careful.steps[first].known.cov
+    across = careful.steps[first].taken.belief.cov
     for step in range(first + 1, second + 1):
-        made = careful.steps[step]
-        assert made.matrix is not None
-        across = across @ made.matrix.mT
+        move, predicted, taken = careful.steps[step]
+        assert move is not None
+        across = across @ move.matrix.mT
         if step < second:
-            for row, gain, *_ in made.components:
-                across = across - (across @ row[..., None]) @ gain[:, None, :]
-    made, later = careful.steps[second], slices[second]
-    across = across - across @ later.here.matrix @ made.predicted.cov
+            for component in taken.components:
+                across = across @ component.keep.mT
+    across = across - across @ slices[second].here.matrix @ predicted.cov
     back = slices[first].back
     if back is None:
         return across
@@ -274,22 +271,21 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
     return twofold.where(back.lost, back.gain @ rest, across)
 
 
-def _given(known: Belief, later: Later, blurred: Array) -> tuple[Belief, Array]:
-    """A belief with what is read after its step, and the parts of variances that may be rounding.
-
-    `blurred` is the largest part of an innovation's variance, after the step, that may be rounding.
-    """
-    columns, cov, own, drift = known
+def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
+    """A belief with what is read after it, and the parts of variances that may be rounding."""
+    columns, cov, own, drift, largest = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
-    before, eye = variances(cov.hi), np.eye(cov.shape[-1])
+    before = variances(cov.hi)
     changed = through(cov.hi, later.rounding) + rounded(cov.hi, later.matrix.hi, cov.hi)
-    rounding = blurred[:, None] * before + variances(changed)
+    rounding = later.blurred[:, None] * before + variances(changed)
     pull = later.vector.hi[..., 0]
     size = np.abs(columns.hi[..., 0]) + apply(np.abs(cov.hi), np.abs(pull))
-    moved = reach(own, pull) + ROUNDING * size
-    drift = through(eye - cov.hi @ later.matrix.hi, drift) + through(cov.hi, later.drift)
-    drift = drift + moved[..., None] ** 2 * eye
-    found = Belief(columns + cov @ later.vector, left, rounding[..., None] * eye, drift)
+    # A change E of P within its bound changes P r by E r.
+    along = variances(sandwich(pull[..., None, :], own))
+    moved = np.sqrt(np.maximum(variances(own) * along, 0.0)) + ROUNDING * size
+    drift = through(np.eye(cov.shape[-1]) - cov.hi @ later.matrix.hi, drift)
+    drift = drift + through(cov.hi, later.drift) + diagonal(moved**2)
+    found = Belief(columns + cov @ later.vector, left, diagonal(rounding), drift, largest)
     after = np.maximum(variances(left.hi), rounding)
     return found.certain(), rounding / np.where(after > 0.0, after, np.inf)
 
@@ -300,21 +296,19 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     The covariance (1 − G A) P (1 − G A)ᵀ + G (Q + P′) Gᵀ subtracts nothing.
     """
     belief, predicted = later.belief, after.predicted
-    columns, cov, own, drift = known
-    matrix, noise = after.matrix, after.noise
-    assert matrix is not None
-    assert noise is not None
+    columns, cov, own, drift, largest = known
+    assert after.move is not None
+    matrix, noise = after.move.matrix, after.move.cov
     floor = variances(predicted.rounding)
     unit, pivots = twofold.eliminated(predicted.cov, CLEAR, floor)
     gain = twofold.solve(unit, pivots, matrix @ cov).mT
-    eye = np.eye(cov.shape[-1])
-    keep = eye - gain @ matrix
+    keep = np.eye(cov.shape[-1]) - gain @ matrix
     other = noise + belief.cov
     left = keep @ cov @ keep.mT + gain @ other @ gain.mT
     # Changes E of P and E′ of Q change G (x − m) by (1 − G A) E Aᵀ y − G E′ y.
     kept = through(keep.hi, own)
     summed = np.maximum(floor - variances(sandwich(matrix.hi, own)), 0.0)
-    rounding = kept + through(gain.hi, belief.rounding + summed[..., None] * eye)
+    rounding = kept + through(gain.hi, belief.rounding + diagonal(summed))
     rounding = rounding + rounded(keep.hi, cov.hi, cov.hi) + rounded(gain.hi, other.hi, cov.hi)
     shift = belief.columns - predicted.columns
     pull = twofold.solve(unit, pivots, shift).hi[..., 0]
@@ -325,33 +319,20 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     inverse = np.abs(twofold.inverse(unit, pivots).hi)
     size = np.abs(cov.hi) @ np.abs(matrix.hi.mT) @ inverse @ np.abs(shift.hi)
     moved = moved + ROUNDING * (size[..., 0] + np.abs(columns.hi[..., 0]))
-    drift = through(keep.hi, drift) + through(gain.hi, belief.drift)
-    drift = drift + moved[..., None] ** 2 * eye
+    drift = through(keep.hi, drift) + through(gain.hi, belief.drift) + diagonal(moved**2)
     proper = np.where(pivots.hi > 0.0, pivots.hi, np.inf)
     error = (floor / proper).max(axis=-1) + later.parts.max(axis=-1)
-    return gain, Belief(columns + gain @ shift, _symmetric(left), rounding, drift).certain(), error
-
-
-def _refuse(step: int) -> None:
-    raise NumericalError(
-        f"the smoothed belief at step {step} is not finite; are its inputs, readings and noises of "
-        "a size that float64 can hold?",
-        step=step,
-    )
-
-
-def _outer(vector: Array) -> Array:
-    """The product v vᵀ of vectors (..., n)."""
-    return vector[..., None] * vector[..., None, :]
+    found = Belief(columns + gain @ shift, _symmetric(left), rounding, drift, largest)
+    return gain, found.certain(), error
 
 
 def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
     """A belief in the runs of a mask, (runs, 1, 1), another one in all others."""
-    return Belief(
-        twofold.where(mask, a.columns, b.columns),
-        twofold.where(mask, a.cov, b.cov),
-        np.where(mask, a.rounding, b.rounding),
-        np.where(mask, a.drift, b.drift),
+    return b._replace(
+        columns=twofold.where(mask, a.columns, b.columns),
+        cov=twofold.where(mask, a.cov, b.cov),
+        rounding=np.where(mask, a.rounding, b.rounding),
+        drift=np.where(mask, a.drift, b.drift),
     )
 
 

@@ -16,7 +16,7 @@ from pgm.inference.chain import sweep as loops
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import stored
-from pgm.kernels import canonical, conditionals, moments, pseudoinverse, roots
+from pgm.kernels import canonical, conditionals, moments, roots
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
@@ -189,7 +189,7 @@ def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
     size, front = layout.slice_size, layout.state_size
     gain = np.zeros((*forward.mean.shape[:-1], size, front))
     gain[..., states, :] = np.eye(front)
-    gain[..., controls, :] = pseudoinverse.gain(block(forward.cov, controls, states), known, lower)
+    gain[..., controls, :] = roots.gain(block(forward.cov, controls, states), lower, known)
     rest = np.eye(size) - gain @ np.eye(size)[states]
     offset = forward.mean - apply(gain, forward.mean[..., states])
     return Conditional(gain, offset, symmetric(sandwich(rest, forward.cov)))

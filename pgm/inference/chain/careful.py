@@ -19,94 +19,64 @@ Durbin & Koopman, Time series analysis by state space methods, 2012, sections 5.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from pgm.errors import NumericalError
-from pgm.inference.chain import careful_motion as motion
-from pgm.inference.chain.careful_motion import proper
-from pgm.inference.chain.careful_update import (
+from pgm.errors import LinearisationError
+from pgm.inference.chain import refusals
+from pgm.inference.chain.careful_belief import (
+    ROUNDING,
     Belief,
     Component,
-    IteratedUpdate,
-    hold,
-    update,
-    variances,
+    Move,
+    Solved,
+    decorrelated,
+    moments,
+    predicted,
+    solved,
+    take,
 )
-from pgm.inference.chain.certificate import Solved, moments, solved
+from pgm.inference.chain.certificate import is_flat
 from pgm.inference.chain.forward import Forward
-from pgm.inference.chain.iterated_update import UpdateProblem, iterated
+from pgm.inference.chain.iterated_update import IteratedUpdate, UpdateProblem, iterated
 from pgm.inference.chain.iteration import Anchor, Point
+from pgm.inference.chain.likelihoods import distinct
 from pgm.inference.chain.moments import MomentChain, largest
-from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments, Reading
-from pgm.inference.schedule import Filtering
+from pgm.inference.family import Family
+from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
-from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels import twofold
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, quiet, variances
+from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
 
 
 class Step(NamedTuple):
-    """A step of the pass.
+    """A step of the pass: the transition that led to it, and its belief before and after readings.
 
-    Attributes
-    ----------
-    matrix, noise : Twofold or None
-        (runs or 1, n, n): A and the noise of the transition that led to it.
-    predicted, known : Belief
-        Before and after its readings.
-    components : list of Component
-        In the order in which they were taken in.
-    information : Twofold
-        (runs, 1 + q, 1 + q): Σ [v V]ᵀ[v V] / S of all components up to the step.
+    Belief and estimate of δ know the readings up to the step.
     """
 
-    matrix: Twofold | None
-    noise: Twofold | None
+    move: Move | None
     predicted: Belief
-    known: Belief
-    components: list[Component]
-    information: Twofold
+    taken: CarefulUpdate
 
 
 @dataclass(frozen=True, eq=False)
 class Careful:
-    """A forward pass in twice the digits.
-
-    Attributes
-    ----------
-    forward : Forward
-        Its beliefs, rounded.
-    steps : list of Step
-    unknown : Solved
-        δ given all readings.
-    """
+    """A forward pass in twice the digits, and its beliefs, rounded."""
 
     forward: Forward
     steps: list[Step]
-    unknown: Solved
-
-    @cached_property
-    def largest(self) -> Array:
-        """The largest predicted variances so far, (T+1, runs, n)."""
-        predicted = np.array([variances(step.predicted.cov.hi) for step in self.steps])
-        found: Array = np.maximum.accumulate(predicted, axis=0)
-        return found
 
     @property
     def error(self) -> Array:
         """The error of the means, (runs,); see `Belief.error`."""
-        known = [step.known for step in self.steps]
-        errors = [belief.error(each) for belief, each in zip(known, self.largest, strict=True)]
-        largest: Array = np.max(errors, axis=0)
+        largest: Array = np.max([step.taken.belief.error() for step in self.steps], axis=0)
         return largest
-
-    def to(self, step: int) -> Solved:
-        """δ given the readings up to a step."""
-        return solved(self.steps[step].information)
 
 
 class Begin(NamedTuple):
@@ -139,23 +109,23 @@ def sweep(
     record: list[Array] = []
     converged = np.ones(plan.runs, dtype=bool)
     if begin is None:
-        belief = motion.start(plan, linearise=schedule is not None)
+        belief = start(plan, linearise=schedule is not None)
         information = Twofold.zeros((plan.runs, *(belief.columns.shape[-1:] * 2)))
     else:
         belief, information = begin
+        belief = belief._replace(largest=variances(belief.cov.hi))  # as far back as the window goes
     unknown = solved(information)
-    matrix: Twofold | None = None
-    noise: Twofold | None = None
+    move: Move | None = None
     settled = schedule is None or all(link.family.exact for link in plan.transition)
-    every = motion.transition(plan, slice(None)) if settled else None
+    every = transition(plan, slice(None)) if settled else None
     for step in range(plan.steps + 1):
         if step:
             if every is None:
-                move = motion.moving(plan, step, out.mean[step - 1], out.cov[step - 1])
+                move = moving(plan, step, out.mean[step - 1], out.cov[step - 1])
             else:
                 move = every.at(step - 1 if len(every.matrix.hi) > 1 else 0)
-            matrix, noise, belief = move.matrix, move.cov, motion.predict(belief, move)
-        predicted = belief
+            belief = predicted(belief, move)
+        before = belief
         mean, cov = out.predicted_mean[step], out.predicted_cov[step]
         mean[...], cov[...] = moments(belief, unknown)
         reading = CarefulReading.of(plan, step, (mean, cov), belief, information, schedule)
@@ -170,9 +140,28 @@ def sweep(
         belief, information, unknown = found.belief, found.information, found.unknown
         out.mean[step], out.cov[step] = found.mean, found.cov
         out.log_density[step] = found.log_density
-        steps.append(Step(matrix, noise, predicted, belief, found.components, information))
-        require_proper(plan, plan.first + step, predicted, belief)
-    return Careful(out, steps, unknown), Status.of(record, converged, plan.lead)
+        steps.append(Step(move, before, found))
+        refusals.belief(plan, plan.first + step, before[:2], belief[:2])
+    return Careful(out, steps), Status.of(record, converged, plan.lead)
+
+
+def predict(plan: ChainPlan, step: int, known: Belief) -> Belief:
+    """The belief of an online filter one step later, at `step`."""
+    found = predicted(known, moving(plan, 1, *known.moments))
+    refusals.belief(plan, step, found[:2])
+    return found
+
+
+def update(
+    plan: ChainPlan, step: int, known: Belief, schedule: Filtering
+) -> tuple[Belief, IteratedUpdate[CarefulUpdate]]:
+    """The belief of an online filter given the readings of its step."""
+    nothing = Twofold.zeros((plan.runs, 1, 1))
+    reading = CarefulReading.of(plan, 0, known.moments, known, nothing, schedule)
+    taken = iterated(reading, schedule)
+    found = taken.solution.at(taken.mean).belief
+    refusals.belief(plan, step, found[:2])
+    return found, taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,12 +172,19 @@ class CarefulUpdate:
     ----------
     mean, cov, log_density : ndarray
         (runs, n), (runs, n, n) and (runs,).
+    belief : Belief
+    components : list of Component
+        In the order in which they were taken in.
+    information : Twofold
+        (runs, 1 + q, 1 + q): Σ [v V]ᵀ[v V] / S of all components so far.
+    unknown : Solved
     """
 
     mean: Array
     cov: Array
     log_density: Array
-    taken: IteratedUpdate
+    belief: Belief
+    components: list[Component]
     information: Twofold
     unknown: Solved
 
@@ -202,22 +198,11 @@ class CarefulUpdate:
         """The moments, as a point of linearisation."""
         return Point(self.mean[None], self.cov[None])
 
-    @property
-    def components(self) -> list[Component]:
-        """The components, in the order in which they were taken in."""
-        return self.taken.components
-
-    @property
-    def belief(self) -> Belief:
-        """The belief given the readings."""
-        return self.taken.belief
-
     def at(self, mean: Array) -> CarefulUpdate:
         """The same with the mean that a step control kept."""
         if np.array_equal(mean, self.mean):
             return self
-        taken = self.taken._replace(belief=self.belief.shifted(mean - self.mean))
-        return replace(self, mean=mean, taken=taken)
+        return replace(self, mean=mean, belief=self.belief.shifted(mean - self.mean))
 
 
 class CarefulReading(UpdateProblem[CarefulUpdate]):
@@ -248,46 +233,155 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
         """Linearise a sensor's readings."""
-        cov = proper(part.sensor.family, self.step, cov)
-        part.linearise(mean, cov, active)
+        part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 
+    @quiet()
     def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
         """The belief given the readings."""
-        taken = IteratedUpdate(self.belief, [], np.zeros(len(self.belief.cov.hi)))
-        if self.parts:
-            taken = update(self.measured, self.step, self.belief, self.mean)
-        if anchor is not None:
-            taken = hold(anchor, taken)
-        information = self.information
-        for component in taken.components:
+        belief, information, parts = self.belief, self.information, self.measured
+        runs, size = belief.largest.shape
+        rows, noises, seen = decorrelated(parts, runs, size)
+        components: list[Component] = []
+        log_density, left = np.zeros(runs), np.zeros(seen.shape)
+        for k in range(seen.shape[-1]):
+            belief, component, predictive, indefinite = take(
+                belief, rows[:, k, :-1], rows[:, k, -1], noises[:, k], seen[:, k]
+            )
+            if indefinite:
+                refusals.indefinite(parts, self.step)
+            components.append(component)
+            innovation, weight = component.innovation[:, 0], component.weight
+            read = weight.hi > 0.0
+            left[:, k] = np.where(seen[:, k] & ~read, np.abs(innovation.hi), 0.0)
+            level = (innovation * innovation * weight).hi + np.log(np.where(read, predictive, 1.0))
+            log_density -= np.where(read, 0.5 * (level + LOG_2PI), 0.0)
+        if not np.isfinite(log_density).all():
+            refusals.indefinite(parts, self.step)
+        if left.any():
+            refusals.contradiction(
+                parts, self.step, self.mean, left.T if self.mean.ndim > 1 else left[0]
+            )
+        if anchor is not None:  # a reading of all components, which is no evidence
+            held = (anchor.std[0] > 0.0) & (anchor.weight > 0.0)[:, None]
+            share = np.where(anchor.weight > 0.0, anchor.weight, 1.0)[:, None]
+            noises, values = Twofold(anchor.std[0] ** 2 / share), Twofold(anchor.mean[0])
+            rows = twofold.eye((runs, size, size))
+            for k in range(size):
+                belief, component, *_ = take(
+                    belief, rows[:, k], values[:, k], noises[:, k], held[:, k]
+                )
+                components.append(component)
+        for component in components:
             row = component.innovation[:, None, :]
             information = information + row.mT @ (row * component.weight[:, None, None])
         unknown = solved(information)
-        log_density = taken.log_density + unknown.log_weight - solved(self.information).log_weight
-        return CarefulUpdate(
-            *moments(taken.belief, unknown), log_density, taken, information, unknown
-        )
+        log_density = log_density + unknown.log_weight - solved(self.information).log_weight
+        found = moments(belief, unknown)
+        return CarefulUpdate(*found, log_density, belief, components, information, unknown)
 
 
-def require_proper(plan: ChainPlan, step: int, *beliefs: Belief) -> None:
-    """Refuse beliefs that are not finite, or that a lineariser's error has made indefinite."""
-    for belief in beliefs:
-        for part in (belief.columns, belief.cov):
-            if not np.isfinite(part.hi + part.lo).all():
-                raise NumericalError(
-                    f"the belief at step {step} is not finite; are its inputs, readings and noises "
-                    "of a size that float64 can hold?",
-                    step=step,
-                )
-    rough = [family for family in plan.families if not family.semidefinite]
-    if not rough or all(roots.is_proper(roots.root(belief.cov.hi)) for belief in beliefs):
-        return
-    blamed = next((family for family in rough if step in family.step), rough[0])
-    raise NumericalError(
-        f"the belief at step {step} has an indefinite covariance, by the error of "
-        f"{blamed.lineariser!r} for {blamed.cpd!r}; use a rule with positive weights or more "
-        "samples",
-        variable=blamed.cpd.child,
-        cpd=blamed.cpd,
-        step=step,
+def prior_mean(plan: ChainPlan) -> Array:
+    """The means of the states at step 0, (runs, n); those of flat components are as declared."""
+    states = plan.layout.state_places
+    if not is_flat(plan):
+        return MomentChain(plan, ONCE).start().by_run[0][:, states]
+    return start(plan, linearise=True).columns.hi[:, states, 0]
+
+
+def start(plan: ChainPlan, *, linearise: bool) -> Belief:
+    """The slice at step 0 before its readings; there are no controls."""
+    nonlinear = next((link.family for link in plan.prior if not link.family.exact), None)
+    if linearise and nonlinear is not None:
+        if is_flat(plan):
+            raise LinearisationError(
+                f"{nonlinear.cpd!r}: beside a prior of infinite variance only linear CPDs can "
+                "stand at step 0; make it linear, or give the prior a finite variance",
+                variable=nonlinear.cpd.child,
+                cpd=nonlinear.cpd,
+                step=0,
+            )
+        MomentChain(plan, ONCE).start()
+    first = _conditional(plan.prior, slice(None), 0, plan.layout.state_size, plan.runs).at(0)
+    size, states = plan.layout.slice_size, plan.layout.state_places
+    where = np.arange(size)[states]
+    columns = Twofold.zeros((plan.runs, size, 1 + first.columns.shape[-1]))
+    cov = Twofold.zeros((plan.runs, size, size))
+    columns[:, states, 0] = first.offset
+    columns[:, states, 1:] = first.columns
+    cov[:, where[:, None], where] = first.cov
+    return Belief.first(columns, cov, ROUNDING, ROUNDING)
+
+
+def transition(plan: ChainPlan, rows: slice) -> Move:
+    """The slices of some steps given the slices before them, whose controls play no part."""
+    layout = plan.layout
+    found = _conditional(plan.transition, rows, layout.state_size, layout.slice_size, plan.runs)
+    matrix = Twofold.zeros((*found.matrix.shape[:-1], layout.slice_size))
+    matrix[..., layout.state_places] = found.matrix
+    return found._replace(matrix=matrix)
+
+
+def _conditional(links: list[Link], rows: slice, front: int, size: int, runs: int) -> Move:
+    """The links' children given the first `front` components of the vector that all stand in."""
+    families = [link.family for link in links]
+    parts = [[distinct(part[rows]) for part in (f.matrix, f.offset, f.noise)] for f in families]
+    flat = [np.asarray(np.isinf(variances(each[2])).any(axis=(0, 1))) for each in parts]
+    lead = np.broadcast_shapes(*(part.shape[:2] for each in parts for part in each))
+    whole, q = front + size, int(sum(each.sum() for each in flat))
+    matrix = Twofold.zeros((*lead, whole, front))
+    matrix.hi[..., :front, :] = np.eye(front)
+    offset, cov = Twofold.zeros((*lead, whole)), Twofold.zeros((*lead, whole, whole))
+    columns = Twofold.zeros((*lead, whole, q))
+    done = 0
+    for link, (own, shift, noise), open_ in zip(links, parts, flat, strict=True):
+        child, parents, slope = link.child, link.parents, Twofold(own)
+        matrix[..., child, :] = slope @ matrix[..., parents, :]
+        offset[..., child] = (slope @ offset[..., parents][..., None])[..., 0] + shift
+        columns[..., child, :] = slope @ columns[..., parents, :]
+        for place in np.flatnonzero(open_):
+            columns.hi[..., child.start + int(place), done] = 1.0
+            done += 1
+        cross = slope @ cov[..., parents, :]
+        cov[..., child, :] = cross
+        cov[..., :, child] = cross.mT
+        cov[..., child, child] = cross[..., parents] @ slope.mT + _regular(noise, open_)
+    rest = slice(front, None)
+    return Move(
+        matrix[..., rest, :], offset[..., rest], cov[..., rest, rest], columns[..., rest, :]
     )
+
+
+def _regular(noise: Array, flat: Mask) -> Twofold:
+    """A noise of exactly the rank it was meant to have; of unit variance where it is infinite."""
+    if flat.any():
+        noise = np.where(flat[:, None] | flat, np.eye(flat.size) * flat, noise)
+    unit, pivots = twofold.eliminated(noise, NEGLIGIBLE)
+    if not (pivots.hi == 0.0).any():
+        return Twofold(noise)
+    return unit * pivots[..., None, :] @ unit.mT
+
+
+def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:
+    """The transition to a step, linearised at the belief before it."""
+    if not all(link.family.exact for link in plan.transition):
+        for link in plan.transition:
+            cov = proper(link.family, step, cov)
+        MomentChain(plan, ONCE, check=True).predict(step, Moments.of(plan, mean, cov))
+    return transition(plan, slice(step - 1, step)).at(0)
+
+
+def proper(family: Family, step: int, cov: Array) -> Array:
+    """A covariance to linearise at; Taylor's formula, which does not look at it, needs none."""
+    improper = ~np.isfinite(cov)
+    if family.exact or not improper.any():
+        return cov
+    if not family.taylor:
+        raise LinearisationError(
+            f"{family.cpd!r}: at step {step} the belief over its parents still has an infinite "
+            f"variance, at which {family.lineariser!r} cannot linearise; use pgm.Taylor(), read a "
+            "linear sensor before, or give the prior a finite variance",
+            variable=family.cpd.child,
+            cpd=family.cpd,
+            step=step,
+        )
+    return np.where(improper, 0.0, cov)

@@ -20,18 +20,13 @@ twice the digits.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from pgm.inference.chain.careful_update import CLEAR, ROUNDING, Belief, variances
 from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.vector import stacks
-from pgm.kernels import along_runs, roots, twofold
-from pgm.kernels.arrays import Array, apply, sandwich, symmetric
-from pgm.kernels.roots import NEGLIGIBLE
-from pgm.kernels.twofold import Twofold
+from pgm.kernels import along_runs, roots
+from pgm.kernels.arrays import Array, apply, deviation, sandwich, variances
 
 # The largest ratio at which float64 leaves all the digits that are promised.
 MODERATE = 2e7
@@ -53,8 +48,7 @@ def is_ordinary(mean: Array, cov: Array) -> bool:
     """Whether float64 can carry beliefs: covariances (..., n, n), and means beside deviations."""
     if not np.isfinite(cov).all() or not roots.is_regular(cov, 1.0 / MODERATE):
         return False
-    told = _TOLD * np.sqrt(np.maximum(_variances(cov), 0.0)) >= _EPS * np.abs(mean)
-    return bool(told.all())
+    return bool((_TOLD * deviation(cov) >= _EPS * np.abs(mean)).all())
 
 
 def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:
@@ -67,19 +61,14 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
         predicted, known = swept.predicted_cov, swept.cov
         if smoothed is not None and not _stands(known, smoothed, MODERATE):
             return False
-        regular = swept.gentle or (
-            _stands(predicted, known, MODERATE)
-            and _is_open(predicted, MODERATE)
-            and _is_open(known, MODERATE)
-        )
-        return regular and _told(plan, swept)
+        return (swept.gentle or composes(predicted, known, MODERATE)) and _told(plan, swept)
 
 
-def composes(predicted: Array, known: Array) -> bool:
+def composes(predicted: Array, known: Array, limit: float = _GENTLE) -> bool:
     """Whether segments about these covariances, before and after readings, compose well."""
     with np.errstate(all="ignore"):
-        stands = _stands(predicted, known, _GENTLE)
-        return stands and _is_open(predicted, _GENTLE) and _is_open(known, _GENTLE)
+        stands = _stands(predicted, known, limit)
+        return stands and _is_open(predicted, limit) and _is_open(known, limit)
 
 
 def _sinks(swept: Forward | Filtered, *, both: bool) -> bool:
@@ -87,7 +76,7 @@ def _sinks(swept: Forward | Filtered, *, both: bool) -> bool:
 
     An error is at most as many deviations at other steps: later ones, or with `both` earlier too.
     """
-    mean, left = swept.mean, _variances(swept.cov)
+    mean, left = swept.mean, variances(swept.cov)
     axes = tuple(range(mean.ndim - 1))
     farthest = np.maximum(mean.max(axis=axes), -mean.min(axis=axes))
     least = left.min(axis=axes)
@@ -113,8 +102,8 @@ def _is_open(cov: Array, limit: float) -> bool:
 
 def _stands(before: Array, after: Array, limit: float) -> bool:
     """Whether no variance falls by much; one of zero is known, and a negative one is rounding."""
-    left = _variances(after)
-    fallen = limit * left < _variances(before)
+    left = variances(after)
+    fallen = limit * left < variances(before)
     return not fallen.any() or not (fallen & (left != 0.0)).any()
 
 
@@ -123,108 +112,8 @@ def _told(plan: ChainPlan, swept: Forward) -> bool:
     exact = [s for s in plan.sensors if s.exact and s.family.step.size]
     for steps, matrix, _, noise, _ in stacks(plan, exact, swept.predicted_mean) if exact else []:
         cov = swept.predicted_cov[steps]
-        pivots = _variances(roots.root(sandwich(matrix, cov) + noise)) ** 2
-        size = apply(np.abs(matrix), np.sqrt(np.maximum(_variances(cov), 0.0))) ** 2
-        size = size + _variances(noise)
+        pivots = variances(roots.root(sandwich(matrix, cov) + noise)) ** 2
+        size = apply(np.abs(matrix), deviation(cov)) ** 2 + variances(noise)
         if not ((MODERATE * pivots > size) | (size == 0.0)).all():
             return False
     return True
-
-
-def _variances(cov: Array) -> Array:
-    found: Array = np.diagonal(cov, axis1=-2, axis2=-1)
-    return found
-
-
-# A share of the variances beyond which a negative eigenvalue is visible in float64.
-_VISIBLE = 1e-12
-
-
-class Solved(NamedTuple):
-    """An estimate of δ.
-
-    Attributes
-    ----------
-    weights : Twofold
-        (runs, 1 + q, 1): [1 δ] for its mean δ; zero where nothing is known of a component.
-    cov : Twofold
-        (runs, q, q): of what is known of it.
-    open : ndarray
-        (runs, q, q): directions in which nothing is known, as columns, or zeros.
-    log_weight : ndarray
-        (runs,): what integrating δ out adds to the log-density of the readings.
-    """
-
-    weights: Twofold
-    cov: Twofold
-    open: Array
-    log_weight: Array
-
-    def between(self, first: Belief, second: Belief) -> Twofold:
-        """The share of δ in the covariance of two slices, (runs, n, n)."""
-        return first.columns[..., 1:] @ self.cov @ second.columns[..., 1:].mT
-
-
-def solved(whole: Twofold) -> Solved:
-    """The estimate of δ from W = Σ [v V]ᵀ[v V] / S, (runs, 1 + q, 1 + q).
-
-    With M = Σ VᵀV / S and y = Σ Vᵀv / S it is δ = −M⁻¹y; its covariance M⁻¹. Where M is singular,
-    its determinant is the product of the eigenvalues that are not zero: the limit of priors κ I.
-    """
-    runs, size = whole.shape[0], whole.shape[-1] - 1
-    weights = Twofold(np.zeros((runs, size + 1, 1)))
-    weights.hi[:, 0] = 1.0
-    if not size:
-        nothing = np.zeros((runs, 0, 0))
-        return Solved(weights, Twofold(nothing), nothing, np.zeros(runs))
-    unit, pivots = twofold.eliminated(whole[:, 1:, 1:], CLEAR * ROUNDING)
-    known = pivots.hi > 0.0
-    cov = twofold.inverse(unit, pivots)
-    one = Twofold(np.broadcast_to(np.eye(size), unit.shape).copy())
-    mean = -(cov @ whole[:, 1:, :1])
-    weights[:, 1:] = mean
-    level = -(whole[:, :1, 1:] @ mean).hi[:, 0, 0]
-    log_det = np.log(np.where(known, pivots.hi, 1.0)).sum(axis=-1)
-    if not known.all():
-        spanned = np.where(known[:, None, :], unit.hi, 0.0)
-        log_det += np.linalg.slogdet(spanned.mT @ spanned + np.eye(size) * ~known[:, None, :])[1]
-    open_ = np.where(known[:, None, :], 0.0, twofold.solve_unit(unit, one).mT.hi)
-    return Solved(weights, cov, open_, 0.5 * (level - log_det))
-
-
-def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
-    """Mean and covariance; the variance of a component of which nothing is known is infinite."""
-    columns, cov, *_ = belief
-    mean = (columns @ unknown.weights).hi[..., 0]
-    if not unknown.open.shape[-1]:
-        return mean, _semidefinite(cov.hi)
-    total = _semidefinite((cov + unknown.between(belief, belief)).hi)
-    slope = columns.hi[..., 1:]
-    reach, size = np.abs(slope @ unknown.open), np.abs(slope) @ np.abs(unknown.open)
-    lost = np.any(reach > NEGLIGIBLE * size, axis=-1)
-    if lost.any():
-        total = np.where(lost[..., None] | lost[..., None, :], 0.0, total)
-        diagonal = np.einsum("...ii->...i", total)
-        diagonal[lost] = np.inf
-    return mean, total
-
-
-def _semidefinite(cov: Array) -> Array:
-    """Covariances without the asymmetry and the negative eigenvalues that rounding has left.
-
-    Eigenvalues are in units of the variances, which are right to a hundredth (`CLEAR`): one that
-    is further below zero is no rounding.
-    """
-    cov = symmetric(cov)
-    unit = np.sqrt(np.maximum(variances(cov), 0.0))
-    unit = np.where(unit > 0.0, unit, 1.0)
-    scaled = cov / unit[..., None] / unit[..., None, :]
-    if not np.isfinite(scaled).all():
-        return cov
-    values, axes = np.linalg.eigh(scaled)
-    least = values.min(axis=-1, initial=0.0)
-    blurred = (least < -_VISIBLE) & (least > -1.0 / CLEAR)
-    if not blurred.any():
-        return cov
-    kept = (axes * np.maximum(values, 0.0)[..., None, :]) @ axes.mT
-    return np.where(blurred[:, None, None], kept * unit[..., None] * unit[..., None, :], cov)

@@ -10,7 +10,7 @@ no reading counts twice. It is solved in float64, and in twice the digits where 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from pgm.inference.chain import backward, careful, certificate, cost, forward
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Begin, Careful
-from pgm.inference.chain.careful_update import Belief
+from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iteration import Anchor, Iterated, iterate
 from pgm.inference.chain.moments import largest
@@ -182,17 +182,7 @@ class Beginning(NamedTuple):
 
     def over(self, runs: int) -> Beginning:
         """The same for so many runs, where it is of one."""
-        if len(self.mean) == runs:
-            return self
-
-        def wide(part: Any) -> Any:
-            if isinstance(part, np.ndarray):
-                return np.broadcast_to(part, (runs, *part.shape[1:]))
-            if isinstance(part, Twofold):
-                return Twofold(wide(part.hi), wide(part.lo))
-            return None if part is None else type(part)(*map(wide, part))
-
-        found: Beginning = wide(self)
+        found: Beginning = self if len(self.mean) == runs else over(self, (), (runs,))
         return found
 
     def cut(self, plan: ChainPlan, first: int, last: int) -> ChainPlan:
@@ -247,8 +237,9 @@ class Window:
         mean, cov = self.ahead.mean[row] + self.moved[row], self.ahead.cov[row]
         if self.careful is None or certificate.is_ordinary(mean, cov):
             return Beginning(mean, cov)
-        step = self.careful.careful.steps[row]
-        return Beginning(mean, cov, Begin(step.known.shifted(self.moved[row]), step.information))
+        taken = self.careful.careful.steps[row].taken
+        begin = Begin(taken.belief.shifted(self.moved[row]), taken.information)
+        return Beginning(mean, cov, begin)
 
 
 class SingleStep(NamedTuple):

@@ -8,10 +8,11 @@ from typing import NoReturn
 import numpy as np
 
 from pgm.errors import NumericalError
-from pgm.inference.chain.plan import Link
+from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.vector import Measured
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, components_last, times
+from pgm.kernels.twofold import Twofold
 
 # A reading this far from what an exact model says, as a part of the numbers' size, contradicts it.
 CONTRADICTION = 1e-8
@@ -84,5 +85,36 @@ def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
         f"{family.cpd!r}: the predicted covariance at step {step} is {fault}",
         variable=family.cpd.child,
         cpd=family.cpd,
+        step=step,
+    )
+
+
+def belief(plan: ChainPlan, step: int, *beliefs: tuple[Twofold, Twofold]) -> None:
+    """Refuse beliefs in twice the digits, means and covariances, that are none.
+
+    They are not finite, or a lineariser's error has made them indefinite.
+    """
+    for belief in beliefs:
+        if not all(np.isfinite(part.hi + part.lo).all() for part in belief):
+            infinite("the belief", step)
+    rough = [family for family in plan.families if not family.semidefinite]
+    if not rough or all(roots.is_proper(roots.root(cov.hi)) for _, cov in beliefs):
+        return
+    blamed = next((family for family in rough if step in family.step), rough[0])
+    raise NumericalError(
+        f"the belief at step {step} has an indefinite covariance, by the error of "
+        f"{blamed.lineariser!r} for {blamed.cpd!r}; use a rule with positive weights or more "
+        "samples",
+        variable=blamed.cpd.child,
+        cpd=blamed.cpd,
+        step=step,
+    )
+
+
+def infinite(what: str, step: int) -> NoReturn:
+    """Refuse a belief that is not finite."""
+    raise NumericalError(
+        f"{what} at step {step} is not finite; are its inputs, readings and noises of a size that "
+        "float64 can hold?",
         step=step,
     )

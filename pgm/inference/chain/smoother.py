@@ -11,15 +11,7 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.factors.scope import angle_mask
-from pgm.inference.chain import (
-    backward,
-    careful,
-    careful_motion,
-    cost,
-    forward,
-    newton,
-    parallel,
-)
+from pgm.inference.chain import backward, careful, cost, forward, newton, parallel
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
 from pgm.inference.chain.iteration import Anchor, Point, iterate
@@ -291,7 +283,7 @@ def _start(plan: ChainPlan, start: Array) -> Point:
         return _without_spread(plan, start)
     mean = start.copy()
     prior = mean[0].copy()
-    prior[:, layout.state_places] = careful_motion.prior_mean(plan)
+    prior[:, layout.state_places] = careful.prior_mean(plan)
     mean[0] = nearest_branch(mean[0], prior, angles)
     mean[..., angles] = np.unwrap(mean[..., angles], axis=0)
     return _without_spread(plan, mean)
@@ -302,7 +294,7 @@ def dead_reckoning(plan: ChainPlan) -> Point:
     layout = plan.layout
     front, states = layout.state_size, layout.state_places
     mean = np.zeros((plan.steps + 1, plan.runs, layout.slice_size))
-    mean[0][:, states] = careful_motion.prior_mean(plan)
+    mean[0][:, states] = careful.prior_mean(plan)
     rows = mean.transpose(0, 2, 1) if plan.batch else mean[:, 0]
     pair = np.empty((front + layout.slice_size, *plan.batch))
     for row in range(plan.steps):

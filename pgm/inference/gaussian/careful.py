@@ -23,7 +23,7 @@ from pgm.inference.gaussian.prior import SHARE, Frame
 from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.tree import TreePlan
 from pgm.kernels import decimals, differences
-from pgm.kernels.arrays import Array, apply
+from pgm.kernels.arrays import Array, Integers, apply, deviation, variances
 from pgm.kernels.decimals import ONE, ZERO, Decimals
 from pgm.linearisers import Taylor
 from pgm.linearisers.regression import StatisticalRegression
@@ -52,32 +52,19 @@ def work(layout: Layout, runs: int, shared: bool) -> int:
     return (size + read) * size * ((1 if shared else runs) * size + runs)
 
 
-@dataclass(frozen=True, eq=False)
 class DenseBeliefs(Beliefs):
-    """Moments of a tree's clusters, and those of all components together.
+    """Moments of all components together, (runs, size) and (V, size, size), of any cluster's read.
 
-    Attributes
-    ----------
-    joint_mean, joint_cov : ndarray
-        (runs, size) and (V, size, size).
+    They are the user's own, not about a frame, so that nothing is rounded again.
     """
 
-    joint_mean: Array
-    joint_cov: Array
+    def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
+        """Means (runs, ..., n) and covariances (V, ..., n, n) of components of one cluster each."""
+        return self.mean[:, places], self.cov[:, places[..., :, None], places[..., None, :]]
 
-    @classmethod
-    def of(cls, plan: TreePlan, mean: Array, cov: Array) -> DenseBeliefs:
-        """About the means themselves, so that nothing is rounded again."""
-        places, size = plan.places, mean.shape[-1]
-        frame = Frame(mean, np.ones(size), np.zeros(size, dtype=bool))
-        stacked, runs = cov.shape[0], mean.shape[0]
-        blank = Beliefs.empty(places, frame, stacked, runs if stacked == 1 else 1)
-        blank.mean[...] = 0.0
-        for cluster, columns in enumerate(plan.layout.columns):
-            inside = np.array(list(columns), dtype=np.intp)
-            at = np.array([cluster]), np.array([list(columns.values())], dtype=np.intp)
-            blank.cov[:, places.covs(*at)[0]] = cov[:, inside[:, None], inside]
-        return cls(places, frame, blank.mean, blank.cov, mean, cov)
+    def components(self) -> tuple[Array, Array]:
+        """Means and standard deviations of all hidden components, (runs, size), (V, size)."""
+        return self.mean, deviation(self.cov)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,15 +99,10 @@ def predictive(
                 family.linearise(row, mean, np.broadcast_to(inside, (runs, *inside.shape[1:])))
             if not group.observed:
                 conditional = conditionals.conditional(g, row)
-                joint.add(
-                    group.child[row],
-                    parents,
-                    conditional.matrix,
-                    conditional.offset,
-                    conditional.noise,
-                )
+                made = conditional.matrix, conditional.offset, conditional.noise
+                joint.add(group.child[row], parents, *made)
         mean = conditionals.by_float(joint.mean)
-        variance = decimals.floats(np.diagonal(joint.cov, axis1=-2, axis2=-1))
+        variance = decimals.floats(variances(joint.cov))
     scale = np.sqrt(variance.max(axis=0, initial=0.0))
     scale = np.maximum(scale, SHARE * np.abs(mean).max(axis=0, initial=0.0))
     return Frame(mean, np.where(scale > 0.0, scale, 1.0), (variance == 0.0).all(axis=0))
@@ -167,7 +149,7 @@ def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: De
             moved = np.maximum(moved, lost_of_it)
     size = layout.size
     mean, cov = joint.mean[:, :size, :sides], decimals.floats(joint.cov[:, :size, :size])
-    found = DenseBeliefs.of(plan, conditionals.by_float(mean), cov)
+    found = DenseBeliefs(plan.places, model.frame, conditionals.by_float(mean), cov)
     return Solution(found, log_density, _digits(model, joint, sides, moved))
 
 
@@ -191,13 +173,12 @@ def _read(
     if taken is not None:
         # What is missing is read as a number of unit variance that nothing depends on.
         open_ = np.broadcast_to(taken[row], open_.shape)
-        matrix = np.where(open_[..., None], matrix, ZERO)
-        offset = np.where(open_[..., None], offset, ZERO)
-        value = np.where(open_[..., None], value, ZERO)
+        matrix, offset, value = (
+            np.where(open_[..., None], part, ZERO) for part in (matrix, offset, value)
+        )
         alone = np.where(open_, ZERO, ONE)[..., None] * decimals.exact(np.eye(group.height))
         noise = np.where(open_[..., None] & open_[..., None, :], noise, alone)
-    found = [Root.of(one) for one in noise]
-    each = [root for root in found if root is not None]
+    each = [root for root in map(Root.of, noise) if root is not None]
     matrix, offset, value = (
         np.stack([root.whitened(part) for root, part in zip(each, parts, strict=True)])
         for parts in (matrix, offset, value)
@@ -256,7 +237,7 @@ def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:
     lost = decimals.floats(np.abs(joint.mean[:, :size, sides:]).sum(axis=-1))
     if joint.mean.shape[-1] == sides:
         return np.full(model.runs, ALL_DIGITS)
-    variance = np.diagonal(joint.cov[:, :size, :size], axis1=-2, axis2=-1)
+    variance = variances(joint.cov[:, :size, :size])
     std = decimals.floats(decimals.sqrt(np.maximum(variance, ZERO)))
     # Where there is no deviation a billionth of the numbers is as good.
     unit = np.where(std > 0.0, std, 1e-3 * model.frame.scale)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.kernels import decimals
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose, variances
 from pgm.kernels.decimals import ONE, ZERO, Decimals
 
 # F is known to half a unit in its last place. What cancels to less than this share of its summands'
@@ -87,19 +87,19 @@ class Joint:
         """A child with F (V, d, n), b (V, d, N) and noise (V, d, d)."""
         self.mean[:, places] = decimals.product(matrix, self.mean[:, parents]) + offset
         cross = decimals.product(matrix, self.cov[:, parents])
-        own = decimals.product(cross[:, :, parents], decimals.transpose(matrix))
+        own = decimals.product(cross[:, :, parents], transpose(matrix))
         size = np.abs(matrix)
         prior = decimals.product(size, self.edge[:, parents][..., None])[..., 0]
-        deviation = decimals.sqrt(np.maximum(_diagonal(self.cov), ZERO)[:, parents])
+        deviation = decimals.sqrt(np.maximum(variances(self.cov), ZERO)[:, parents])
         now = decimals.product(size, deviation[..., None])[..., 0]
-        variance = _diagonal(noise)
+        variance = variances(noise)
         rounding = np.where(variance == ZERO, ROUNDED * ROUNDED * now * now, ZERO)
         least = np.maximum(rounding, self.nothing * prior * prior)
-        nothing = np.asarray(_diagonal(own) <= least, dtype=bool)
+        nothing = np.asarray(variances(own) <= least, dtype=bool)
         cross[nothing] = ZERO
         own = np.where(nothing[..., :, None] | nothing[..., None, :], ZERO, own)
         self.cov[:, places] = cross
-        self.cov[:, :, places] = decimals.transpose(cross)
+        self.cov[:, :, places] = transpose(cross)
         self.cov[:, places[:, None], places] = own + noise
         self.edge[:, places] = decimals.sqrt(prior * prior + variance)
 
@@ -137,7 +137,3 @@ class Joint:
         self.mean[:, places] = ZERO
         self.cov[:, places] = ZERO
         self.cov[:, :, places] = ZERO
-
-
-def _diagonal(matrix: Decimals) -> Decimals:
-    return np.asarray(np.diagonal(matrix, axis1=-2, axis2=-1))

@@ -8,7 +8,7 @@ from pgm.inference.gaussian.beliefs import Beliefs
 from pgm.inference.gaussian.careful import DenseBeliefs
 from pgm.inference.gaussian.tree import TreeBeliefs, TreePlan
 from pgm.kernels.arrays import Array, Integers, transpose
-from pgm.kernels.pseudoinverse import regression
+from pgm.kernels.roots import regression
 
 
 def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[Array, Array]:
@@ -18,7 +18,7 @@ def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[A
     the top, its covariance with all that is known goes through the regression on the sepset.
     """
     if isinstance(beliefs, DenseBeliefs):
-        return beliefs.joint_mean[:, wanted], beliefs.joint_cov[:, wanted[:, None], wanted]
+        return beliefs.moments(wanted, wanted, wanted)
     walk = _walk(plan, wanted)
     places, layout = beliefs.places, plan.layout
     known: list[int] = []

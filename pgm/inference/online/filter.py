@@ -13,13 +13,15 @@ from pgm.compile import compile
 from pgm.errors import ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
+from pgm.inference.chain import careful, certificate
+from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.kind import FILTERED, PREDICTED, Kind
-from pgm.inference.online import beliefs, step_evidence
-from pgm.inference.online.beliefs import REGULAR, CarefulBelief, OnlineBelief
+from pgm.inference.online import step_evidence
+from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.step_evidence import Layouts
 from pgm.inference.online.window import Passed, Sliding, Trail, trailing
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
@@ -30,6 +32,8 @@ from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
+# The share of its variance below which a component counts as determined.
+_REGULAR = 1.0 / certificate.MODERATE
 # Of one robot: nothing was to iterate, and linearised once.
 _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged in (True, False))
 # Numbers too large for float64 are refused where they end up, so that NumPy need not warn. A
@@ -155,9 +159,9 @@ class OnlineFilter(Immutable):
         plan = self._plan(BoundEvidence(0, lead, (), ()), 0, prior=True)
         found = MomentChain(plan, ONCE, keep=False).start()
         log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
-        if gaussian.is_regular(found.cov, found.cov, REGULAR):
+        if gaussian.is_regular(found.cov, found.cov, _REGULAR):
             return _belief(plan, 0, found, log_evidence, status, PREDICTED, self._behind)
-        carried = beliefs.first(plan)
+        carried = careful.start(plan, linearise=True)
         return _carried(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
 
     @_quiet
@@ -197,7 +201,7 @@ class OnlineFilter(Immutable):
                 chain = trailing(chain.plan, ats)
             plan, known = chain.plan, _moments(belief, chain.plan)
             found = chain.predicted(ats, step, known)
-            regular = gaussian.is_regular(found.cov, found.cov, REGULAR)
+            regular = gaussian.is_regular(found.cov, found.cov, _REGULAR)
             if not (_is_finite(found) and (regular or np.isfinite(found.cov).all())):
                 MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
                 _refuse(step)
@@ -210,7 +214,7 @@ class OnlineFilter(Immutable):
                     behind = behind.on(Passed(plan, known, found))
                 return _belief(plan, step, found, log_evidence, status, PREDICTED, behind)
         plan = self._ahead(belief, inputs)
-        carried = beliefs.predict(plan, step, _careful(belief, plan))
+        carried = careful.predict(plan, step, _careful(belief, plan))
         log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
         status = _nothing_to_iterate(plan.lead)
         behind = None if behind is None else behind.on(None)
@@ -252,7 +256,7 @@ class OnlineFilter(Immutable):
                 return ordinary
         plan = self._seen(belief, readings)
         known = _careful(belief, plan)
-        found, taken = beliefs.update(plan, belief.step, known, self._filtering)
+        found, taken = careful.update(plan, belief.step, known, self._filtering)
         log_density = taken.solution.log_density.reshape(plan.lead)
         log_evidence = np.asarray(belief.log_evidence + log_density)
         status = Status.of(taken.residuals, taken.converged, plan.lead)
@@ -277,7 +281,7 @@ class OnlineFilter(Immutable):
                 found, log_density = chain.taken(parts, belief.step, known)
             except NumericalError:
                 return None  # with twice the digits there may be an answer; if not, it is refused
-        if not gaussian.is_regular(found.cov, known.cov, REGULAR):
+        if not gaussian.is_regular(found.cov, known.cov, _REGULAR):
             return None
         if belief.lead or plan.lead:
             log_evidence = np.asarray(
@@ -376,17 +380,18 @@ def _is_finite(found: Moments) -> bool:
     return isfinite(sum(found.mean.tolist()))
 
 
-def _careful(belief: OnlineBelief, plan: ChainPlan) -> CarefulBelief:
+def _careful(belief: OnlineBelief, plan: ChainPlan) -> Belief:
     """A belief in twice the digits, for the runs of a plan."""
-    if belief.careful is not None:
-        return belief.careful.over(belief.lead, plan.lead)
-    return beliefs.beginning(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
+    if belief.careful is None:
+        return Belief.of(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
+    found: Belief = over(belief.careful, belief.lead, plan.lead)
+    return found
 
 
 def _carried(
     plan: ChainPlan,
     step: int,
-    found: CarefulBelief,
+    found: Belief,
     log_evidence: Array,
     status: Status,
     kind: Kind,
@@ -396,8 +401,8 @@ def _carried(
     mean, cov = found.moments
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
         _refuse(step)
-    status = status.with_digits(digits(found.error, plan.lead))
-    kept = None if found.is_ordinary else found
+    status = status.with_digits(digits(found.error(), plan.lead))
+    kept = None if certificate.is_ordinary(mean, cov) else found
     parts = Moments.of(plan, mean, cov), log_evidence, status, kind, behind, kept
     return _belief(plan, step, *parts)
 
@@ -418,7 +423,7 @@ def _belief(
     status: Status,
     kind: Kind,
     behind: Trail | Sliding | None,
-    careful: CarefulBelief | None = None,
+    careful: Belief | None = None,
 ) -> OnlineBelief:
     """A belief with the runs as the user's axes."""
     lead, (mean, cov, _) = plan.lead, found

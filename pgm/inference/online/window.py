@@ -193,16 +193,8 @@ class _Ends(NamedTuple):
 
     mean: Array
     cov: Array
-
-    @property
-    def predicted_mean(self) -> Array:
-        """The predicted means: no readings are taken at either end."""
-        return self.mean
-
-    @property
-    def predicted_cov(self) -> Array:
-        """The predicted covariances."""
-        return self.cov
+    predicted_mean: Array
+    predicted_cov: Array
 
 
 class Passed:
@@ -224,8 +216,8 @@ class Passed:
         """The slice before given the slice after, (*lead, ...); found when it is asked for."""
         plan, *ends = self._made
         (mean, cov), (later, spread) = (each.by_run for each in ends)
-        both = _Ends(np.stack([mean, later]), np.stack([cov, spread]))
-        parts = Reverse.make(plan, both).whole
+        both = np.stack([mean, later]), np.stack([cov, spread])
+        parts = Reverse.make(plan, _Ends(*both, *both)).whole
         return Conditional(*(part[0].reshape(*self._lead, *part.shape[2:]) for part in parts))
 
     @cached_property

@@ -1,0 +1,386 @@
+"""Beliefs in twice the digits, and what transitions and single components of readings make of them.
+
+They are functions m + D δ of an unknown δ, which is estimated from what was read, and they bound
+what rounding has made of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.inference.chain.vector import Measured
+from pgm.kernels import roots, twofold
+from pgm.kernels.arrays import (
+    Array,
+    Kind,
+    Mask,
+    components_last,
+    independent,
+    quiet,
+    sandwich,
+    variances,
+)
+from pgm.kernels.roots import NEGLIGIBLE
+from pgm.kernels.twofold import Twofold
+
+# The part of what is summed up to a variance that rounding may change.
+ROUNDING = 1e-31
+# The share of the largest deviation of a component below which deviations are not told apart.
+_TOLD = 1e-9
+# The parts of a mean and of a variance in float64 that rounding may change.
+_EPS = float(np.finfo(np.float64).eps)
+_LAST_DIGIT = 4.0 * _EPS
+# The part of what is summed up to an entry of D below which it is rounding.
+_CANCELLED = 1e-26
+# The part of a variance that is taken for rounding which counts as an error of the mean.
+_SUNK = 1e-6
+# By so much a variance has to exceed what rounding may have made of a zero.
+CLEAR = 100.0
+
+
+class Belief(NamedTuple):
+    """Moments as functions of δ.
+
+    Attributes
+    ----------
+    columns : Twofold
+        (runs, n, 1 + q): [m D].
+    cov : Twofold
+        (runs, n, n): P.
+    rounding : ndarray
+        (runs, n, n): a bound, as a covariance, of what rounding has changed P by so far. It goes
+        through transitions and readings as an error does.
+    drift : ndarray
+        (runs, n, n): the covariance, in that sense, of what rounding has changed m by.
+    largest : ndarray
+        (runs, n): the largest variances before readings, so far.
+    """
+
+    columns: Twofold
+    cov: Twofold
+    rounding: Array
+    drift: Array
+    largest: Array
+
+    @classmethod
+    def first(cls, columns: Twofold, cov: Twofold, rounding: float, drift: float) -> Belief:
+        """A belief of which rounding has changed variances and means by such parts."""
+        variance = variances(cov.hi)
+        moved = diagonal((drift * columns.hi[..., 0]) ** 2)
+        return cls(columns, cov, diagonal(rounding * np.abs(variance)), moved, variance)
+
+    @classmethod
+    def of(cls, mean: Array, cov: Array) -> Belief:
+        """A belief of moments (runs, n) and (runs, n, n) in float64: exact to rounding."""
+        return cls.first(Twofold(mean[..., None]), Twofold(cov), _LAST_DIGIT, _EPS)
+
+    @property
+    def moments(self) -> tuple[Array, Array]:
+        """The moments in float64, where there is no δ."""
+        return moments(self, solved(Twofold.zeros((len(self.largest), 1, 1))))
+
+    @property
+    def parts(self) -> Array:
+        """The parts of variances that rounding may have changed, (runs, n)."""
+        variance = variances(self.cov.hi)
+        found: Array = variances(self.rounding) / np.where(variance > 0.0, variance, np.inf)
+        return found
+
+    def error(self, parts: Array | None = None) -> Array:
+        """The change of a mean that rounding may have made, (runs,).
+
+        Counted from its deviation, or from 10⁻⁹ of the largest deviation that the component had,
+        where that is more: float64 cannot tell less than 10⁻¹⁶ of it. The parts of variances that
+        rounding may have changed, (runs, n), count as much.
+        """
+        variance = np.maximum(variances(self.cov.hi), 0.0)
+        unit = np.sqrt(np.maximum(variance, _TOLD**2 * self.largest))
+        changed = (self.parts if parts is None else parts) * np.sqrt(variance)
+        changed = np.maximum(changed, np.sqrt(np.maximum(variances(self.drift), 0.0)))
+        share = np.where(unit > 0.0, changed / np.where(unit > 0.0, unit, 1.0), 0.0)
+        found: Array = share.max(axis=-1, initial=0.0)
+        return found
+
+    def shifted(self, mean: Array) -> Belief:
+        """The belief with its mean moved, by (runs, n)."""
+        columns = self.columns.copy()
+        columns[..., 0] = columns[..., 0] + mean
+        return self._replace(columns=columns)
+
+    def certain(self) -> Belief:
+        """The belief with zeros where a variance may be rounding alone."""
+        floor = CLEAR * variances(self.rounding)
+        open_ = np.abs(variances(self.cov.hi)) > floor
+        if open_.all():
+            return self
+        both = open_[..., None] & open_[..., None, :]
+        sunk = np.where(open_ | (variances(self.cov.hi) == 0.0), 0.0, _SUNK * floor)
+        return self._replace(
+            cov=twofold.where(both, self.cov, 0.0),
+            rounding=np.where(both, self.rounding, 0.0),
+            drift=self.drift + diagonal(sunk),
+        )
+
+
+def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
+    """Arrays (runs, ...), nested in tuples, for runs on other axes, to which theirs broadcast."""
+    if isinstance(value, np.ndarray):
+        own = value.shape[1:]
+        return np.broadcast_to(value.reshape(*before, *own), (*after, *own)).reshape(-1, *own)
+    if isinstance(value, Twofold):
+        return Twofold(over(value.hi, before, after), over(value.lo, before, after))
+    return None if value is None else type(value)(*(over(part, before, after) for part in value))
+
+
+def cancelled(columns: Twofold, *summed: Twofold | Array) -> Twofold:
+    """[m D] with zeros in D where all that is left of what was summed up may be rounding."""
+    if columns.shape[-1] == 1:
+        return columns
+    size = sum(np.abs(part.hi if isinstance(part, Twofold) else part) for part in summed)
+    nothing = np.abs(columns.hi) <= _CANCELLED * size
+    nothing[..., 0] = False
+    return twofold.where(nothing, 0.0, columns)
+
+
+def diagonal(values: Array) -> Array:
+    """Diagonal matrices of values (..., n)."""
+    found: Array = values[..., None] * np.eye(values.shape[-1])
+    return found
+
+
+def rounded(matrix: Array, cov: Array, noise: Array | None = None) -> Array:
+    """A bound, as a covariance, of the rounding of F P Fᵀ, or of F P Fᵀ + noise."""
+    summed = _summed(matrix, cov)
+    return diagonal(ROUNDING * (summed if noise is None else summed + np.abs(variances(noise))))
+
+
+def through(matrix: Array, bound: Array) -> Array:
+    """A bound, as a covariance, of F e from that of e; what cancels is not taken for certain."""
+    return sandwich(matrix, bound) + diagonal(_LAST_DIGIT * _summed(matrix, bound))
+
+
+def _summed(matrix: Array, cov: Array) -> Array:
+    """The variances of F P Fᵀ with all summands positive."""
+    size = np.abs(matrix)
+    found: Array = ((size @ np.abs(cov)) * size).sum(axis=-1)
+    return found
+
+
+class Move(NamedTuple):
+    """An affine conditional A x + b + n: (..., n, n), (..., n) and the covariance (..., n, n).
+
+    `columns` are how it depends on δ, (..., n, q): not at all, but for a prior.
+    """
+
+    matrix: Twofold
+    offset: Twofold
+    cov: Twofold
+    columns: Twofold
+
+    def at(self, row: int) -> Move:
+        """One row of many."""
+        return Move(*(part[row] for part in self))
+
+
+@quiet()
+def predicted(belief: Belief, move: Move) -> Belief:
+    """The belief over the next slice, before its readings."""
+    matrix = move.matrix
+    summed = np.abs(matrix.hi) @ np.abs(belief.columns.hi)
+    columns = cancelled(matrix @ belief.columns, summed)
+    columns[..., 0] = columns[..., 0] + move.offset
+    cov = matrix @ belief.cov @ matrix.mT + move.cov
+    rounding = through(matrix.hi, belief.rounding) + rounded(matrix.hi, belief.cov.hi, move.cov.hi)
+    moved = ROUNDING * (summed[..., 0] + np.abs(move.offset.hi))
+    drift = through(matrix.hi, belief.drift) + diagonal(moved**2)
+    found = Belief(columns, cov, rounding, drift, belief.largest).certain()
+    return found._replace(largest=np.maximum(belief.largest, variances(found.cov.hi)))
+
+
+class Solved(NamedTuple):
+    """An estimate of δ.
+
+    Attributes
+    ----------
+    weights : Twofold
+        (runs, 1 + q, 1): [1 δ] for its mean δ; zero where nothing is known of a component.
+    cov : Twofold
+        (runs, q, q): of what is known of it.
+    open : ndarray
+        (runs, q, q): directions in which nothing is known, as columns, or zeros.
+    log_weight : ndarray
+        (runs,): what integrating δ out adds to the log-density of the readings.
+    """
+
+    weights: Twofold
+    cov: Twofold
+    open: Array
+    log_weight: Array
+
+    def between(self, first: Belief, second: Belief) -> Twofold:
+        """The share of δ in the covariance of two slices, (runs, n, n)."""
+        return first.columns[..., 1:] @ self.cov @ second.columns[..., 1:].mT
+
+
+def solved(whole: Twofold) -> Solved:
+    """The estimate of δ from W = Σ [v V]ᵀ[v V] / S, (runs, 1 + q, 1 + q).
+
+    With M = Σ VᵀV / S and y = Σ Vᵀv / S it is δ = −M⁻¹y; its covariance M⁻¹. Where M is singular,
+    its determinant is the product of the eigenvalues that are not zero: the limit of priors κ I.
+    """
+    runs, size = whole.shape[0], whole.shape[-1] - 1
+    weights = Twofold(np.zeros((runs, size + 1, 1)))
+    weights.hi[:, 0] = 1.0
+    if not size:
+        nothing = np.zeros((runs, 0, 0))
+        return Solved(weights, Twofold(nothing), nothing, np.zeros(runs))
+    unit, pivots = twofold.eliminated(whole[:, 1:, 1:], CLEAR * ROUNDING)
+    known = pivots.hi > 0.0
+    cov = twofold.inverse(unit, pivots)
+    mean = -(cov @ whole[:, 1:, :1])
+    weights[:, 1:] = mean
+    level = -(whole[:, :1, 1:] @ mean).hi[:, 0, 0]
+    log_det = np.log(np.where(known, pivots.hi, 1.0)).sum(axis=-1)
+    if not known.all():
+        spanned = np.where(known[:, None, :], unit.hi, 0.0)
+        log_det += np.linalg.slogdet(spanned.mT @ spanned + np.eye(size) * ~known[:, None, :])[1]
+    open_ = np.where(known[:, None, :], 0.0, twofold.inverse_unit(unit).mT.hi)
+    return Solved(weights, cov, open_, 0.5 * (level - log_det))
+
+
+def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
+    """Mean and covariance; the variance of a component of which nothing is known is infinite."""
+    mean, cov = (belief.columns @ unknown.weights).hi[..., 0], belief.cov
+    if not unknown.open.shape[-1]:
+        return mean, roots.semidefinite(cov.hi, 1.0 / CLEAR)
+    total = roots.semidefinite((cov + unknown.between(belief, belief)).hi, 1.0 / CLEAR)
+    slope = belief.columns.hi[..., 1:]
+    reach, size = np.abs(slope @ unknown.open), np.abs(slope) @ np.abs(unknown.open)
+    lost = np.any(reach > NEGLIGIBLE * size, axis=-1)
+    if lost.any():
+        total = np.where(lost[..., None] | lost[..., None, :], 0.0, total)
+        np.einsum("...ii->...i", total)[lost] = np.inf
+    return mean, total
+
+
+class Component(NamedTuple):
+    """A component of a reading, taken in.
+
+    Attributes
+    ----------
+    row : Twofold
+        (runs, n): h.
+    keep : Twofold
+        (runs, n, n): 1 − G h; the gain is zero where nothing was learnt.
+    innovation : Twofold
+        (runs, 1 + q): v and V.
+    weight : Twofold
+        (runs,): 1 / S, zero where nothing was learnt.
+    error : ndarray
+        (runs,): the part of S that rounding may have changed.
+    blur, drift : ndarray
+        (runs, n): the change of G that rounding may have made, and of the mean through it.
+    """
+
+    row: Twofold
+    keep: Twofold
+    innovation: Twofold
+    weight: Twofold
+    error: Array
+    blur: Array
+    drift: Array
+
+
+def take(
+    belief: Belief, row: Twofold, value: Twofold, noise: Twofold, seen: Mask
+) -> tuple[Belief, Component, Array, bool]:
+    """Take in a component; also its predictive variance, and whether that is indefinite."""
+    columns, cov, rounding, drift, _ = belief
+    cross = (cov @ row[..., None])[..., 0]
+    spread = row.dot(cross)
+    line, mean = row.hi[:, None, :], np.abs(columns.hi[..., 0])
+    variance = np.maximum(variances(cov.hi), 0.0)
+    blurred = np.maximum(sandwich(line, rounding)[:, 0, 0], 0.0)
+    floor = blurred + rounded(line, cov.hi)[:, 0, 0]
+    negative = (np.minimum(spread.hi, spread.hi + noise.hi) < -CLEAR * floor).any()
+    indefinite = bool(negative) or not np.isfinite(floor).all()
+    # What the belief leaves open may be rounding alone; the noise is none.
+    open_ = spread.hi > CLEAR * floor
+    cross = twofold.where(open_[:, None], cross, 0.0)
+    predictive = twofold.where(open_, spread, 0.0) + noise
+    # A lineariser's error may be negative, and take more than there is.
+    indefinite |= bool((seen & (noise.hi < 0.0) & (predictive.hi <= 0.0)).any())
+    read = seen & (predictive.hi > 0.0)
+    weight = twofold.where(read, 1.0 / twofold.where(read, predictive, 1.0), 0.0)
+    summed = floor - blurred + ROUNDING * np.abs(noise.hi)
+    innovation = -(row[:, None, :] @ columns)[:, 0]
+    innovation[:, 0] = innovation[:, 0] + value
+    missed = np.abs(innovation.hi[:, :1])
+    gain = cross * weight[:, None]
+    keep = np.eye(cov.shape[-1]) - gain[..., None] * row[:, None, :]
+    own = (gain * noise[:, None])[..., None] * gain[:, None, :]
+    # A change E of P changes G by (1 − G h) E hᵀ/S.
+    kept = through(keep.hi, rounding)
+    blur = np.sqrt(np.maximum(variances(kept) * blurred[:, None], 0.0))
+    blur = (blur + np.abs(gain.hi) * summed[:, None]) * weight.hi[:, None]
+    added = (np.abs(row.hi) * mean).sum(axis=-1) + np.abs(value.hi)
+    moved = blur * missed + ROUNDING * (mean + np.abs(gain.hi) * added[:, None])
+    unheard = np.where(read & ~open_, CLEAR * floor * weight.hi**2, 0.0)[:, None]
+    moved = moved + np.sqrt(unheard * variance) * missed
+    # A noise that S does not tell from rounding leaves no digit of what float64 tells at all.
+    untold = read & (noise.hi > 0.0) & (noise.hi < CLEAR * summed)
+    if untold.any():
+        moved = moved + _TOLD * np.sqrt(variance) * (gain.hi != 0.0) * untold[:, None]
+    terms = np.abs(gain.hi)[..., None] * (np.abs(line) @ np.abs(columns.hi))
+    columns = cancelled(columns + gain[..., None] * innovation[:, None, :], columns, terms)
+    # What rounding has left of a zero in 1 − G h is squared.
+    again = np.eye(cov.shape[-1]) + np.abs(gain.hi[..., None] * line)
+    rounding = kept + rounded(keep.hi, cov.hi, own.hi) + ROUNDING * rounded(again, cov.hi)
+    drift = through(keep.hi, drift) + diagonal(moved**2)
+    cov = keep @ cov @ keep.mT + own
+    after = Belief(columns, cov, rounding, drift, belief.largest).certain()
+    component = Component(row, keep, innovation, weight, floor * weight.hi, blur, moved)
+    return after, component, predictive.hi, indefinite
+
+
+def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twofold, Twofold, Mask]:
+    """The components of readings, each with an error of its own.
+
+    Returns
+    -------
+    rows : Twofold
+        (runs, D, n + 1): h, and the reading less the CPD's offset.
+    noises : Twofold
+        (runs, D): variances.
+    taken : ndarray of bool
+        (runs, D).
+    """
+    height = sum(len(seen.value) for seen in parts)
+    rows = Twofold.zeros((runs, height, width + 1))
+    noise = np.zeros((runs, height, height))
+    taken = np.ones((runs, height), dtype=bool)
+    top = 0
+    for seen in parts:
+        place = slice(top, top := top + len(seen.value))
+        rows.hi[:, place, :-1][..., seen.sensor.parents] = _by_run(seen.matrix, 2)
+        rows[:, place, -1] = Twofold(_by_run(seen.reading, 1)) - _by_run(seen.constant, 1)
+        noise[:, place, place] = _by_run(seen.noise, 2)
+        if seen.taken is not None:
+            there = _by_run(seen.taken, 1)
+            taken[:, place] = there
+            rows[:, place] = twofold.where(there[..., None], rows[:, place], 0.0)
+            noise[:, place, place] = independent(noise[:, place, place], there)
+    own = variances(noise)
+    if np.count_nonzero(noise) == np.count_nonzero(own):
+        return rows, Twofold(own.copy()), taken
+    unit, noises = twofold.eliminated(noise, NEGLIGIBLE)
+    return twofold.solve_unit(unit, rows), noises, taken
+
+
+def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
+    """An array (own axes, *batch) with an axis of runs first."""
+    return array[None] if array.ndim == own else components_last(array, own)
