@@ -92,7 +92,7 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
             cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
         draws, lead = ChainDraws.make(posterior), posterior._plan.lead
     elif isinstance(posterior, GaussianPosterior):
-        draws, lead = TreeDraws.make(posterior), posterior._buffer.model.lead
+        draws, lead = TreeDraws.make(posterior), posterior._model.lead
     else:
         raise ModelError(_advice(posterior))
     known = posterior.log_evidence

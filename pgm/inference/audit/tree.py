@@ -47,7 +47,7 @@ class TreeDraws:
                 f"{posterior!r}: an audit draws from the joint of all variables, which only a "
                 "calibrated tree has; infer on pgm.compile(network)"
             )
-        model = posterior._buffer.model
+        model = posterior._model
         exact = False
         for group, family in zip(model.layout.groups, model.families, strict=True):
             if group.observed:
@@ -60,7 +60,7 @@ class TreeDraws:
 
     @classmethod
     def _make(cls, posterior: GaussianPosterior, *, relative: bool) -> TreeDraws:
-        model = posterior._buffer.model
+        model = posterior._model
         layout, runs = model.layout, model.runs
         mean, cov = np.zeros((runs, 0)), np.zeros((runs, 0, 0))
         if layout.size:

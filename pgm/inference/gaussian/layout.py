@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -141,6 +142,12 @@ class Layout:
             for scope in self.scopes
         ]
 
+    def columns_of(self, clusters: Integers, places: Integers) -> Integers:
+        """Where components (B, n) stand in the scopes of clusters (B,)."""
+        pairs = zip(clusters.tolist(), places.tolist(), strict=True)
+        found = [[self.columns[cluster][place] for place in row] for cluster, row in pairs]
+        return np.array(found, dtype=np.intp).reshape(places.shape)
+
     @cached_property
     def directed(self) -> Directed:
         """The messages."""
@@ -192,17 +199,14 @@ class Layout:
         return observed, first.child.dimension, dimension(self.without_evidence(first.given))
 
     @cached_property
-    def shapes(self) -> list[range]:
+    def shapes(self) -> list[list[int]]:
         """The groups whose factors have one shape, which stand together."""
-        found: list[range] = []
-        for k, group in enumerate(self.groups):
-            shape = group.observed, group.height, group.width
-            first = self.groups[found[-1].start] if found else None
-            if first is not None and shape == (first.observed, first.height, first.width):
-                found[-1] = range(found[-1].start, k + 1)
-            else:
-                found.append(range(k, k + 1))
-        return found
+
+        def shape(k: int) -> tuple[bool, int, int]:
+            group = self.groups[k]
+            return group.observed, group.height, group.width
+
+        return [list(alike) for _, alike in groupby(range(len(self.groups)), shape)]
 
     @cached_property
     def order(self) -> list[tuple[int, int]]:

@@ -89,14 +89,10 @@ class Rounds:
         return self.own_rows + np.cumsum([0, *self.sizes])
 
     @cached_property
-    def identity(self) -> Integers:
-        """The diagonal entries of all messages."""
-        starts = self.entry_starts.tolist()
-        found = [
-            start + np.arange(size) * (size + 1)
-            for start, size in zip(starts, self.sizes.tolist(), strict=False)
-        ]
-        return np.concatenate([np.zeros(0, dtype=np.intp), *found])
+    def by_size(self) -> list[tuple[int, Integers]]:
+        """The messages of each size of sepsets."""
+        every = np.unique(self.sizes).tolist()
+        return [(size, np.flatnonzero(self.sizes == size)) for size in every]
 
     @cached_property
     def _factors(self) -> list[tuple[list[Integers], list[Integers]]]:
