@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 
@@ -61,8 +60,6 @@ class Group:
         (rows, n): where the hidden parents stand.
     clusters : ndarray of int
         (rows,): the cluster that each CPD is assigned to.
-    entries, rows : int
-        Where the group's first matrix entry and first row stand in a buffer of all groups.
     """
 
     cpds: tuple[ConditionalGaussian, ...]
@@ -71,8 +68,6 @@ class Group:
     child: Integers
     parents: Integers
     clusters: Integers
-    entries: int
-    rows: int
 
     @property
     def height(self) -> int:
@@ -83,6 +78,10 @@ class Group:
     def width(self) -> int:
         """Columns of each CPD's factor: the hidden components of the family."""
         return int(self.child.shape[1] + self.parents.shape[1])
+
+    def shape(self) -> tuple[bool, int, int]:
+        """Whether the children are observed; rows and columns."""
+        return self.observed, self.height, self.width
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,40 +172,26 @@ class Layout:
         for cpd in self._cpds:
             mask = tuple(v in self.observed for v in cpd.given)
             alike.setdefault((cpd.origin, mask, cpd.child in self.observed), []).append(cpd)
-        made = []
-        entries = rows = 0
-        for (_, _, observed), cpds in sorted(alike.items(), key=self._shape):
-            hidden = self.without_evidence(cpds[0].given)
+        groups = []
+        for (_, _, observed), cpds in alike.items():
+            hidden = [self.without_evidence(cpd.given) for cpd in cpds]
             none = np.zeros((len(cpds), 0), dtype=np.intp)
             group = Group(
                 tuple(cpds),
-                hidden,
+                hidden[0],
                 observed,
                 none if observed else np.array([self.places[cpd.child] for cpd in cpds]),
-                np.array([self.components(self.without_evidence(cpd.given)) for cpd in cpds]),
+                np.array([self.components(scope) for scope in hidden]),
                 np.array([home[cpd.child] for cpd in cpds], dtype=np.intp),
-                entries,
-                rows,
             )
-            made.append(group)
-            rows += len(cpds) * group.height
-            entries += len(cpds) * group.height * group.width
-        return made
-
-    def _shape(self, item: tuple[Any, list[ConditionalGaussian]]) -> tuple[bool, int, int]:
-        """Rows and columns of a group's factors; whether its children are observed."""
-        (_, _, observed), (first, *_) = item
-        return observed, first.child.dimension, dimension(self.without_evidence(first.given))
+            groups.append(group)
+        return sorted(groups, key=Group.shape)
 
     @cached_property
     def shapes(self) -> list[list[int]]:
         """The groups whose factors have one shape, which stand together."""
-
-        def shape(k: int) -> tuple[bool, int, int]:
-            group = self.groups[k]
-            return group.observed, group.height, group.width
-
-        return [list(alike) for _, alike in groupby(range(len(self.groups)), shape)]
+        every = groupby(enumerate(self.groups), lambda item: item[1].shape())
+        return [[k for k, _ in alike] for _, alike in every]
 
     @cached_property
     def order(self) -> list[tuple[int, int]]:
@@ -223,18 +208,12 @@ class Layout:
             cpd.child: [v for v in cpd.given if v not in self.observed] for cpd in self._cpds
         }
         needed = {v for found in parents.values() for v in found}
-        done: set[Variable] = set()
-        found: list[tuple[int, int]] = []
-        for cpd in self._cpds:
-            stack = [] if cpd.child in needed and cpd.child not in self.observed else [cpd.child]
-            while stack:
-                child = stack[-1]
-                waiting = [] if child in done else [v for v in parents[child] if v not in done]
-                if waiting:
-                    stack.extend(reversed(waiting))
-                    continue
-                stack.pop()
-                if child not in done:
-                    done.add(child)
-                    found.append(where[child])
-        return found
+        stack = [v for v in reversed(parents) if v in self.observed or v not in needed]
+        done: dict[Variable, None] = {}
+        while stack:
+            waiting = [v for v in parents[stack[-1]] if v not in done]
+            if waiting:
+                stack.extend(reversed(waiting))
+            else:
+                done[stack.pop()] = None
+        return [where[child] for child in done]

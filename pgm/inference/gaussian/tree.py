@@ -48,15 +48,18 @@ class TreePlan:
     @cached_property
     def levels(self) -> list[list[Stack]]:
         """The messages to parents, depth by depth; the roots' beliefs last."""
-        directed = self.layout.directed
-        upward = {
-            int(directed.source[m]): m
-            for m in range(len(directed))
-            if self.forest.parent[directed.source[m]] == directed.target[m]
-        }
-        *below, roots = [level.tolist() for level in reversed(self.forest.levels)]
-        found = [self.rounds.messages([upward[i] for i in level]) for level in below]
-        return [*found, self.rounds.beliefs(roots)]
+        *below, roots = reversed(self.forest.levels)
+        found = [self.rounds.messages(self.upward[level].tolist()) for level in below]
+        return [*found, self.rounds.beliefs(roots.tolist())]
+
+    @cached_property
+    def upward(self) -> Integers:
+        """The message of each cluster to its parent, (clusters,); −1 of a root."""
+        source, target = self.layout.directed.source, self.layout.directed.target
+        found = np.full(len(self.forest.parent), -1)
+        messages = np.flatnonzero(self.forest.parent[source] == target)
+        found[source[messages]] = messages
+        return found
 
     @cached_property
     def senders(self) -> dict[int, tuple[int, int, int]]:
@@ -71,16 +74,8 @@ class TreePlan:
     @cached_property
     def both_ways(self) -> list[list[Stack]]:
         """The messages to parents, deepest first, then those to children."""
-        directed, parent = self.layout.directed, self.forest.parent
-        downward = {
-            int(directed.target[m]): m
-            for m in range(len(directed))
-            if parent[directed.target[m]] == directed.source[m]
-        }
-        down = [
-            self.rounds.messages([downward[i] for i in level.tolist()])
-            for level in self.forest.levels[1:]
-        ]
+        downward = (self.upward[level] ^ 1 for level in self.forest.levels[1:])
+        down = [self.rounds.messages(messages.tolist()) for messages in downward]
         return [*self.levels[:-1], *down]
 
     @cached_property
