@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.errors import GraphError
-from pgm.inference.audit.density import Term, refuse_exact
+from pgm.inference.audit.density import Term, has_exact
 from pgm.inference.audit.proposal import Proposal
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.posterior import GaussianPosterior
-from pgm.kernels import roots
 from pgm.kernels.arrays import Array
 from pgm.kernels.moments import Conditional
 
@@ -48,11 +47,8 @@ class TreeDraws:
                 "calibrated tree has; infer on pgm.compile(network)"
             )
         model = posterior._model
-        exact = False
-        for group, family in zip(model.layout.groups, model.families, strict=True):
-            if group.observed:
-                refuse_exact(family)
-                exact |= bool(roots.determined(roots.root(family.own_noise)).any())
+        every = zip(model.layout.groups, model.families, strict=True)
+        exact = has_exact(family for group, family in every if group.observed)
         draws = cls._make(posterior, relative=False)
         if exact or not draws.proposal.regular:
             return cls._make(posterior, relative=True)

@@ -68,12 +68,11 @@ class Places:
     @cached_property
     def homes(self) -> tuple[Integers, Integers]:
         """For each component the smallest cluster that holds it, and its column there."""
-        cluster = np.full(self.layout.size, -1, dtype=np.intp)
-        column = np.empty(self.layout.size, dtype=np.intp)
-        for k in sorted(range(len(self.sizes)), key=self.sizes.__getitem__):
-            for place, at in self.layout.columns[k].items():
-                if cluster[place] < 0:
-                    cluster[place], column[place] = k, at
+        cluster, column = np.empty((2, self.layout.size), dtype=np.intp)
+        # Of clusters of one size the first is written last, and stays.
+        for k in reversed(np.argsort(self.sizes, kind="stable").tolist()):
+            places = list(self.layout.columns[k])
+            cluster[places], column[places] = k, np.arange(len(places))
         return cluster, column
 
     @cached_property

@@ -13,7 +13,7 @@ from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.potentials import Flat, make_potentials
 from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.rounds import Rounds, Stack
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.rows import Eliminated, Rows, eliminate
 
 
@@ -84,7 +84,8 @@ class Buffer:
         done = eliminate(self.factor(stack), stack.drop)
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
         if done.contradiction is not None and done.contradiction.any():
-            self._refuse_contradiction(stack, done.contradiction)
+            v, b, n = (int(axis[0]) for axis in np.nonzero(done.contradiction))
+            raise contradiction(self.model, int(stack.clusters[b]), max(v, n))
         unit = np.log(self.model.frame.scale[stack.components[:, : stack.drop]]).sum(axis=1)
         known = self.log_scale[:, stack.logs].sum(axis=2)
         return done, known + done.log_scale + unit[:, None]
@@ -109,10 +110,6 @@ class Buffer:
             self.exact.put(entries[:, :count], rows[:, :count], rest.exact, rest.exact_right)
         if log_scale is not None:
             self.log_scale[:, len(self.rounds.layout.scopes) + stack.members] = log_scale
-
-    def _refuse_contradiction(self, stack: Stack, where: Mask) -> None:
-        v, b, n = (int(axis[0]) for axis in np.nonzero(where))
-        raise contradiction(self.model, int(stack.clusters[b]), max(v, n))
 
     def require_finite(self, done: Array, clusters: Iterable[int]) -> None:
         """Refuse a belief that does not exist."""

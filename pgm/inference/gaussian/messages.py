@@ -13,15 +13,15 @@ from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.rounds import Stack
 from pgm.inference.loopy import LOST, Directed
 from pgm.kernels import moments, row_messages
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Mask
 from pgm.kernels.rows import Rows, eliminate
 
 
 class RowRound(NamedTuple):
-    """Some messages, in stacks of one shape; `order` is where each stack's stand among them."""
+    """Some messages, and the stacks of one shape that compute them."""
 
+    messages: list[int]
     stacks: list[Stack]
-    order: list[Integers]
 
 
 @dataclass(eq=False)
@@ -59,25 +59,21 @@ class RowMessages:
 
     def round(self, messages: Sequence[int]) -> RowRound:
         """Lay out the computation of some messages, in stacks of one shape."""
-        place = {message: k for k, message in enumerate(messages)}
-        stacks = self.buffer.rounds.messages(messages)
-        return RowRound(
-            stacks, [np.array([place[m] for m in stack.members.tolist()]) for stack in stacks]
-        )
+        return RowRound(list(messages), self.buffer.rounds.messages(messages))
 
     def propose(self, round: RowRound) -> Array:
         """Compute them from the messages kept; how much each would change, (messages, runs)."""
         self._proposed = []
-        change = np.empty((sum(order.size for order in round.order), self.runs))
-        for stack, order in zip(*round, strict=True):
+        change = np.empty((len(self.directed), self.runs))
+        for stack in round.stacks:
             done, _ = self.buffer.eliminate(stack)
             self._proposed.append((stack, done.rest))
             old, against = (
                 self.buffer.messages(members, stack.kept)
                 for members in (stack.members, stack.members ^ 1)
             )
-            change[order] = row_messages.change(old, done.rest, against)
-        return change
+            change[stack.members] = row_messages.change(old, done.rest, against)
+        return change[round.messages]
 
     def accept(self, round: RowRound, active: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active.

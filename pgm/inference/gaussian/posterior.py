@@ -20,7 +20,7 @@ from pgm.inference.gaussian.tree import TreePlan
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
-from pgm.kernels.arrays import Array, Integers, apply, frozen, quiet, transpose
+from pgm.kernels.arrays import Array, Integers, apply, frozen, inner, quiet, transpose
 from pgm.kernels.rows import Rows
 from pgm.variables import Variable
 
@@ -47,6 +47,7 @@ class GaussianPosterior(Posterior):
     _buffer: Buffer | None
     _sent: RowMessages | None = None
 
+    @quiet()
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a variable without evidence."""
         places = self._require_hidden(variable)
@@ -76,8 +77,7 @@ class GaussianPosterior(Posterior):
     def _read(self, scope: Scope, cluster: int) -> Gaussian:
         components = self._plan.layout.components(scope)
         where, entries = self._plan.places.of(np.array([cluster]), components[None])
-        with quiet():
-            mean, cov = self._done.beliefs.moments(where[0], entries[0], components)
+        mean, cov = self._done.beliefs.moments(where[0], entries[0], components)
         return self._gaussian(scope, mean, cov)
 
     def _gaussian(self, scope: Scope, mean: Array, cov: Array) -> Gaussian:
@@ -92,6 +92,7 @@ class GaussianPosterior(Posterior):
         wide = np.broadcast_to(cov, (*mean.shape, size))
         return Gaussian._make(scope, mean.reshape(*lead, size), wide.reshape(*lead, size, size))
 
+    @quiet()
     def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
         """The joint of variables without evidence, in the order given.
 
@@ -121,9 +122,7 @@ class GaussianPosterior(Posterior):
             )
         beliefs = self._done.beliefs
         require_runs(wanted.size**2, len(beliefs.cov), f"the joint of {len(scope)} variables")
-        with quiet():
-            mean, cov = joint_moments(self._plan, beliefs, wanted)
-        return self._gaussian(scope, mean, cov)
+        return self._gaussian(scope, *joint_moments(self._plan, beliefs, wanted))
 
     @cached_property
     def _messages(self) -> RowMessages:
@@ -135,6 +134,7 @@ class GaussianPosterior(Posterior):
         messages.send_once(self._plan.both_ways)
         return messages
 
+    @quiet()
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
         """The message from one cluster to a neighbour, over their sepset.
 
@@ -149,20 +149,18 @@ class GaussianPosterior(Posterior):
             If the message has no canonical form, since CPDs without noise determine it.
         """
         i, j = self.graph.index(source), self.graph.index(target)
-        edges = self._plan.layout.graph.sepsets
-        edge = (min(i, j), max(i, j))
+        edges, edge = list(self.graph.sepsets), (min(i, j), max(i, j))
         if edge not in edges:
             raise GraphError(
                 f"clusters {i} and {j} are not joined; the neighbours of {i} are "
                 f"{self.graph.neighbours(i)}",
                 cluster=i,
             )
-        number = 2 * list(edges).index(edge) + (i > j)
-        with quiet():
-            factor, log_scale = self._messages.kept(number)
-        scope = self._plan.layout.sepsets[number // 2]
-        return self._form(factor, log_scale, scope, f"the message from cluster {i} to {j}", i)
+        place = edges.index(edge)
+        found, scope = self._messages.kept(2 * place + (i > j)), self._plan.layout.sepsets[place]
+        return self._form(*found, scope, f"the message from cluster {i} to {j}", i)
 
+    @quiet()
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its variables without evidence, unnormalised.
 
@@ -172,10 +170,8 @@ class GaussianPosterior(Posterior):
             If the belief has no canonical form, since its covariance is singular.
         """
         index = self.graph.index(cluster)
-        with quiet():
-            factor, log_scale = self._messages.belief(index)
-        scope = self._plan.layout.scopes[index]
-        return self._form(factor, log_scale, scope, f"the belief of cluster {index}", index)
+        found, scope = self._messages.belief(index), self._plan.layout.scopes[index]
+        return self._form(*found, scope, f"the belief of cluster {index}", index)
 
     def _form(
         self, factor: Rows, log_scale: Array, scope: Scope, what: str, cluster: int
@@ -187,30 +183,22 @@ class GaussianPosterior(Posterior):
                 "determine a part of it; posterior[...] and joint(...) have its moments",
                 cluster=cluster,
             )
-        with quiet():
-            K, h, g = self._canonical(factor, log_scale, scope)
-        if not (np.isfinite(K).all() and np.isfinite(h).all() and np.isfinite(g).all()):
+        frame, places = self._model.frame, self._plan.layout.components(scope)
+        matrix, at = factor.matrix / frame.scale[places], frame.mean[:, places]
+        right = runs_first(factor.right) + apply(matrix, at)
+        K = np.broadcast_to(transpose(matrix) @ matrix, (*at.shape, places.size))
+        h = apply(transpose(matrix), right)
+        g = runs_first(log_scale) - 0.5 * inner(right, right)
+        if not all(np.isfinite(part).all() for part in (K, h, g)):
             raise NumericalError(
                 f"{what}, over {names(scope)}, has no canonical form in float64: its information "
                 "is out of range; posterior[...] and joint(...) have its moments",
                 cluster=cluster,
             )
-        return CanonicalForm._make(scope, K, h, g)
-
-    def _canonical(
-        self, factor: Rows, log_scale: Array, scope: Scope
-    ) -> tuple[Array, Array, Array]:
-        frame = self._model.frame
-        places = self._plan.layout.components(scope)
-        matrix = factor.matrix / frame.scale[places]
-        at = frame.mean[:, places]
-        right = runs_first(factor.right) + apply(matrix, at)
-        K = transpose(matrix) @ matrix
-        h = apply(transpose(matrix), right)
-        g = runs_first(log_scale) - 0.5 * (right * right).sum(axis=-1)
-        lead, size = self._model.lead, places.size
-        K = np.broadcast_to(K, (at.shape[0], size, size))
-        return K.reshape(*lead, size, size), h.reshape(*lead, size), g.reshape(lead)
+        lead = self._model.lead
+        return CanonicalForm._make(
+            scope, *(part.reshape((*lead, *part.shape[1:])) for part in (K, h, g))
+        )
 
     @property
     def log_evidence(self) -> Array:

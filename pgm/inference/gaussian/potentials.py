@@ -86,14 +86,10 @@ def make_potentials(model: Model) -> Potentials:
         empty = np.zeros((stacked, 0, sides))
         return Potentials(Flat(np.zeros((stacked, 0)), empty), None, empty, 0.0)
     parts = [_factor(model, groups) for groups in model.layout.shapes]
-    fixed = any(part.fixed.any() for part in parts)
     return Potentials(
-        Flat.of(
-            [np.where(part.fixed[..., None], 0.0, part.matrix) for part in parts],
-            [np.where(part.fixed[..., None], 0.0, part.right) for part in parts],
-        ),
+        Flat.of([part.matrix for part in parts], [part.right for part in parts]),
         Flat.of([part.exact for part in parts], [part.exact_right for part in parts])
-        if fixed
+        if any(part.fixed for part in parts)
         else None,
         np.concatenate([part.log_scale for part in parts], axis=1),
         max(part.coarse for part in parts),
@@ -159,13 +155,13 @@ class _Linearised(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Factor:
-    """The rows of some CPDs: (V, CPDs, d, w), (V, CPDs, d, N); which are exact, (V, CPDs, d)."""
+    """The rows of some CPDs, (V, CPDs, d, w) and (V, CPDs, d, N); whether some are exact."""
 
     matrix: Array
     right: Array
     exact: Array
     exact_right: Array
-    fixed: Mask
+    fixed: bool
     log_scale: Array
     coarse: float
 
@@ -201,7 +197,7 @@ def _factor(model: Model, groups: list[int]) -> _Factor:
     if not fixed.any():
         none = np.zeros_like(matrix), np.zeros_like(right)
         coarse = COARSE * float(size.max(initial=0.0))
-        return _Factor(matrix, right, *none, fixed, log_scale, coarse)
+        return _Factor(matrix, right, *none, False, log_scale, coarse)
     exact = np.where(given.known[:, None], 0.0, matrix)
     length = np.sqrt(np.einsum("...ij,...ij->...i", exact, exact))
     # A row without variables left is evidence that is met or not, in units of its own size.
@@ -217,11 +213,11 @@ def _factor(model: Model, groups: list[int]) -> _Factor:
     if given.doubtful.any() or (roots.determined(roots.root(correlation)) != fixed).any():
         coarse = np.inf
     return _Factor(
-        matrix,
-        right,
+        np.where(fixed[..., None], 0.0, matrix),
+        np.where(fixed[..., None], 0.0, right),
         exact * share,
         right * np.where(nothing[..., None], 1.0 / size, share),
-        fixed,
+        True,
         log_scale - np.log(length).sum(axis=-1)[..., None],
         coarse,
     )
