@@ -110,8 +110,8 @@ class Model:
             for group in layout.groups
         ]
         moved = [
-            None if reading is None else np.broadcast_to(reading, (len(reading), bound.runs, d))
-            for reading, d in zip(readings, (g.height for g in layout.groups), strict=True)
+            None if rows is None else np.broadcast_to(rows, (len(rows), bound.runs, rows.shape[2]))
+            for rows in readings
         ]
         model = cls(layout, bound.lead, families, readings, moved, taken, shared, frame, points)
         model._follow(frame.mean, np.ones(bound.runs, dtype=bool))

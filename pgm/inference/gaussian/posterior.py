@@ -44,7 +44,6 @@ class GaussianPosterior(Posterior):
     _plan: TreePlan
     _model: Model
     _done: Calibrated
-    _buffer: Buffer | None
     _sent: RowMessages | None = None
 
     @quiet()

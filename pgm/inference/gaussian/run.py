@@ -63,7 +63,7 @@ def run(
                 found = _sent(plan, buffer, schedule)
             else:
                 done, status = _iterated(model, lambda: calibrate(plan, buffer), schedule)
-                found = GaussianPosterior(graph, status, plan, model, done, buffer)
+                found = GaussianPosterior(graph, status, plan, model, done)
             digits = kept_digits(buffer, found._done.beliefs, found._done.log_evidence)
             if digits >= SAFE_DIGITS or (loopy and not found.status.converged.all()):
                 return found
@@ -77,7 +77,7 @@ def run(
         done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
         assert done.digits is not None
         status = status.with_digits(done.digits.reshape(bound.lead))
-        return GaussianPosterior(graph, status, plan, model, done, None)
+        return GaussianPosterior(graph, status, plan, model, done)
 
 
 def _plan(
@@ -88,12 +88,10 @@ def _plan(
 
 def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
     """The posterior of a graph of any shape."""
-    model = buffer.model
+    graph, model = plan.layout.graph, buffer.model
     messages = RowMessages.make(buffer, plan.places, schedule.damping)
     status = run_loopy(messages, schedule, model.lead)
-    return GaussianPosterior(
-        plan.layout.graph, status, plan, model, messages.calibrated(), buffer, messages
-    )
+    return GaussianPosterior(graph, status, plan, model, messages.calibrated(), messages)
 
 
 @dataclass(frozen=True, eq=False)
