@@ -16,7 +16,7 @@ from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
 from pgm.inference.parts.run import run as run_chain
 from pgm.inference.posterior import Posterior
-from pgm.inference.schedule import Calibration, Filtering, FixedLag, Loopy, Schedule, Smoothing
+from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule, Smoothing
 from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.variables import Variable
@@ -181,15 +181,13 @@ def infer(
             f"{schedule!r}: the damping of linearisation points is for dynamic networks; on other "
             "graphs pgm.Flooding(damping=...) damps messages"
         )
-    if schedule is None and not graph.is_tree:
+    if not graph.is_tree and not isinstance(schedule, Loopy):
+        advice = f"and {schedule!r} is for trees; give"
+        if schedule is None:
+            advice = "on which messages go round: say how,"
         raise GraphError(
-            f"{graph!r} has loops, on which messages go round: say how, schedule=pgm.Flooding(), "
-            "pgm.Sequential() or pgm.Residual()"
-        )
-    if isinstance(schedule, Calibration) and not graph.is_tree:
-        raise GraphError(
-            f"{graph!r} has loops, and {schedule!r} is for trees; give schedule=pgm.Flooding(), "
-            "pgm.Sequential() or pgm.Residual()"
+            f"{graph!r} has loops, {advice} schedule=pgm.Flooding(), pgm.Sequential() or "
+            "pgm.Residual()"
         )
     if graph.network.discrete:
         if start is not None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.errors import NumericalError
-from pgm.inference.audit.density import Term, refuse_exact
+from pgm.inference.audit.density import Term, has_exact
 from pgm.inference.audit.proposal import Proposal
 from pgm.inference.chain import backward
 from pgm.inference.chain.backward import Beliefs, Reverse
@@ -53,7 +53,7 @@ class ChainDraws:
     def make(cls, posterior: ChainPosterior) -> ChainDraws:
         """Prepare to draw from the smoothed joint of a posterior's linearisation."""
         plan = posterior._plan
-        exact = _exact(plan)
+        exact = has_exact(s.family for s in plan.sensors if s.family.step.size)
         reverse = posterior._reverse
         smoothed = posterior.kind == SMOOTHED
         beliefs = posterior._beliefs if smoothed else backward.sweep(posterior._forward, reverse)
@@ -163,14 +163,6 @@ def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
     for link, term in links:
         free[..., link.child.start - start : link.child.stop - start] = term.free()
     return free
-
-
-def _exact(plan: ChainPlan) -> bool:
-    """Whether some sensor read has singular noise."""
-    read = [sensor for sensor in plan.sensors if sensor.family.step.size]
-    for sensor in read:
-        refuse_exact(sensor.family)
-    return any(sensor.exact for sensor in read)
 
 
 def _refuse_grouped(plan: ChainPlan) -> None:

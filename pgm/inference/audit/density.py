@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -52,7 +53,8 @@ class Term:
         if not relative or family.exact:
             return cls(family, own, relative, taken=taken)
         linearised = roots.root(noise)
-        if roots.determined(own).any() or not _regular(linearised):
+        singular = any(roots.determined(root).any() for root in (own, linearised))
+        if singular or not roots.is_proper(linearised):
             cpd = family.cpd
             raise NumericalError(
                 f"{cpd!r} is nonlinear and its noise is singular or that of its linearisation is "
@@ -182,17 +184,20 @@ class Term:
         )
 
 
-def refuse_exact(family: Family) -> None:
-    """Refuse readings of a nonlinear sensor whose noise is singular."""
-    if family.exact or not roots.determined(roots.root(family.own_noise)).any():
-        return
-    cpd = family.cpd
-    raise NumericalError(
-        f"{cpd!r} is nonlinear, its noise is singular, and it has readings: they leave a curved "
-        "set of states, which no Gaussian draw meets; give it noise in all components",
-        variable=cpd.child,
-        cpd=cpd,
-    )
+def has_exact(read: Iterable[Family]) -> bool:
+    """Whether the noise of some readings is singular; refuses such ones of nonlinear sensors."""
+    found = [f for f in read if roots.determined(roots.root(f.own_noise)).any()]
+    for family in found:
+        if not family.exact:
+            cpd = family.cpd
+            raise NumericalError(
+                f"{cpd!r} is nonlinear, its noise is singular, and it has readings: they leave a "
+                "curved set of states, which no Gaussian draw meets; give it noise in all "
+                "components",
+                variable=cpd.child,
+                cpd=cpd,
+            )
+    return bool(found)
 
 
 def _at(stacked: Stack, rows: int | slice) -> Stack:
@@ -201,10 +206,6 @@ def _at(stacked: Stack, rows: int | slice) -> Stack:
         rows = 0 if isinstance(rows, int) else slice(None)
     part: Stack = stacked[rows]
     return part
-
-
-def _regular(lower: Array) -> bool:
-    return roots.is_proper(lower) and not bool(roots.determined(lower).any())
 
 
 def _log_density(lower: Array, residual: Array) -> Array:

@@ -52,9 +52,7 @@ class InnovationCheck:
         correlation, deviation = autocorrelation(white[:-1], white[1:])
         return cls(
             sensor,
-            frozen(
-                np.asarray(np.divide(squares, dof, where=dof > 0, out=np.full(dof.shape, np.nan)))
-            ),
+            frozen(np.where(dof > 0, squares / np.maximum(dof, 1), np.nan)),
             float(squares.sum() / read) if read else np.nan,
             BAND * float(np.sqrt(2.0 / read)) if read else np.nan,
             correlation,

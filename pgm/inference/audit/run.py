@@ -90,9 +90,9 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
     if isinstance(posterior, ChainPosterior):
         for cpd in posterior.graph.model.prior:
             cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
-        draws, lead = ChainDraws.make(posterior), posterior._plan.lead
+        draws = ChainDraws.make(posterior)
     elif isinstance(posterior, GaussianPosterior):
-        draws, lead = TreeDraws.make(posterior), posterior._buffer.model.lead
+        draws = TreeDraws.make(posterior)
     else:
         raise ModelError(_advice(posterior))
     known = posterior.log_evidence
@@ -104,7 +104,7 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
         with np.errstate(over="ignore"):  # a residual too large to be squared has no weight
             weights[:, first : first + count] = draws.log_weights(count, generator)
     seen = checks(posterior.innovations) if isinstance(posterior, ChainPosterior) else {}
-    return Audit(weights.reshape(*lead, samples), known, seen)
+    return Audit(weights.reshape(*known.shape, samples), known, seen)
 
 
 def _advice(posterior: Any) -> str:

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.errors import GraphError
-from pgm.inference.audit.density import Term, refuse_exact
+from pgm.inference.audit.density import Term, has_exact
 from pgm.inference.audit.proposal import Proposal
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.posterior import GaussianPosterior
-from pgm.kernels import roots
 from pgm.kernels.arrays import Array
 from pgm.kernels.moments import Conditional
 
@@ -47,12 +46,9 @@ class TreeDraws:
                 f"{posterior!r}: an audit draws from the joint of all variables, which only a "
                 "calibrated tree has; infer on pgm.compile(network)"
             )
-        model = posterior._buffer.model
-        exact = False
-        for group, family in zip(model.layout.groups, model.families, strict=True):
-            if group.observed:
-                refuse_exact(family)
-                exact |= bool(roots.determined(roots.root(family.own_noise)).any())
+        model = posterior._model
+        every = zip(model.layout.groups, model.families, strict=True)
+        exact = has_exact(family for group, family in every if group.observed)
         draws = cls._make(posterior, relative=False)
         if exact or not draws.proposal.regular:
             return cls._make(posterior, relative=True)
@@ -60,7 +56,7 @@ class TreeDraws:
 
     @classmethod
     def _make(cls, posterior: GaussianPosterior, *, relative: bool) -> TreeDraws:
-        model = posterior._buffer.model
+        model = posterior._model
         layout, runs = model.layout, model.runs
         mean, cov = np.zeros((runs, 0)), np.zeros((runs, 0, 0))
         if layout.size:

@@ -1,9 +1,9 @@
-"""Relinearising: linearise at a point, solve, choose the next point, until it stays."""
+"""Relinearising chains and trees: linearise, solve, choose the next point, until it stays."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -55,18 +55,13 @@ class Point(NamedTuple):
         pair = np.concatenate([before, self.mean[1:]], axis=-1)
         return pair[..., places], block(self.joint, places, places)
 
-    def mixed(self, other: Point, share: float | Mask) -> Point:
-        """A share of this point, one for all runs or (runs,), and the rest of another."""
-        share = np.asarray(share, dtype=np.float64)
-
-        def mix(mine: Array, its: Array) -> Array:
-            part = share.reshape(share.shape + (1,) * (mine.ndim - 2)) if share.ndim else share
-            return part * mine + (1.0 - part) * its
-
-        joint = None
-        if self.joint is not None and other.joint is not None:
-            joint = mix(self.joint, other.joint)
-        return Point(mix(self.mean, other.mean), mix(self.cov, other.cov), joint)
+    def mixed(self, other: Point, share: float) -> Point:
+        """A share of this point, and the rest of another."""
+        pairs = zip(self, other, strict=True)
+        return Point._make(
+            None if mine is None or its is None else share * mine + (1.0 - share) * its
+            for mine, its in pairs
+        )
 
 
 class Anchor(NamedTuple):
@@ -114,8 +109,8 @@ class Solution(Protocol):
         ...
 
     @property
-    def point(self) -> Point:
-        """Its moments."""
+    def point(self) -> Any:
+        """Its moments: a `Point`, or, of steps that are not controlled, all with means and std."""
         ...
 
 
@@ -126,13 +121,17 @@ Found = TypeVar("Found", bound=Solution, covariant=True)
 class Problem(Protocol[Found]):
     """A model that can be linearised and solved."""
 
-    def linearise(self, at: Point, active: Mask) -> None:
-        """Linearise at a point, for the runs that are active."""
+    def linearise(self, at: Any, active: Mask) -> None:
+        """Linearise at the point of a solution, for the runs that are active."""
         ...
 
     def solve(self, anchor: Anchor | None = None) -> Found:
         """The solution of the model as it is linearised."""
         ...
+
+
+class Controlled(Problem[Found], Protocol[Found]):
+    """A model whose steps can be controlled by their cost."""
 
     def cost(self, at: Point) -> Array:
         """The cost of means with the covariances given, the noise as linearised, (runs,)."""
@@ -204,17 +203,16 @@ def iterate(
         residual = moments.marginal_error(found.mean, point.mean, found.std)
         residuals.append(np.where(active, residual, residuals[-1]) if residuals else residual)
         converged = converged | (residual <= schedule.tolerance)
-        after = control.step(point, found, active)
-        point = after if active.all() else point.mixed(after, ~active)
+        point = control.step(point, found, active)
         mean = np.where(active[:, None], control.shown(found.mean, point, active), mean)
     return Iterated(solution, mean, residuals, converged)
 
 
 class _Control:
-    """The choice of the next point of linearisation."""
+    """The choice of the next point of linearisation; of runs not active it is of no account."""
 
     def __init__(self, problem: Problem[S], damping: float | LevenbergMarquardt, runs: int) -> None:
-        self.problem = problem
+        self.problem = cast(Controlled[S], problem)
         self.damping = damping
         first = damping.start if isinstance(damping, LevenbergMarquardt) else 0.0
         self.weight = np.full(runs, first)
@@ -259,4 +257,4 @@ class _Control:
             self.weight = np.where(settled, self.weight, self.weight * change)
             settled = settled | good
         self.weight = np.clip(self.weight, rule.start, max(rule.start, _HEAVIEST))
-        return np.where(settled[:, None], mean, point.mean)
+        return np.where((settled & active)[:, None], mean, point.mean)

@@ -4,13 +4,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from pgm.inference.gaussian.layout import Layout
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.prior import Frame
+from pgm.inference.gaussian.rounds import Stack
 from pgm.kernels.arrays import Array, Integers, Mask
+
+
+def by_run(array: Array, *, shared: bool) -> Array:
+    """(..., runs, d) as (1, ..., d, runs) where runs share matrices, else (runs, ..., d, 1)."""
+    if shared:
+        return np.moveaxis(array, -2, -1)[None]
+    return np.moveaxis(array, -2, 0)[..., None]
+
+
+def runs_first(array: Array) -> Array:
+    """(V, ..., N), of V runs with a matrix each or N that share one, as (runs, ...)."""
+    if array.shape[0] == 1:
+        return np.moveaxis(array[0], -1, 0)
+    return array[..., 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,34 +60,25 @@ class Places:
         start = self.block_starts[clusters][:, None, None]
         return start + columns[:, :, None] * size + columns[:, None, :]
 
+    def of(self, clusters: Integers, components: Integers) -> tuple[Integers, Integers]:
+        """Where means and covariances of components (B, n) stand, for (B,) clusters."""
+        at = clusters, self.layout.columns_of(clusters, components)
+        return self.means(*at), self.covs(*at)
+
     @cached_property
     def homes(self) -> tuple[Integers, Integers]:
         """For each component the smallest cluster that holds it, and its column there."""
-        cluster = np.full(self.layout.size, -1, dtype=np.intp)
-        column = np.empty(self.layout.size, dtype=np.intp)
-        for k in sorted(range(len(self.sizes)), key=self.sizes.__getitem__):
-            for place, at in self.layout.columns[k].items():
-                if cluster[place] < 0:
-                    cluster[place], column[place] = k, at
+        cluster, column = np.empty((2, self.layout.size), dtype=np.intp)
+        # Of clusters of one size the first is written last, and stays.
+        for k in reversed(np.argsort(self.sizes, kind="stable").tolist()):
+            places = list(self.layout.columns[k])
+            cluster[places], column[places] = k, np.arange(len(places))
         return cluster, column
 
     @cached_property
     def families(self) -> list[tuple[Integers, Integers]]:
         """For each group of CPDs, where the moments of their hidden parents stand."""
-        found = []
-        for group in self.layout.groups:
-            columns = np.array(
-                [
-                    [self.layout.columns[cluster][place] for place in row]
-                    for cluster, row in zip(
-                        group.clusters.tolist(), group.parents.tolist(), strict=True
-                    )
-                ],
-                dtype=np.intp,
-            ).reshape(group.parents.shape)
-            at = (group.clusters, columns)
-            found.append((self.means(*at), self.covs(*at)))
-        return found
+        return [self.of(group.clusters, group.parents) for group in self.layout.groups]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,16 +100,11 @@ class Beliefs:
             np.empty((stacked, int(places.block_starts[-1]))),
         )
 
-    @property
-    def runs(self) -> int:
-        """Number of runs."""
-        return int(self.mean.shape[0] * self.mean.shape[2])
-
-    def _runs_first(self, mean: Array) -> Array:
-        """(V, ..., N) as (runs, ...)."""
-        if mean.shape[0] == 1:
-            return np.moveaxis(mean[0], -1, 0)
-        return mean[..., 0]
+    def put(self, stack: Stack, mean: Array, cov: Array) -> None:
+        """Keep the moments of a stack's clusters, (V, B, n, N) and (V, B, n, n)."""
+        at = stack.clusters, stack.columns
+        self.mean[:, self.places.means(*at)] = mean
+        self.cov[:, self.places.covs(*at)] = cov
 
     def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
         """Means (runs, ..., n) and covariances (V, ..., n, n) as the user knows them.
@@ -115,7 +117,7 @@ class Beliefs:
             (..., n): the components.
         """
         scale = self.frame.scale[places]
-        mean = self.frame.mean[:, places] + scale * self._runs_first(self.mean[:, where])
+        mean = self.frame.mean[:, places] + scale * runs_first(self.mean[:, where])
         return mean, self.cov[:, entries] * (scale[..., :, None] * scale[..., None, :])
 
     def components(self) -> tuple[Array, Array]:
@@ -126,18 +128,45 @@ class Beliefs:
         entries = self.places.block_starts[cluster] + column * (size + 1)
         everything = np.arange(cluster.size)
         scale = self.frame.scale
-        mean = self.frame.mean[:, everything] + scale * self._runs_first(self.mean[:, where])
+        mean = self.frame.mean[:, everything] + scale * runs_first(self.mean[:, where])
         return mean, scale * np.sqrt(np.maximum(self.cov[:, entries], 0.0))
+
+
+class TreePoint(NamedTuple):
+    """Beliefs as a point of linearisation: of all components, (1, runs, size) and (1, V, size)."""
+
+    mean: Array
+    std: Array
+    beliefs: Beliefs
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """Beliefs, ln of the evidence, (V, N), and the digits left of runs, where they are measured."""
+
+    beliefs: Beliefs
+    log_evidence: Array
+    digits: Array | None = None
+
+    @property
+    def means(self) -> Array:
+        """The means of all components, (1, runs, size)."""
+        return self.point.mean
+
+    @cached_property
+    def point(self) -> TreePoint:
+        """The beliefs as a point of linearisation."""
+        mean, std = self.beliefs.components()
+        return TreePoint(mean[None], std[None], self.beliefs)
 
 
 def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
     """Linearise every nonlinear CPD at its cluster's belief."""
-    at: list[tuple[Array, Array] | None] = []
-    groups = zip(model.layout.groups, model.families, beliefs.places.families, strict=True)
-    for group, family, (where, entries) in groups:
-        if family.exact:
-            at.append(None)
-            continue
-        mean, cov = beliefs.moments(where, entries, group.parents)
-        at.append((mean.swapaxes(0, 1), cov.swapaxes(0, 1)))
+
+    def moments(g: int) -> tuple[Array, Array]:
+        where, entries = beliefs.places.families[g]
+        mean, cov = beliefs.moments(where, entries, model.layout.groups[g].parents)
+        return mean.swapaxes(0, 1), cov.swapaxes(0, 1)
+
+    at = [None if family.exact else moments(g) for g, family in enumerate(model.families)]
     model.relinearise(beliefs.components()[0], at, active)

@@ -10,10 +10,10 @@ import numpy as np
 from pgm.errors import NumericalError
 from pgm.factors.scope import names
 from pgm.inference.gaussian.model import Model
-from pgm.inference.gaussian.potentials import Potentials, make_potentials
+from pgm.inference.gaussian.potentials import Flat, make_potentials
 from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.rounds import Rounds, Stack
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.rows import Eliminated, Rows, eliminate
 
 
@@ -25,10 +25,9 @@ class Buffer:
     ----------
     rounds : Rounds
     model : Model
-    matrix, right : ndarray
-        (V, entries) and (V, rows, N): V runs with a matrix each and N = 1, or V = 1 matrix for
-        all of N runs.
-    exact, exact_right : ndarray or None
+    proper : Flat
+        V runs with a matrix each and N = 1, or V = 1 matrix for all of N runs.
+    exact : Flat or None
         The same for exact relations; None where there are none.
     log_scale : ndarray
         (V, clusters + messages + 1, N); the last is zero.
@@ -38,51 +37,34 @@ class Buffer:
 
     rounds: Rounds
     model: Model
-    matrix: Array
-    right: Array
-    exact: Array | None
-    exact_right: Array | None
+    proper: Flat
+    exact: Flat | None
     log_scale: Array
     coarse: float = 0.0
     largest: float = 0.0
 
     @classmethod
     def make(cls, rounds: Rounds, model: Model) -> Buffer:
-        """A buffer in which every message says nothing yet."""
-        potentials = make_potentials(model)
-        stacked, _, sides = potentials.right.shape
+        """A buffer in which nothing stands yet; see `refresh`."""
+        stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
         entries, rows = int(rounds.entry_starts[-1]) + 1, int(rounds.row_starts[-1]) + 1
         logs = len(rounds.layout.scopes) + len(rounds.layout.directed) + 1
-        singular = potentials.exact is not None
-        buffer = cls(
-            rounds,
-            model,
-            np.zeros((stacked, entries)),
-            np.zeros((stacked, rows, sides)),
-            np.zeros((stacked, entries)) if singular else None,
-            np.zeros((stacked, rows, sides)) if singular else None,
-            np.zeros((stacked, logs, sides)),
-        )
-        buffer._put(potentials)
-        return buffer
+        proper = Flat(np.zeros((stacked, entries)), np.zeros((stacked, rows, sides)))
+        return cls(rounds, model, proper, None, np.zeros((stacked, logs, sides)))
 
     def refresh(self) -> None:
-        """Take the CPDs' factors anew, after they were linearised; messages stay."""
-        self._put(make_potentials(self.model))
-
-    def _put(self, potentials: Potentials) -> None:
+        """Take the CPDs' factors as they are linearised; messages stay."""
+        potentials = make_potentials(self.model)
         self.coarse = float(np.maximum(self.coarse, potentials.coarse))
-        largest = np.abs(potentials.matrix).max(initial=0.0)
-        self.largest = float(np.maximum(self.largest, largest))
-        entries, rows = potentials.matrix.shape[1], potentials.right.shape[1]
-        self.matrix[:, :entries], self.right[:, :rows] = potentials.matrix, potentials.right
+        own = potentials.proper
+        self.largest = float(np.maximum(self.largest, np.abs(own.matrix).max(initial=0.0)))
+        there = slice(own.matrix.shape[1]), slice(own.right.shape[1])
+        self.proper.put(*there, *own)
         if self.exact is None and potentials.exact is not None:
             # The noise of a linearised CPD may vanish later on.
-            self.exact, self.exact_right = np.zeros_like(self.matrix), np.zeros_like(self.right)
-        if self.exact is not None and self.exact_right is not None:
-            proper = potentials.exact is None or potentials.exact_right is None
-            self.exact[:, :entries] = 0.0 if proper else potentials.exact
-            self.exact_right[:, :rows] = 0.0 if proper else potentials.exact_right
+            self.exact = Flat(np.zeros_like(self.proper.matrix), np.zeros_like(self.proper.right))
+        if self.exact is not None:
+            self.exact.put(*there, *(potentials.exact or ()))
         layout = self.rounds.layout
         self.log_scale[:, : len(layout.scopes)] = 0.0
         none = np.zeros(0, dtype=np.intp)
@@ -91,50 +73,43 @@ class Buffer:
 
     def factor(self, stack: Stack) -> Rows:
         """The factors of a stack, products of clusters' CPDs and messages: (V, B, k, n)."""
-        if self.exact is None or self.exact_right is None:
-            return Rows(self.matrix[:, stack.entries], self.right[:, stack.rows])
-        return Rows(
-            self.matrix[:, stack.entries],
-            self.right[:, stack.rows],
-            self.exact[:, stack.entries],
-            self.exact_right[:, stack.rows],
-        )
+        return self._rows(stack.entries, stack.rows)
+
+    def _rows(self, entries: Integers, rows: Integers) -> Rows:
+        exact = () if self.exact is None else self.exact.at(entries, rows)
+        return Rows(*self.proper.at(entries, rows), *exact)
 
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
         """The rows that a stack's elimination leaves, and their log-scale, (V, B, N)."""
         done = eliminate(self.factor(stack), stack.drop)
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
         if done.contradiction is not None and done.contradiction.any():
-            self._refuse_contradiction(stack, done.contradiction)
+            v, b, n = (int(axis[0]) for axis in np.nonzero(done.contradiction))
+            raise contradiction(self.model, int(stack.clusters[b]), max(v, n))
         unit = np.log(self.model.frame.scale[stack.components[:, : stack.drop]]).sum(axis=1)
         known = self.log_scale[:, stack.logs].sum(axis=2)
         return done, known + done.log_scale + unit[:, None]
 
     def out(self, messages: Integers, size: int) -> tuple[Integers, Integers]:
-        """Where the entries and rows of messages of one size stand."""
-        entries = self.rounds.entry_starts[messages][:, None] + np.arange(size * size)
+        """Where the entries (B, s, s) and rows (B, s) of messages of one size stand."""
+        inside = np.arange(size * size).reshape(size, size)
+        entries = self.rounds.entry_starts[messages][:, None, None] + inside
         return entries, self.rounds.row_starts[messages][:, None] + np.arange(size)
+
+    def messages(self, messages: Integers, size: int) -> Rows:
+        """The messages of one size as they are kept, (V, B, s, s)."""
+        return self._rows(*self.out(messages, size))
 
     def store(self, stack: Stack, rest: Rows, log_scale: Array | None) -> None:
         """Keep what a stack of messages came to."""
         entries, rows = self.out(stack.members, stack.kept)
-        self.matrix[:, entries] = rest.matrix.reshape(*rest.matrix.shape[:2], -1)
-        self.right[:, rows] = rest.right
-        if self.exact is not None and self.exact_right is not None and rest.exact is not None:
+        self.proper.put(entries, rows, rest.matrix, rest.right)
+        if self.exact is not None and rest.exact is not None and rest.exact_right is not None:
             count = rest.exact.shape[2]
-            self.exact[:, entries] = 0.0
-            self.exact_right[:, rows] = 0.0
-            self.exact[:, entries[:, : count * stack.kept]] = rest.exact.reshape(
-                *rest.exact.shape[:2], -1
-            )
-            self.exact_right[:, rows[:, :count]] = rest.exact_right
+            self.exact.put(entries, rows)
+            self.exact.put(entries[:, :count], rows[:, :count], rest.exact, rest.exact_right)
         if log_scale is not None:
             self.log_scale[:, len(self.rounds.layout.scopes) + stack.members] = log_scale
-
-    def _refuse_contradiction(self, stack: Stack, where: Mask) -> None:
-        v, b, n = (int(axis[0]) for axis in np.nonzero(where))
-        cluster = int(stack.clusters[b])
-        raise contradiction(self.model, cluster, max(v, n))
 
     def require_finite(self, done: Array, clusters: Iterable[int]) -> None:
         """Refuse a belief that does not exist."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from pgm.cpds import AffineCPD
 from pgm.inference.family import Family
+from pgm.inference.gaussian.beliefs import runs_first
 from pgm.inference.gaussian.layout import Group, Layout
 from pgm.inference.gaussian.refusals import indefinite_noise
 from pgm.kernels import decimals, roots
@@ -69,8 +70,7 @@ class Conditionals:
 
     def by_float(self, values: Decimals) -> Array:
         """(V, ..., N) as (runs, ...), rounded."""
-        found = decimals.floats(values)
-        return np.moveaxis(found[0], -1, 0) if self.shared else found[..., 0]
+        return runs_first(decimals.floats(values))
 
     def root(self, noise: Array, family: Family) -> Root:
         """The factors of a noise."""

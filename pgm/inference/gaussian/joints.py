@@ -27,8 +27,8 @@ def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[A
         columns = layout.columns[cluster]
         shared = [place for place in known if place in columns]
         fresh = [place for place in columns if place not in shared]
-        order = np.array([columns[place] for place in (*shared, *fresh)], dtype=np.intp)
-        inside = beliefs.cov[:, places.covs(np.array([cluster]), order[None])[0]]
+        order = np.array([[*shared, *fresh]], dtype=np.intp)
+        inside = beliefs.cov[:, places.of(np.array([cluster]), order)[1][0]]
         along = cov[:, [known.index(place) for place in shared]]
         cross = _gain(plan, beliefs, cluster, inside, shared, fresh) @ along
         cov = np.block([[cov, transpose(cross)], [cross, inside[:, len(shared) :, len(shared) :]]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from itertools import groupby
 
 import numpy as np
 
@@ -60,8 +60,6 @@ class Group:
         (rows, n): where the hidden parents stand.
     clusters : ndarray of int
         (rows,): the cluster that each CPD is assigned to.
-    entries, rows : int
-        Where the group's first matrix entry and first row stand in a buffer of all groups.
     """
 
     cpds: tuple[ConditionalGaussian, ...]
@@ -70,8 +68,6 @@ class Group:
     child: Integers
     parents: Integers
     clusters: Integers
-    entries: int
-    rows: int
 
     @property
     def height(self) -> int:
@@ -82,6 +78,10 @@ class Group:
     def width(self) -> int:
         """Columns of each CPD's factor: the hidden components of the family."""
         return int(self.child.shape[1] + self.parents.shape[1])
+
+    def shape(self) -> tuple[bool, int, int]:
+        """Whether the children are observed; rows and columns."""
+        return self.observed, self.height, self.width
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +141,12 @@ class Layout:
             for scope in self.scopes
         ]
 
+    def columns_of(self, clusters: Integers, places: Integers) -> Integers:
+        """Where components (B, n) stand in the scopes of clusters (B,)."""
+        pairs = zip(clusters.tolist(), places.tolist(), strict=True)
+        found = [[self.columns[cluster][place] for place in row] for cluster, row in pairs]
+        return np.array(found, dtype=np.intp).reshape(places.shape)
+
     @cached_property
     def directed(self) -> Directed:
         """The messages."""
@@ -166,43 +172,26 @@ class Layout:
         for cpd in self._cpds:
             mask = tuple(v in self.observed for v in cpd.given)
             alike.setdefault((cpd.origin, mask, cpd.child in self.observed), []).append(cpd)
-        made = []
-        entries = rows = 0
-        for (_, _, observed), cpds in sorted(alike.items(), key=self._shape):
-            hidden = self.without_evidence(cpds[0].given)
+        groups = []
+        for (_, _, observed), cpds in alike.items():
+            hidden = [self.without_evidence(cpd.given) for cpd in cpds]
             none = np.zeros((len(cpds), 0), dtype=np.intp)
             group = Group(
                 tuple(cpds),
-                hidden,
+                hidden[0],
                 observed,
                 none if observed else np.array([self.places[cpd.child] for cpd in cpds]),
-                np.array([self.components(self.without_evidence(cpd.given)) for cpd in cpds]),
+                np.array([self.components(scope) for scope in hidden]),
                 np.array([home[cpd.child] for cpd in cpds], dtype=np.intp),
-                entries,
-                rows,
             )
-            made.append(group)
-            rows += len(cpds) * group.height
-            entries += len(cpds) * group.height * group.width
-        return made
-
-    def _shape(self, item: tuple[Any, list[ConditionalGaussian]]) -> tuple[bool, int, int]:
-        """Rows and columns of a group's factors; whether its children are observed."""
-        (_, _, observed), (first, *_) = item
-        return observed, first.child.dimension, dimension(self.without_evidence(first.given))
+            groups.append(group)
+        return sorted(groups, key=Group.shape)
 
     @cached_property
-    def shapes(self) -> list[range]:
+    def shapes(self) -> list[list[int]]:
         """The groups whose factors have one shape, which stand together."""
-        found: list[range] = []
-        for k, group in enumerate(self.groups):
-            shape = group.observed, group.height, group.width
-            first = self.groups[found[-1].start] if found else None
-            if first is not None and shape == (first.observed, first.height, first.width):
-                found[-1] = range(found[-1].start, k + 1)
-            else:
-                found.append(range(k, k + 1))
-        return found
+        every = groupby(enumerate(self.groups), lambda item: item[1].shape())
+        return [[k for k, _ in alike] for _, alike in every]
 
     @cached_property
     def order(self) -> list[tuple[int, int]]:
@@ -219,18 +208,12 @@ class Layout:
             cpd.child: [v for v in cpd.given if v not in self.observed] for cpd in self._cpds
         }
         needed = {v for found in parents.values() for v in found}
-        done: set[Variable] = set()
-        found: list[tuple[int, int]] = []
-        for cpd in self._cpds:
-            stack = [] if cpd.child in needed and cpd.child not in self.observed else [cpd.child]
-            while stack:
-                child = stack[-1]
-                waiting = [] if child in done else [v for v in parents[child] if v not in done]
-                if waiting:
-                    stack.extend(reversed(waiting))
-                    continue
-                stack.pop()
-                if child not in done:
-                    done.add(child)
-                    found.append(where[child])
-        return found
+        stack = [v for v in reversed(parents) if v in self.observed or v not in needed]
+        done: dict[Variable, None] = {}
+        while stack:
+            waiting = [v for v in parents[stack[-1]] if v not in done]
+            if waiting:
+                stack.extend(reversed(waiting))
+            else:
+                done[stack.pop()] = None
+        return [where[child] for child in done]

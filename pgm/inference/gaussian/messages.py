@@ -8,21 +8,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.gaussian.beliefs import Beliefs, Places, relinearise
+from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, Places, relinearise
 from pgm.inference.gaussian.buffer import Buffer
-from pgm.inference.gaussian.model import Model
-from pgm.inference.gaussian.rounds import Rounds, Stack
+from pgm.inference.gaussian.rounds import Stack
 from pgm.inference.loopy import LOST, Directed
 from pgm.kernels import moments, row_messages
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Mask
 from pgm.kernels.rows import Rows, eliminate
 
 
 class RowRound(NamedTuple):
-    """Some messages, in stacks of one shape; `order` is where each stack's stand among them."""
+    """Some messages, and the stacks of one shape that compute them."""
 
+    messages: list[int]
     stacks: list[Stack]
-    order: list[Integers]
 
 
 @dataclass(eq=False)
@@ -40,11 +39,13 @@ class RowMessages:
     _proposed: list[tuple[Stack, Rows]] = field(default_factory=list)
 
     @classmethod
-    def make(cls, rounds: Rounds, places: Places, model: Model, damping: float) -> RowMessages:
-        """Messages not yet sent."""
-        buffer = Buffer.make(rounds, model)
-        buffer.matrix[:, rounds.identity] = 1.0
-        return cls(buffer, places, damping, model.frame.mean)
+    def make(cls, buffer: Buffer, places: Places, damping: float) -> RowMessages:
+        """Messages not yet sent, in a buffer without any."""
+        buffer.refresh()
+        for size, members in buffer.rounds.by_size:
+            entries, _ = buffer.out(members, size)
+            buffer.proper.matrix[:, np.diagonal(entries, axis1=1, axis2=2)] = 1.0
+        return cls(buffer, places, damping, buffer.model.frame.mean)
 
     @property
     def directed(self) -> Directed:
@@ -58,34 +59,21 @@ class RowMessages:
 
     def round(self, messages: Sequence[int]) -> RowRound:
         """Lay out the computation of some messages, in stacks of one shape."""
-        place = {message: k for k, message in enumerate(messages)}
-        stacks = self.buffer.rounds.messages(messages)
-        return RowRound(
-            stacks, [np.array([place[m] for m in stack.members.tolist()]) for stack in stacks]
-        )
+        return RowRound(list(messages), self.buffer.rounds.messages(messages))
 
     def propose(self, round: RowRound) -> Array:
         """Compute them from the messages kept; how much each would change, (messages, runs)."""
         self._proposed = []
-        change = np.empty((sum(order.size for order in round.order), self.runs))
-        for stack, order in zip(*round, strict=True):
+        change = np.empty((len(self.directed), self.runs))
+        for stack in round.stacks:
             done, _ = self.buffer.eliminate(stack)
             self._proposed.append((stack, done.rest))
-            old, against = self._kept(stack, reverse=False), self._kept(stack, reverse=True)
-            change[order] = row_messages.change(old, done.rest, against)
-        return change
-
-    def _kept(self, stack: Stack | _Sepsets, *, reverse: bool) -> Rows:
-        """The messages kept of a stack's members, or of those against them."""
-        buffer, size = self.buffer, stack.kept
-        entries, rows = buffer.out(stack.members ^ 1 if reverse else stack.members, size)
-        shape = (buffer.matrix.shape[0], entries.shape[0], size, size)
-        matrix, right = buffer.matrix[:, entries].reshape(shape), buffer.right[:, rows]
-        if buffer.exact is None or buffer.exact_right is None:
-            return Rows(matrix, right)
-        return Rows(
-            matrix, right, buffer.exact[:, entries].reshape(shape), buffer.exact_right[:, rows]
-        )
+            old, against = (
+                self.buffer.messages(members, stack.kept)
+                for members in (stack.members, stack.members ^ 1)
+            )
+            change[stack.members] = row_messages.change(old, done.rest, against)
+        return change[round.messages]
 
     def accept(self, round: RowRound, active: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active.
@@ -94,7 +82,7 @@ class RowMessages:
         sides of one would no longer fit matrices that settle further for another.
         """
         for stack, new in self._proposed:
-            old = self._kept(stack, reverse=False)
+            old = self.buffer.messages(stack.members, stack.kept)
             mixed = row_messages.damped(old, new, self.damping) if self.damping else new
             mixed = row_messages.steady(old, mixed)
             going = active
@@ -109,8 +97,7 @@ class RowMessages:
         model = self.buffer.model
         if model.exact:
             return None
-        found, logs = self.beliefs()
-        self.buffer.require_finite(logs, range(logs.shape[1]))
+        found, _ = self.beliefs()
         mean, std = found.components()
         move = moments.marginal_error(mean[None], self._point[None], std[None])
         self._point = np.where(active[:, None], mean, self._point)
@@ -129,10 +116,10 @@ class RowMessages:
 
     def kept(self, message: int) -> tuple[Rows, Array]:
         """A message, (V, s, s), and its log-scale, (V, N)."""
-        rounds = self.buffer.rounds
-        one = _Sepsets(np.array([message]), int(rounds.sizes[message]))
+        size = int(self.buffer.rounds.sizes[message])
+        one = self.buffer.messages(np.array([message]), size)
         log_scale = self.buffer.log_scale[:, len(self.places.sizes) + message]
-        return row_messages.first(self._kept(one, reverse=False)), log_scale
+        return row_messages.first(one), log_scale
 
     def belief(self, cluster: int) -> tuple[Rows, Array]:
         """A cluster's factor times all messages to it, (V, k, n), and its log-scale, (V, N)."""
@@ -144,33 +131,25 @@ class RowMessages:
     def beliefs(self) -> tuple[Beliefs, Array]:
         """The moments of all clusters, and ln of their integrals, (V, clusters, N)."""
         buffer = self.buffer
-        stacked, _, sides = buffer.right.shape
+        stacked, _, sides = buffer.proper.right.shape
         found = Beliefs.empty(self.places, buffer.model.frame, stacked, sides)
         logs = np.empty((stacked, len(self.places.sizes), sides))
         for stack in buffer.rounds.all_beliefs:
             done, logs[:, stack.clusters] = buffer.eliminate(stack)
-            found.mean[:, self.places.means(stack.clusters, stack.columns)] = done.offset
-            found.cov[:, self.places.covs(stack.clusters, stack.columns)] = done.noise
+            found.put(stack, done.offset, done.noise)
+        buffer.require_finite(logs, range(logs.shape[1]))
         return found, logs
 
-    def log_evidence(self, logs: Array) -> Array:
-        """The Bethe value, (V, N): ln of the clusters' integrals less those of the sepsets."""
+    def calibrated(self) -> Calibrated:
+        """The beliefs, and the Bethe value: ln of the clusters' integrals less the sepsets'."""
+        found, logs = self.beliefs()
         total: Array = logs.sum(axis=1)
-        sizes = self.buffer.rounds.sizes
-        for size in np.unique(sizes).tolist():
-            there = np.flatnonzero(sizes == size)[::2]
-            stack = _Sepsets(there, size)
-            both = (self._kept(stack, reverse=back) for back in (False, True))
-            done = eliminate(row_messages.product(*both), size)
-            layout = self.buffer.rounds.layout
-            places = np.array([layout.components(layout.sepsets[m // 2]) for m in there.tolist()])
+        layout = self.buffer.rounds.layout
+        for size, members in self.buffer.rounds.by_size:
+            there, back = (self.buffer.messages(members[k::2], size) for k in (0, 1))
+            done = eliminate(row_messages.product(there, back), size)
+            edges = (members[::2] // 2).tolist()
+            places = np.array([layout.components(layout.sepsets[edge]) for edge in edges])
             unit = np.log(self.buffer.model.frame.scale[places]).sum(axis=1)
             total = total - (done.log_scale + unit[:, None]).sum(axis=1)
-        return total
-
-
-class _Sepsets(NamedTuple):
-    """The numbers and the size of a stack's messages."""
-
-    members: Integers
-    kept: int
+        return Calibrated(found, total)

@@ -109,10 +109,12 @@ class Model:
             (frame.mean[:, group.parents].swapaxes(0, 1), spread[:, group.parents].swapaxes(0, 1))
             for group in layout.groups
         ]
-        model = cls(
-            *(layout, bound.lead, families, readings, [*readings], taken, shared, frame), points
-        )
-        model._follow(frame.mean, None)
+        moved = [
+            None if rows is None else np.broadcast_to(rows, (len(rows), bound.runs, rows.shape[2]))
+            for rows in readings
+        ]
+        model = cls(layout, bound.lead, families, readings, moved, taken, shared, frame, points)
+        model._follow(frame.mean, np.ones(bound.runs, dtype=bool))
         return model
 
     @property
@@ -158,35 +160,21 @@ class Model:
         self._follow(mean, active)
         self.first = False
 
-    def _follow(self, mean: Array, active: Mask | None) -> None:
+    def _follow(self, mean: Array, active: Mask) -> None:
         """Keep the angles of values and evidence on the chart of given means."""
-        groups = zip(self.layout.groups, self.families, strict=True)
-        for k, (group, family) in enumerate(groups):
-            if not group.cpds[0].child.angle_mask.any():
-                if group.observed and active is None:
-                    reading = self.readings[k]
-                    assert reading is not None
-                    self.moved[k] = np.broadcast_to(
-                        reading, (reading.shape[0], self.runs, reading.shape[2])
-                    )
+        groups = zip(self.layout.groups, self.families, self.readings, self.moved, strict=True)
+        for k, (group, family, reading, kept) in enumerate(groups):
+            angles = group.cpds[0].child.angle_mask
+            if not angles.any():
                 continue
             at = mean[:, group.parents].swapaxes(0, 1)
-            if not group.observed:
+            if reading is not None and kept is not None:
+                new = nearest_branch(reading, family.value(slice(None), at), angles)
+                self.moved[k] = np.where(active[:, None], new, kept)
+            elif not family.exact:
                 before = family.offset.copy()
                 family.to_chart(at, mean[:, group.child].swapaxes(0, 1))
-                if active is not None and not family.exact:
-                    family.offset[:, ~active] = before[:, ~active]
-                continue
-            reading = self.readings[k]
-            assert reading is not None
-            new = nearest_branch(
-                reading, family.value(slice(None), at), group.cpds[0].child.angle_mask
-            )
-            if active is not None:
-                kept = self.moved[k]
-                assert kept is not None
-                new = np.where(active[:, None], new, kept)
-            self.moved[k] = new
+                family.offset[:, ~active] = before[:, ~active]
 
 
 def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:

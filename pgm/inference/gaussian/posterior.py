@@ -11,17 +11,16 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names
-from pgm.inference.gaussian.beliefs import Beliefs
+from pgm.inference.gaussian.beliefs import Calibrated, runs_first
 from pgm.inference.gaussian.buffer import Buffer
-from pgm.inference.gaussian.careful import Solution
 from pgm.inference.gaussian.joints import joint_moments
 from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
-from pgm.inference.gaussian.tree import Calibrated, TreePlan
+from pgm.inference.gaussian.tree import TreePlan
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
-from pgm.kernels.arrays import Array, Integers, apply, frozen, quiet, transpose
+from pgm.kernels.arrays import Array, Integers, apply, frozen, inner, quiet, transpose
 from pgm.kernels.rows import Rows
 from pgm.variables import Variable
 
@@ -44,48 +43,15 @@ class GaussianPosterior(Posterior):
     status: Status
     _plan: TreePlan
     _model: Model
-    _made: Buffer | None
-    _beliefs: Beliefs
-    _log_evidence: Array
-    _loopy: RowMessages | None
+    _done: Calibrated
+    _sent: RowMessages | None = None
 
-    @classmethod
-    def tree(
-        cls, plan: TreePlan, buffer: Buffer, done: Calibrated, status: Status
-    ) -> GaussianPosterior:
-        """Of a calibrated tree."""
-        graph = plan.layout.graph
-        model, beliefs = buffer.model, done.beliefs
-        return cls(graph, status, plan, model, buffer, beliefs, done.log_evidence, None)
-
-    @classmethod
-    def careful(
-        cls, plan: TreePlan, model: Model, done: Solution, status: Status
-    ) -> GaussianPosterior:
-        """Of a tree solved in more digits."""
-        graph = plan.layout.graph
-        return cls(graph, status, plan, model, None, done.beliefs, done.log_evidence, None)
-
-    @classmethod
-    def loopy(cls, plan: TreePlan, messages: RowMessages, status: Status) -> GaussianPosterior:
-        """Of messages on a graph of any shape."""
-        beliefs, logs = messages.beliefs()
-        messages.buffer.require_finite(logs, range(logs.shape[1]))
-        value = messages.log_evidence(logs)
-        buffer = messages.buffer
-        graph, model = plan.layout.graph, buffer.model
-        return cls(graph, status, plan, model, buffer, beliefs, value, messages)
-
-    @cached_property
-    def _buffer(self) -> Buffer:
-        """The CPDs' factors; those of a tree solved in more digits are made when asked for."""
-        return self._made or Buffer.make(self._plan.rounds, self._model)
-
+    @quiet()
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a variable without evidence."""
         places = self._require_hidden(variable)
-        cluster, column = self._beliefs.places.homes
-        return self._read((variable,), int(cluster[places[0]]), column[places])
+        cluster, _ = self._done.beliefs.places.homes
+        return self._read((variable,), int(cluster[places[0]]))
 
     def _require_hidden(self, variable: Variable) -> Integers:
         layout = self._plan.layout
@@ -107,13 +73,10 @@ class GaussianPosterior(Posterior):
             variable=variable,
         )
 
-    def _read(self, scope: Scope, cluster: int, columns: Integers) -> Gaussian:
-        at = np.array([cluster]), columns[None]
-        places = self._beliefs.places
-        with quiet():
-            mean, cov = self._beliefs.moments(
-                places.means(*at)[0], places.covs(*at)[0], self._plan.layout.components(scope)
-            )
+    def _read(self, scope: Scope, cluster: int) -> Gaussian:
+        components = self._plan.layout.components(scope)
+        where, entries = self._plan.places.of(np.array([cluster]), components[None])
+        mean, cov = self._done.beliefs.moments(where[0], entries[0], components)
         return self._gaussian(scope, mean, cov)
 
     def _gaussian(self, scope: Scope, mean: Array, cov: Array) -> Gaussian:
@@ -128,6 +91,7 @@ class GaussianPosterior(Posterior):
         wide = np.broadcast_to(cov, (*mean.shape, size))
         return Gaussian._make(scope, mean.reshape(*lead, size), wide.reshape(*lead, size, size))
 
+    @quiet()
     def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
         """The joint of variables without evidence, in the order given.
 
@@ -149,29 +113,27 @@ class GaussianPosterior(Posterior):
             k for k, columns in enumerate(layout.columns) if all(p in columns for p in wanted)
         ]
         if holders:
-            smallest = min(holders, key=lambda k: len(layout.columns[k]))
-            columns = [layout.columns[smallest][place] for place in wanted.tolist()]
-            return self._read(scope, smallest, np.array(columns))
+            return self._read(scope, min(holders, key=self._plan.places.sizes.__getitem__))
         if not self.graph.is_tree:
             raise GraphError(
                 f"no cluster holds all of {names(scope)}, and on a graph with loops only "
                 "variables of one cluster have a joint; compile a junction tree"
             )
-        runs = self._beliefs.cov.shape[0]
-        require_runs(wanted.size**2, runs, f"the joint of {len(scope)} variables")
-        with quiet():
-            mean, cov = joint_moments(self._plan, self._beliefs, wanted)
-        return self._gaussian(scope, mean, cov)
+        beliefs = self._done.beliefs
+        require_runs(wanted.size**2, len(beliefs.cov), f"the joint of {len(scope)} variables")
+        return self._gaussian(scope, *joint_moments(self._plan, beliefs, wanted))
 
     @cached_property
     def _messages(self) -> RowMessages:
         """All messages; those of a tree are sent when one is first asked for."""
-        if self._loopy is not None:
-            return self._loopy
-        messages = RowMessages.make(self._plan.rounds, self._plan.places, self._model, 0.0)
+        if self._sent is not None:
+            return self._sent
+        buffer = Buffer.make(self._plan.rounds, self._model)
+        messages = RowMessages.make(buffer, self._plan.places, 0.0)
         messages.send_once(self._plan.both_ways)
         return messages
 
+    @quiet()
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
         """The message from one cluster to a neighbour, over their sepset.
 
@@ -186,20 +148,18 @@ class GaussianPosterior(Posterior):
             If the message has no canonical form, since CPDs without noise determine it.
         """
         i, j = self.graph.index(source), self.graph.index(target)
-        edges = self._plan.layout.graph.sepsets
-        edge = (min(i, j), max(i, j))
+        edges, edge = list(self.graph.sepsets), (min(i, j), max(i, j))
         if edge not in edges:
             raise GraphError(
                 f"clusters {i} and {j} are not joined; the neighbours of {i} are "
                 f"{self.graph.neighbours(i)}",
                 cluster=i,
             )
-        number = 2 * list(edges).index(edge) + (i > j)
-        with quiet():
-            factor, log_scale = self._messages.kept(number)
-        scope = self._plan.layout.sepsets[number // 2]
-        return self._form(factor, log_scale, scope, f"the message from cluster {i} to {j}", i)
+        place = edges.index(edge)
+        found, scope = self._messages.kept(2 * place + (i > j)), self._plan.layout.sepsets[place]
+        return self._form(*found, scope, f"the message from cluster {i} to {j}", i)
 
+    @quiet()
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its variables without evidence, unnormalised.
 
@@ -209,10 +169,8 @@ class GaussianPosterior(Posterior):
             If the belief has no canonical form, since its covariance is singular.
         """
         index = self.graph.index(cluster)
-        with quiet():
-            factor, log_scale = self._messages.belief(index)
-        scope = self._plan.layout.scopes[index]
-        return self._form(factor, log_scale, scope, f"the belief of cluster {index}", index)
+        found, scope = self._messages.belief(index), self._plan.layout.scopes[index]
+        return self._form(*found, scope, f"the belief of cluster {index}", index)
 
     def _form(
         self, factor: Rows, log_scale: Array, scope: Scope, what: str, cluster: int
@@ -224,32 +182,22 @@ class GaussianPosterior(Posterior):
                 "determine a part of it; posterior[...] and joint(...) have its moments",
                 cluster=cluster,
             )
-        with quiet():
-            K, h, g = self._canonical(factor, log_scale, scope)
-        if not (np.isfinite(K).all() and np.isfinite(h).all() and np.isfinite(g).all()):
+        frame, places = self._model.frame, self._plan.layout.components(scope)
+        matrix, at = factor.matrix / frame.scale[places], frame.mean[:, places]
+        right = runs_first(factor.right) + apply(matrix, at)
+        K = np.broadcast_to(transpose(matrix) @ matrix, (*at.shape, places.size))
+        h = apply(transpose(matrix), right)
+        g = runs_first(log_scale) - 0.5 * inner(right, right)
+        if not all(np.isfinite(part).all() for part in (K, h, g)):
             raise NumericalError(
                 f"{what}, over {names(scope)}, has no canonical form in float64: its information "
                 "is out of range; posterior[...] and joint(...) have its moments",
                 cluster=cluster,
             )
-        return CanonicalForm._make(scope, K, h, g)
-
-    def _canonical(
-        self, factor: Rows, log_scale: Array, scope: Scope
-    ) -> tuple[Array, Array, Array]:
-        frame = self._model.frame
-        places = self._plan.layout.components(scope)
-        matrix = factor.matrix / frame.scale[places]
-        at = frame.mean[:, places]
-        shared = factor.matrix.shape[0] == 1
-        right = np.moveaxis(factor.right[0], -1, 0) if shared else factor.right[..., 0]
-        right = right + apply(matrix, at)
-        K = transpose(matrix) @ matrix
-        h = apply(transpose(matrix), right)
-        g = (log_scale[0] if shared else log_scale[:, 0]) - 0.5 * (right * right).sum(axis=-1)
-        lead, size = self._model.lead, places.size
-        K = np.broadcast_to(K, (at.shape[0], size, size))
-        return K.reshape(*lead, size, size), h.reshape(*lead, size), g.reshape(lead)
+        lead = self._model.lead
+        return CanonicalForm._make(
+            scope, *(part.reshape((*lead, *part.shape[1:])) for part in (K, h, g))
+        )
 
     @property
     def log_evidence(self) -> Array:
@@ -263,20 +211,19 @@ class GaussianPosterior(Posterior):
         NumericalError
             If it is beyond the range of float64: readings some 10¹⁵⁰ deviations from the model's.
         """
-        value = self._log_evidence
+        value = self._done.log_evidence
         if not np.isfinite(value).all():
             raise NumericalError(
                 "ln p(evidence) is beyond the range of float64: a reading is more than 1e150 "
                 "deviations from what the model expects; give its CPD more noise"
             )
-        flat = value[0] if value.shape[0] == 1 else value[:, 0]
-        return frozen(flat.reshape(self._model.lead))
+        return frozen(runs_first(value).reshape(self._model.lead))
 
     @property
     def log_evidence_kind(self) -> str:
         """The kind of `log_evidence`: exact, linearised, laplace or bethe."""
         model = self._model
-        sent = self._loopy is None or bool(self.status.converged.all())
+        sent = self._sent is None or bool(self.status.converged.all())
         if not self.graph.is_tree or not sent:
             return "bethe"
         if model.exact:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from pgm.cpds import ConditionalGaussian
+from pgm.inference.gaussian.beliefs import by_run
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.refusals import indefinite_noise
 from pgm.kernels import roots
@@ -15,6 +16,37 @@ from pgm.kernels.rows import NEGLIGIBLE, largest_first
 
 # The size of a residual's summands that costs as many digits as an entry of one.
 COARSE = 1e-1
+
+
+class Flat(NamedTuple):
+    """The rows of many factors, one after the other: (V, entries) and (V, rows, N)."""
+
+    matrix: Array
+    right: Array
+
+    @classmethod
+    def of(cls, matrices: list[Array], rights: list[Array]) -> Flat:
+        """Of stacks (V, B, k, n) and (V, B, k, N)."""
+        return cls(
+            np.concatenate([part.reshape(part.shape[0], -1) for part in matrices], axis=1),
+            np.concatenate(
+                [part.reshape(part.shape[0], -1, part.shape[-1]) for part in rights], axis=1
+            ),
+        )
+
+    def at(self, entries: Integers, rows: Integers) -> tuple[Array, Array]:
+        """Some entries and some rows."""
+        return self.matrix[:, entries], self.right[:, rows]
+
+    def put(
+        self,
+        entries: Integers | slice,
+        rows: Integers | slice,
+        matrix: Array | float = 0.0,
+        right: Array | float = 0.0,
+    ) -> None:
+        """Keep some entries and some rows."""
+        self.matrix[:, entries], self.right[:, rows] = matrix, right
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,10 +58,9 @@ class Potentials:
 
     Attributes
     ----------
-    matrix, right : ndarray
-        (V, entries) and (V, rows, N).
-    exact, exact_right : ndarray or None
-        Likewise, of rows without noise; None where there are none.
+    proper : Flat
+    exact : Flat or None
+        Rows without noise in the same places; None where there are none.
     log_scale : ndarray
         (V, CPDs, N).
     coarse : float
@@ -37,19 +68,10 @@ class Potentials:
         over a relation's size; infinite where a component may be certain by rounding alone.
     """
 
-    matrix: Array
-    right: Array
-    exact: Array | None
-    exact_right: Array | None
+    proper: Flat
+    exact: Flat | None
     log_scale: Array
     coarse: float
-
-
-def by_run(array: Array, *, shared: bool) -> Array:
-    """(..., runs, d) as (1, ..., d, runs) where runs share matrices, else (runs, ..., d, 1)."""
-    if shared:
-        return np.moveaxis(array, -2, -1)[None]
-    return np.moveaxis(array, -2, 0)[..., None]
 
 
 def make_potentials(model: Model) -> Potentials:
@@ -61,140 +83,121 @@ def make_potentials(model: Model) -> Potentials:
     """
     if not model.layout.shapes:
         stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
-        none, empty = np.zeros((stacked, 0)), np.zeros((stacked, 0, sides))
-        return Potentials(none, empty, None, None, empty, 0.0)
-    parts = [_factor(_Linearised.of(model, groups)) for groups in model.layout.shapes]
-    fixed = any(part.fixed.any() for part in parts)
+        empty = np.zeros((stacked, 0, sides))
+        return Potentials(Flat(np.zeros((stacked, 0)), empty), None, empty, 0.0)
+    parts = [_factor(model, groups) for groups in model.layout.shapes]
     return Potentials(
-        _flat([np.where(part.fixed[..., None], 0.0, part.matrix) for part in parts]),
-        _rows([np.where(part.fixed[..., None], 0.0, part.right) for part in parts]),
-        _flat([part.exact for part in parts]) if fixed else None,
-        _rows([part.exact_right for part in parts]) if fixed else None,
+        Flat.of([part.matrix for part in parts], [part.right for part in parts]),
+        Flat.of([part.exact for part in parts], [part.exact_right for part in parts])
+        if any(part.fixed for part in parts)
+        else None,
         np.concatenate([part.log_scale for part in parts], axis=1),
         max(part.coarse for part in parts),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Linearised:
-    """CPDs of one shape, about a frame: e + s_y ξ_y − F s_p ξ_p ~ N(0, Σ).
+class _Linearised(NamedTuple):
+    """CPDs of one shape, about a frame: e + s_y ξ_y − F s_p ξ_p ~ N(0, Σ); CPDs first.
 
     Attributes
     ----------
-    cpds : list of CPD
     matrix : ndarray
-        [s_y, −F s_p], (V, CPDs, d, w); without s_y where the children are observed.
+        [s_y, −F s_p], (CPDs, V, d, w); without s_y where the children are observed.
     residual, noise : ndarray
-        e (V, CPDs, d, N) and Σ (V, CPDs, d, d).
+        e (CPDs, runs, d) and Σ (CPDs, V, d, d).
     known : ndarray of bool
         Which columns are of certain parents, (CPDs, w).
     size : ndarray
-        Of the numbers that the residuals are sums of, (V, CPDs, d, N).
+        Of the numbers that the residuals are sums of, (CPDs, runs, d).
     missing : ndarray of int
-        Components of evidence that are missing, and say nothing with unit variance, (V, CPDs).
-    doubtful : bool
-        Whether a child is certain though a parent is not: what cancels may not do so exactly.
+        Components of evidence that are missing, and say nothing with unit variance, (CPDs, V).
+    doubtful : ndarray of bool
+        Whether a child is certain though a parent is not: what cancels may not do so exactly,
+        (CPDs,).
     """
 
-    cpds: list[ConditionalGaussian]
     matrix: Array
     residual: Array
     noise: Array
     known: Mask
     size: Array
     missing: Integers
-    doubtful: bool
+    doubtful: Mask
 
     @classmethod
-    def of(cls, model: Model, groups: range) -> _Linearised:
-        """Of groups whose CPDs have one shape."""
+    def of(cls, model: Model, g: int) -> _Linearised:
+        """Of a group."""
         frame, runs = model.frame, 1 if model.shared else model.runs
-        matrices, residuals, noises, known, sizes, missing = [], [], [], [], [], []
-        cpds: list[ConditionalGaussian] = []
-        doubtful = False
-        for g in groups:
-            group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
-            at = frame.mean[:, group.parents].swapaxes(0, 1)
-            value = family.value(slice(None), at)
-            child = frame.mean[:, group.child].swapaxes(0, 1) if reading is None else reading
-            own = family.matrix[:, :runs] * -frame.scale[group.parents][:, None, None, :]
-            if reading is None:
-                diagonal = frame.scale[group.child][:, None, :, None] * np.eye(group.height)
-                wide = np.broadcast_to(diagonal, (*own.shape[:3], group.height))
-                own = np.concatenate([wide, own], axis=-1)
-            terms = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
-            size, noise = np.maximum(terms, np.abs(child)), family.noise[:, :runs]
-            residual, lost = child - value, np.zeros((len(group.cpds), runs), dtype=np.intp)
-            taken = model.taken[g]
-            if taken is not None:
-                own = np.where(taken[..., None], own, 0.0)
-                residual, size = np.where(taken, residual, 0.0), np.where(taken, size, 0.0)
-                noise, lost = independent(noise, taken), lost + (~taken).sum(axis=-1)
-            certain = frame.certain[group.parents]
-            if frame.certain.any():
-                varying = (family.matrix[:, :runs] != 0.0) & ~certain[:, None, None]
-                fixed = frame.certain[group.child][:, None, :, None]
-                doubtful |= fixed.size > 0 and bool((varying & fixed).any())
-            known.append(np.pad(certain, [(0, 0), (own.shape[-1] - certain.shape[1], 0)]))
-            matrices.append(own)
-            residuals.append(residual)
-            noises.append(noise)
-            sizes.append(size)
-            missing.append(lost)
-            cpds += group.cpds
-        return cls(
-            cpds,
-            np.concatenate(matrices).swapaxes(0, 1),
-            by_run(np.concatenate(residuals), shared=model.shared),
-            np.concatenate(noises).swapaxes(0, 1),
-            np.concatenate(known),
-            by_run(np.concatenate(sizes), shared=model.shared),
-            np.concatenate(missing).T,
-            doubtful,
-        )
+        group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
+        at = frame.mean[:, group.parents].swapaxes(0, 1)
+        value = family.value(slice(None), at)
+        child = frame.mean[:, group.child].swapaxes(0, 1) if reading is None else reading
+        certain, doubtful = frame.certain[group.parents], np.zeros(len(group.cpds), dtype=bool)
+        matrix = family.matrix[:, :runs] * -frame.scale[group.parents][:, None, None, :]
+        if reading is None:
+            varying = (family.matrix[:, :runs] != 0.0) & ~certain[:, None, None]
+            fixed = frame.certain[group.child][:, None, :, None]
+            doubtful = (varying & fixed).any(axis=(1, 2, 3))
+            diagonal = frame.scale[group.child][:, None, :, None] * np.eye(group.height)
+            wide = np.broadcast_to(diagonal, (*matrix.shape[:3], group.height))
+            matrix = np.concatenate([wide, matrix], axis=-1)
+        terms = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
+        size, noise = np.maximum(terms, np.abs(child)), family.noise[:, :runs]
+        residual, missing = child - value, np.zeros((len(group.cpds), runs), dtype=np.intp)
+        taken = model.taken[g]
+        if taken is not None:
+            matrix = np.where(taken[..., None], matrix, 0.0)
+            residual, size = np.where(taken, residual, 0.0), np.where(taken, size, 0.0)
+            noise, missing = independent(noise, taken), missing + (~taken).sum(axis=-1)
+        known = np.pad(certain, [(0, 0), (matrix.shape[-1] - certain.shape[1], 0)])
+        return cls(matrix, residual, noise, known, size, missing, doubtful)
 
 
 @dataclass(frozen=True, eq=False)
 class _Factor:
-    """The rows of some CPDs: (V, CPDs, d, w), (V, CPDs, d, N); which are exact, (V, CPDs, d)."""
+    """The rows of some CPDs, (V, CPDs, d, w) and (V, CPDs, d, N); whether some are exact."""
 
     matrix: Array
     right: Array
     exact: Array
     exact_right: Array
-    fixed: Mask
+    fixed: bool
     log_scale: Array
     coarse: float
 
 
-def _factor(given: _Linearised) -> _Factor:
+def _factor(model: Model, groups: list[int]) -> _Factor:
+    each = zip(*(_Linearised.of(model, g) for g in groups), strict=True)
+    given = _Linearised(*map(np.concatenate, each))
+    matrix, noise = given.matrix.swapaxes(0, 1), given.noise.swapaxes(0, 1)
+    residual, size = (by_run(part, shared=model.shared) for part in (given.residual, given.size))
     # In deviations, those first that vary most: then no row takes up the rounding of another.
-    variance = np.diagonal(given.noise, axis1=-2, axis2=-1)
+    variance = np.diagonal(noise, axis1=-2, axis2=-1)
     deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))[..., None]
-    correlation = given.noise / (deviation * transpose(deviation))
+    correlation = noise / (deviation * transpose(deviation))
     order = largest_first(correlation)[..., None]
     correlation = np.take_along_axis(correlation, order, axis=-2)
     correlation = np.take_along_axis(correlation, order.swapaxes(-1, -2), axis=-1)
     lower = roots.root(correlation, negligible=NEGLIGIBLE)
     if not roots.is_proper(lower):
         bad = np.isnan(lower).any(axis=(0, 2, 3))
-        raise indefinite_noise(given.cpds[int(np.flatnonzero(bad)[0])])
+        cpds = [cpd for g in groups for cpd in model.layout.groups[g].cpds]
+        raise indefinite_noise(cpds[int(np.flatnonzero(bad)[0])])
     own, residual, size = (
-        np.take_along_axis(part / deviation, order, axis=-2)
-        for part in (given.matrix, given.residual, given.size)
+        np.take_along_axis(part / deviation, order, axis=-2) for part in (matrix, residual, size)
     )
     matrix = roots.solve_lower(lower, own)
     right = -roots.solve_lower(lower, residual)
     fixed = roots.determined(lower)
     height = lower.shape[-1]
-    dimension = height - fixed.sum(axis=-1) - given.missing
+    dimension = height - fixed.sum(axis=-1) - given.missing.T
     log_scale = -0.5 * (dimension * LOG_2PI + roots.log_determinant(lower))
     log_scale = log_scale - np.log(deviation).sum(axis=(-2, -1))
     log_scale = np.broadcast_to(log_scale[..., None], (*log_scale.shape, right.shape[-1]))
     if not fixed.any():
         none = np.zeros_like(matrix), np.zeros_like(right)
         coarse = COARSE * float(size.max(initial=0.0))
-        return _Factor(matrix, right, *none, fixed, log_scale, coarse)
+        return _Factor(matrix, right, *none, False, log_scale, coarse)
     exact = np.where(given.known[:, None], 0.0, matrix)
     length = np.sqrt(np.einsum("...ij,...ij->...i", exact, exact))
     # A row without variables left is evidence that is met or not, in units of its own size.
@@ -207,24 +210,14 @@ def _factor(given: _Linearised) -> _Factor:
     share = (fixed & ~nothing)[..., None] / length[..., None]
     coarse = COARSE * float((numbers / length[..., None]).max(initial=0.0))
     # A pivot of a noise between what may be rounding and what may not leaves it open.
-    if given.doubtful or (roots.determined(roots.root(correlation)) != fixed).any():
+    if given.doubtful.any() or (roots.determined(roots.root(correlation)) != fixed).any():
         coarse = np.inf
     return _Factor(
-        matrix,
-        right,
+        np.where(fixed[..., None], 0.0, matrix),
+        np.where(fixed[..., None], 0.0, right),
         exact * share,
         right * np.where(nothing[..., None], 1.0 / size, share),
-        fixed,
+        True,
         log_scale - np.log(length).sum(axis=-1)[..., None],
         coarse,
-    )
-
-
-def _flat(parts: list[Array]) -> Array:
-    return np.concatenate([part.reshape(part.shape[0], -1) for part in parts], axis=1)
-
-
-def _rows(parts: list[Array]) -> Array:
-    return np.concatenate(
-        [part.reshape(part.shape[0], -1, part.shape[-1]) for part in parts], axis=1
     )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -38,20 +38,8 @@ class Frame:
     certain: Mask
 
 
-class Predictive(Protocol):
-    """The plan of the prior's moments; see `prior_predictive`."""
-
-    def __call__(
-        self,
-        layout: Layout,
-        families: list[Family],
-        runs: int,
-        *,
-        shared: bool,
-        start: Array | None,
-    ) -> Frame:
-        """The frame that they make."""
-        ...
+# The plan of the prior's moments; see `prior_predictive`.
+Predictive = Callable[..., Frame]
 
 
 def prior_predictive(

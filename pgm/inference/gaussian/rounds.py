@@ -68,84 +68,70 @@ class Rounds:
         return np.repeat(np.array(sizes, dtype=np.intp), 2)
 
     @cached_property
-    def own_entries(self) -> int:
-        """Entries of the CPDs' factors."""
+    def own_entries(self) -> Integers:
+        """Where the entries of each group of CPDs begin, and where they end."""
         groups = self.layout.groups
-        return sum(len(g.cpds) * g.height * g.width for g in groups)
+        return np.cumsum([0, *(len(g.cpds) * g.height * g.width for g in groups)])
 
     @cached_property
-    def own_rows(self) -> int:
-        """Rows of the CPDs' factors."""
-        return sum(len(g.cpds) * g.height for g in self.layout.groups)
+    def own_rows(self) -> Integers:
+        """Where the rows of each group of CPDs begin, and where they end."""
+        return np.cumsum([0, *(len(g.cpds) * g.height for g in self.layout.groups)])
 
     @cached_property
     def entry_starts(self) -> Integers:
         """Where each message's entries begin, and the zero."""
-        return self.own_entries + np.cumsum([0, *(self.sizes**2)])
+        return int(self.own_entries[-1]) + np.cumsum([0, *(self.sizes**2)])
 
     @cached_property
     def row_starts(self) -> Integers:
         """Where each message's rows begin, and the zero."""
-        return self.own_rows + np.cumsum([0, *self.sizes])
+        return int(self.own_rows[-1]) + np.cumsum([0, *self.sizes])
 
     @cached_property
-    def identity(self) -> Integers:
-        """The diagonal entries of all messages."""
-        starts = self.entry_starts.tolist()
-        found = [
-            start + np.arange(size) * (size + 1)
-            for start, size in zip(starts, self.sizes.tolist(), strict=False)
-        ]
-        return np.concatenate([np.zeros(0, dtype=np.intp), *found])
+    def by_size(self) -> list[tuple[int, Integers]]:
+        """The messages of each size of sepsets."""
+        every = np.unique(self.sizes).tolist()
+        return [(size, np.flatnonzero(self.sizes == size)) for size in every]
 
     @cached_property
-    def _factors(self) -> list[tuple[list[Integers], list[Integers]]]:
+    def _factors(self) -> list[list[tuple[Integers, Integers]]]:
         """For each cluster, the entries (rows, n) and right sides of its CPDs."""
-        layout, zero = self.layout, self.entry_starts[-1]
-        found: list[tuple[list[Integers], list[Integers]]] = [([], []) for _ in layout.scopes]
-        for group in layout.groups:
-            height, width = group.height, group.width
+        found: list[list[tuple[Integers, Integers]]] = [[] for _ in self.layout.scopes]
+        starts = self.own_entries.tolist(), self.own_rows.tolist()
+        for group, entry, first in zip(self.layout.groups, *starts, strict=False):
+            height = group.height
             scope = np.concatenate([group.child, group.parents], axis=1)
-            inside = np.arange(height * width).reshape(height, width)
             for row, cluster in enumerate(group.clusters.tolist()):
-                columns = layout.columns[cluster]
-                block = np.full((height, len(columns)), zero)
-                block[:, [columns[place] for place in scope[row].tolist()]] = (
-                    group.entries + row * height * width + inside
-                )
-                found[cluster][0].append(block)
-                found[cluster][1].append(group.rows + row * height + np.arange(height))
+                block = self._block(cluster, scope[row], entry + row * height * group.width, height)
+                found[cluster].append((block, first + row * height + np.arange(height)))
         return found
 
     @cached_property
     def _arriving(self) -> list[tuple[Integers, Integers]]:
         """For each message, its entries in the columns of its target, and its right sides."""
-        layout, zero = self.layout, self.entry_starts[-1]
         found = []
-        for message, target in enumerate(layout.directed.target.tolist()):
+        for message, target in enumerate(self.layout.directed.target.tolist()):
             size = int(self.sizes[message])
-            columns = layout.columns[target]
-            block = np.full((size, len(columns)), zero)
-            places = layout.components(layout.sepsets[message // 2]).tolist()
-            block[:, [columns[place] for place in places]] = self.entry_starts[message] + np.arange(
-                size * size
-            ).reshape(size, size)
+            places = self.layout.components(self.layout.sepsets[message // 2])
+            block = self._block(target, places, int(self.entry_starts[message]), size)
             found.append((block, self.row_starts[message] + np.arange(size)))
         return found
 
+    def _block(self, cluster: int, places: Integers, first: int, height: int) -> Integers:
+        """The entries of rows over some components, from the first on, in a cluster's columns."""
+        columns = self.layout.columns[cluster]
+        block = np.full((height, len(columns)), self.entry_starts[-1])
+        inside = np.arange(height * places.size).reshape(height, places.size)
+        block[:, [columns[place] for place in places.tolist()]] = first + inside
+        return block
+
     def messages(self, wanted: Sequence[int]) -> list[Stack]:
         """The elimination of some messages from what their sources know, but for the target."""
-        directed = self.layout.directed
-        tasks = [
-            (
-                message,
-                int(directed.source[message]),
-                directed.inputs(message),
-                self.layout.components(self.layout.sepsets[message // 2]).tolist(),
-            )
-            for message in wanted
-        ]
-        return self._stacks(tasks)
+        layout, directed = self.layout, self.layout.directed
+        kept = (layout.components(layout.sepsets[m // 2]).tolist() for m in wanted)
+        sources = directed.source[list(wanted)].tolist()
+        return self._stacks(zip(wanted, sources, map(directed.inputs, wanted), kept, strict=True))
 
     def beliefs(self, clusters: Iterable[int]) -> list[Stack]:
         """The elimination of everything in some clusters, from all that they know."""
@@ -161,36 +147,29 @@ class Rounds:
         count = len(self.layout.scopes)
         zero, zero_row = int(self.entry_starts[-1]), int(self.row_starts[-1])
         zero_log = count + len(self.layout.directed)
-        alike: dict[tuple[int, int, int], list[tuple[int, int, list[int], list[int], int]]]
         alike = defaultdict(list)
         for member, cluster, inputs, kept in tasks:
-            rows = sum(block.shape[0] for block in self._factors[cluster][0])
-            rows += sum(int(self.sizes[m]) for m in inputs)
-            size = len(self.layout.columns[cluster])
+            blocks = [*self._factors[cluster], *(self._arriving[m] for m in inputs)]
+            rows, size = sum(len(right) for _, right in blocks), len(self.layout.columns[cluster])
             # Stacks are padded with zero rows: few shapes, at most twice the rows.
             room = max(size, 1 << max(rows - 1, 0).bit_length(), 1)
-            alike[size, len(kept), room].append((member, cluster, inputs, kept, rows))
+            alike[size, len(kept), room].append((member, cluster, inputs, kept, blocks, rows))
         stacks = []
         for (size, kept_size, _), members in alike.items():
             room = max(size, *(rows for *_, rows in members))
-            width = 1 + max(len(inputs) for _, _, inputs, _, _ in members)
+            width = 1 + max(len(inputs) for _, _, inputs, *_ in members)
             entries = np.full((len(members), room, size), zero)
             right = np.full((len(members), room), zero_row)
             logs = np.full((len(members), width), zero_log)
             columns = np.empty((len(members), size), dtype=np.intp)
             components = np.empty((len(members), size), dtype=np.intp)
-            for b, (_, cluster, inputs, kept, _) in enumerate(members):
-                own, own_right = self._factors[cluster]
-                blocks = [*own, *(self._arriving[m][0] for m in inputs)]
-                rights = [*own_right, *(self._arriving[m][1] for m in inputs)]
-                places = self.layout.columns[cluster]
-                order = [place for place in places if place not in set(kept)] + kept
-                columns[b] = [places[place] for place in order]
-                components[b] = order
+            for b, (_, cluster, inputs, kept, blocks, rows) in enumerate(members):
+                places, last = self.layout.columns[cluster], set(kept)
+                components[b] = [place for place in places if place not in last] + kept
+                columns[b] = [places[place] for place in components[b].tolist()]
                 if blocks:
-                    block = np.concatenate(blocks)
-                    entries[b, : len(block)] = block[:, columns[b]]
-                    right[b, : len(block)] = np.concatenate(rights)
+                    own, sides = map(np.concatenate, zip(*blocks, strict=True))
+                    entries[b, :rows], right[b, :rows] = own[:, columns[b]], sides
                 logs[b, 0] = cluster
                 logs[b, 1 : 1 + len(inputs)] = [count + m for m in inputs]
             stacks.append(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import TypeVar
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,22 +13,22 @@ from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.evidence.continuous import BoundValues, bind_values
+from pgm.inference.chain.iteration import Anchor, iterate
 from pgm.inference.gaussian import careful
-from pgm.inference.gaussian.beliefs import Beliefs, relinearise
+from pgm.inference.gaussian.beliefs import Calibrated, TreePoint, relinearise
 from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.certificate import SAFE_DIGITS, kept_digits
 from pgm.inference.gaussian.layout import Layout, barren, known_parents
 from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.posterior import GaussianPosterior
-from pgm.inference.gaussian.tree import Calibrated, TreePlan, calibrate
+from pgm.inference.gaussian.tree import TreePlan, calibrate
 from pgm.inference.limits import require_runs, require_size
 from pgm.inference.loopy import run_loopy
-from pgm.inference.schedule import Calibration, Loopy, Schedule
+from pgm.inference.schedule import Calibration, Loopy, Schedule, Smoothing
 from pgm.inference.start import Start, over_runs, require_hidden
 from pgm.inference.status import Status
-from pgm.kernels import moments
-from pgm.kernels.arrays import Array, quiet
+from pgm.kernels.arrays import Array, Mask, quiet
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 
@@ -53,31 +52,32 @@ def run(
     squares = [size * size for size in plan.places.sizes]
     require_size(graph, squares, "covariances")
     require_runs(sum(squares), 1 if linear else bound.runs, "the covariances of all clusters")
-    given = None if start is None else _start(plan.layout, bound, start)
-    if isinstance(schedule, Loopy):
-        with quiet():
-            model = Model.make(plan.layout, bound, lineariser, given)
-            messages = RowMessages.make(plan.rounds, plan.places, model, schedule.damping)
-            status = run_loopy(messages, schedule, model.lead)
-            found = GaussianPosterior.loopy(plan, messages, status)
-            digits = kept_digits(messages.buffer, found._beliefs, found._log_evidence)
-        if digits >= SAFE_DIGITS or not status.converged.all():
-            return found
-        return replace(found, status=status.with_digits(np.full(bound.lead, digits)))
-    calibration = schedule if isinstance(schedule, Calibration) else Calibration()
-    failure: NumericalError | None = None
+    at = None if start is None else _start(plan.layout, bound, start)
+    loopy = isinstance(schedule, Loopy)
+    again = not loopy and careful.work(plan.layout, bound.runs, linear) <= careful.MOST_WORK
     with quiet():
         try:
-            found, digits = _in_floats(plan, bound, lineariser, given, calibration)
-            if digits >= SAFE_DIGITS:
+            model = Model.make(plan.layout, bound, lineariser, at)
+            buffer = Buffer.make(plan.rounds, model)
+            if isinstance(schedule, Loopy):
+                found = _sent(plan, buffer, schedule)
+            else:
+                done, status = _iterated(model, lambda: calibrate(plan, buffer), schedule)
+                found = GaussianPosterior(graph, status, plan, model, done)
+            digits = kept_digits(buffer, found._done.beliefs, found._done.log_evidence)
+            if digits >= SAFE_DIGITS or (loopy and not found.status.converged.all()):
                 return found
-        except NumericalError as error:
-            failure = error
-        if careful.work(plan.layout, bound.runs, linear) <= careful.MOST_WORK:
-            return _in_digits(plan, bound, lineariser, given, calibration)
-    if failure is not None:
-        raise failure
-    return replace(found, status=found.status.with_digits(np.full(bound.lead, digits)))
+            if not again:
+                every = np.full(bound.lead, digits)
+                return replace(found, status=found.status.with_digits(every))
+        except NumericalError:
+            if not again:
+                raise
+        model = Model.make(plan.layout, bound, lineariser, at, careful.predictive)
+        done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
+        assert done.digits is not None
+        status = status.with_digits(done.digits.reshape(bound.lead))
+        return GaussianPosterior(graph, status, plan, model, done)
 
 
 def _plan(
@@ -86,65 +86,47 @@ def _plan(
     return TreePlan(Layout(graph, observed, absent))
 
 
-def _in_floats(
-    plan: TreePlan,
-    bound: BoundValues,
-    lineariser: Lineariser,
-    start: Array | None,
-    schedule: Calibration,
-) -> tuple[GaussianPosterior, float]:
-    """The posterior of a tree, and the digits of its means that float64 leaves at least."""
-    model = Model.make(plan.layout, bound, lineariser, start)
-    buffer = Buffer.make(plan.rounds, model)
-    done, status = _calibrate(lambda: calibrate(plan, buffer), buffer.refresh, model, schedule)
-    return GaussianPosterior.tree(plan, buffer, done, status), kept_digits(
-        buffer, done.beliefs, done.log_evidence
-    )
+def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
+    """The posterior of a graph of any shape."""
+    graph, model = plan.layout.graph, buffer.model
+    messages = RowMessages.make(buffer, plan.places, schedule.damping)
+    status = run_loopy(messages, schedule, model.lead)
+    return GaussianPosterior(graph, status, plan, model, messages.calibrated(), messages)
 
 
-def _in_digits(
-    plan: TreePlan,
-    bound: BoundValues,
-    lineariser: Lineariser,
-    start: Array | None,
-    schedule: Calibration,
-) -> GaussianPosterior:
-    """The same in as many digits as it takes."""
-    model = Model.make(plan.layout, bound, lineariser, start, careful.predictive)
-    done, status = _calibrate(lambda: careful.solve(plan, model), None, model, schedule)
-    return GaussianPosterior.careful(
-        plan, model, done, status.with_digits(done.digits.reshape(model.lead))
-    )
+@dataclass(frozen=True, eq=False)
+class _Tree:
+    """A tree as a problem to be iterated on."""
+
+    model: Model
+    solver: Callable[[], Calibrated]
+
+    def linearise(self, at: TreePoint, active: Mask) -> None:
+        """Linearise every CPD at its cluster's belief, for the runs that are active."""
+        relinearise(at.beliefs, self.model, active)
+
+    def solve(self, anchor: Anchor | None = None) -> Calibrated:
+        """Calibrate the tree as everything is linearised."""
+        return self.solver()
 
 
-Solved = TypeVar("Solved", Calibrated, careful.Solution)
-
-
-def _calibrate(
-    solve: Callable[[], Solved],
-    refresh: Callable[[], None] | None,
-    model: Model,
-    schedule: Calibration,
-) -> tuple[Solved, Status]:
+def _iterated(
+    model: Model, solver: Callable[[], Calibrated], schedule: Schedule | None
+) -> tuple[Calibrated, Status]:
     """Solve, linearise at the beliefs, and solve again, until the means stay."""
-    done = solve()
-    residuals: list[Array] = []
-    converged = np.full(model.runs, model.exact)
-    while len(residuals) + 1 < schedule.iterations and not converged.all():
-        before, _ = done.beliefs.components()
-        relinearise(done.beliefs, model, ~converged)
-        if refresh is not None:
-            refresh()
-        done = solve()
-        residuals.append(_move(before, done.beliefs))
-        converged = converged | (residuals[-1] <= schedule.tolerance)
-    return done, Status.of(residuals, converged, model.lead)
+    asked = schedule if isinstance(schedule, Calibration) else Calibration()
+    tree, exact = _Tree(model, solver), np.full(model.runs, model.exact)
+    done = tree.solve()
+    if model.exact or asked.iterations == 1:
+        return done, Status.of([], exact, model.lead)
+    found = iterate(tree, done, Smoothing(asked.iterations, asked.tolerance), exact)
+    return found.solution, Status.of(found.residuals, found.converged, model.lead)
 
 
-def _move(before: Array, beliefs: Beliefs) -> Array:
-    """The move of each run's means, (runs,), in standard deviations."""
-    mean, std = beliefs.components()
-    return moments.marginal_error(mean[None], before[None], std[None])
+def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
+    """The same as `calibrate` in as many digits as it takes."""
+    found = careful.solve(plan, model)
+    return Calibrated(found.beliefs, found.log_evidence, found.digits)
 
 
 def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from pgm.inference.forest import Forest
-from pgm.inference.gaussian.beliefs import Beliefs, Places
+from pgm.inference.gaussian.beliefs import Beliefs, Calibrated, Places
 from pgm.inference.gaussian.buffer import Buffer
 from pgm.inference.gaussian.layout import Layout
 from pgm.inference.gaussian.rounds import Rounds, Stack
@@ -48,15 +48,18 @@ class TreePlan:
     @cached_property
     def levels(self) -> list[list[Stack]]:
         """The messages to parents, depth by depth; the roots' beliefs last."""
-        directed = self.layout.directed
-        upward = {
-            int(directed.source[m]): m
-            for m in range(len(directed))
-            if self.forest.parent[directed.source[m]] == directed.target[m]
-        }
-        *below, roots = [level.tolist() for level in reversed(self.forest.levels)]
-        found = [self.rounds.messages([upward[i] for i in level]) for level in below]
-        return [*found, self.rounds.beliefs(roots)]
+        *below, roots = reversed(self.forest.levels)
+        found = [self.rounds.messages(self.upward[level].tolist()) for level in below]
+        return [*found, self.rounds.beliefs(roots.tolist())]
+
+    @cached_property
+    def upward(self) -> Integers:
+        """The message of each cluster to its parent, (clusters,); −1 of a root."""
+        source, target = self.layout.directed.source, self.layout.directed.target
+        found = np.full(len(self.forest.parent), -1)
+        messages = np.flatnonzero(self.forest.parent[source] == target)
+        found[source[messages]] = messages
+        return found
 
     @cached_property
     def senders(self) -> dict[int, tuple[int, int, int]]:
@@ -71,39 +74,21 @@ class TreePlan:
     @cached_property
     def both_ways(self) -> list[list[Stack]]:
         """The messages to parents, deepest first, then those to children."""
-        directed, parent = self.layout.directed, self.forest.parent
-        downward = {
-            int(directed.target[m]): m
-            for m in range(len(directed))
-            if parent[directed.target[m]] == directed.source[m]
-        }
-        down = [
-            self.rounds.messages([downward[i] for i in level.tolist()])
-            for level in self.forest.levels[1:]
-        ]
+        downward = (self.upward[level] ^ 1 for level in self.forest.levels[1:])
+        down = [self.rounds.messages(messages.tolist()) for messages in downward]
         return [*self.levels[:-1], *down]
 
     @cached_property
     def separators(self) -> list[list[tuple[Integers, Integers]]]:
         """For each stack of messages, where the sepsets' moments stand in the parents."""
-        found = []
-        for level in self.levels[:-1]:
-            inside = []
-            for stack in level:
-                parents = self.forest.parent[stack.clusters]
-                kept = stack.components[:, stack.drop :].tolist()
-                columns = np.array(
-                    [
-                        [self.layout.columns[parent][place] for place in row]
-                        for parent, row in zip(parents.tolist(), kept, strict=True)
-                    ],
-                    dtype=np.intp,
-                ).reshape(len(kept), stack.kept)
-                inside.append(
-                    (self.places.means(parents, columns), self.places.covs(parents, columns))
-                )
-            found.append(inside)
-        return found
+        parent = self.forest.parent
+        return [
+            [
+                self.places.of(parent[stack.clusters], stack.components[:, stack.drop :])
+                for stack in level
+            ]
+            for level in self.levels[:-1]
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,18 +104,12 @@ class TreeBeliefs(Beliefs):
     gains: list[list[Array]]
 
 
-@dataclass(frozen=True, eq=False)
-class Calibrated:
-    """The beliefs of a tree, and ln of the evidence, (V, N)."""
-
-    beliefs: TreeBeliefs
-    log_evidence: Array
-
-
 def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
-    """Send the messages of both passes."""
+    """Send the messages of both passes, of the CPDs as they are linearised."""
+    buffer.refresh()
     kept: list[list[Eliminated]] = []
-    total = np.zeros((buffer.right.shape[0], buffer.right.shape[2]))
+    stacked, _, sides = buffer.proper.right.shape
+    total = np.zeros((stacked, sides))
     for level in plan.levels:
         kept.append([])
         for stack in level:
@@ -141,12 +120,12 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
                 total += log_scale.sum(axis=1)
             else:
                 buffer.store(stack, done.rest, log_scale)
-    blank = Beliefs.empty(plan.places, buffer.model.frame, *total.shape)
+    blank = Beliefs.empty(plan.places, buffer.model.frame, stacked, sides)
     gains = [[done.gain for done in results] for results in kept[:-1]]
     beliefs = TreeBeliefs(blank.places, blank.frame, blank.mean, blank.cov, gains)
     exact = buffer.exact is not None
     for stack, done in zip(plan.levels[-1], kept[-1], strict=True):
-        _write(beliefs, stack, done.offset, _certain(done.noise) if exact else done.noise)
+        beliefs.put(stack, done.offset, _certain(done.noise) if exact else done.noise)
     below = list(zip(plan.levels[:-1], plan.separators, kept[:-1], strict=True))
     for level, separators, results in reversed(below):
         for stack, (where, entries), done in zip(level, separators, results, strict=True):
@@ -158,18 +137,12 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
                 cross = np.where(
                     (np.diagonal(own, axis1=-2, axis2=-1) > 0.0)[..., None], cross, 0.0
                 )
-            _write(
-                beliefs,
+            beliefs.put(
                 stack,
                 np.concatenate([done.gain @ at + done.offset, at], axis=2),
                 np.block([[own, cross], [transpose(cross), spread]]),
             )
     return Calibrated(beliefs, frozen(total))
-
-
-def _write(beliefs: Beliefs, stack: Stack, mean: Array, cov: Array) -> None:
-    beliefs.mean[:, beliefs.places.means(stack.clusters, stack.columns)] = mean
-    beliefs.cov[:, beliefs.places.covs(stack.clusters, stack.columns)] = cov
 
 
 def _certain(cov: Array) -> Array:

@@ -328,4 +328,5 @@ def test_proper_networks_have_no_exact_relations():
     """No singular value is computed where no CPD lacks noise."""
     drawn = regular(0, 5)
     evidence, _ = drawn.observe(np.random.default_rng(0), 0.4)
-    assert pgm.infer(pgm.compile(drawn.network()), evidence)._buffer.exact is None
+    posterior = pgm.infer(pgm.compile(drawn.network()), evidence)
+    assert posterior._messages.buffer.exact is None
