@@ -12,13 +12,6 @@ import numpy as np
 set_writeable: Callable[[Any, bool], None] = np.ndarray.setflags  # type: ignore[assignment]
 
 
-def sealed(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """A read-only view, for functions of users."""
-    view = array.view()
-    set_writeable(view, False)
-    return view
-
-
 class Immutable:
     """Base of values whose attributes are set once, by `_set`, while they are made."""
 

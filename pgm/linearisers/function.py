@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.factors.scope import Scope, angle_mask, dimension, positions
-from pgm.immutable import sealed
+from pgm.immutable import set_writeable
 from pgm.kernels import differences
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Index, Integers, Mask, components_first, components_last
@@ -286,7 +286,7 @@ class BoundFunction(_Bound):
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
     def _arguments(self, x: Array) -> tuple[list[Array], tuple[int, ...]]:
-        x = sealed(x)  # a function that writes into its arguments would change the belief
+        x = sealed(x)
         if not self.lead and self.group is None and self.template.undivided and x.ndim <= 2:
             # Of one run there is little to broadcast, and often nothing to cut.
             if x.ndim == 1:
@@ -326,6 +326,13 @@ class BoundFunction(_Bound):
         step = self.step if source.timed else None
         lead = x.shape[: self.lead]
         return Call(self.template.child, role, lead, step, source.first_run, source.cpd)
+
+
+def sealed(array: Array) -> Array:
+    """A read-only view: a function that writes into its arguments would change the belief."""
+    view = array.view()
+    set_writeable(view, False)
+    return view
 
 
 def _along_runs(array: Array, own: int) -> Array:

@@ -15,7 +15,6 @@ import numpy as np
 
 from pgm.errors import LinearisationError
 from pgm.factors import AffineGaussian, Gaussian
-from pgm.immutable import sealed
 from pgm.kernels.arrays import (
     Array,
     block_diagonal,
@@ -24,7 +23,7 @@ from pgm.kernels.arrays import (
     times,
 )
 from pgm.kernels.checks import is_symmetric, symmetrised
-from pgm.linearisers.function import BoundFunction, FunctionTemplate
+from pgm.linearisers.function import BoundFunction, FunctionTemplate, sealed
 
 
 class Lineariser(Protocol):
