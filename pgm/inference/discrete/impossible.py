@@ -40,7 +40,7 @@ def require_possible(plan: TreePlan, evidence: BoundStates, log_tops: Array) -> 
     first = int(runs.argmax())
     lost = impossible[:, first] if runs.ndim else impossible
     root = int(plan.tree_of_top[lost.argmax()])
-    alone = some_runs(evidence, first, first + 1)
+    alone = some_runs(evidence, slice(first, first + 1))
     cluster, involved = _contradiction(plan, alone, root)
     where = in_run(runs.reshape(evidence.lead))
     raise EvidenceError(

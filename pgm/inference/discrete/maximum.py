@@ -174,10 +174,7 @@ def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
     parts = [slice(*pair) for pair in pairwise(edges) if pair[0] < pair[1]]
     if len(parts) == 1:
         return [_search(search)]
-    jobs = [
-        replace(search, evidence=some_runs(search.evidence, part.start, part.stop))
-        for part in parts
-    ]
+    jobs = [replace(search, evidence=some_runs(search.evidence, part)) for part in parts]
     return [done.result() for done in workers.each(_search, jobs, parts, large=False)]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.discrete import BoundStates
 from pgm.inference.discrete.enumeration import Enumeration
-from pgm.inference.discrete.evidence import alone, multiply, states_of_one
+from pgm.inference.discrete.evidence import multiply
 from pgm.inference.discrete.tree_plan import Stack, TreePlan
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
@@ -149,7 +149,6 @@ def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
     FloatingPointError
         If an entry is too small for a number.
     """
-    evidence = alone(evidence)
     if plan.storage.entries > HELD:
         tables = plan.storage.potentials(semiring, plan.columns)
         multiply(plan.storage, tables, evidence, semiring)
@@ -232,7 +231,7 @@ def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
 
 
 def _enumerated(plan: TreePlan, enumeration: Enumeration, evidence: BoundStates) -> Calibrated:
-    tables, total = enumeration.given(states_of_one(evidence))
+    tables, total = enumeration.given(evidence.states)
     log_tops = np.zeros(plan.tops)
     log_tops[plan.stacks[0].tops.start] = math.log(total) if total > 0.0 else -math.inf
     return Calibrated(tables, log_tops)

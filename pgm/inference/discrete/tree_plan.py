@@ -19,10 +19,10 @@ from pgm.evidence.discrete import BoundStates
 from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference.discrete.enumeration import Enumeration
 from pgm.inference.discrete.evidence import at_once
-from pgm.inference.discrete.place import LARGE, Place
+from pgm.inference.discrete.place import LARGE, Place, positions, steps
 from pgm.inference.discrete.products import BlockProduct, GatheredProduct, Product
 from pgm.inference.discrete.storage import Storage, sepset_to_parent
-from pgm.inference.discrete.sums import BlockSum, GatheredSum, Marginals, Sum
+from pgm.inference.discrete.sums import Marginals, Sum, summed
 from pgm.inference.forest import Forest
 from pgm.inference.limits import require_size
 from pgm.kernels.arrays import Array, Integers
@@ -184,19 +184,18 @@ class TreePlan:
     @cached_property
     def marginals(self) -> Marginals:
         """The sums of tables and sepsets to the probabilities of each variable."""
-        sources = self.storage.by_state
-        smallest = {v: self._smallest(v, source) for v, source in sources.items()}
+        smallest = {variable: self._smallest(variable) for variable in self.storage.homes}
         return Marginals.of(smallest, self.storage.entries + self.columns)
 
-    def _smallest(self, variable: Discrete, home: Integers | Place) -> Integers | Place:
+    def _smallest(self, variable: Discrete) -> Place:
         """Where to sum a variable from: its home, or a smaller sepset."""
-        best, least = home, self.graph.sizes[self.storage.homes[variable]]
+        home = self.storage.homes[variable]
+        best, least = self.storage.places[home], self.graph.sizes[home]
         for k, sepset in self._sepsets.get(variable, ()):
             width = math.prod(sizes(sepset))
             if width < least:
                 start = self.storage.entries + int(self.first[k])
-                place = Place(sepset, 1, width, start, width, 1, width >= self.large)
-                best, least = place if place.large else place.split(variable), width
+                best, least = Place.of(sepset, start, self.large), width
         return best
 
     @cached_property
@@ -313,14 +312,12 @@ class _Planner:
         offset = 0
         for k in clusters:
             rest = without(discrete(self.graph.clusters[k].scope), self.sepsets[k])
-            scope = (*self._ordered(k, rest, self.sepsets), *self.sepsets[k])
+            rest = self._ordered(k, rest, self.sepsets)
+            down, across = (columns, 1) if rows <= columns else (1, rows)
+            step = steps(rest, down) | steps(self.sepsets[k], across)
+            scope = (*rest, *self.sepsets[k])
+            self.places[k] = Place(scope, start + offset * across, step, self._large(k))
             self.first[k] = column + offset
-            large = self._large(k)
-            if rows <= columns:
-                place = Place(scope, rows, self.width[k], start + offset, columns, 1, large)
-            else:
-                place = Place(scope, rows, self.width[k], start + offset * rows, 1, rows, large)
-            self.places[k] = place
             offset += self.width[k]
         return start + rows * columns, column + columns
 
@@ -371,15 +368,10 @@ class _Planner:
         maps = np.empty((count, entries), dtype=np.intp)
         for k in clusters:
             place = storage.places[k]
-            axis = {variable: j for j, variable in enumerate(place.scope)}
             target = place.positions(place.scope) - start
             for slot, child in enumerate(self.forest.children[k]):
-                sepset = self.sepsets[child]
-                shape = np.ones(len(place.scope), dtype=np.intp)
-                shape[[axis[v] for v in sepset]] = sizes(sepset)
-                own = np.arange(self.width[child]).reshape(sizes(sepset))
-                order = np.argsort([axis[v] for v in sepset])
-                maps[slot, target] = self.first[child] + own.transpose(order).reshape(shape)
+                columns = steps(self.sepsets[child], 1)
+                maps[slot, target] = positions(int(self.first[child]), columns, place.scope)
         size = min(CHUNK, max(1, SMALL // entries))
         chunks = [slice(at, at + size) for at in range(0, count, size)]
         return [GatheredProduct(senders[some], maps[some]) for some in chunks]
@@ -390,12 +382,5 @@ class _Planner:
         if parent < 0:
             return None
         start = storage.entries + int(self.first[clusters[0]])
-        if storage.places[parent].large:
-            return BlockSum.of(storage.places[parent], self.sepsets[clusters[0]], start)
-        sources = []
-        for k in clusters:
-            place = storage.places[int(self.forest.parent[k])]
-            rest = tuple(v for v in place.scope if v not in self.sepsets[k])
-            positions = np.ascontiguousarray(place.positions((*rest, *self.sepsets[k])))
-            sources.append(positions.reshape(-1, self.width[k]))
-        return GatheredSum.of(sources, start)
+        sources = [(storage.places[int(self.forest.parent[k])], self.sepsets[k]) for k in clusters]
+        return summed(sources, start)
