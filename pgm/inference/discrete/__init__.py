@@ -30,7 +30,6 @@ Graphs of any shape, on which messages go round:
 
 Reading:
 
-- ``beliefs``: what the beliefs of either kind of graph answer;
 - ``joints``: joints of variables of several clusters;
 - ``impossible``: evidence of probability zero, and where it contradicts the tables;
 - ``posterior``: what `pgm.infer` returns;

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.evidence.discrete import BoundStates
-from pgm.factors.axes import States, without
-from pgm.inference.discrete.place import Place
+from pgm.factors.axes import States
+from pgm.inference.discrete.place import by_state
 from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
-from pgm.variables import Discrete
 
 # Runs at once, less than which are computed one by one: loops over a few are short, and the tables
 # of one run stay nearer the processor.
@@ -22,26 +21,23 @@ FEW = 64
 
 def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: Semiring) -> None:
     """Multiply evidence into tables, (entries, [runs])."""
-    runs = tables.ndim > 1
     for variable, state in evidence.states.items():
-        home = storage.places[storage.homes[variable]]
+        table = storage.by_state[variable].of(tables)
         if isinstance(state, int):
-            table = home.table(tables, (variable, *without(home.scope, (variable,))))
             table[:state] = semiring.zero
             table[state + 1 :] = semiring.zero
         else:
-            weigh(home, tables, variable, one_hot(state, variable.size), semiring)
+            _weigh(table, one_hot(state, variable.size), semiring)
+    runs = tables.ndim > 1
     for variable, soft in evidence.weights.items():
-        home = storage.places[storage.homes[variable]]
-        weigh(home, tables, variable, soft.T if runs else soft[0], semiring)
+        table = storage.by_state[variable].of(tables)
+        _weigh(table, soft.T if runs else soft[0], semiring)
 
 
-def weigh(
-    place: Place, tables: Array, variable: Discrete, weights: Array, semiring: Semiring
-) -> None:
-    """Multiply weights (states, [runs]) of a variable into a table."""
-    table = place.table(tables, (*without(place.scope, (variable,)), variable))
-    semiring.times(table, semiring.entries(weights), table)
+def _weigh(table: Array, weights: Array, semiring: Semiring) -> None:
+    """Multiply weights (states, [runs]) into a table (states, others..., [runs])."""
+    between = tuple(range(1, 1 + table.ndim - weights.ndim))
+    semiring.times(table, semiring.entries(np.expand_dims(weights, between)), table)
 
 
 def enter_everywhere(storage: Storage, logs: Array, evidence: BoundStates) -> Array:
@@ -54,10 +50,9 @@ def enter_everywhere(storage: Storage, logs: Array, evidence: BoundStates) -> Ar
     for variable, state in evidence.states.items():
         shown = one_hot(np.reshape(state, -1), variable.size)
         for cluster in storage.holders[variable]:
-            weigh(storage.places[cluster], tables, variable, shown, LOG_SUM_PRODUCT)
+            _weigh(by_state(storage.places[cluster], variable).of(tables), shown, LOG_SUM_PRODUCT)
     for variable, soft in evidence.weights.items():
-        home = storage.places[storage.homes[variable]]
-        weigh(home, tables, variable, soft.T, LOG_SUM_PRODUCT)
+        _weigh(storage.by_state[variable].of(tables), soft.T, LOG_SUM_PRODUCT)
     return tables
 
 
@@ -67,10 +62,10 @@ def one_hot(states: Integers, size: int) -> Array:
     return found
 
 
-def put_in(evidence: BoundStates, scope: States) -> dict[Discrete, int]:
-    """The variables of a scope whose state is one and the same for all runs."""
+def put_in(evidence: BoundStates, scope: States) -> tuple[int | slice, ...]:
+    """The index that puts in the states that are one and the same for all runs."""
     states = evidence.states
-    return {v: s for v in scope if isinstance(s := states.get(v), int)}
+    return tuple(s if isinstance(s := states.get(v), int) else slice(None) for v in scope)
 
 
 def axes_left(evidence: BoundStates, scope: States) -> States:

@@ -58,17 +58,13 @@ def _contradiction(
     """The deepest cluster of a tree whose message upward is all zero, and the evidence below."""
     forest, scopes = plan.forest, plan.storage.scopes
     messages = TreeMessages(plan.storage, evidence, plan.logs)
-    at = root
-    for level in reversed(forest.levels[1:]):
-        found = [
-            k
-            for k in level.tolist()
-            if forest.roots[k] == root
-            and (messages.message(k, int(forest.parent[k])) == -np.inf).all()
-        ]
-        if found:
-            at = found[0]
-            break
+    upward = (
+        k
+        for level in reversed(forest.levels[1:])
+        for k in level.tolist()
+        if forest.roots[k] == root and (messages.message(k, int(forest.parent[k])) == -np.inf).all()
+    )
+    at = next(upward, root)
     below, waiting = [], [at]
     while waiting:
         below.append(waiting.pop())

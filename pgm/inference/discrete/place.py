@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 
 import numpy as np
 
-from pgm.factors.axes import States, sizes
+from pgm.factors.axes import States, sizes, without
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Discrete
 
@@ -44,10 +45,15 @@ class Place:
         """A table in the order of its scope, large from so many entries on."""
         return cls(scope, start, steps(scope, 1), math.prod(sizes(scope)) >= least)
 
+    @cached_property
+    def size(self) -> int:
+        """The number of its entries."""
+        return math.prod(sizes(self.scope))
+
     @property
     def entries(self) -> slice:
         """Where a table stands that stands by itself."""
-        return slice(self.start, self.start + math.prod(sizes(self.scope)))
+        return slice(self.start, self.start + self.size)
 
     @property
     def stored(self) -> States:
@@ -58,16 +64,11 @@ class Place:
         """Where its entries stand, with an axis for each variable of a scope."""
         return positions(self.start, self.steps, scope)
 
-    def table(self, tables: Array, scope: States) -> Array:
-        """A view of the table, (sizes of a scope..., [runs])."""
-        entry, *run = tables.strides
-        return np.ndarray(
-            (*sizes(scope), *tables.shape[1:]),
-            np.float64,
-            tables,
-            entry * self.start,
-            (*(entry * self.steps[variable] for variable in scope), *run),
-        )
+    def view(self, scope: States) -> View:
+        """How the table is seen, with an axis for each variable of a scope."""
+        entry = np.dtype(np.float64).itemsize
+        strides = tuple(entry * self.steps[variable] for variable in scope)
+        return View(sizes(scope), entry * self.start, strides)
 
     def merged(self, wanted: States) -> Merged:
         """The axes of a table that stands by itself, as few as tell some variables apart."""
@@ -80,6 +81,37 @@ class Place:
             sizes(tuple(order)),
             tuple(order.index(v) for v in wanted),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """How a table is seen with its axes in some order.
+
+    Attributes
+    ----------
+    shape : tuple of int
+    start : int
+        Where its first entry is, in bytes, of a single run.
+    strides : tuple of int
+        How many bytes on the next state of each variable is.
+    """
+
+    shape: tuple[int, ...]
+    start: int
+    strides: tuple[int, ...]
+
+    def of(self, tables: Array) -> Array:
+        """The table, a view with these axes and that of runs, if any."""
+        if tables.ndim == 1:
+            return np.ndarray(self.shape, np.float64, tables, self.start, self.strides)
+        runs = tables.shape[1]
+        strides = (*(runs * stride for stride in self.strides), tables.itemsize)
+        return np.ndarray((*self.shape, runs), np.float64, tables, runs * self.start, strides)
+
+
+def by_state(place: Place, variable: Discrete) -> View:
+    """How a table is seen with the axis of a variable first."""
+    return place.view((variable, *without(place.scope, (variable,))))
 
 
 def steps(scope: States, last: int) -> dict[Discrete, int]:

@@ -13,9 +13,8 @@ import numpy as np
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import TableCPD
 from pgm.factors.axes import States, discrete, spread
-from pgm.inference.discrete.place import LARGE, Place
+from pgm.inference.discrete.place import LARGE, Place, View, by_state
 from pgm.inference.discrete.sums import Marginals
-from pgm.inference.forest import Forest
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import Semiring
 from pgm.variables import Discrete
@@ -47,7 +46,7 @@ class Storage:
 
     def table(self, entries: Array, cluster: int) -> Array:
         """A view of a cluster's table, with an axis for each variable, then of the runs, if any."""
-        return self.places[cluster].table(entries, self.scopes[cluster])
+        return self.places[cluster].view(self.scopes[cluster]).of(entries)
 
     @cached_property
     def holders(self) -> dict[Discrete, list[int]]:
@@ -63,6 +62,11 @@ class Storage:
         """The smallest cluster that holds each variable, the first of equals."""
         sizes_of = self.graph.sizes
         return {v: min(found, key=sizes_of.__getitem__) for v, found in self.holders.items()}
+
+    @cached_property
+    def by_state(self) -> dict[Discrete, View]:
+        """The home of each variable, with the axis of the variable first."""
+        return {v: by_state(self.places[home], v) for v, home in self.homes.items()}
 
     @cached_property
     def marginals(self) -> Marginals:
@@ -95,8 +99,6 @@ def contiguous(graph: ClusterGraph) -> Storage:
     return Storage(graph, [Place.of(discrete(c.scope), start, LARGE) for c, start in clusters])
 
 
-def sepset_to_parent(graph: ClusterGraph, forest: Forest, cluster: int) -> States:
-    """The variables that a cluster shares with its parent; of a root none."""
-    parent = int(forest.parent[cluster])
-    edge = (min(cluster, parent), max(cluster, parent))
-    return discrete(graph.sepsets[edge]) if parent >= 0 else ()
+def sepset_between(graph: ClusterGraph, i: int, j: int) -> States:
+    """The variables that two neighbours share; none, where one is the parent of a root, −1."""
+    return discrete(graph.sepsets[min(i, j), max(i, j)]) if min(i, j) >= 0 else ()

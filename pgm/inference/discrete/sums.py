@@ -141,7 +141,7 @@ class Marginals:
         # A large table is summed by itself, others with those of as many entries for each state.
         together: dict[Discrete | int, list[tuple[Place, States]]] = {}
         for variable, place in sources.items():
-            rows = math.prod(sizes(place.scope)) // variable.size
+            rows = place.size // variable.size
             together.setdefault(variable if place.large else rows, []).append((place, (variable,)))
         sums: list[Sum] = []
         where: dict[Discrete, slice] = {}

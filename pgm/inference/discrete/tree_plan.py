@@ -21,7 +21,7 @@ from pgm.inference.discrete.enumeration import Enumeration
 from pgm.inference.discrete.evidence import at_once
 from pgm.inference.discrete.place import LARGE, Place, positions, steps
 from pgm.inference.discrete.products import BlockProduct, GatheredProduct, Product
-from pgm.inference.discrete.storage import Storage, sepset_to_parent
+from pgm.inference.discrete.storage import Storage, sepset_between
 from pgm.inference.discrete.sums import Marginals, Sum, summed
 from pgm.inference.forest import Forest
 from pgm.inference.limits import require_size
@@ -43,7 +43,8 @@ class Stack:
         The one bit that stands for the stack in sets of stacks.
     entries, columns, tops : slice
         Where their tables, the columns of their messages, and the scales taken out of these stand:
-        one for each cluster, and of a hub one more for each time that its table is rescaled.
+        one for each cluster, and of a hub, which has so many children that its table is rescaled
+        in between, one more for each time.
     shape : tuple of int
         Of their tables as one matrix: (rows, columns), or (columns, rows) where `axis` is 1.
     axis : int
@@ -54,8 +55,6 @@ class Stack:
         Messages from the children.
     senders : sequence of int
         For each of these, the set of the stacks that send them.
-    hub : bool
-        Whether the clusters have so many children that their tables are rescaled in between.
     down : Sum or None
         Sums the parents' tables to the columns; of roots None.
     """
@@ -71,7 +70,6 @@ class Stack:
     widths: Integers
     absorbed: Sequence[Product]
     senders: Sequence[int]
-    hub: bool
     down: Sum | None
 
     @cached_property
@@ -88,6 +86,23 @@ class Stack:
     def top(self) -> slice:
         """Where the scales of the messages stand; behind them are those of a hub's table."""
         return slice(self.tops.start, self.tops.start + self.clusters.size)
+
+    def largest(self, columns: Array) -> Array:
+        """The largest of each cluster's columns, (clusters, [runs])."""
+        if self.narrow:
+            return columns
+        if self.single:
+            top: Array = np.maximum.reduce(columns, 0)
+            return top[None]
+        return np.maximum.reduceat(columns, self.first, 0)
+
+    def by_column(self, each: Array) -> Array:
+        """A number of each cluster, (clusters, [runs]), for each of its columns."""
+        return each if self.single or self.narrow else each.repeat(self.widths, 0)
+
+    def by_entry(self, columns: Array) -> Array:
+        """A number for each column as an array to be combined with the tables as one matrix."""
+        return columns[:, None] if self.axis else columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,28 +198,14 @@ class TreePlan:
 
     @cached_property
     def marginals(self) -> Marginals:
-        """The sums of tables and sepsets to the probabilities of each variable."""
-        smallest = {variable: self._smallest(variable) for variable in self.storage.homes}
-        return Marginals.of(smallest, self.storage.entries + self.columns)
-
-    def _smallest(self, variable: Discrete) -> Place:
-        """Where to sum a variable from: its home, or a smaller sepset."""
-        home = self.storage.homes[variable]
-        best, least = self.storage.places[home], self.graph.sizes[home]
-        for k, sepset in self._sepsets.get(variable, ()):
-            width = math.prod(sizes(sepset))
-            if width < least:
-                start = self.storage.entries + int(self.first[k])
-                best, least = Place.of(sepset, start, self.large), width
-        return best
-
-    @cached_property
-    def _sepsets(self) -> dict[Discrete, list[tuple[int, States]]]:
-        found: dict[Discrete, list[tuple[int, States]]] = {}
-        for k, sepset in enumerate(self.sepsets):
+        """The sums of each variable's home, or of a smaller sepset, to its probabilities."""
+        found = {v: self.storage.places[home] for v, home in self.storage.homes.items()}
+        for sepset, first in zip(self.sepsets, self.first.tolist(), strict=True):
+            place = Place.of(sepset, self.storage.entries + first, self.large)
             for variable in sepset:
-                found.setdefault(variable, []).append((k, sepset))
-        return found
+                if place.size < found[variable].size:
+                    found[variable] = place
+        return Marginals.of(found, self.storage.entries + self.columns)
 
 
 # A hub multiplies this many messages at the most into its table before it is rescaled.
@@ -251,14 +252,13 @@ class _Planner:
     """The working place of `make_plan`."""
 
     def __init__(self, graph: ClusterGraph, large: int) -> None:
-        self.graph, self.large, self.forest = graph, large, Forest.of(graph)
-        everywhere = range(len(graph))
-        shared = [sepset_to_parent(graph, self.forest, k) for k in everywhere]
+        self.graph, self.large, self.forest = graph, large, graph.derived(Forest.of)
+        shared = [sepset_between(graph, *edge) for edge in enumerate(self.forest.parent.tolist())]
         self.sepsets = [self._ordered(k, scope, shared) for k, scope in enumerate(shared)]
         self.width = [math.prod(sizes(sepset)) for sepset in self.sepsets]
-        self.places: list[Place | None] = [None for _ in everywhere]
+        self.places: dict[int, Place] = {}
         self.first = np.zeros(len(graph), dtype=np.intp)
-        self.bits = [0 for _ in everywhere]
+        self.bits = [0] * len(graph)
 
     def plan(self) -> TreePlan:
         groups: dict[tuple[int, ...], list[int]] = {}
@@ -270,8 +270,7 @@ class _Planner:
             start, column = self._place(clusters, start, column)
             for k in clusters:
                 self.bits[k] = 1 << number
-        placed = [place for place in self.places if place is not None]
-        storage = Storage(self.graph, placed)
+        storage = Storage(self.graph, [self.places[k] for k in range(len(self.graph))])
         stacks, tops = list[Stack](), 0
         for clusters in groups.values():
             stacks.append(self._stack(clusters, storage, tops))
@@ -342,7 +341,6 @@ class _Planner:
             widths,
             absorbed,
             [self._set(product.children.ravel().tolist()) for product in absorbed],
-            hub,
             self._down(clusters, storage),
         )
 
