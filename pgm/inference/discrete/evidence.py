@@ -36,17 +36,17 @@ def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: S
 
 def _weigh(table: Array, weights: Array, semiring: Semiring) -> None:
     """Multiply weights (states, [runs]) into a table (states, others..., [runs])."""
-    between = tuple(range(1, 1 + table.ndim - weights.ndim))
-    semiring.times(table, semiring.entries(np.expand_dims(weights, between)), table)
+    shape = (len(weights), *(1,) * (table.ndim - weights.ndim), *weights.shape[1:])
+    semiring.times(table, semiring.entries(weights.reshape(shape)), table)
 
 
-def enter_everywhere(storage: Storage, logs: Array, evidence: BoundStates) -> Array:
+def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
     """Logarithms of the potentials times the evidence, (entries, runs).
 
     States enter every cluster that has the variable, so that no message has to bring them; weights
     enter one.
     """
-    tables = np.repeat(logs[:, None], evidence.runs, axis=1)
+    tables = np.repeat(storage.logs[:, None], evidence.runs, axis=1)
     for variable, state in evidence.states.items():
         shown = one_hot(np.reshape(state, -1), variable.size)
         for cluster in storage.holders[variable]:

@@ -57,7 +57,7 @@ def _contradiction(
 ) -> tuple[Cluster, list[Discrete]]:
     """The deepest cluster of a tree whose message upward is all zero, and the evidence below."""
     forest, scopes = plan.forest, plan.storage.scopes
-    messages = TreeMessages(plan.storage, evidence, plan.logs)
+    messages = TreeMessages(plan.storage, evidence)
     upward = (
         k
         for level in reversed(forest.levels[1:])

@@ -15,26 +15,10 @@ from pgm.inference import limits
 from pgm.inference.discrete.evidence import enter_everywhere
 from pgm.inference.discrete.impossible import contradicted
 from pgm.inference.discrete.loopy_plan import Group, LoopyPlan, Outlet
-from pgm.inference.discrete.storage import Storage, contiguous
-from pgm.inference.loopy import Directed
+from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.kernels.semirings import LOG_SUM_PRODUCT, exp, log_sum
+from pgm.kernels.semirings import exp, log_sum
 from pgm.variables import Discrete
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """Messages that are computed together.
-
-    Attributes
-    ----------
-    size : int
-        Number of messages.
-    groups : sequence of Group
-    """
-
-    size: int
-    groups: Sequence[Group]
 
 
 class TableMessages:
@@ -46,25 +30,24 @@ class TableMessages:
 
     def __init__(self, graph: ClusterGraph, evidence: BoundStates, damping: float) -> None:
         _require_room(graph, evidence)
-        self.plan: LoopyPlan = graph.derived(_loopy_plan)
-        self.storage: Storage = self.plan.storage
-        self.directed: Directed = self.plan.directed
+        self.plan = graph.derived(LoopyPlan)
+        self.storage = self.plan.storage
+        self.directed = self.plan.directed
         self.evidence = evidence
         self.damping = damping
-        self.runs: int = evidence.runs
-        potentials = graph.derived(_logs)
-        self.potentials: Array = enter_everywhere(self.storage, potentials, evidence)
-        self.logs: Array = np.repeat(-np.log(self.plan.widths), self.plan.widths)[:, None]
-        self.logs = self.logs + np.zeros(self.runs)
-        self._proposed: Array = np.empty_like(self.logs)
+        self.runs = evidence.runs
+        self.potentials = enter_everywhere(self.storage, evidence)
+        equal = np.repeat(-np.log(self.plan.widths), self.plan.widths)
+        self.logs = np.repeat(equal[:, None], self.runs, axis=1)
+        self._proposed = np.empty_like(self.logs)
 
-    def round(self, messages: Sequence[int]) -> Round:
+    def round(self, messages: Sequence[int]) -> Sequence[Group]:
         """Lay out the computation of some messages."""
         if messages == range(len(self.directed)):
-            return Round(len(messages), self.plan.everything(self.runs))
-        return Round(len(messages), self.plan.lay_out(messages, self.runs))
+            return self.plan.everything(self.runs)
+        return self.plan.lay_out(messages, self.runs)
 
-    def propose(self, round: Round) -> Array:
+    def propose(self, round: Sequence[Group]) -> Array:
         """Compute them from those kept; the largest changes of their entries, (messages, runs).
 
         Raises
@@ -72,8 +55,9 @@ class TableMessages:
         EvidenceError
             If a message is all zero: the evidence has probability zero.
         """
-        change = np.empty((round.size, self.runs))
-        for group in round.groups:
+        count = sum(outlet.order.size for group in round for outlet in group.outlets)
+        change = np.empty((count, self.runs))
+        for group in round:
             products = self._products(group)
             for outlet in group.outlets:
                 sums: Array = log_sum(products.take(outlet.index, 0), 0)
@@ -108,9 +92,9 @@ class TableMessages:
             found = [self.storage.graph.clusters[k] for k in clusters.tolist()]
             raise contradicted(empty, found, self.evidence.lead)
 
-    def accept(self, round: Round, active: Mask) -> None:
+    def accept(self, round: Sequence[Group], active: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active, (runs,)."""
-        for group in round.groups:
+        for group in round:
             for outlet in group.outlets:
                 new, old = self._proposed[outlet.columns], self.logs[outlet.columns]
                 if self.damping:
@@ -145,15 +129,6 @@ class TableMessages:
             self._require_possible(sepsets, self.directed.source[::2])
             value = value - sepsets.sum(axis=0)
         return value
-
-
-def _loopy_plan(graph: ClusterGraph) -> LoopyPlan:
-    return LoopyPlan(contiguous(graph), Directed.of(graph))
-
-
-def _logs(graph: ClusterGraph) -> Array:
-    plan: LoopyPlan = graph.derived(_loopy_plan)
-    return plan.storage.potentials(LOG_SUM_PRODUCT)
 
 
 def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:

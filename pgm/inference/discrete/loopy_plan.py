@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.clustergraph import ClusterGraph
 from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference import limits
 from pgm.inference.discrete.place import positions, steps
-from pgm.inference.discrete.storage import Storage
+from pgm.inference.discrete.storage import contiguous
 from pgm.inference.loopy import Directed
 from pgm.kernels.arrays import Integers
 
@@ -64,17 +65,16 @@ class LoopyPlan:
 
     Parameters
     ----------
-    storage : Storage
-    directed : Directed
+    graph : ClusterGraph
     """
 
-    def __init__(self, storage: Storage, directed: Directed) -> None:
-        self.storage, self.directed = storage, directed
-        edges = storage.graph.sepsets.values()
+    def __init__(self, graph: ClusterGraph) -> None:
+        self.storage, self.directed = contiguous(graph), Directed.of(graph)
+        edges = graph.sepsets.values()
         self.sepsets: list[States] = [discrete(s) for s in edges for _ in range(2)]
         self.widths = np.array([math.prod(sizes(s)) for s in self.sepsets], dtype=np.intp)
         self.first = np.cumsum(self.widths) - self.widths
-        self._slot = {m: k for found in directed.outgoing for k, m in enumerate(found)}
+        self._slot = {m: k for found in self.directed.outgoing for k, m in enumerate(found)}
         self._all: tuple[int, list[Group]] | None = None
         self._shapes: dict[tuple[tuple[int, ...], Kept], tuple[Integers, Integers]] = {}
 

@@ -16,7 +16,7 @@ from pgm.factors.axes import States, discrete, spread
 from pgm.inference.discrete.place import LARGE, Place, View, by_state
 from pgm.inference.discrete.sums import Marginals
 from pgm.kernels.arrays import Array
-from pgm.kernels.semirings import Semiring
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
 from pgm.variables import Discrete
 
 
@@ -67,6 +67,11 @@ class Storage:
     def by_state(self) -> dict[Discrete, View]:
         """The home of each variable, with the axis of the variable first."""
         return {v: by_state(self.places[home], v) for v, home in self.homes.items()}
+
+    @cached_property
+    def logs(self) -> Array:
+        """The logarithms of the clusters' potentials."""
+        return self.potentials(LOG_SUM_PRODUCT)
 
     @cached_property
     def marginals(self) -> Marginals:

@@ -116,14 +116,14 @@ class TreeBeliefs:
     @cached_property
     def _whole(self) -> TreeMessages:
         """The messages of all runs, where they fit at once."""
-        return TreeMessages(self.storage, self._distinct.evidence, self.plan.logs)
+        return TreeMessages(self.storage, self._distinct.evidence)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
         """The message from one cluster to a neighbour, (sizes..., runs), and its log-scale."""
         evidence, parts = self._distinct.evidence, []
         for piece in pieces(self.storage.entries, evidence, self._room.batch):
             several = piece is not evidence
-            messages = TreeMessages(self.storage, piece, self.plan.logs) if several else self._whole
+            messages = TreeMessages(self.storage, piece) if several else self._whole
             parts.append(messages.message(source, target))
         logs = np.concatenate(parts, axis=-1)
         if self._distinct.which is not None:

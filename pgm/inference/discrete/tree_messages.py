@@ -20,13 +20,11 @@ class TreeMessages:
     ----------
     storage : Storage
     evidence : BoundStates
-    logs : ndarray
-        (entries,): the logarithms of the potentials.
     """
 
-    def __init__(self, storage: Storage, evidence: BoundStates, logs: Array) -> None:
+    def __init__(self, storage: Storage, evidence: BoundStates) -> None:
         self.storage = storage
-        self.potentials = enter_everywhere(storage, logs, evidence)
+        self.potentials = enter_everywhere(storage, evidence)
         self._messages: dict[tuple[int, int], Array] = {}
 
     def message(self, source: int, target: int) -> Array:

@@ -138,7 +138,7 @@ def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
         tables = plan.storage.potentials(semiring, plan.columns)
         multiply(plan.storage, tables, evidence, semiring)
         return Entry(tables, tables, plan.everything, plan.everything)
-    potentials: Array | None = plan.logs
+    potentials: Array | None = plan.storage.logs
     active = plan.everything
     if semiring.linear:
         potentials, active = plan.graph.derived(conditionals, plan), plan.above(evidence)

@@ -26,7 +26,6 @@ from pgm.inference.discrete.sums import Marginals, Sum, summed
 from pgm.inference.forest import Forest
 from pgm.inference.limits import require_size
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.variables import Discrete
 
 
@@ -140,11 +139,6 @@ class TreePlan:
     def graph(self) -> ClusterGraph:
         """The graph that this is the plan of."""
         return self.storage.graph
-
-    @cached_property
-    def logs(self) -> Array:
-        """The logarithms of the clusters' potentials."""
-        return self.storage.potentials(LOG_SUM_PRODUCT)
 
     @cached_property
     def enumeration(self) -> Enumeration | None:
