@@ -81,7 +81,7 @@ def at_once(entries: int, batch: int) -> int:
 
 def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
     """Some runs after the other, as many as are calibrated at once."""
-    for piece in _split(evidence, at_once(entries, batch)):
+    for piece in pieces(evidence, at_once(entries, batch)):
         yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
 
 
@@ -92,12 +92,9 @@ def _of_one(evidence: BoundStates) -> BoundStates:
     return BoundStates(evidence.lead, observed, evidence.weights)
 
 
-def pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
-    """Some runs after the other, as many as fit for tables of so many entries."""
-    return _split(evidence, max(1, batch // entries))
-
-
-def _split(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
+def pieces(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
+    """Some runs after the other, so many at a time or one."""
+    size = max(1, size)
     if evidence.runs <= size:
         yield evidence
         return

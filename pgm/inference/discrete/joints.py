@@ -1,4 +1,4 @@
-"""Joints of variables of several clusters of a tree."""
+"""Joints of variables of one cluster, or of several of a tree."""
 
 from __future__ import annotations
 

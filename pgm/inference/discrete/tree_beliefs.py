@@ -121,7 +121,7 @@ class TreeBeliefs:
     def message(self, source: int, target: int) -> tuple[Array, Array]:
         """The message from one cluster to a neighbour, (sizes..., runs), and its log-scale."""
         evidence, parts = self._distinct.evidence, []
-        for piece in pieces(self.storage.entries, evidence, self._room.batch):
+        for piece in pieces(evidence, self._room.batch // self.storage.entries):
             several = piece is not evidence
             messages = TreeMessages(self.storage, piece) if several else self._whole
             parts.append(messages.message(source, target))

@@ -8,9 +8,10 @@ stack: their tables are the columns of one matrix, so that the messages of a sta
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import or_
 
 import numpy as np
 
@@ -152,36 +153,26 @@ class TreePlan:
 
     def homes_of(self, evidence: BoundStates) -> int:
         """The set of the stacks that evidence is put into."""
-        found = 0
-        for variable in (*evidence.states, *evidence.weights):
-            found |= self._bits[variable]
-        return found
-
-    @cached_property
-    def _bits(self) -> dict[Discrete, int]:
-        bits = {k: stack.bit for stack in self.stacks for k in stack.clusters.tolist()}
-        return {variable: bits[home] for variable, home in self.storage.homes.items()}
-
-    @cached_property
-    def _roots(self) -> int:
-        return sum(stack.bit for stack in self.stacks if stack.down is None)
-
-    @cached_property
-    def _paths(self) -> dict[Discrete, int]:
-        """The stacks on the way from each variable's home to the root."""
-        to_root = [0] * len(self.graph)
-        for stack in self.stacks:
-            for k in stack.clusters.tolist():
-                parent = int(self.forest.parent[k])
-                to_root[k] = stack.bit | (to_root[parent] if parent >= 0 else 0)
-        return {variable: to_root[home] for variable, home in self.storage.homes.items()}
+        return _union(self._ways[v][0] for v in (*evidence.states, *evidence.weights))
 
     def above(self, evidence: BoundStates) -> int:
         """The set of the stacks on the ways from the evidence to the roots, and of these."""
-        found = self._roots
-        for variable in (*evidence.states, *evidence.weights):
-            found |= self._paths[variable]
-        return found
+        ways = _union(self._ways[v][1] for v in (*evidence.states, *evidence.weights))
+        return self._roots | ways
+
+    @cached_property
+    def _roots(self) -> int:
+        return _union(stack.bit for stack in self.stacks if stack.down is None)
+
+    @cached_property
+    def _ways(self) -> dict[Discrete, tuple[int, int]]:
+        """The stack of each variable's home, and those on the way from it to the root."""
+        found = [(0, 0)] * len(self.graph)
+        for stack in self.stacks:
+            for k in stack.clusters.tolist():
+                parent = int(self.forest.parent[k])
+                found[k] = stack.bit, stack.bit | (found[parent][1] if parent >= 0 else 0)
+        return {variable: found[home] for variable, home in self.storage.homes.items()}
 
     @cached_property
     def tree_of_top(self) -> Integers:
@@ -240,6 +231,11 @@ def make_plan(graph: ClusterGraph, large: int) -> TreePlan:
     """
     require_size(graph, graph.sizes, "tables")
     return _Planner(graph, large).plan()
+
+
+def _union(sets: Iterable[int]) -> int:
+    """The union of sets of stacks."""
+    return reduce(or_, sets, 0)
 
 
 class _Planner:
@@ -334,16 +330,9 @@ class _Planner:
             np.cumsum(widths) - widths,
             widths,
             absorbed,
-            [self._set(product.children.ravel().tolist()) for product in absorbed],
+            [_union(self.bits[k] for k in product.children.ravel()) for product in absorbed],
             self._down(clusters, storage),
         )
-
-    def _set(self, clusters: list[int]) -> int:
-        """The set of the stacks of some clusters."""
-        found = 0
-        for k in clusters:
-            found |= self.bits[k]
-        return found
 
     def _absorbed(
         self, clusters: list[int], storage: Storage, start: int, entries: int

@@ -177,9 +177,8 @@ def _answer(graph: ClusterGraph | None, requisite: Requisite, scope: States) -> 
 def _eliminated(plan: EliminationPlan, scope: States) -> Array:
     """By summing the others out."""
     plan.require_size()
-    parts = [
-        eliminate(plan, piece) for piece in pieces(plan.peak, plan.requisite.evidence, limits.BATCH)
-    ]
+    some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
+    parts = [eliminate(plan, piece) for piece in some]
     values = np.concatenate(parts, axis=-1)
     require_possible(plan, values)
     asked = plan.order[len(plan.order) - values.ndim + 1 :]
