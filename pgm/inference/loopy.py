@@ -70,34 +70,28 @@ class Messages(Protocol[Round]):
     @property
     def directed(self) -> Directed:
         """Their numbers."""
-        ...
 
     @property
     def runs(self) -> int:
         """Number of runs."""
-        ...
 
     def round(self, messages: Sequence[int]) -> Round:
         """Lay out the computation of some messages, in batches of one shape."""
-        ...
 
     def propose(self, round: Round) -> Array:
         """Compute them from the messages kept; how much each would change, (messages, runs).
 
         In the order in which they were asked for.
         """
-        ...
 
     def accept(self, round: Round, active: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active, (runs,)."""
-        ...
 
     def relinearise(self, active: Mask) -> Array | None:
         """Linearise nonlinear CPDs at the beliefs: how far means moved, (runs,), in deviations.
 
         None where there is nothing to linearise.
         """
-        ...
 
 
 # Messages settle this far, in deviations, before nonlinear CPDs are first linearised anew; later
@@ -152,14 +146,7 @@ def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array
 
 
 def _flooding(messages: Messages[Any]) -> Callable[[Mask], Array]:
-    everything = messages.round(range(len(messages.directed)))
-
-    def step(active: Mask) -> Array:
-        change = messages.propose(everything)
-        messages.accept(everything, active)
-        return _largest(change)
-
-    return step
+    return _in_turn(messages, [messages.round(range(len(messages.directed)))])
 
 
 def _sequential(messages: Messages[Any]) -> Callable[[Mask], Array]:
@@ -171,10 +158,15 @@ def _sequential(messages: Messages[Any]) -> Callable[[Mask], Array]:
         earlier = [m for m in outgoing if target[m] < cluster]
         there += [messages.round(later)] if later else []
         back += [messages.round(earlier)] if earlier else []
+    return _in_turn(messages, [*there, *reversed(back)])
+
+
+def _in_turn(messages: Messages[Round], rounds: Sequence[Round]) -> Callable[[Mask], Array]:
+    """A step of rounds one after the other, and the largest change in it."""
 
     def step(active: Mask) -> Array:
         largest = np.zeros(messages.runs)
-        for each in (*there, *reversed(back)):
+        for each in rounds:
             largest = np.maximum(largest, _largest(messages.propose(each)))
             messages.accept(each, active)
         return largest

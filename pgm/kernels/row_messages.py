@@ -17,24 +17,13 @@ STEADY = 1e-12
 
 def product(a: Rows, b: Rows) -> Rows:
     """Of two stacks of factors: their rows together."""
-    exact = None if a.exact is None or b.exact is None else _together(a.exact, b.exact)
-    sides = (
-        None
-        if a.exact_right is None or b.exact_right is None
-        else _together(a.exact_right, b.exact_right)
-    )
-    return Rows(_together(a.matrix, b.matrix), _together(a.right, b.right), exact, sides)
+    parts = zip(a, b, strict=True)
+    return Rows._make(None if p is None or q is None else _together(p, q) for p, q in parts)
 
 
 def first(stack: Rows) -> Rows:
     """The only factor of a stack, (V, s, s)."""
-    matrix, right, exact, sides = stack
-    return Rows(
-        matrix[:, 0],
-        right[:, 0],
-        None if exact is None else exact[:, 0],
-        None if sides is None else sides[:, 0],
-    )
+    return Rows._make(None if part is None else part[:, 0] for part in stack)
 
 
 def damped(old: Rows, new: Rows, damping: float) -> Rows:
@@ -61,9 +50,9 @@ def change(old: Rows, new: Rows, against: Rows) -> Array:
     spread = np.abs(std * information * transpose(std)).max(axis=(-2, -1), initial=0.0)
     shift = np.abs(std * (vector - information @ belief.offset)).max(axis=-2, initial=0.0)
     largest = np.maximum(spread[..., None], shift)
-    relations = _relations_moved(old, new)
+    relations = _relations(old, new)
     if relations is not None:
-        largest = np.maximum(largest, relations)
+        largest = np.maximum(largest, _moved(*relations))
     largest = np.where(np.isnan(largest), np.inf, largest)
     return largest[0] if largest.shape[0] == 1 else largest[..., 0].swapaxes(0, 1)
 
@@ -73,16 +62,13 @@ def steady(old: Rows, new: Rows) -> Rows:
 
     Loops feed certainties back to themselves, and can amplify their rounding without end.
     """
-    moved = _relations_moved(old, new)
-    if moved is None:
+    found = _relations(old, new)
+    if found is None:
         return new
-    same = np.all(moved < STEADY, axis=-1)[..., None, None]
-    exact, sides = _relations(old)
-    new_exact, new_sides = _relations(new)
-    count = new_exact.shape[-2]
+    exact, sides, new_exact, new_sides = found
+    same = np.all(_moved(*found) < STEADY, axis=-1)[..., None, None]
     return new._replace(
-        exact=np.where(same, exact[..., :count, :], new_exact),
-        exact_right=np.where(same, sides[..., :count, :], new_sides),
+        exact=np.where(same, exact, new_exact), exact_right=np.where(same, sides, new_sides)
     )
 
 
@@ -98,30 +84,24 @@ def choose(active: Mask, new: Rows, old: Rows) -> Rows:
         return np.where(active if shared else each, a, b)
 
     chosen = Rows(matrix(new.matrix, old.matrix), right(new.right, old.right))
-    if new.exact is None or old.exact is None:
+    found = _relations(old, new)
+    if found is None:
         return chosen
-    exact, sides = _relations(old)
-    new_exact, new_sides = _relations(new)
-    count = new_exact.shape[-2]
-    return chosen._replace(
-        exact=matrix(new_exact, exact[..., :count, :]),
-        exact_right=right(new_sides, sides[..., :count, :]),
-    )
+    exact, sides, new_exact, new_sides = found
+    return chosen._replace(exact=matrix(new_exact, exact), exact_right=right(new_sides, sides))
 
 
-def _relations(rows: Rows) -> tuple[Array, Array]:
-    """The exact relations of rows that have some."""
-    assert rows.exact is not None
-    assert rows.exact_right is not None
-    return rows.exact, rows.exact_right
-
-
-def _relations_moved(old: Rows, new: Rows) -> Array | None:
-    """The difference of exact relations, (V, B, N), whatever rows they are written as."""
-    if new.exact is None or old.exact is None:
+def _relations(old: Rows, new: Rows) -> tuple[Array, Array, Array, Array] | None:
+    """The exact relations of old rows, as many as of new ones, and of these; None without."""
+    exact, sides, new_exact, new_sides = *old[2:], *new[2:]
+    if exact is None or sides is None or new_exact is None or new_sides is None:
         return None
-    exact, sides = _relations(old)
-    new_exact, new_sides = _relations(new)
+    count = new_exact.shape[-2]
+    return exact[..., :count, :], sides[..., :count, :], new_exact, new_sides
+
+
+def _moved(exact: Array, sides: Array, new_exact: Array, new_sides: Array) -> Array:
+    """The difference of exact relations, (V, B, N), whatever rows they are written as."""
     relations = transpose(new_exact) @ new_exact - transpose(exact) @ exact
     targets = transpose(new_exact) @ new_sides - transpose(exact) @ sides
     far = np.abs(relations).max(axis=(-2, -1), initial=0.0)[..., None]

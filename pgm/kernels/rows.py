@@ -159,14 +159,9 @@ def _eliminate_exact(
     """
     sepset = matrix.shape[-1] - count
     known = np.concatenate([exact[..., count:], exact_right], axis=-1)
-    u, values, vt = _svd(exact[..., :count])
-    shared = values.shape[-1]
-    used = values > NEGLIGIBLE * np.maximum(values.max(axis=-1, initial=0.0), 1.0)[..., None]
-    divisor = np.where(used, values, 1.0)
-    turned = transpose(u) @ known
-    determined = vt[..., :shared, :] * used[..., None]
+    determined, turned, left, log_size, least = _solved(exact[..., :count], known)
     # x = along s + at + free w, with w in the directions that no relation determines.
-    fixed = transpose(determined) @ (turned[..., :shared, :] / divisor[..., None])
+    fixed = transpose(determined) @ turned
     along, at = -fixed[..., :sepset], fixed[..., sepset:]
     free = np.eye(count) - transpose(determined) @ determined
     inside = matrix[..., :count]
@@ -180,13 +175,10 @@ def _eliminate_exact(
         ),
         count,
     )
-    log_scale = (
-        proper.log_scale
-        - (0.5 * LOG_2PI * used.sum(axis=-1) + np.log(divisor).sum(axis=-1))[..., None]
-    )
-    turned[..., :shared, :] *= ~used[..., None]
+    pinned = determined.any(axis=-1).sum(axis=-1)
+    log_scale = proper.log_scale - (0.5 * LOG_2PI * pinned + log_size)[..., None]
     rest_exact, rest_right, scale, contradiction, doubt = _independent(
-        turned[..., :sepset], turned[..., sepset:], np.abs(exact_right).max(axis=-2, initial=1.0)
+        left[..., :sepset], left[..., sepset:], np.abs(exact_right).max(axis=-2, initial=1.0)
     )
     return Eliminated(
         along + free @ proper.gain,
@@ -195,7 +187,7 @@ def _eliminate_exact(
         Rows(*proper.rest[:2], rest_exact, rest_right),
         log_scale - scale[..., None],
         contradiction,
-        max(float(np.abs(moved).max(initial=0.0)), _doubt(values, used), doubt),
+        max(float(np.abs(moved).max(initial=0.0)), least, doubt),
     )
 
 
@@ -208,25 +200,40 @@ def _independent(
 
     A relation that the others imply is left out: a certainty that is met adds nothing.
     """
-    u, values, vt = _svd(exact)
-    shared = values.shape[-1]
+    independent, solved, left, log_size, doubt = _solved(exact, right)
+    far = np.abs(left).max(axis=-2, initial=0.0)
+    if not (far <= ROUNDING * size).all():
+        doubt = np.inf
+    return independent, solved, log_size, far > CONTRADICTION * size, doubt
+
+
+def _solved(matrix: Array, right: Array) -> tuple[Array, Array, Array, Array, float]:
+    """Relations solved for directions: matrix x = right is rows x = solved, and left = 0.
+
+    Returns
+    -------
+    ndarray
+        Orthonormal rows, and rows of zeros.
+    ndarray
+        The right sides of these.
+    ndarray
+        What is left of the others.
+    ndarray
+        Of the values divided by, the sum of logarithms, (...).
+    float
+        The reciprocal of the least value used; infinite where one left out may be no rounding.
+    """
+    u, values, vt = _svd(matrix)
+    count = values.shape[-1]
     used = values > NEGLIGIBLE * np.maximum(values.max(axis=-1, initial=0.0), 1.0)[..., None]
     divisor = np.where(used, values, 1.0)
     turned = transpose(u) @ right
-    left = turned.copy()
-    left[..., :shared, :] *= ~used[..., None]
-    far = np.abs(left).max(axis=-2, initial=0.0)
-    doubt = _doubt(values, used) if (far <= ROUNDING * size).all() else np.inf
-    independent = vt[..., :shared, :] * used[..., None]
-    solved = turned[..., :shared, :] * (used / divisor)[..., None]
-    return independent, solved, np.log(divisor).sum(axis=-1), far > CONTRADICTION * size, doubt
-
-
-def _doubt(values: Array, used: Mask) -> float:
-    """The reciprocal of the least value used; infinite where one left out may be no rounding."""
-    if not (values[~used] <= ROUNDING).all():
-        return np.inf
-    return float(1.0 / values[used].min(initial=1.0))
+    solved = turned[..., :count, :] / divisor[..., None] * used[..., None]
+    turned[..., :count, :] *= ~used[..., None]
+    rounding = (values[~used] <= ROUNDING).all()
+    doubt = float(1.0 / values[used].min(initial=1.0)) if rounding else np.inf
+    rows = vt[..., :count, :] * used[..., None]
+    return rows, solved, turned, np.log(divisor).sum(axis=-1), doubt
 
 
 def _svd(matrix: Array) -> tuple[Array, Array, Array]:

@@ -74,6 +74,13 @@ def log_sum(values: Array, axis: Axes, out: Array | None = None) -> Array:
     return result
 
 
+def exp(logs: Array, out: Array | None = None) -> Array:
+    """The numbers of logarithms; zero, where they are too small."""
+    with np.errstate(under="ignore"):
+        values: Array = np.exp(logs, out)
+    return values
+
+
 SUM_PRODUCT = Semiring(0.0, 1.0, np.multiply, np.divide, _add, True)
 LOG_SUM_PRODUCT = Semiring(-np.inf, 0.0, np.add, np.subtract, log_sum, False)
 MAX_PRODUCT = Semiring(-np.inf, 0.0, np.add, np.subtract, _maximum, False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from pgm.kernels.arrays import Array, Mask
 
 Stacked = TypeVar("Stacked", Array, Mask)
+Operation = Callable[[Array, Array], Array]
 
 LOG_2 = float(np.log(2.0))
 # A product whose largest entry is above this has lost nothing but entries 1e-300 times smaller.
@@ -39,27 +41,32 @@ def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
 
 def multiply(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
     """Product of tables, as values and log-scale."""
-    with np.errstate(over="ignore", under="ignore"):
-        product = a * b
-    held = _held(product, a, b, axes)
-    if held.all():
-        return product, np.zeros(held.shape)
-    (a, powers), (b, others) = _exponents(a), _exponents(b)
-    return _instead(product, held, *_assemble(a * b, powers + others, axes))
+    return _combined(np.multiply, np.add, a, b, axes)
 
 
 def divide(a: Array, b: Array, axes: int) -> tuple[Array, Array]:
     """Quotient of tables, zero wherever b is, as values and log-scale."""
-    shape, divisible = np.broadcast_shapes(a.shape, b.shape), b > 0.0
+    return _combined(_quotient, np.subtract, a, b, axes)
+
+
+def _quotient(a: Array, b: Array) -> Array:
+    zeros = np.zeros(np.broadcast_shapes(a.shape, b.shape))
+    return np.divide(a, b, out=zeros, where=b > 0.0)
+
+
+def _combined(
+    of_values: Operation, of_powers: Operation, a: Array, b: Array, axes: int
+) -> tuple[Array, Array]:
+    """Values and log-scale: with plain numbers, and again by powers of two where these are lost."""
     with np.errstate(over="ignore", under="ignore"):
-        plain = np.divide(a, b, out=np.zeros(shape), where=divisible)
+        plain = of_values(a, b)
     held = _held(plain, a, b, axes)
     if held.all():
         return plain, np.zeros(held.shape)
     (a, powers), (b, others) = _exponents(a), _exponents(b)
-    quotient = np.divide(a, b, out=np.zeros(shape), where=divisible)
-    power = np.where(quotient > 0.0, powers - others, NOWHERE)
-    return _instead(plain, held, *_assemble(quotient, power, axes))
+    values = of_values(a, b)
+    power = np.where(values > 0.0, of_powers(powers, others), NOWHERE)
+    return _instead(plain, held, *_assemble(values, power, axes))
 
 
 def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:

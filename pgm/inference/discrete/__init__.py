@@ -30,8 +30,7 @@ Graphs of any shape, on which messages go round:
 
 Reading:
 
-- ``beliefs``: what the beliefs of either kind of graph answer;
-- ``joints``: joints of variables of several clusters;
+- ``joints``: joints of variables of one cluster, or of several of a tree;
 - ``impossible``: evidence of probability zero, and where it contradicts the tables;
 - ``posterior``: what `pgm.infer` returns;
 - ``run``: evidence, a schedule and a graph to a posterior.

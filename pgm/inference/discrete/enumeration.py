@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.factors.axes import States, sizes
+from pgm.inference.discrete.place import positions, steps
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.forest import Forest
 from pgm.kernels.arrays import Array, Integers
@@ -61,25 +62,24 @@ class Enumeration:
         length = storage.entries + sum(math.prod(sizes(sepset)) for sepset in sepsets)
         if cells * length > TINY or forest.levels[0].size > 1:
             return None
-        state = dict(zip(scope, np.indices(sizes(scope)).reshape(len(scope), cells), strict=True))
         joint, tables = np.ones(cells), np.zeros((cells, length))
+        each = np.arange(cells)
         try:
             with np.errstate(under="raise"):
                 potentials = storage.potentials(SUM_PRODUCT)
-                for k, own in enumerate(storage.scopes):
-                    entry = storage.positions(k)[tuple(state[v] for v in own)]
-                    column = np.zeros(cells, dtype=np.intp)
-                    for variable in sepsets[k]:
-                        column = column * variable.size + state[variable]
-                    tables[np.arange(cells), entry] = 1.0
-                    tables[np.arange(cells), storage.entries + first[k] + column] = 1.0
+                for place, sepset, column in zip(storage.places, sepsets, first, strict=True):
+                    entry = place.positions(scope).ravel()
+                    start = storage.entries + int(column)
+                    tables[each, entry] = 1.0
+                    tables[each, positions(start, steps(sepset, 1), scope).ravel()] = 1.0
                     joint *= potentials[entry]
         except FloatingPointError:
             return None
+        state = {v: positions(0, {v: 1}, scope).ravel() for v in scope}
         shown = {v: (state[v] == np.arange(v.size)[:, None]).astype(float) for v in scope}
         return cls(joint, shown, tables)
 
-    def given(self, states: Mapping[Discrete, int]) -> tuple[Array, float]:
+    def given(self, states: Mapping[Discrete, int | Integers]) -> tuple[Array, float]:
         """The tables of a single run, each of which sums to one, and p(evidence).
 
         Where that is zero, the tables are too.

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from pgm.evidence.discrete import BoundStates
 from pgm.factors.axes import States
-from pgm.inference.discrete.place import Place
+from pgm.inference.discrete.place import by_state
 from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
-from pgm.variables import Discrete
 
 # Runs at once, less than which are computed one by one: loops over a few are short, and the tables
 # of one run stay nearer the processor.
@@ -22,66 +21,38 @@ FEW = 64
 
 def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: Semiring) -> None:
     """Multiply evidence into tables, (entries, [runs])."""
-    runs = tables.ndim > 1
     for variable, state in evidence.states.items():
-        if runs and not isinstance(state, int):
-            weights = semiring.entries(one_hot(state, variable.size))
-            _weigh(storage.by_state[variable], tables, variable, weights, semiring)
+        table = storage.by_state[variable].of(tables)
+        if isinstance(state, int):
+            table[:state] = semiring.zero
+            table[state + 1 :] = semiring.zero
         else:
-            known = state if isinstance(state, int) else int(state[0])
-            if known >= 0:
-                _exclude(storage.by_state[variable], tables, variable, known, semiring)
+            _weigh(table, one_hot(state, variable.size), semiring)
+    runs = tables.ndim > 1
     for variable, soft in evidence.weights.items():
-        weights = semiring.entries(soft.T if runs else soft[0])
-        _weigh(storage.by_state[variable], tables, variable, weights, semiring)
+        table = storage.by_state[variable].of(tables)
+        _weigh(table, soft.T if runs else soft[0], semiring)
 
 
-def _weigh(
-    source: Integers | Place, tables: Array, variable: Discrete, weights: Array, semiring: Semiring
-) -> None:
-    """Multiply weights (states, [runs]) in."""
-    if isinstance(source, Place):
-        table = source.by_state(tables, variable)
-        semiring.times(table, weights[:, None], table)
-    else:
-        tables[source] = semiring.times(tables[source], weights[:, None])
+def _weigh(table: Array, weights: Array, semiring: Semiring) -> None:
+    """Multiply weights (states, [runs]) into a table (states, others..., [runs])."""
+    shape = (len(weights), *(1,) * (table.ndim - weights.ndim), *weights.shape[1:])
+    semiring.times(table, semiring.entries(weights.reshape(shape)), table)
 
 
-def _exclude(
-    source: Integers | Place, tables: Array, variable: Discrete, state: int, semiring: Semiring
-) -> None:
-    """Clear all states but one."""
-    if isinstance(source, Place):
-        table = source.by_state(tables, variable)
-        table[:, :state] = semiring.zero
-        table[:, state + 1 :] = semiring.zero
-    else:
-        if state:
-            tables[source[:state]] = semiring.zero
-        if state + 1 < len(source):
-            tables[source[state + 1 :]] = semiring.zero
-
-
-def enter_everywhere(storage: Storage, logs: Array, evidence: BoundStates) -> Array:
+def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
     """Logarithms of the potentials times the evidence, (entries, runs).
 
     States enter every cluster that has the variable, so that no message has to bring them; weights
     enter one.
     """
-    tables = np.repeat(logs[:, None], evidence.runs, axis=1)
+    tables = np.repeat(storage.logs[:, None], evidence.runs, axis=1)
     for variable, state in evidence.states.items():
-        shown = np.reshape(state, -1)
-        weights = LOG_SUM_PRODUCT.entries(one_hot(shown, variable.size))
+        shown = one_hot(np.reshape(state, -1), variable.size)
         for cluster in storage.holders[variable]:
-            tables[storage.places[cluster].split(variable)] += weights[:, None]
+            _weigh(by_state(storage.places[cluster], variable).of(tables), shown, LOG_SUM_PRODUCT)
     for variable, soft in evidence.weights.items():
-        _weigh(
-            storage.by_state[variable],
-            tables,
-            variable,
-            LOG_SUM_PRODUCT.entries(soft.T),
-            LOG_SUM_PRODUCT,
-        )
+        _weigh(storage.by_state[variable].of(tables), soft.T, LOG_SUM_PRODUCT)
     return tables
 
 
@@ -91,10 +62,10 @@ def one_hot(states: Integers, size: int) -> Array:
     return found
 
 
-def put_in(evidence: BoundStates, scope: States) -> dict[Discrete, int]:
-    """The variables of a scope whose state is one and the same for all runs."""
+def put_in(evidence: BoundStates, scope: States) -> tuple[int | slice, ...]:
+    """The index that puts in the states that are one and the same for all runs."""
     states = evidence.states
-    return {v: s for v in scope if isinstance(s := states.get(v), int)}
+    return tuple(s if isinstance(s := states.get(v), int) else slice(None) for v in scope)
 
 
 def axes_left(evidence: BoundStates, scope: States) -> States:
@@ -110,43 +81,35 @@ def at_once(entries: int, batch: int) -> int:
 
 def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
     """Some runs after the other, as many as are calibrated at once."""
-    return _split(evidence, at_once(entries, batch))
+    for piece in pieces(evidence, at_once(entries, batch)):
+        yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
 
 
-def pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[BoundStates]:
-    """Some runs after the other, as many as fit for tables of so many entries."""
-    return _split(evidence, max(1, batch // entries))
+def _of_one(evidence: BoundStates) -> BoundStates:
+    """The evidence of a single run without what is not observed in it."""
+    known = {v: s if isinstance(s, int) else int(s[0]) for v, s in evidence.states.items()}
+    observed = {v: state for v, state in known.items() if state >= 0}
+    return BoundStates(evidence.lead, observed, evidence.weights)
 
 
-def _split(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
+def pieces(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
+    """Some runs after the other, so many at a time or one."""
+    size = max(1, size)
     if evidence.runs <= size:
         yield evidence
         return
     for start in range(0, evidence.runs, size):
-        yield some_runs(evidence, start, min(start + size, evidence.runs))
+        yield some_runs(evidence, slice(start, start + size))
 
 
-def some_runs(evidence: BoundStates, start: int, stop: int) -> BoundStates:
-    """The evidence of consecutive runs."""
+def some_runs(evidence: BoundStates, which: slice | Integers) -> BoundStates:
+    """The evidence of some runs."""
+    count = np.arange(evidence.runs)[which].size
     states = {
-        v: s if isinstance(s, int) or s.size == 1 else s[start:stop]
-        for v, s in evidence.states.items()
+        v: s if isinstance(s, int) or s.size == 1 else s[which] for v, s in evidence.states.items()
     }
-    weights = {v: w if len(w) == 1 else w[start:stop] for v, w in evidence.weights.items()}
-    return BoundStates((stop - start,), states, weights)
-
-
-def alone(evidence: BoundStates) -> BoundStates:
-    """The evidence of a single run without what is not observed in it; of several, itself."""
-    if not evidence.lead or evidence.runs > 1:
-        return evidence
-    return BoundStates(evidence.lead, states_of_one(evidence), evidence.weights)
-
-
-def states_of_one(evidence: BoundStates) -> Mapping[Discrete, int]:
-    """The states that are observed in a single run."""
-    known = {v: s if isinstance(s, int) else int(s[0]) for v, s in evidence.states.items()}
-    return {v: state for v, state in known.items() if state >= 0}
+    weights = {v: w if len(w) == 1 else w[which] for v, w in evidence.weights.items()}
+    return BoundStates((count,), states, weights)
 
 
 # Codes of runs are whole numbers of 64 bits.
@@ -186,11 +149,7 @@ class Distinct:
         _, first, which = np.unique(codes, return_index=True, return_inverse=True)
         if first.size == evidence.runs:
             return cls(evidence, None)
-        states = {
-            v: s if isinstance(s, int) or s.size == 1 else s[first]
-            for v, s in evidence.states.items()
-        }
-        return cls(BoundStates((first.size,), states, evidence.weights), which)
+        return cls(some_runs(evidence, first), which)
 
     def spread(self, values: Array) -> Array:
         """Values (..., [runs that differ]) as those of all runs, (..., [runs])."""

@@ -40,7 +40,7 @@ def require_possible(plan: TreePlan, evidence: BoundStates, log_tops: Array) -> 
     first = int(runs.argmax())
     lost = impossible[:, first] if runs.ndim else impossible
     root = int(plan.tree_of_top[lost.argmax()])
-    alone = some_runs(evidence, first, first + 1)
+    alone = some_runs(evidence, slice(first, first + 1))
     cluster, involved = _contradiction(plan, alone, root)
     where = in_run(runs.reshape(evidence.lead))
     raise EvidenceError(
@@ -57,18 +57,14 @@ def _contradiction(
 ) -> tuple[Cluster, list[Discrete]]:
     """The deepest cluster of a tree whose message upward is all zero, and the evidence below."""
     forest, scopes = plan.forest, plan.storage.scopes
-    messages = TreeMessages(plan.storage, evidence, plan.logs)
-    at = root
-    for level in reversed(forest.levels[1:]):
-        found = [
-            k
-            for k in level.tolist()
-            if forest.roots[k] == root
-            and (messages.message(k, int(forest.parent[k])) == -np.inf).all()
-        ]
-        if found:
-            at = found[0]
-            break
+    messages = TreeMessages(plan.storage, evidence)
+    upward = (
+        k
+        for level in reversed(forest.levels[1:])
+        for k in level.tolist()
+        if forest.roots[k] == root and (messages.message(k, int(forest.parent[k])) == -np.inf).all()
+    )
+    at = next(upward, root)
     below, waiting = [], [at]
     while waiting:
         below.append(waiting.pop())

@@ -1,4 +1,4 @@
-"""Joints of variables of several clusters of a tree."""
+"""Joints of variables of one cluster, or of several of a tree."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from pgm.errors import GraphError
-from pgm.factors.axes import AXES, States, sizes
+from pgm.factors.axes import AXES, States, sizes, spread
 from pgm.factors.scope import names
 from pgm.inference import limits
-from pgm.inference.discrete.storage import Storage, sepset_to_parent
+from pgm.inference.discrete.storage import Storage, sepset_between
 from pgm.inference.forest import Forest
 from pgm.kernels.arrays import Array
 from pgm.sizes import gibibytes
@@ -21,8 +21,15 @@ from pgm.variables import Discrete
 Factor = tuple[States, Array]
 
 
-def joint(storage: Storage, forest: Forest, tables: Array, scope: States) -> Array:
-    """The probabilities of some variables, (sizes..., [runs]).
+def holder(storage: Storage, wanted: States) -> int | None:
+    """The smallest cluster that holds some variables, if one does."""
+    members: set[Discrete] = set(wanted)
+    fits = [k for k, scope in enumerate(storage.scopes) if members.issubset(scope)]
+    return min(fits, key=storage.graph.sizes.__getitem__, default=None)
+
+
+def joint(storage: Storage, tables: Array, scope: States) -> Array:
+    """The probabilities of some variables, (sizes..., [runs]), from one cluster or from a tree.
 
     Each cluster's belief given its sepset is multiplied into its parent's, along the smallest
     subtree that holds the variables, and what is not asked for is summed out as soon as may be.
@@ -32,6 +39,10 @@ def joint(storage: Storage, forest: Forest, tables: Array, scope: States) -> Arr
     GraphError
         If a table on the way is too large.
     """
+    one = holder(storage, scope)
+    if one is not None:
+        return _sum((storage.scopes[one], storage.table(tables, one)), scope)
+    forest = storage.graph.derived(Forest.of)
     homes = {v: storage.homes[v] for v in scope}
     tree = forest.roots
     result: Factor = ((), np.ones(tables.shape[1:]))
@@ -59,12 +70,12 @@ def _of_tree(
     for k in inside:
         own = storage.scopes[k]
         factor: Factor = own, storage.table(tables, k)
-        sepset: States = ()
+        shared: States = ()
         if k != top:
-            sepset = sepset_to_parent(storage.graph, forest, k)
-            factor = own, _given(factor, sepset)
+            shared = sepset_between(storage.graph, k, int(parent[k]))
+            factor = own, _given(factor, shared)
         below_it = [found.pop(child) for child in forest.children[k] if child in found]
-        found[k] = _combined([factor, *below_it], {*scope, *sepset})
+        found[k] = _combined([factor, *below_it], {*scope, *shared})
     return found[top]
 
 
@@ -106,11 +117,8 @@ def _product(a: Factor, b: Factor) -> Factor:
 def _arranged(factor: Factor, scope: States) -> Array:
     """Values with an axis for each variable of a scope, of length one if new."""
     own, values = factor
-    place = {variable: k for k, variable in enumerate(own)}
-    order = [place[v] for v in scope if v in place]
-    runs = values.shape[len(own) :]
-    ordered = values.transpose(*order, *range(len(own), values.ndim))
-    return ordered.reshape((*(v.size if v in place else 1 for v in scope), *runs))
+    # Turned round, so that runs lead as in tables.
+    return spread(values.T, own[::-1], scope[::-1]).T
 
 
 def _sum(factor: Factor, keep: States) -> Array:
@@ -118,15 +126,3 @@ def _sum(factor: Factor, keep: States) -> Array:
     scope, values = factor
     total = values.sum(axis=tuple(k for k, v in enumerate(scope) if v not in keep))
     return _arranged((tuple(v for v in scope if v in keep), total), keep)
-
-
-def within(scope: States, values: Array, wanted: States) -> Array:
-    """The probabilities of some variables of one cluster's table, in the order asked."""
-    return _sum((scope, values), wanted)
-
-
-def holder(scopes: tuple[States, ...], sizes_of: tuple[int, ...], wanted: States) -> int | None:
-    """The smallest cluster that holds some variables, if one does."""
-    members: set[Discrete] = set(wanted)
-    fits = [k for k, scope in enumerate(scopes) if members.issubset(scope)]
-    return min(fits, key=sizes_of.__getitem__, default=None)

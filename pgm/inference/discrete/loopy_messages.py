@@ -10,35 +10,15 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.discrete import BoundStates
-from pgm.factors import Table
-from pgm.factors.axes import States
+from pgm.factors.axes import sizes
 from pgm.inference import limits
-from pgm.inference.discrete.beliefs import Beliefs
-from pgm.inference.discrete.evidence import axes_left, enter_everywhere, put_in
+from pgm.inference.discrete.evidence import enter_everywhere
 from pgm.inference.discrete.impossible import contradicted
-from pgm.inference.discrete.joints import joint
 from pgm.inference.discrete.loopy_plan import Group, LoopyPlan, Outlet
-from pgm.inference.discrete.storage import Storage, contiguous
-from pgm.inference.forest import Forest
-from pgm.inference.loopy import Directed
+from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.kernels.semirings import LOG_SUM_PRODUCT, log_sum
+from pgm.kernels.semirings import exp, log_sum
 from pgm.variables import Discrete
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """Messages that are computed together.
-
-    Attributes
-    ----------
-    size : int
-        Number of messages.
-    groups : sequence of Group
-    """
-
-    size: int
-    groups: Sequence[Group]
 
 
 class TableMessages:
@@ -50,25 +30,24 @@ class TableMessages:
 
     def __init__(self, graph: ClusterGraph, evidence: BoundStates, damping: float) -> None:
         _require_room(graph, evidence)
-        self.plan: LoopyPlan = graph.derived(_loopy_plan)
-        self.storage: Storage = self.plan.storage
-        self.directed: Directed = self.plan.directed
+        self.plan = graph.derived(LoopyPlan)
+        self.storage = self.plan.storage
+        self.directed = self.plan.directed
         self.evidence = evidence
         self.damping = damping
-        self.runs: int = evidence.runs
-        potentials = graph.derived(_logs)
-        self.potentials: Array = enter_everywhere(self.storage, potentials, evidence)
-        self.logs: Array = np.repeat(-np.log(self.plan.widths), self.plan.widths)[:, None]
-        self.logs = self.logs + np.zeros(self.runs)
-        self._proposed: Array = np.empty_like(self.logs)
+        self.runs = evidence.runs
+        self.potentials = enter_everywhere(self.storage, evidence)
+        equal = np.repeat(-np.log(self.plan.widths), self.plan.widths)
+        self.logs = np.repeat(equal[:, None], self.runs, axis=1)
+        self._proposed = np.empty_like(self.logs)
 
-    def round(self, messages: Sequence[int]) -> Round:
+    def round(self, messages: Sequence[int]) -> Sequence[Group]:
         """Lay out the computation of some messages."""
         if messages == range(len(self.directed)):
-            return Round(len(messages), self.plan.everything(self.runs))
-        return Round(len(messages), self.plan.lay_out(messages, self.runs))
+            return self.plan.everything(self.runs)
+        return self.plan.lay_out(messages, self.runs)
 
-    def propose(self, round: Round) -> Array:
+    def propose(self, round: Sequence[Group]) -> Array:
         """Compute them from those kept; the largest changes of their entries, (messages, runs).
 
         Raises
@@ -76,14 +55,15 @@ class TableMessages:
         EvidenceError
             If a message is all zero: the evidence has probability zero.
         """
-        change = np.empty((round.size, self.runs))
-        for group in round.groups:
+        count = sum(outlet.order.size for group in round for outlet in group.outlets)
+        change = np.empty((count, self.runs))
+        for group in round:
             products = self._products(group)
             for outlet in group.outlets:
                 sums: Array = log_sum(products.take(outlet.index, 0), 0)
                 new = self._normalised(sums.reshape(*outlet.columns.shape, self.runs), outlet)
                 old = self.logs[outlet.columns]
-                change[outlet.order] = np.abs(_exp(new) - _exp(old)).max(axis=1)
+                change[outlet.order] = np.abs(exp(new) - exp(old)).max(axis=1)
                 self._proposed[outlet.columns] = new
         return change
 
@@ -112,9 +92,9 @@ class TableMessages:
             found = [self.storage.graph.clusters[k] for k in clusters.tolist()]
             raise contradicted(empty, found, self.evidence.lead)
 
-    def accept(self, round: Round, active: Mask) -> None:
+    def accept(self, round: Sequence[Group], active: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active, (runs,)."""
-        for group in round.groups:
+        for group in round:
             for outlet in group.outlets:
                 new, old = self._proposed[outlet.columns], self.logs[outlet.columns]
                 if self.damping:
@@ -133,10 +113,10 @@ class TableMessages:
         logs = self.potentials.copy()
         for group in self.plan.everything(self.runs):
             logs[group.entries] += self.logs.take(group.incoming, 0).sum(axis=0)
-        sizes = np.array(self.storage.graph.sizes)
-        totals = _segments(logs, sizes)
-        self._require_possible(totals, np.arange(sizes.size))
-        return _exp(logs - totals.repeat(sizes, 0)), totals
+        lengths = np.array(self.storage.graph.sizes)
+        totals = _segments(logs, lengths)
+        self._require_possible(totals, np.arange(lengths.size))
+        return exp(logs - totals.repeat(lengths, 0)), totals
 
     def log_evidence(self, totals: Array) -> Array:
         """The Bethe value Σ ln Z_cluster − Σ ln Z_sepset, (runs,)."""
@@ -151,15 +131,6 @@ class TableMessages:
         return value
 
 
-def _loopy_plan(graph: ClusterGraph) -> LoopyPlan:
-    return LoopyPlan(contiguous(graph), Directed.of(graph))
-
-
-def _logs(graph: ClusterGraph) -> Array:
-    plan: LoopyPlan = graph.derived(_loopy_plan)
-    return plan.storage.potentials(LOG_SUM_PRODUCT)
-
-
 def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
     # A cluster's table is multiplied by the messages of all neighbours but each in turn: where
     # these meet it is laid out for all clusters, the products are made for some at once.
@@ -169,24 +140,18 @@ def _require_room(graph: ClusterGraph, evidence: BoundStates) -> None:
     limits.require_runs(entries, evidence.runs, "messages round the graph")
 
 
-def _segments(logs: Array, sizes: Integers) -> Array:
+def _segments(logs: Array, lengths: Integers) -> Array:
     """The value ln Σ exp over consecutive rows, (segments, runs)."""
-    first = np.cumsum(sizes) - sizes
+    first = np.cumsum(lengths) - lengths
     top = np.maximum.reduceat(logs, first, 0)
     top = np.where(top == -np.inf, 0.0, top)
     with np.errstate(divide="ignore"):
-        total: Array = np.log(np.add.reduceat(_exp(logs - top.repeat(sizes, 0)), first, 0))
+        total: Array = np.log(np.add.reduceat(exp(logs - top.repeat(lengths, 0)), first, 0))
     return total + top
 
 
-def _exp(logs: Array) -> Array:
-    with np.errstate(under="ignore"):
-        values: Array = np.exp(logs)
-    return values
-
-
 @dataclass(frozen=True, eq=False)
-class LoopyBeliefs(Beliefs):
+class LoopyBeliefs:
     """The beliefs that messages make.
 
     Attributes
@@ -228,35 +193,20 @@ class LoopyBeliefs(Beliefs):
         """The result of a function of the tables, whose last axis, if any, is of runs."""
         return reader(self._tables)
 
-    def joint(self, scope: States) -> Array:
-        """The probabilities of variables that no one cluster of a tree holds."""
-        forest = Forest.of(self.storage.graph)
-        return joint(self.storage, forest, self._tables, scope)
-
-    @cached_property
-    def _log_evidence(self) -> Array:
-        return self.messages.log_evidence(self._totals)
-
     def log_evidence(self) -> Array:
         """The Bethe value, (runs,)."""
-        return self._log_evidence
+        return self.messages.log_evidence(self._totals)
 
     def log_total(self, cluster: int) -> Array:
         """The logarithm of the sum of a cluster's unnormalised belief, (runs,)."""
         total: Array = self._totals[cluster]
         return total
 
-    def message(self, source: int, target: int) -> Table:
-        """The message from one cluster to a neighbour, which sums to one."""
+    def message(self, source: int, target: int) -> tuple[Array, None]:
+        """The message from one cluster to a neighbour, (sizes..., runs), which sums to one."""
+        plan, graph = self.messages.plan, self.storage.graph
         edge = min(source, target), max(source, target)
-        graph = self.storage.graph
         number = 2 * list(graph.sepsets).index(edge) + (source > target)
-        plan = self.messages.plan
-        scope = plan.sepsets[number]
         first = plan.first[number]
         logs = self.messages.logs[first : first + plan.widths[number]]
-        with np.errstate(under="ignore"):
-            whole: Array = np.exp(logs).reshape((*(v.size for v in scope), -1))
-        known = put_in(self.evidence, scope)
-        values = whole[tuple(known.get(v, slice(None)) for v in scope)]
-        return self.table(axes_left(self.evidence, scope), values)
+        return exp(logs).reshape((*sizes(plan.sepsets[number]), -1)), None

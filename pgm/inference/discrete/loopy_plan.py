@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.factors.axes import States, discrete, sizes
+from pgm.clustergraph import ClusterGraph
+from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference import limits
-from pgm.inference.discrete.storage import Storage
+from pgm.inference.discrete.place import positions, steps
+from pgm.inference.discrete.storage import contiguous
 from pgm.inference.loopy import Directed
 from pgm.kernels.arrays import Integers
 
@@ -63,17 +65,16 @@ class LoopyPlan:
 
     Parameters
     ----------
-    storage : Storage
-    directed : Directed
+    graph : ClusterGraph
     """
 
-    def __init__(self, storage: Storage, directed: Directed) -> None:
-        self.storage, self.directed = storage, directed
-        edges = storage.graph.sepsets.values()
+    def __init__(self, graph: ClusterGraph) -> None:
+        self.storage, self.directed = contiguous(graph), Directed.of(graph)
+        edges = graph.sepsets.values()
         self.sepsets: list[States] = [discrete(s) for s in edges for _ in range(2)]
         self.widths = np.array([math.prod(sizes(s)) for s in self.sepsets], dtype=np.intp)
         self.first = np.cumsum(self.widths) - self.widths
-        self._slot = {m: k for found in directed.outgoing for k, m in enumerate(found)}
+        self._slot = {m: k for found in self.directed.outgoing for k, m in enumerate(found)}
         self._all: tuple[int, list[Group]] | None = None
         self._shapes: dict[tuple[tuple[int, ...], Kept], tuple[Integers, Integers]] = {}
 
@@ -102,7 +103,8 @@ class LoopyPlan:
     def _group(self, clusters: list[int], asked: dict[int, list[tuple[int, int]]]) -> Group:
         size = self.storage.graph.sizes[clusters[0]]
         total = size * len(clusters)
-        entries = [self.storage.positions(k).ravel() for k in clusters]
+        places = [self.storage.places[k] for k in clusters]
+        entries = [place.positions(place.scope).ravel() for place in places]
         incoming = [self._incoming(k) for k in clusters]
         shapes: dict[int, list[tuple[int, int, Integers]]] = {}
         for place, cluster in enumerate(clusters):
@@ -140,10 +142,7 @@ class LoopyPlan:
         key = sizes(scope), kept
         if key not in self._shapes:
             # Sepsets and clusters both have the network's order.
-            flat = np.arange(math.prod(sizes(scope))).reshape(sizes(scope))
-            rows = flat.transpose(np.argsort(kept, kind="stable"))
-            rows = rows.reshape(-1, self.widths[message])
-            columns = np.empty(flat.size, dtype=np.intp)
-            columns[rows] = np.arange(self.widths[message])
-            self._shapes[key] = rows, columns
+            rows = positions(0, steps(scope, 1), (*without(scope, sepset), *sepset))
+            columns = positions(0, steps(sepset, 1), scope)
+            self._shapes[key] = rows.reshape(-1, self.widths[message]), columns.ravel()
         return self._shapes[key]

@@ -20,6 +20,7 @@ from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
 from pgm.inference.discrete.evidence import Distinct, some_runs, tree_pieces
 from pgm.inference.discrete.impossible import require_possible
+from pgm.inference.discrete.place import steps
 from pgm.inference.discrete.tree_passes import collect, enter
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.inference.executors import Workers
@@ -174,10 +175,7 @@ def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
     parts = [slice(*pair) for pair in pairwise(edges) if pair[0] < pair[1]]
     if len(parts) == 1:
         return [_search(search)]
-    jobs = [
-        replace(search, evidence=some_runs(search.evidence, part.start, part.stop))
-        for part in parts
-    ]
+    jobs = [replace(search, evidence=some_runs(search.evidence, part)) for part in parts]
     return [done.result() for done in workers.each(_search, jobs, parts, large=False)]
 
 
@@ -230,22 +228,16 @@ def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
     """The row of the largest entry of a column of each cluster, the first of equals."""
     runs = entries.shape[1]
     matrix = entries.reshape(*stack.shape, runs)
-    if stack.axis:
-        found = matrix[column, :, np.arange(runs)]
-    else:
-        found = np.moveaxis(matrix[:, column, np.arange(runs)], 0, -1)
-    best: Integers = found.argmax(axis=-1)
+    by_column = matrix if stack.axis else matrix.swapaxes(0, 1)
+    best: Integers = by_column[column, :, np.arange(runs)].argmax(axis=-1)
     return best
 
 
 def _decode(plan: TreePlan, entry: Integers) -> Integers:
     """The state of each variable at an entry of its home, (variables, runs)."""
-    homes, strides, sizes = [], [], []
-    for variable, home in plan.storage.homes.items():
-        scope = plan.storage.places[home].scope
-        later = scope[scope.index(variable) + 1 :]
-        homes.append(home)
-        strides.append(int(np.prod([v.size for v in later], dtype=np.intp)))
-        sizes.append(variable.size)
-    states: Integers = entry[homes] // np.array(strides)[:, None] % np.array(sizes)[:, None]
+    homes = plan.storage.homes
+    scopes = {home: plan.storage.places[home].scope for home in homes.values()}
+    strides = np.array([steps(scopes[home], 1)[variable] for variable, home in homes.items()])
+    sizes = np.array([variable.size for variable in homes])
+    states: Integers = entry[[*homes.values()]] // strides[:, None] % sizes[:, None]
     return states

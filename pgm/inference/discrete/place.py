@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 
 import numpy as np
 
-from pgm.factors.axes import States, sizes
+from pgm.factors.axes import States, sizes, without
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Discrete
 
@@ -19,69 +21,54 @@ LARGE = 2**13
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where one table stands: entry (row, column) at ``start + row·down + column·across``.
+    """Where one table stands.
 
     Attributes
     ----------
     scope : tuple of Discrete
-        Its axes: those of the rows, then those of the columns.
-    rows, columns : int
-        Entries of the axes of either kind.
-    start, down, across : int
+        Its axes.
+    start : int
+        Its first entry.
+    steps : mapping of Discrete to int
+        How many entries on the next state of a variable is.
     large : bool
         Whether it stands by itself and is used where it stands.
     """
 
     scope: States
-    rows: int
-    columns: int
     start: int
-    down: int
-    across: int
+    steps: Mapping[Discrete, int]
     large: bool
+
+    @classmethod
+    def of(cls, scope: States, start: int, least: int) -> Place:
+        """A table in the order of its scope, large from so many entries on."""
+        return cls(scope, start, steps(scope, 1), math.prod(sizes(scope)) >= least)
+
+    @cached_property
+    def size(self) -> int:
+        """The number of its entries."""
+        return math.prod(sizes(self.scope))
 
     @property
     def entries(self) -> slice:
         """Where a table stands that stands by itself."""
-        return slice(self.start, self.start + self.rows * self.columns)
+        return slice(self.start, self.start + self.size)
 
     @property
     def stored(self) -> States:
         """The axes of a table that stands by itself, the last one with entries side by side."""
-        if self.down >= self.across:
-            return self.scope
-        count = 0
-        rows = 1
-        while rows < self.rows:
-            rows *= self.scope[count].size
-            count += 1
-        return self.scope[count:] + self.scope[:count]
+        return tuple(sorted(self.scope, key=self.steps.__getitem__, reverse=True))
 
     def positions(self, scope: States) -> Integers:
         """Where its entries stand, with an axis for each variable of a scope."""
-        row, column = np.arange(self.rows), np.arange(self.columns)
-        flat = self.start + self.down * row[:, None] + self.across * column
-        axis = {variable: k for k, variable in enumerate(self.scope)}
-        return flat.reshape(sizes(self.scope)).transpose([axis[v] for v in scope])
+        return positions(self.start, self.steps, scope)
 
-    def split(self, variable: Discrete) -> Integers:
-        """Where its entries stand, (states of a variable, entries with each)."""
-        others = tuple(v for v in self.scope if v != variable)
-        positions = np.ascontiguousarray(self.positions((variable, *others)))
-        return positions.reshape(variable.size, -1)
-
-    def table(self, tables: Array, scope: States) -> Array:
-        """A view of a table that stands by itself, (sizes of a scope..., [runs])."""
-        stored, tail = self.stored, tables.shape[1:]
-        axes = [stored.index(v) for v in scope] + list(range(len(scope), len(scope) + len(tail)))
-        return tables[self.entries].reshape((*sizes(stored), *tail)).transpose(axes)
-
-    def by_state(self, tables: Array, variable: Discrete) -> Array:
-        """A view of a table that stands by itself, (before, states, after, [runs])."""
-        stored = self.stored
-        before = math.prod(sizes(stored[: stored.index(variable)]))
-        shape = (before, variable.size, -1, *tables.shape[1:])
-        return tables[self.entries].reshape(shape)
+    def view(self, scope: States) -> View:
+        """How the table is seen, with an axis for each variable of a scope."""
+        entry = np.dtype(np.float64).itemsize
+        strides = tuple(entry * self.steps[variable] for variable in scope)
+        return View(sizes(scope), entry * self.start, strides)
 
     def merged(self, wanted: States) -> Merged:
         """The axes of a table that stands by itself, as few as tell some variables apart."""
@@ -94,6 +81,57 @@ class Place:
             sizes(tuple(order)),
             tuple(order.index(v) for v in wanted),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """How a table is seen with its axes in some order.
+
+    Attributes
+    ----------
+    shape : tuple of int
+    start : int
+        Where its first entry is, in bytes, of a single run.
+    strides : tuple of int
+        How many bytes on the next state of each variable is.
+    """
+
+    shape: tuple[int, ...]
+    start: int
+    strides: tuple[int, ...]
+
+    def of(self, tables: Array) -> Array:
+        """The table, a view with these axes and that of runs, if any."""
+        if tables.ndim == 1:
+            return np.ndarray(self.shape, np.float64, tables, self.start, self.strides)
+        runs = tables.shape[1]
+        strides = (*(runs * stride for stride in self.strides), tables.itemsize)
+        return np.ndarray((*self.shape, runs), np.float64, tables, runs * self.start, strides)
+
+
+def by_state(place: Place, variable: Discrete) -> View:
+    """How a table is seen with the axis of a variable first."""
+    return place.view((variable, *without(place.scope, (variable,))))
+
+
+def steps(scope: States, last: int) -> dict[Discrete, int]:
+    """The steps of axes one within the other, from that of the last."""
+    found: dict[Discrete, int] = {}
+    for variable in reversed(scope):
+        found[variable] = last
+        last *= variable.size
+    return found
+
+
+def positions(start: int, step: Mapping[Discrete, int], scope: States) -> Integers:
+    """Entries that steps lead to from a first one, with an axis for each variable of a scope.
+
+    A variable that has no step leads nowhere.
+    """
+    found: Integers = np.array(start)
+    for variable in scope:
+        found = found[..., None] + step.get(variable, 0) * np.arange(variable.size)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,14 @@ import numpy as np
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
-from pgm.factors.axes import States, discrete, sizes
+from pgm.factors.axes import States, sizes
 from pgm.factors.scope import as_scope, names
 from pgm.inference import limits
-from pgm.inference.discrete.beliefs import Beliefs
 from pgm.inference.discrete.evidence import axes_left, put_in
-from pgm.inference.discrete.joints import holder, within
+from pgm.inference.discrete.joints import holder, joint
+from pgm.inference.discrete.loopy_messages import LoopyBeliefs
+from pgm.inference.discrete.storage import sepset_between
+from pgm.inference.discrete.tree_beliefs import TreeBeliefs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, frozen
@@ -47,12 +49,12 @@ class DiscretePosterior(Posterior):
 
     graph: ClusterGraph
     status: Status
-    _beliefs: Beliefs
+    _beliefs: TreeBeliefs | LoopyBeliefs
 
     def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
         """The marginal of a variable that is not observed in all runs."""
         wanted = self._require_hidden(variable)
-        return self._beliefs.table((wanted,), self._beliefs.marginal(wanted))
+        return self._table((wanted,), self._beliefs.marginal(wanted))
 
     def _require_hidden(self, variable: Variable) -> Discrete:
         require_variable(variable)
@@ -85,18 +87,12 @@ class DiscretePosterior(Posterior):
             raise EvidenceError("joint takes one or more variables")
         self._require_room(scope, f"the joint over {names(scope)}")
         storage = self._beliefs.storage
-        one = holder(storage.scopes, self.graph.sizes, scope)
-        if one is not None:
-            own = storage.scopes[one]
-            values = self._beliefs.read(lambda t: within(own, storage.table(t, one), scope))
-        elif self.graph.is_tree:
-            values = self._beliefs.joint(scope)
-        else:
+        if not self.graph.is_tree and holder(storage, scope) is None:
             raise GraphError(
                 f"no cluster holds all of {names(scope)}, and on a graph with loops only "
                 "variables of one cluster have a joint; compile a junction tree"
             )
-        return self._beliefs.table(scope, values)
+        return self._table(scope, self._beliefs.read(lambda t: joint(storage, t, scope)))
 
     def _require_room(self, scope: States, what: str) -> None:
         runs = self._beliefs.evidence.runs
@@ -122,10 +118,11 @@ class DiscretePosterior(Posterior):
                 f"{self.graph.neighbours(i)}",
                 cluster=i,
             )
-        sepset = discrete(self.graph.sepsets[min(i, j), max(i, j)])
-        scope = axes_left(self._beliefs.evidence, sepset)
+        shared = sepset_between(self.graph, i, j)
+        scope = axes_left(self._beliefs.evidence, shared)
         self._require_room(scope, f"the message over {names(scope)}")
-        return self._beliefs.message(i, j)
+        values, log_scale = self._beliefs.message(i, j)
+        return self._table(scope, values[put_in(self._beliefs.evidence, shared)], log_scale)
 
     def belief(self, cluster: int | Cluster) -> Table:
         """The belief of a cluster, unnormalised: its potential times all messages to it.
@@ -140,12 +137,22 @@ class DiscretePosterior(Posterior):
         """
         index = self.graph.index(cluster)
         storage, evidence = self._beliefs.storage, self._beliefs.evidence
-        known = put_in(evidence, storage.scopes[index])
-        put = tuple(known.get(v, slice(None)) for v in storage.scopes[index])
+        put = put_in(evidence, storage.scopes[index])
         scope = axes_left(evidence, storage.scopes[index])
         self._require_room(scope, f"the belief over {names(scope)}")
         values = self._beliefs.read(lambda tables: storage.table(tables, index)[put])
-        return self._beliefs.table(scope, values, self._beliefs.log_total(index))
+        return self._table(scope, values, self._beliefs.log_total(index))
+
+    def _table(self, scope: States, values: Array, log_scale: Array | None = None) -> Table:
+        """Values (sizes..., [runs]) as a table whose leading axes are those of the runs."""
+        lead = self._beliefs.evidence.lead
+        if values.ndim > len(scope):
+            values = np.moveaxis(values, -1, 0)
+        if lead or values.ndim > len(scope):
+            values = values.reshape((*lead, *sizes(scope)))
+        if log_scale is None:
+            return Table._plain(scope, frozen(values) if values.flags.writeable else values)
+        return Table._make(scope, values, log_scale.reshape(lead))
 
     @cached_property
     def log_evidence(self) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -18,36 +17,14 @@ from pgm.kernels.semirings import Semiring
 SHORT, WIDE = 8, 128
 
 
-class Product(Protocol):
-    """Which column of some messages meets which entry of the tables of a stack.
+@dataclass(frozen=True, eq=False)
+class GatheredProduct:
+    """Messages to the tables of a stack, of any kind.
 
     Attributes
     ----------
     children : ndarray of int
         (messages, clusters): the senders, for each cluster of the stack.
-    """
-
-    @property
-    def children(self) -> Integers:
-        """The senders."""
-        ...
-
-    def multiply(self, source: Array, messages: Array, semiring: Semiring, out: Array) -> None:
-        """Multiply entries and messages; the entries may be those that the products replace."""
-        ...
-
-    def columns(self, at: Integers) -> Integers:
-        """The columns that meet some entries, (clusters, runs): (messages, clusters, runs)."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class GatheredProduct:
-    """Messages to tables of any kind.
-
-    Attributes
-    ----------
-    children : ndarray of int
     index : ndarray of int
         (messages, entries): the columns.
     """
@@ -64,7 +41,7 @@ class GatheredProduct:
         semiring.times(source, product, out)
 
     def columns(self, at: Integers) -> Integers:
-        """The columns that meet some entries."""
+        """The columns that meet some entries, (clusters, runs): (messages, clusters, runs)."""
         return self.index.take(at, 1)
 
 
@@ -75,6 +52,7 @@ class BlockProduct:
     Attributes
     ----------
     children : ndarray of int
+        (1, 1): the sender.
     place : Place
         Of the table.
     sepset : tuple of Discrete
@@ -121,3 +99,6 @@ class BlockProduct:
         column = np.ravel_multi_index(own, sizes(self.sepset)) if own else np.zeros_like(at)
         columns: Integers = self.source.start + column[None]
         return columns
+
+
+Product = GatheredProduct | BlockProduct

@@ -7,7 +7,7 @@ import numpy as np
 from pgm.clustergraph import ClusterGraph
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
-from pgm.evidence.discrete import bind_discrete
+from pgm.evidence.discrete import BoundStates, bind_discrete
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs, TableMessages
 from pgm.inference.discrete.posterior import DiscretePosterior
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
@@ -35,6 +35,13 @@ def run(
         messages = TableMessages(graph, bound, schedule.damping)
         status = run_loopy(messages, schedule, bound.lead)
         return DiscretePosterior(graph, status, LoopyBeliefs.of(messages))
+    return of_tree(graph, bound, memory)
+
+
+def of_tree(
+    graph: ClusterGraph, bound: BoundStates, memory: float | None = None
+) -> DiscretePosterior:
+    """The posterior of a graph without loops, of evidence that is bound."""
     beliefs = TreeBeliefs.of(graph, bound, Room.of(memory, graph))
     return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
 

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import cast
 
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import TableCPD
-from pgm.factors.axes import States, discrete, sizes
-from pgm.inference.discrete.place import LARGE, Place
+from pgm.factors.axes import States, discrete, spread
+from pgm.inference.discrete.place import LARGE, Place, View, by_state
 from pgm.inference.discrete.sums import Marginals
-from pgm.inference.forest import Forest
-from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.semirings import Semiring
-from pgm.variables import Discrete, Variable
+from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
+from pgm.variables import Discrete
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,14 +44,9 @@ class Storage:
         """The variables of each cluster, in its own order."""
         return tuple(discrete(cluster.scope) for cluster in self.graph.clusters)
 
-    def positions(self, cluster: int) -> Integers:
-        """Where the entries of a cluster's table stand, with an axis for each variable."""
-        return self.places[cluster].positions(self.scopes[cluster])
-
     def table(self, entries: Array, cluster: int) -> Array:
-        """A cluster's table, with an axis for each variable, then that of the runs, if any."""
-        place, scope = self.places[cluster], self.scopes[cluster]
-        return place.table(entries, scope) if place.large else entries[place.positions(scope)]
+        """A view of a cluster's table, with an axis for each variable, then of the runs, if any."""
+        return self.places[cluster].view(self.scopes[cluster]).of(entries)
 
     @cached_property
     def holders(self) -> dict[Discrete, list[int]]:
@@ -69,21 +64,20 @@ class Storage:
         return {v: min(found, key=sizes_of.__getitem__) for v, found in self.holders.items()}
 
     @cached_property
-    def by_state(self) -> dict[Discrete, Integers | Place]:
-        """Where the entries of each variable's home stand, (states, entries with each).
+    def by_state(self) -> dict[Discrete, View]:
+        """The home of each variable, with the axis of the variable first."""
+        return {v: by_state(self.places[home], v) for v, home in self.homes.items()}
 
-        The place of the home, where that is large.
-        """
-        found: dict[Discrete, Integers | Place] = {}
-        for variable, home in self.homes.items():
-            place = self.places[home]
-            found[variable] = place if place.large else place.split(variable)
-        return found
+    @cached_property
+    def logs(self) -> Array:
+        """The logarithms of the clusters' potentials."""
+        return self.potentials(LOG_SUM_PRODUCT)
 
     @cached_property
     def marginals(self) -> Marginals:
         """The sums of the tables to the probabilities of each variable."""
-        return Marginals.of(self.by_state, self.entries)
+        homes = {variable: self.places[home] for variable, home in self.homes.items()}
+        return Marginals.of(homes, self.entries)
 
     def potentials(self, semiring: Semiring, room: int = 0) -> Array:
         """The product of each cluster's CPDs, (entries + room,).
@@ -95,35 +89,21 @@ class Storage:
         """
         flat = np.full(self.entries + room, semiring.one)
         for cluster, scope in zip(self.graph.clusters, self.scopes, strict=True):
-            axis: dict[Variable, int] = {variable: k for k, variable in enumerate(scope)}
-            place = self.places[cluster.index]
-            table = place.table(flat, scope) if place.large else np.full(sizes(scope), semiring.one)
+            table = self.table(flat, cluster.index)
             for cpd in cast(tuple[TableCPD, ...], cluster.cpds):
-                given = [axis[v] for v in (*cpd.given, cpd.child)]
-                entries = semiring.entries(cpd.table)
-                shape = np.ones(len(scope), dtype=np.intp)
-                shape[given] = entries.shape
+                entries = spread(semiring.entries(cpd.table), (*cpd.given, cpd.child), scope)
                 with np.errstate(under="raise"):
-                    semiring.times(
-                        table, entries.transpose(np.argsort(given)).reshape(shape), out=table
-                    )
-            if not place.large:
-                flat[place.positions(scope)] = table
+                    semiring.times(table, entries, out=table)
         return flat
 
 
 def contiguous(graph: ClusterGraph) -> Storage:
     """One table after the other, each in the order of its cluster's scope."""
-    starts = np.cumsum([0, *graph.sizes]).tolist()
-    places = [
-        Place(discrete(c.scope), 1, size, start, size, 1, size >= LARGE)
-        for c, size, start in zip(graph.clusters, graph.sizes, starts, strict=False)
-    ]
-    return Storage(graph, places)
+    starts = accumulate(graph.sizes, initial=0)
+    clusters = zip(graph.clusters, starts, strict=False)
+    return Storage(graph, [Place.of(discrete(c.scope), start, LARGE) for c, start in clusters])
 
 
-def sepset_to_parent(graph: ClusterGraph, forest: Forest, cluster: int) -> States:
-    """The variables that a cluster shares with its parent; of a root none."""
-    parent = int(forest.parent[cluster])
-    edge = (min(cluster, parent), max(cluster, parent))
-    return discrete(graph.sepsets[edge]) if parent >= 0 else ()
+def sepset_between(graph: ClusterGraph, i: int, j: int) -> States:
+    """The variables that two neighbours share; none, where one is the parent of a root, −1."""
+    return discrete(graph.sepsets[min(i, j), max(i, j)]) if min(i, j) >= 0 else ()

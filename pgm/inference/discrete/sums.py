@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from pgm.factors.axes import States, sizes
+from pgm.factors.axes import States, sizes, without
 from pgm.inference.discrete.place import Merged, Place
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
@@ -17,14 +16,6 @@ from pgm.variables import Discrete
 
 # Entries of a matrix that sums the storage to all marginals, at the most.
 SMALL = 2**12
-
-
-class Sum(Protocol):
-    """Which entries of the storage are summed to which place of another array."""
-
-    def apply(self, storage: Array, semiring: Semiring, out: Array) -> Array:
-        """Sum into a part of an array, which is returned."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +37,13 @@ class GatheredSum:
     target: slice
 
     @classmethod
-    def of(cls, sources: Sequence[Integers], start: int) -> GatheredSum:
-        """Over the rows of some matrices of positions of equal height, one after the other."""
-        matrix = np.concatenate(sources, axis=1)
+    def of(cls, sources: Sequence[tuple[Place, States]], start: int) -> GatheredSum:
+        """Of tables to some of their variables each, with the sums from a place on."""
+        matrices = []
+        for place, wanted in sources:
+            positions = place.positions((*without(place.scope, wanted), *wanted))
+            matrices.append(positions.reshape(-1, math.prod(sizes(wanted))))
+        matrix = np.concatenate(matrices, axis=1)
         rows, columns = matrix.shape
         axis = int(rows > columns)
         index = np.ascontiguousarray(matrix.T if axis else matrix)
@@ -100,6 +95,22 @@ class BlockSum:
         return into
 
 
+Sum = GatheredSum | BlockSum
+
+
+def summed(sources: Sequence[tuple[Place, States]], start: int) -> Sum:
+    """The sums of some tables, or of one that stands by itself, from a place on.
+
+    Parameters
+    ----------
+    sources : sequence of (Place, States)
+        Each to some of its variables, with equally many entries for each entry of these.
+    start : int
+    """
+    place, wanted = sources[0]
+    return BlockSum.of(place, wanted, start) if place.large else GatheredSum.of(sources, start)
+
+
 @dataclass(frozen=True, eq=False)
 class Marginals:
     """The probabilities of all variables, one after the other.
@@ -125,34 +136,28 @@ class Marginals:
     matrix: Array | None
 
     @classmethod
-    def of(cls, sources: Mapping[Discrete, Integers | Place], length: int) -> Marginals:
-        """From where to sum the probabilities of each variable, in a storage of some length.
-
-        Positions (states, rows), or a table that stands by itself.
-        """
-        by_rows: dict[int, list[tuple[Discrete, Integers]]] = {}
+    def of(cls, sources: Mapping[Discrete, Place], length: int) -> Marginals:
+        """From where to sum the probabilities of each variable, in a storage of some length."""
+        # A large table is summed by itself, others with those of as many entries for each state.
+        together: dict[Discrete | int, list[tuple[Place, States]]] = {}
+        for variable, place in sources.items():
+            rows = place.size // variable.size
+            together.setdefault(variable if place.large else rows, []).append((place, (variable,)))
         sums: list[Sum] = []
         where: dict[Discrete, slice] = {}
         stop = 0
-        for variable, source in sources.items():
-            if isinstance(source, Place):
-                sums.append(BlockSum.of(source, (variable,), stop))
-                where[variable] = slice(stop, stop + variable.size)
-                stop += variable.size
-            else:
-                by_rows.setdefault(source.shape[1], []).append((variable, source))
-        for found in by_rows.values():
-            sums.append(GatheredSum.of([positions.T for _, positions in found], stop))
-            for variable, _ in found:
+        for found in together.values():
+            sums.append(summed(found, stop))
+            for _, (variable,) in found:
                 where[variable] = slice(stop, stop + variable.size)
                 stop += variable.size
         widths = np.array([variable.size for variable in where])
-        matrix = np.zeros((length, stop)) if length * stop <= SMALL else None
-        for variable, source in sources.items():
-            if matrix is None or isinstance(source, Place):
-                matrix = None
-                break
-            matrix[source, np.arange(where[variable].start, where[variable].stop)[:, None]] = 1.0
+        matrix = None
+        if length * stop <= SMALL:
+            each, all_sums = np.eye(length), np.empty((stop, length))
+            for one in sums:
+                one.apply(each, SUM_PRODUCT, all_sums)
+            matrix = np.ascontiguousarray(all_sums.T)
         return cls(sums, where, np.cumsum(widths) - widths, widths, stop, matrix)
 
     def read(self, tables: Array) -> Array:

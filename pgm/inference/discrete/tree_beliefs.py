@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,23 +10,20 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.discrete import BoundStates
-from pgm.factors import Table
-from pgm.factors.axes import States
-from pgm.inference.discrete.beliefs import Beliefs
 from pgm.inference.discrete.evidence import Distinct, pieces, tree_pieces
 from pgm.inference.discrete.impossible import require_possible
-from pgm.inference.discrete.joints import joint
 from pgm.inference.discrete.storage import Storage
 from pgm.inference.discrete.tree_messages import TreeMessages
 from pgm.inference.discrete.tree_passes import Calibrated, calibrate
 from pgm.inference.discrete.tree_plan import TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs
 from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import exp
 from pgm.variables import Discrete
 
 
 @dataclass(frozen=True, eq=False)
-class TreeBeliefs(Beliefs):
+class TreeBeliefs:
     """The calibrated beliefs of a graph without loops.
 
     Attributes
@@ -107,10 +104,6 @@ class TreeBeliefs(Beliefs):
             found.add(reader(calibrate(self.plan, piece).tables), piece.runs)
         return found.whole
 
-    def joint(self, scope: States) -> Array:
-        """The probabilities of variables that no one cluster holds, (sizes..., [runs])."""
-        return self.read(lambda tables: joint(self.storage, self.plan.forest, tables, scope))
-
     def log_evidence(self) -> Array:
         """The value ln p(evidence), ([runs])."""
         return self._distinct.spread(np.asarray(self._log_tops.sum(axis=0)))
@@ -121,36 +114,23 @@ class TreeBeliefs(Beliefs):
         return self._distinct.spread(np.asarray(self._log_tops[mine].sum(axis=0)))
 
     @cached_property
-    def _whole(self) -> TreeMessages | None:
-        """The messages of all runs, if they fit at once."""
-        evidence = self._distinct.evidence
-        if evidence.runs > 1 and self.storage.entries * evidence.runs > self._room.batch:
-            return None
-        return TreeMessages(self.storage, evidence, self.plan.logs)
+    def _whole(self) -> TreeMessages:
+        """The messages of all runs, where they fit at once."""
+        return TreeMessages(self.storage, self._distinct.evidence)
 
-    def _messages(self) -> Iterator[TreeMessages]:
-        """The messages of all runs, or of some runs after the other, none of which is kept."""
-        if self._whole is not None:
-            yield self._whole
-            return
-        for piece in pieces(self.storage.entries, self._distinct.evidence, self._room.batch):
-            yield TreeMessages(self.storage, piece, self.plan.logs)
-
-    def message(self, source: int, target: int) -> Table:
-        """The message from one cluster to a neighbour."""
-        parts = []
-        for messages in self._messages():
-            logs = messages.message(source, target)
-            parts.append(np.broadcast_to(logs, (*logs.shape[:-1], messages.evidence.runs)))
+    def message(self, source: int, target: int) -> tuple[Array, Array]:
+        """The message from one cluster to a neighbour, (sizes..., runs), and its log-scale."""
+        evidence, parts = self._distinct.evidence, []
+        for piece in pieces(evidence, self._room.batch // self.storage.entries):
+            several = piece is not evidence
+            messages = TreeMessages(self.storage, piece) if several else self._whole
+            parts.append(messages.message(source, target))
         logs = np.concatenate(parts, axis=-1)
         if self._distinct.which is not None:
             logs = logs[..., self._distinct.which]
-        scope = messages.sepset(source, target)
-        top = logs.max(axis=tuple(range(len(scope))))
+        top = logs.max(axis=tuple(range(logs.ndim - 1)))
         top = np.where(top == -np.inf, 0.0, top)
-        with np.errstate(under="ignore"):
-            values = np.exp(logs - top)
-        return self.table(scope, values, top)
+        return exp(logs - top), top
 
 
 class _Gathered:

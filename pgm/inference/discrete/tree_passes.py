@@ -9,11 +9,10 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.discrete import BoundStates
-from pgm.inference.discrete.enumeration import Enumeration
-from pgm.inference.discrete.evidence import alone, multiply, states_of_one
-from pgm.inference.discrete.tree_plan import Stack, TreePlan
+from pgm.inference.discrete.evidence import multiply
+from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array
-from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +24,7 @@ class Entry:
     tables : ndarray
         (entries + columns, [runs]): of the clusters, and room for the sepsets behind them.
     potentials : ndarray
-        (entries,): without evidence.
+        (entries, [1]): without evidence.
     entered : int
         The set of the stacks whose tables hold potentials times evidence; others are empty, and
         have no evidence of their own.
@@ -70,9 +69,7 @@ def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
             continue
         entries = tables[stack.entries]
         matrix = entries.reshape(stack.shape + tail)
-        source = entries
-        if not stack.bit & entry.entered:
-            source = potentials[stack.entries, None] if tail else potentials[stack.entries]
+        source = entries if stack.bit & entry.entered else potentials[stack.entries]
         taken = stack.top.stop
         for product, senders in zip(stack.absorbed, stack.senders, strict=True):
             if not senders & active:
@@ -82,33 +79,21 @@ def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
             # The product of a hub's many messages may underflow although none of them does: their
             # largest entries need not meet. So its table is rescaled after every few, and the
             # hub owns a scale for each time, beside that of its own message.
-            if stack.hub and semiring.linear and taken < stack.tops.stop:
-                top = _largest(stack, np.maximum.reduce(matrix, stack.axis))
+            if taken < stack.tops.stop and semiring.linear:
+                top = stack.largest(np.maximum.reduce(matrix, stack.axis))
                 tops[taken : taken + stack.clusters.size] = top
                 taken += stack.clusters.size
-                each = top if stack.narrow else top.repeat(stack.widths, 0)
-                np.divide(matrix, each[:, None] if stack.axis else each, out=matrix)
+                np.divide(matrix, stack.by_entry(stack.by_column(top)), out=matrix)
         if source is not entries:
             entries[...] = source
         found = semiring.total(matrix, stack.axis, raw[stack.columns])
         if semiring.linear:
-            top = _largest(stack, found)
+            top = stack.largest(found)
             tops[stack.top] = top
-            each = top if stack.single or stack.narrow else top.repeat(stack.widths, 0)
-            np.divide(found, each, messages[stack.columns])
+            np.divide(found, stack.by_column(top), messages[stack.columns])
         elif stack.down is None:
             tops[stack.top] = found
     return Collected(raw, tops)
-
-
-def _largest(stack: Stack, columns: Array) -> Array:
-    """The largest of each cluster's columns, (clusters, [runs])."""
-    if stack.narrow:
-        return columns
-    if stack.single:
-        top: Array = np.maximum.reduce(columns, 0)
-        return top[None]
-    return np.maximum.reduceat(columns, stack.first, 0)
 
 
 def distribute(plan: TreePlan, entry: Entry, done: Collected, semiring: Semiring) -> None:
@@ -129,9 +114,9 @@ def distribute(plan: TreePlan, entry: Entry, done: Collected, semiring: Semiring
             source, ratio = matrix, divisor[stack.columns]
             semiring.over(sepset, ratio, ratio)
         else:
-            source, ratio = entry.potentials[stack.entries].reshape(stack.shape), sepset
-            source = source[..., None] if tail else source
-        semiring.times(source, ratio[:, None] if stack.axis else ratio, matrix)
+            potentials = entry.potentials[stack.entries]
+            source, ratio = potentials.reshape(stack.shape + potentials.shape[1:]), sepset
+        semiring.times(source, stack.by_entry(ratio), matrix)
 
 
 # Entries that are copied at once rather than by stack.
@@ -149,12 +134,11 @@ def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
     FloatingPointError
         If an entry is too small for a number.
     """
-    evidence = alone(evidence)
     if plan.storage.entries > HELD:
         tables = plan.storage.potentials(semiring, plan.columns)
         multiply(plan.storage, tables, evidence, semiring)
         return Entry(tables, tables, plan.everything, plan.everything)
-    potentials: Array | None = plan.logs
+    potentials: Array | None = plan.storage.logs
     active = plan.everything
     if semiring.linear:
         potentials, active = plan.graph.derived(conditionals, plan), plan.above(evidence)
@@ -162,16 +146,16 @@ def enter(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Entry:
         raise FloatingPointError
     size = plan.storage.entries
     tail = () if evidence.runs == 1 else (evidence.runs,)
+    potentials = potentials[:, None] if tail else potentials
     tables = np.empty((size + plan.columns, *tail))
     entered = plan.everything
     if size <= SMALL:
-        tables[:size] = potentials[:, None] if tail else potentials
+        tables[:size] = potentials
     else:
         entered = plan.homes_of(evidence)
         for stack in plan.stacks:
             if stack.bit & entered:
-                own = potentials[stack.entries]
-                tables[stack.entries] = own[:, None] if tail else own
+                tables[stack.entries] = potentials[stack.entries]
     multiply(plan.storage, tables, evidence, semiring)
     return Entry(tables, potentials, entered, active)
 
@@ -195,9 +179,8 @@ def conditionals(graph: ClusterGraph, plan: TreePlan) -> Array | None:
                 if stack.down is None:
                     mine = (log_tops[plan.tree_of_top == k] for k in stack.clusters)
                     sepsets[stack.columns] = [math.exp(-math.fsum(logs)) for logs in mine]
-                each = sepsets[stack.columns]
                 matrix = tables[stack.entries].reshape(stack.shape)
-                np.divide(matrix, each[:, None] if stack.axis else each, out=matrix)
+                np.divide(matrix, stack.by_entry(sepsets[stack.columns]), out=matrix)
     except FloatingPointError:
         return None
     return tables[: plan.storage.entries]
@@ -223,19 +206,15 @@ class Calibrated:
 def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
     """Both passes: with numbers, or where one would be lost to underflow with logarithms."""
     if evidence.runs == 1 and not evidence.weights and plan.enumeration is not None:
-        return _enumerated(plan, plan.enumeration, evidence)
+        tables, total = plan.enumeration.given(evidence.states)
+        log_tops = np.zeros(plan.tops)
+        log_tops[plan.stacks[0].tops.start] = math.log(total) if total > 0.0 else -math.inf
+        return Calibrated(tables, log_tops)
     try:
         with np.errstate(all="raise"):
             return _calibrate(plan, evidence, SUM_PRODUCT)
     except FloatingPointError:
         return _calibrate(plan, evidence, LOG_SUM_PRODUCT)
-
-
-def _enumerated(plan: TreePlan, enumeration: Enumeration, evidence: BoundStates) -> Calibrated:
-    tables, total = enumeration.given(states_of_one(evidence))
-    log_tops = np.zeros(plan.tops)
-    log_tops[plan.stacks[0].tops.start] = math.log(total) if total > 0.0 else -math.inf
-    return Calibrated(tables, log_tops)
 
 
 def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Calibrated:
@@ -246,6 +225,5 @@ def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Cal
         return Calibrated(tables, log_tops)
     distribute(plan, entry, done, semiring)
     if not semiring.linear:
-        with np.errstate(under="ignore"):
-            np.exp(tables, out=tables)
+        exp(tables, out=tables)
     return Calibrated(tables, log_tops)

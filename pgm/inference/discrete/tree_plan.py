@@ -8,9 +8,10 @@ stack: their tables are the columns of one matrix, so that the messages of a sta
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import or_
 
 import numpy as np
 
@@ -19,14 +20,13 @@ from pgm.evidence.discrete import BoundStates
 from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference.discrete.enumeration import Enumeration
 from pgm.inference.discrete.evidence import at_once
-from pgm.inference.discrete.place import LARGE, Place
+from pgm.inference.discrete.place import LARGE, Place, positions, steps
 from pgm.inference.discrete.products import BlockProduct, GatheredProduct, Product
-from pgm.inference.discrete.storage import Storage, sepset_to_parent
-from pgm.inference.discrete.sums import BlockSum, GatheredSum, Marginals, Sum
+from pgm.inference.discrete.storage import Storage, sepset_between
+from pgm.inference.discrete.sums import Marginals, Sum, summed
 from pgm.inference.forest import Forest
 from pgm.inference.limits import require_size
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.variables import Discrete
 
 
@@ -43,7 +43,8 @@ class Stack:
         The one bit that stands for the stack in sets of stacks.
     entries, columns, tops : slice
         Where their tables, the columns of their messages, and the scales taken out of these stand:
-        one for each cluster, and of a hub one more for each time that its table is rescaled.
+        one for each cluster, and of a hub, which has so many children that its table is rescaled
+        in between, one more for each time.
     shape : tuple of int
         Of their tables as one matrix: (rows, columns), or (columns, rows) where `axis` is 1.
     axis : int
@@ -54,8 +55,6 @@ class Stack:
         Messages from the children.
     senders : sequence of int
         For each of these, the set of the stacks that send them.
-    hub : bool
-        Whether the clusters have so many children that their tables are rescaled in between.
     down : Sum or None
         Sums the parents' tables to the columns; of roots None.
     """
@@ -71,7 +70,6 @@ class Stack:
     widths: Integers
     absorbed: Sequence[Product]
     senders: Sequence[int]
-    hub: bool
     down: Sum | None
 
     @cached_property
@@ -88,6 +86,23 @@ class Stack:
     def top(self) -> slice:
         """Where the scales of the messages stand; behind them are those of a hub's table."""
         return slice(self.tops.start, self.tops.start + self.clusters.size)
+
+    def largest(self, columns: Array) -> Array:
+        """The largest of each cluster's columns, (clusters, [runs])."""
+        if self.narrow:
+            return columns
+        if self.single:
+            top: Array = np.maximum.reduce(columns, 0)
+            return top[None]
+        return np.maximum.reduceat(columns, self.first, 0)
+
+    def by_column(self, each: Array) -> Array:
+        """A number of each cluster, (clusters, [runs]), for each of its columns."""
+        return each if self.single or self.narrow else each.repeat(self.widths, 0)
+
+    def by_entry(self, columns: Array) -> Array:
+        """A number for each column as an array to be combined with the tables as one matrix."""
+        return columns[:, None] if self.axis else columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,11 +142,6 @@ class TreePlan:
         return self.storage.graph
 
     @cached_property
-    def logs(self) -> Array:
-        """The logarithms of the clusters' potentials."""
-        return self.storage.potentials(LOG_SUM_PRODUCT)
-
-    @cached_property
     def enumeration(self) -> Enumeration | None:
         """The joint of all variables, where the network is tiny."""
         return Enumeration.of(self.storage, self.forest, self.sepsets, self.first)
@@ -143,36 +153,26 @@ class TreePlan:
 
     def homes_of(self, evidence: BoundStates) -> int:
         """The set of the stacks that evidence is put into."""
-        found = 0
-        for variable in (*evidence.states, *evidence.weights):
-            found |= self._bits[variable]
-        return found
-
-    @cached_property
-    def _bits(self) -> dict[Discrete, int]:
-        bits = {k: stack.bit for stack in self.stacks for k in stack.clusters.tolist()}
-        return {variable: bits[home] for variable, home in self.storage.homes.items()}
-
-    @cached_property
-    def _roots(self) -> int:
-        return sum(stack.bit for stack in self.stacks if stack.down is None)
-
-    @cached_property
-    def _paths(self) -> dict[Discrete, int]:
-        """The stacks on the way from each variable's home to the root."""
-        to_root = [0] * len(self.graph)
-        for stack in self.stacks:
-            for k in stack.clusters.tolist():
-                parent = int(self.forest.parent[k])
-                to_root[k] = stack.bit | (to_root[parent] if parent >= 0 else 0)
-        return {variable: to_root[home] for variable, home in self.storage.homes.items()}
+        return _union(self._ways[v][0] for v in (*evidence.states, *evidence.weights))
 
     def above(self, evidence: BoundStates) -> int:
         """The set of the stacks on the ways from the evidence to the roots, and of these."""
-        found = self._roots
-        for variable in (*evidence.states, *evidence.weights):
-            found |= self._paths[variable]
-        return found
+        ways = _union(self._ways[v][1] for v in (*evidence.states, *evidence.weights))
+        return self._roots | ways
+
+    @cached_property
+    def _roots(self) -> int:
+        return _union(stack.bit for stack in self.stacks if stack.down is None)
+
+    @cached_property
+    def _ways(self) -> dict[Discrete, tuple[int, int]]:
+        """The stack of each variable's home, and those on the way from it to the root."""
+        found = [(0, 0)] * len(self.graph)
+        for stack in self.stacks:
+            for k in stack.clusters.tolist():
+                parent = int(self.forest.parent[k])
+                found[k] = stack.bit, stack.bit | (found[parent][1] if parent >= 0 else 0)
+        return {variable: found[home] for variable, home in self.storage.homes.items()}
 
     @cached_property
     def tree_of_top(self) -> Integers:
@@ -183,29 +183,14 @@ class TreePlan:
 
     @cached_property
     def marginals(self) -> Marginals:
-        """The sums of tables and sepsets to the probabilities of each variable."""
-        sources = self.storage.by_state
-        smallest = {v: self._smallest(v, source) for v, source in sources.items()}
-        return Marginals.of(smallest, self.storage.entries + self.columns)
-
-    def _smallest(self, variable: Discrete, home: Integers | Place) -> Integers | Place:
-        """Where to sum a variable from: its home, or a smaller sepset."""
-        best, least = home, self.graph.sizes[self.storage.homes[variable]]
-        for k, sepset in self._sepsets.get(variable, ()):
-            width = math.prod(sizes(sepset))
-            if width < least:
-                start = self.storage.entries + int(self.first[k])
-                place = Place(sepset, 1, width, start, width, 1, width >= self.large)
-                best, least = place if place.large else place.split(variable), width
-        return best
-
-    @cached_property
-    def _sepsets(self) -> dict[Discrete, list[tuple[int, States]]]:
-        found: dict[Discrete, list[tuple[int, States]]] = {}
-        for k, sepset in enumerate(self.sepsets):
+        """The sums of each variable's home, or of a smaller sepset, to its probabilities."""
+        found = {v: self.storage.places[home] for v, home in self.storage.homes.items()}
+        for sepset, first in zip(self.sepsets, self.first.tolist(), strict=True):
+            place = Place.of(sepset, self.storage.entries + first, self.large)
             for variable in sepset:
-                found.setdefault(variable, []).append((k, sepset))
-        return found
+                if place.size < found[variable].size:
+                    found[variable] = place
+        return Marginals.of(found, self.storage.entries + self.columns)
 
 
 # A hub multiplies this many messages at the most into its table before it is rescaled.
@@ -248,18 +233,22 @@ def make_plan(graph: ClusterGraph, large: int) -> TreePlan:
     return _Planner(graph, large).plan()
 
 
+def _union(sets: Iterable[int]) -> int:
+    """The union of sets of stacks."""
+    return reduce(or_, sets, 0)
+
+
 class _Planner:
     """The working place of `make_plan`."""
 
     def __init__(self, graph: ClusterGraph, large: int) -> None:
-        self.graph, self.large, self.forest = graph, large, Forest.of(graph)
-        everywhere = range(len(graph))
-        shared = [sepset_to_parent(graph, self.forest, k) for k in everywhere]
+        self.graph, self.large, self.forest = graph, large, graph.derived(Forest.of)
+        shared = [sepset_between(graph, *edge) for edge in enumerate(self.forest.parent.tolist())]
         self.sepsets = [self._ordered(k, scope, shared) for k, scope in enumerate(shared)]
         self.width = [math.prod(sizes(sepset)) for sepset in self.sepsets]
-        self.places: list[Place | None] = [None for _ in everywhere]
+        self.places: dict[int, Place] = {}
         self.first = np.zeros(len(graph), dtype=np.intp)
-        self.bits = [0 for _ in everywhere]
+        self.bits = [0] * len(graph)
 
     def plan(self) -> TreePlan:
         groups: dict[tuple[int, ...], list[int]] = {}
@@ -271,8 +260,7 @@ class _Planner:
             start, column = self._place(clusters, start, column)
             for k in clusters:
                 self.bits[k] = 1 << number
-        placed = [place for place in self.places if place is not None]
-        storage = Storage(self.graph, placed)
+        storage = Storage(self.graph, [self.places[k] for k in range(len(self.graph))])
         stacks, tops = list[Stack](), 0
         for clusters in groups.values():
             stacks.append(self._stack(clusters, storage, tops))
@@ -313,14 +301,12 @@ class _Planner:
         offset = 0
         for k in clusters:
             rest = without(discrete(self.graph.clusters[k].scope), self.sepsets[k])
-            scope = (*self._ordered(k, rest, self.sepsets), *self.sepsets[k])
+            rest = self._ordered(k, rest, self.sepsets)
+            down, across = (columns, 1) if rows <= columns else (1, rows)
+            step = steps(rest, down) | steps(self.sepsets[k], across)
+            scope = (*rest, *self.sepsets[k])
+            self.places[k] = Place(scope, start + offset * across, step, self._large(k))
             self.first[k] = column + offset
-            large = self._large(k)
-            if rows <= columns:
-                place = Place(scope, rows, self.width[k], start + offset, columns, 1, large)
-            else:
-                place = Place(scope, rows, self.width[k], start + offset * rows, 1, rows, large)
-            self.places[k] = place
             offset += self.width[k]
         return start + rows * columns, column + columns
 
@@ -344,17 +330,9 @@ class _Planner:
             np.cumsum(widths) - widths,
             widths,
             absorbed,
-            [self._set(product.children.ravel().tolist()) for product in absorbed],
-            hub,
+            [_union(self.bits[k] for k in product.children.ravel()) for product in absorbed],
             self._down(clusters, storage),
         )
-
-    def _set(self, clusters: list[int]) -> int:
-        """The set of the stacks of some clusters."""
-        found = 0
-        for k in clusters:
-            found |= self.bits[k]
-        return found
 
     def _absorbed(
         self, clusters: list[int], storage: Storage, start: int, entries: int
@@ -371,15 +349,10 @@ class _Planner:
         maps = np.empty((count, entries), dtype=np.intp)
         for k in clusters:
             place = storage.places[k]
-            axis = {variable: j for j, variable in enumerate(place.scope)}
             target = place.positions(place.scope) - start
             for slot, child in enumerate(self.forest.children[k]):
-                sepset = self.sepsets[child]
-                shape = np.ones(len(place.scope), dtype=np.intp)
-                shape[[axis[v] for v in sepset]] = sizes(sepset)
-                own = np.arange(self.width[child]).reshape(sizes(sepset))
-                order = np.argsort([axis[v] for v in sepset])
-                maps[slot, target] = self.first[child] + own.transpose(order).reshape(shape)
+                columns = steps(self.sepsets[child], 1)
+                maps[slot, target] = positions(int(self.first[child]), columns, place.scope)
         size = min(CHUNK, max(1, SMALL // entries))
         chunks = [slice(at, at + size) for at in range(0, count, size)]
         return [GatheredProduct(senders[some], maps[some]) for some in chunks]
@@ -390,12 +363,5 @@ class _Planner:
         if parent < 0:
             return None
         start = storage.entries + int(self.first[clusters[0]])
-        if storage.places[parent].large:
-            return BlockSum.of(storage.places[parent], self.sepsets[clusters[0]], start)
-        sources = []
-        for k in clusters:
-            place = storage.places[int(self.forest.parent[k])]
-            rest = tuple(v for v in place.scope if v not in self.sepsets[k])
-            positions = np.ascontiguousarray(place.positions((*rest, *self.sepsets[k])))
-            sources.append(positions.reshape(-1, self.width[k]))
-        return GatheredSum.of(sources, start)
+        sources = [(storage.places[int(self.forest.parent[k])], self.sepsets[k]) for k in clusters]
+        return summed(sources, start)

@@ -1,7 +1,8 @@
 """Pickles for another process, the large arrays apart from them.
 
 Arrays travel as they lie in memory, runs fastest, so that a worker computes with them as fast; what
-is broadcast travels once; in a block of memory that both processes see, only their places do.
+is broadcast travels once; in a block of memory that both processes see, only their places do. What
+cannot be pickled is refused by name.
 """
 
 from __future__ import annotations
@@ -10,11 +11,14 @@ import io
 import itertools
 import mmap
 import pickle
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from pgm.errors import ModelError
+from pgm.immutable import Immutable
 from pgm.inference.executors.memory import Name, Room, address, lines, seen
 
 # Bytes from which on an array is large, and put apart.
@@ -144,3 +148,32 @@ class _Unpickler(pickle.Unpickler):
 def loads(data: bytes, own: mmap.mmap | None) -> Any:
     """The value of a pickle, whose parcel filled that memory."""
     return _Unpickler(io.BytesIO(data), own).load()
+
+
+def refuse(named: Sequence[Any], error: Exception) -> ModelError:
+    """The error that says which of some objects cannot be pickled, and which part of it."""
+    for each in named:
+        fault = _fault(each)
+        if fault is None:
+            continue
+        parts = each.__getstate__() if isinstance(each, Immutable) else {}
+        parts = {name: value for name, value in parts.items() if _fault(value) is not None}
+        part = next((f"the {name} of " for name in parts), "")
+        child = getattr(each, "child", None)
+        return ModelError(
+            f"{part}{each!r} cannot be handed to another process: {fault}; let it be a function or "
+            "a class that stands in a module by name, no lambda and none within a function, or "
+            "give a ThreadPoolExecutor",
+            variable=child,
+            cpd=each if child is not None else None,
+        )
+    return ModelError(f"what the workers would be handed cannot be pickled: {error}")
+
+
+def _fault(value: Any) -> str | None:
+    """Why a value cannot be pickled; None if it can."""
+    try:
+        pickle.dumps(value)
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    return None

@@ -12,8 +12,7 @@ from pgm.boundary import is_whole
 from pgm.errors import ExecutorError, ModelError
 from pgm.inference.executors.done import Done, here, there
 from pgm.inference.executors.memory import Block, Room, Shape, borrow, idle_blocks, keep
-from pgm.inference.executors.parcels import Parcel, loads
-from pgm.inference.executors.refusals import refuse
+from pgm.inference.executors.parcels import Parcel, loads, refuse
 from pgm.kernels.arrays import Array, vacant
 
 if TYPE_CHECKING:
@@ -137,20 +136,10 @@ class Workers:
         """
         if self._executor is None:
             yield from (Done(work(job)) for job in jobs)
-        elif self._here:
+            return
+        if self._here:
             yield from self._gathered(runs, [(here, work, job) for job in jobs], [None] * len(jobs))
-        else:
-            yield from self._apart(work, jobs, runs, large, named)
-
-    def _apart(
-        self,
-        work: Callable[[Any], Any],
-        jobs: Sequence[Any],
-        runs: Sequence[slice],
-        large: bool,
-        named: Sequence[Any],
-    ) -> Iterator[Done]:
-        """The same by other processes."""
+            return
         idle = self._idle
         parcel = Parcel(apart=idle is not None, shared=True, room=self._room)
         try:

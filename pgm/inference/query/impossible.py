@@ -40,7 +40,7 @@ def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
 
 def _contradiction(plan: EliminationPlan, run: int) -> tuple[list[Discrete], States]:
     """The evidence that the first product of zeros is made of, and that product's variables."""
-    evidence = some_runs(plan.requisite.evidence, run, run + 1)
+    evidence = some_runs(plan.requisite.evidence, slice(run, run + 1))
     tables = Tables(plan, evidence, LOG_SUM_PRODUCT)
     first, cpds = len(plan.scopes), plan.requisite.cpds
     for lost, step in enumerate(plan.steps, first):  # noqa: B007, used after the loop

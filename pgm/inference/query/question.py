@@ -14,7 +14,7 @@ from pgm.boundary import as_tuple, is_unordered
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, GraphError, ModelError
-from pgm.evidence import Evidence, soft
+from pgm.evidence import Evidence
 from pgm.evidence.discrete import BoundStates, bind_discrete
 from pgm.factors import Table
 from pgm.factors.axes import States, as_states, sizes
@@ -22,7 +22,7 @@ from pgm.factors.scope import names
 from pgm.factors.unknown_names import unknown_name
 from pgm.inference import limits
 from pgm.inference.discrete.evidence import pieces
-from pgm.inference.engine import infer
+from pgm.inference.discrete.run import of_tree
 from pgm.inference.query.elimination import eliminate
 from pgm.inference.query.impossible import require_possible
 from pgm.inference.query.plan import EliminationPlan
@@ -177,9 +177,8 @@ def _answer(graph: ClusterGraph | None, requisite: Requisite, scope: States) -> 
 def _eliminated(plan: EliminationPlan, scope: States) -> Array:
     """By summing the others out."""
     plan.require_size()
-    parts = [
-        eliminate(plan, piece) for piece in pieces(plan.peak, plan.requisite.evidence, limits.BATCH)
-    ]
+    some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
+    parts = [eliminate(plan, piece) for piece in some]
     values = np.concatenate(parts, axis=-1)
     require_possible(plan, values)
     asked = plan.order[len(plan.order) - values.ndim + 1 :]
@@ -189,13 +188,5 @@ def _eliminated(plan: EliminationPlan, scope: States) -> Array:
 
 def _read(graph: ClusterGraph, evidence: BoundStates, scope: States) -> Array:
     """From the posterior of a tree."""
-    lead = evidence.lead
-    given: dict[Variable, Any] = {
-        v: s if isinstance(s, int) else s.reshape(lead) for v, s in evidence.states.items()
-    }
-    for variable, weights in evidence.weights.items():
-        shape = lead if len(weights) > 1 else ()
-        given[variable] = soft(weights.reshape((*shape, variable.size)))
-    values = infer(graph, given).joint(*scope).values
-    assert isinstance(values, np.ndarray)
+    values = of_tree(graph, evidence).joint(*scope).values
     return np.moveaxis(values.reshape(-1, *sizes(scope)), 0, -1)
