@@ -34,6 +34,8 @@ _TOLD = 1e-9
 # The parts of a mean and of a variance in float64 that rounding may change.
 _EPS = float(np.finfo(np.float64).eps)
 _LAST_DIGIT = 4.0 * _EPS
+# The part of a deviation that steps in float64, of moderate ratios, may have moved a mean by.
+_STEPS = 1e-8
 # The part of what is summed up to an entry of D below which it is rounding.
 _CANCELLED = 1e-26
 # The part of a variance that is taken for rounding which counts as an error of the mean.
@@ -75,8 +77,9 @@ class Belief(NamedTuple):
 
     @classmethod
     def of(cls, mean: Array, cov: Array) -> Belief:
-        """A belief of moments (runs, n) and (runs, n, n) in float64: exact to rounding."""
-        return cls.first(Twofold(mean[..., None]), Twofold(cov), _LAST_DIGIT, _EPS)
+        """A belief of moments (runs, n) and (runs, n, n) that steps in float64 have found."""
+        found = cls.first(Twofold(mean[..., None]), Twofold(cov), _LAST_DIGIT, _EPS)
+        return found._replace(drift=found.drift + diagonal(_STEPS**2 * np.abs(variances(cov))))
 
     @property
     def moments(self) -> tuple[Array, Array]:
@@ -101,6 +104,9 @@ class Belief(NamedTuple):
         unit = np.sqrt(np.maximum(variance, _TOLD**2 * self.largest))
         changed = (self.parts if parts is None else parts) * np.sqrt(variance)
         changed = np.maximum(changed, np.sqrt(np.maximum(variances(self.drift), 0.0)))
+        # And the mean itself is rounded to float64 in the end.
+        rounded = 0.5 * _EPS * np.abs(self.columns.hi[..., 0])
+        changed = np.maximum(changed, np.where(variance > 0.0, rounded, 0.0))
         share = np.where(unit > 0.0, changed / np.where(unit > 0.0, unit, 1.0), 0.0)
         found: Array = share.max(axis=-1, initial=0.0)
         return found

@@ -173,12 +173,18 @@ class Beginning(NamedTuple):
     mean, cov : ndarray
         (runs, n) and (runs, n, n).
     careful : Begin or None
-        The same in twice the digits, where float64 cannot carry it.
+        The same in twice the digits, where they found it: rounded to float64 it may be ordinary,
+        and too little for a later window to be solved in twice the digits.
     """
 
     mean: Array
     cov: Array
     careful: Begin | None = None
+
+    @property
+    def plain(self) -> bool:
+        """Whether float64 can carry it."""
+        return self.careful is None or certificate.is_ordinary(self.mean, self.cov)
 
     def over(self, runs: int) -> Beginning:
         """The same for so many runs, where it is of one."""
@@ -235,7 +241,7 @@ class Window:
         A mean that the step control held back is held back here as much.
         """
         mean, cov = self.ahead.mean[row] + self.moved[row], self.ahead.cov[row]
-        if self.careful is None or certificate.is_ordinary(mean, cov):
+        if self.careful is None:
             return Beginning(mean, cov)
         taken = self.careful.careful.steps[row].taken
         begin = Begin(taken.belief.shifted(self.moved[row]), taken.information)
@@ -309,7 +315,7 @@ def _cut(
 
 def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
     """Whether float64 may have digits enough."""
-    return not certificate.is_flat(plan) and (begin is None or begin.careful is None)
+    return not certificate.is_flat(plan) and (begin is None or begin.plain)
 
 
 def _settled(chain: Chain[Either], schedule: FixedLag) -> Iterated[Either]:

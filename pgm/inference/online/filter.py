@@ -190,7 +190,7 @@ class OnlineFilter(Immutable):
             bound = step_evidence.inputs(self.model, belief, inputs)
             behind = behind.on(self._windows, bound.transition, bound.lead)
             return self._slid(step, behind, np.broadcast_to(belief.log_evidence, bound.lead))
-        if belief.careful is None:
+        if _is_plain(belief):
             laid = None if belief.lead else self._motions.motion(belief, inputs)
             if laid is None:
                 chain = MomentChain(self._ahead(belief, inputs), ONCE, keep=False)
@@ -201,7 +201,7 @@ class OnlineFilter(Immutable):
                 chain = trailing(chain.plan, ats)
             plan, known = chain.plan, _moments(belief, chain.plan)
             found = chain.predicted(ats, step, known)
-            regular = gaussian.is_regular(found.cov, found.cov, _REGULAR)
+            regular = gaussian.is_regular(found.cov, found.cov, _REGULAR) and _is_near(found)
             if not (_is_finite(found) and (regular or np.isfinite(found.cov).all())):
                 MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
                 _refuse(step)
@@ -250,7 +250,7 @@ class OnlineFilter(Immutable):
             bound = step_evidence.readings(self.model, belief, readings)
             behind = behind.read(self._windows, bound.readings, bound.lead)
             return self._slid(belief.step, behind, belief.log_evidence)
-        if belief.careful is None:
+        if _is_plain(belief):
             ordinary = self._updated(belief, readings)
             if ordinary is not None:
                 return ordinary
@@ -281,7 +281,7 @@ class OnlineFilter(Immutable):
                 found, log_density = chain.taken(parts, belief.step, known)
             except NumericalError:
                 return None  # with twice the digits there may be an answer; if not, it is refused
-        if not gaussian.is_regular(found.cov, known.cov, _REGULAR):
+        if not (gaussian.is_regular(found.cov, known.cov, _REGULAR) and _is_near(found)):
             return None
         if belief.lead or plan.lead:
             log_evidence = np.asarray(
@@ -372,12 +372,28 @@ def _moments(belief: OnlineBelief, plan: ChainPlan) -> Moments:
     return Moments.of(plan, _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
 
 
+def _is_near(found: Moments) -> bool:
+    """Whether rounding of means is little beside their deviations."""
+    mean, variances = found.mean, np.einsum("ii...->i...", found.cov)
+    if mean.ndim > 1:
+        return bool(((mean * mean < certificate.FAR * variances) | (variances <= 0.0)).all())
+    for value, variance in zip(mean.tolist(), variances.tolist(), strict=True):
+        if value * value > certificate.FAR * variance > 0.0:
+            return False
+    return True
+
+
 def _is_finite(found: Moments) -> bool:
     """Whether all numbers are finite, of one run's mean alone: its covariance is regular."""
     if found.mean.ndim > 1:
         return bool(np.isfinite(found.mean.sum() + found.cov.sum()))
     # A sum of few numbers tells it most quickly.
     return isfinite(sum(found.mean.tolist()))
+
+
+def _is_plain(belief: OnlineBelief) -> bool:
+    """Whether float64 can carry a belief."""
+    return belief.careful is None or certificate.is_ordinary(belief.mean, belief.cov)
 
 
 def _careful(belief: OnlineBelief, plan: ChainPlan) -> Belief:
@@ -397,13 +413,12 @@ def _carried(
     kind: Kind,
     behind: Trail | None,
 ) -> OnlineBelief:
-    """A belief whose status has its digits, carried in twice those of float64 while it must be."""
+    """A belief in twice the digits, whose status tells how many it has."""
     mean, cov = found.moments
     if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
         _refuse(step)
     status = status.with_digits(digits(found.error(), plan.lead))
-    kept = None if certificate.is_ordinary(mean, cov) else found
-    parts = Moments.of(plan, mean, cov), log_evidence, status, kind, behind, kept
+    parts = Moments.of(plan, mean, cov), log_evidence, status, kind, behind, found
     return _belief(plan, step, *parts)
 
 
