@@ -6,10 +6,9 @@ from collections import defaultdict
 
 import networkx as nx
 import numpy as np
-from matplotlib.patches import Circle, FancyArrowPatch
+from matplotlib.patches import Circle
 
 from pgm.plot.canvas import Canvas, Point
-from pgm.plot.colours import INK
 from pgm.plot.segments import distances
 from pgm.variables import Variable
 
@@ -56,19 +55,12 @@ def _clearance(points: dict[Variable, Point], arrow: Arrow, bend: float) -> floa
 
 def draw_arrow(canvas: Canvas, parent: Circle, child: Circle, bend: float) -> None:
     """An arrow from the border of one circle to that of another."""
-    canvas.ax.add_patch(
-        FancyArrowPatch(
-            parent.center,
-            child.center,
-            patchA=parent,
-            patchB=child,
-            shrinkA=0.0,
-            shrinkB=0.0,
-            connectionstyle=f"arc3,rad={bend}",
-            arrowstyle="-|>",
-            mutation_scale=9.0 * canvas.scale,
-            linewidth=canvas.width(0.9),
-            color=INK,
-            zorder=2.0,
-        )
+    canvas.arrow(
+        posA=parent.center,
+        posB=child.center,
+        patchA=parent,
+        patchB=child,
+        shrinkA=0.0,
+        shrinkB=0.0,
+        connectionstyle=f"arc3,rad={bend}",
     )

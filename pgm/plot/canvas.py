@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties
-from matplotlib.patches import Patch
+from matplotlib.patches import FancyArrowPatch, Patch
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
 
@@ -111,6 +111,19 @@ class Canvas:
         """Draw a line below all shapes."""
         x, y = np.array(route).T
         self.ax.plot(x, y, color=MUTED, linewidth=self.width(1.0), linestyle=style, zorder=1.0)
+
+    def arrow(self, *, head: float = 9.0, zorder: float = 2.0, **between: Any) -> None:
+        """Draw an arrow, as of the keywords of a `FancyArrowPatch`, with a head of some size."""
+        self.ax.add_patch(
+            FancyArrowPatch(
+                **between,
+                arrowstyle="-|>",
+                mutation_scale=head * self.scale,
+                linewidth=self.width(0.9),
+                color=INK,
+                zorder=zorder,
+            )
+        )
 
     def shape(self, patch: Patch, fill: Any, border: float) -> None:
         """Draw a shape with a border of some width, above all lines."""

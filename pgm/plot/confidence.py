@@ -10,10 +10,11 @@ from matplotlib.cbook import normalize_kwargs
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import to_rgba
 
+from pgm.consistency.checks import check_gaussian
 from pgm.factors import Gaussian
+from pgm.factors.scope import labels
 from pgm.plot.axes import given_or_new, name_axes
 from pgm.plot.colours import next_colour
-from pgm.plot.components import check_gaussian, component_names
 
 # An ellipse smaller than this part of the picture is marked by a dot.
 _INVISIBLE = 1e-4
@@ -99,6 +100,6 @@ def ellipses(
         east, north = centre[dots].T
         ax.scatter(east, north, s=7.0, color=shade, zorder=collection.get_zorder())
     ax.autoscale_view()
-    pair = components or component_names(gaussian)[:2]
+    pair = components or labels(gaussian.scope)[:2]
     name_axes(ax, pair[0], pair[1])
     return ax

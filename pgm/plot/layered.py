@@ -10,10 +10,9 @@ import networkx as nx
 import numpy as np
 
 from pgm.kernels.arrays import Array
-from pgm.plot.along_layers import along
 from pgm.plot.canvas import Size
 from pgm.plot.curves import lines
-from pgm.plot.layering import Layers, layers, ranks
+from pgm.plot.layering import Layers, along, layers, ranks
 from pgm.plot.layout import GAP, Layout, Node, packed
 from pgm.plot.ordering import ordered
 

@@ -6,12 +6,11 @@ from collections.abc import Iterable, Mapping
 
 import networkx as nx
 import numpy as np
-from matplotlib.patches import FancyArrowPatch
+from matplotlib.path import Path
 
 from pgm.clustergraph.checks import Edge
 from pgm.kernels.arrays import Array
 from pgm.plot.canvas import Canvas, Point, Size, text_size
-from pgm.plot.colours import INK
 from pgm.plot.layout import Node
 from pgm.plot.segments import distances
 
@@ -79,20 +78,8 @@ def draw_messages(canvas: Canvas, edge: Edge, at: Point, plate: Size, line: Arra
         border = 0.5 * np.abs(left) @ plate
         middle = at + (border + _AWAY) * left
         beyond = border + _AWAY + _APART + 0.5 * np.abs(left) @ text_size(name)
-        start, end = (middle + half * way for half in (-0.5 * _LENGTH, 0.5 * _LENGTH))
-        canvas.ax.add_patch(
-            FancyArrowPatch(
-                (float(start[0]), float(start[1])),
-                (float(end[0]), float(end[1])),
-                shrinkA=0.0,
-                shrinkB=0.0,
-                arrowstyle="-|>",
-                mutation_scale=8.0 * canvas.scale,
-                linewidth=canvas.width(0.9),
-                color=INK,
-                zorder=4.0,
-            )
-        )
+        ends = np.stack([middle - 0.5 * _LENGTH * way, middle + 0.5 * _LENGTH * way])
+        canvas.arrow(path=Path(ends), head=8.0, zorder=4.0)
         x, y = at + beyond * left
         canvas.text((float(x), float(y)), name)
 

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 
 import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Ellipse, FancyArrowPatch
+from matplotlib.patches import Circle, Ellipse
 from matplotlib.path import Path
 
 from pgm.errors import ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
+from pgm.networks.static import density
 from pgm.plot.arrows import bends, draw_arrow
 from pgm.plot.axes import check_axes
-from pgm.plot.canvas import FONT, Size, open_canvas, room, slack, text_size
-from pgm.plot.colours import INK, OBSERVED
+from pgm.plot.canvas import FONT, Point, Size, open_canvas, room, slack, text_size
+from pgm.plot.colours import OBSERVED
 from pgm.plot.columns import place
-from pgm.plot.densities import densities, lower_right, spread
 from pgm.plot.graphs import Network, directed, in_slices
 from pgm.plot.labels import node_label
 from pgm.plot.layered import layered
@@ -26,6 +27,9 @@ from pgm.variables import Variable
 
 _SMALLEST = 15.0
 _FILL = {True: OBSERVED, False: "white"}
+# A density begins so far to the right of its node's centre, in radii, to be clear of arrows down.
+_AWAY = 0.5
+_GAP = 10.0
 
 
 def network(
@@ -118,19 +122,38 @@ def _layers(graph: nx.DiGraph, below: dict[Variable, str], ax: Axes | None) -> A
         canvas.shape(Ellipse(at, *sizes[node]), _FILL[graph.nodes[node]["observed"]], 1.0)
         canvas.text(at, labels[node])
     for curve in layout.lines.values():
-        canvas.ax.add_patch(
-            FancyArrowPatch(
-                path=Path(curve),
-                arrowstyle="-|>",
-                mutation_scale=9.0 * canvas.scale,
-                linewidth=canvas.width(0.9),
-                color=INK,
-                zorder=2.0,
-            )
-        )
+        canvas.arrow(path=Path(curve))
     return canvas.ax
 
 
 def _width(text: Size, height: float) -> float:
     """The width of an ellipse of some height about a text."""
     return text.width / float(np.sqrt(1.0 - (text.height / height) ** 2)) + 6.0
+
+
+def densities(
+    model: BayesianNetwork | DynamicBayesianNetwork, nodes: Iterable[Variable]
+) -> dict[Variable, str]:
+    """The density of each node that has a CPD."""
+    if isinstance(model, DynamicBayesianNetwork):
+        model = model.unroll(max(node.step or 0 for node in nodes))
+    return {cpd.child: density(cpd) for cpd in model.cpds}
+
+
+def spread(
+    points: dict[Variable, Point], texts: dict[Variable, str], radius: float
+) -> dict[Variable, Point]:
+    """Columns farther apart, where a text would else reach those of the next node in its row."""
+    factor = 1.0
+    in_rows = sorted(points, key=lambda node: points[node][::-1])
+    for node, after in pairwise(in_rows):
+        (x, y), (beyond, row) = points[node], points[after]
+        if node in texts and y == row:
+            due = text_size(texts[node]).width + _AWAY * radius + _GAP
+            factor = max(factor, due / (beyond - x))
+    return {node: (factor * x, y) for node, (x, y) in points.items()}
+
+
+def lower_right(at: Point, radius: float, text: Size) -> Point:
+    """The centre of a text at the lower right of a node."""
+    return at[0] + _AWAY * radius + 0.5 * text.width, at[1] - radius - 0.5 * text.height

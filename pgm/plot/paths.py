@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
+from pgm.factors.scope import labels
 from pgm.inference import Kind
 from pgm.plot.axes import equal_aspect, given_or_new, name_axes, plain, useful_legend
 from pgm.plot.colours import INK, next_colour
-from pgm.plot.components import component_names, component_places, one_run, truth_columns
+from pgm.plot.components import component_places, one_run, truth_columns
 from pgm.plot.confidence import ellipses
 
 # More ellipses than this along a path hide each other.
@@ -78,7 +79,7 @@ def trajectory(
     elif not isinstance(every, (int, np.integer)) or every < 1:
         raise ModelError(f"every must be a number of steps, 1 or more, not {every!r}")
     thinned = Gaussian._make(belief.scope, belief.mean[::every], belief.cov[::every])
-    pair = tuple(components or component_names(belief)[:2])
+    pair = tuple(components or labels(belief.scope)[:2])
     thinned.ellipse(confidence, components)  # refuses bad arguments before anything is drawn
     places = component_places(belief, pair)
     lines = None if truth is None else truth_columns(belief, truth, places)

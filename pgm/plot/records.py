@@ -14,6 +14,7 @@ from pgm.errors import ModelError
 from pgm.inference import Kind, Status
 from pgm.kernels.arrays import Array
 from pgm.plot.axes import given_or_new, name_axes, useful_legend
+from pgm.plot.bands import band
 from pgm.plot.colours import INK, next_colour
 
 # More runs than this are a band and a median.
@@ -122,15 +123,8 @@ def _draw_band(
     )
     middle = np.array([np.median(row) if row.size else np.nan for row in rows])
     middle = np.where(middle > 0.0, middle, np.nan)
-    ax.fill_between(
-        across,
-        least,
-        most,
-        facecolor=to_rgba(tint, 0.18),
-        edgecolor=to_rgba(tint, 0.4),
-        lw=0.8,
-        label=f"{label}, {residuals.shape[1]} runs",
-    )
+    many = f"{label}, {residuals.shape[1]} runs"
+    band(ax, across, least, most, tint, many, inside=0.18, outline=0.4)
     ax.plot(across, middle, color=tint, lw=1.6, zorder=2.2, label=f"{label}, median")
 
 
