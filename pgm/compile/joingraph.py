@@ -9,7 +9,7 @@ from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.checks import Edge
 from pgm.clustergraph.size import amount, is_discrete, size
-from pgm.compile.junction import JunctionTree
+from pgm.compile.junction import JunctionTree, graph_of
 from pgm.compile.orders import MinFill, Order, places
 from pgm.errors import GraphError
 from pgm.factors.scope import listed
@@ -91,12 +91,7 @@ class JoinGraph:
         def fits(members: set[int]) -> bool:
             return size(tuple(variables[k] for k in members)) <= self.max_size
 
-        clusters, sepsets = _mini_buckets(families, order, fits)
-        return ClusterGraph(
-            network,
-            [[variables[k] for k in cluster] for cluster in clusters],
-            {edge: [variables[k] for k in shared] for edge, shared in sepsets.items()},
-        )
+        return graph_of(network, *_mini_buckets(families, order, fits))
 
 
 @dataclass

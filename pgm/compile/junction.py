@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from pgm.boundary import as_tuple, is_unordered
 from pgm.clustergraph import ClusterGraph
+from pgm.clustergraph.checks import Edge
 from pgm.compile.elimination import clique_tree, moral
 from pgm.compile.orders import Order, StochasticMinFill, places
 from pgm.errors import GraphError
@@ -66,9 +67,18 @@ class JunctionTree:
             If the order is not of the variables of the network, each once.
         """
         tree = clique_tree(moral(network), places(self.order, network))
-        variables = network.variables
-        return ClusterGraph(
-            network,
-            [[variables[k] for k in clique] for clique in tree.cliques],
-            {edge: [variables[k] for k in shared] for edge, shared in tree.sepsets.items()},
-        )
+        return graph_of(network, tree.cliques, tree.sepsets)
+
+
+def graph_of(
+    network: BayesianNetwork,
+    clusters: Iterable[set[int]],
+    sepsets: Mapping[Edge, set[int]],
+) -> ClusterGraph:
+    """The cluster graph of sets of places in `network.variables`."""
+    variables = network.variables
+    return ClusterGraph(
+        network,
+        [[variables[k] for k in cluster] for cluster in clusters],
+        {edge: [variables[k] for k in shared] for edge, shared in sepsets.items()},
+    )

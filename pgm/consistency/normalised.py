@@ -1,4 +1,4 @@
-"""Errors and innovations, measured by the covariance that a belief gives them."""
+"""Errors and innovations, measured by the covariance that a belief gives them; divergences."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from pgm.consistency.checks import check_innovations
+from pgm.consistency.checks import check_gaussian, check_innovations
 from pgm.consistency.errors import error, place, places
-from pgm.errors import NumericalError
+from pgm.errors import ModelError, NumericalError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels, names
 from pgm.inference import Innovations
@@ -97,3 +97,30 @@ def nis(innovations: Innovations) -> Array:
         If they are no innovations.
     """
     return check_innovations(innovations).nis
+
+
+def kl(p: Gaussian, q: Gaussian) -> Array:
+    """KL(p ‖ q), (...), in nats: what is lost by holding q where p is right; angles wrapped.
+
+    Parameters
+    ----------
+    p, q : Gaussian
+        Of one scope; leading axes broadcast.
+
+    Raises
+    ------
+    ModelError
+        If one of them is no Gaussian, they are over different variables, or their leading axes do
+        not broadcast.
+    NumericalError
+        If a covariance is singular.
+    """
+    shapes = [check_gaussian(belief).mean.shape[:-1] for belief in (p, q)]
+    try:
+        np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise ModelError(
+            f"KL of beliefs over {names(p.scope)} with leading axes {shapes[0]} and {shapes[1]}; "
+            "they must broadcast"
+        ) from None
+    return p.kl(q)

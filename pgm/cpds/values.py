@@ -51,7 +51,12 @@ def as_parents(cpd: CPD, given: Any) -> Known:
     found = as_mapping(given, f"the second argument, parents, of {cpd!r}", ModelError, cpd=cpd)
     for key in found:
         if key not in cpd.parents:
-            raise _stranger(cpd, key)
+            why = f"which is none of its parents ({listed(cpd.parents)})"
+            variable = key if isinstance(key, Variable) else None
+            advice = "" if variable else "; give the variable itself"
+            raise ModelError(
+                f"{cpd!r}: a value of {key!r}, {why}{advice}", variable=variable, cpd=cpd
+            )
     for parent in cpd.parents:
         if parent not in found:
             raise ModelError(
@@ -65,15 +70,6 @@ def as_parents(cpd: CPD, given: Any) -> Known:
     lead = common(cpd, [*shapes, ("the CPD itself", cpd._lead())])
     own = 0 if cpd.discrete else 1
     return Known(lead, {v: flat(array, lead, own) for v, array in arrays.items()})
-
-
-def _stranger(cpd: CPD, key: object) -> ModelError:
-    """The error of a value of what is no parent."""
-    why = f"which is none of its parents ({listed(cpd.parents)})"
-    if not isinstance(key, Variable):
-        why += "; give the variable itself"
-    variable = key if isinstance(key, Variable) else None
-    return ModelError(f"{cpd!r}: a value of {key!r}, {why}", variable=variable, cpd=cpd)
 
 
 def as_values(cpd: CPD, variable: Variable, value: Any) -> Values:

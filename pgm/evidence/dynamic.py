@@ -10,9 +10,8 @@ import numpy as np
 from pgm.boundary import is_whole
 from pgm.cpds import ConditionalGaussian
 from pgm.errors import EvidenceError
-from pgm.evidence.arrays import as_rows, as_steps, require_finite, taken_readings
+from pgm.evidence.arrays import as_rows, as_steps, require_finite, taken_readings, unknown
 from pgm.evidence.dynamic_layout import BoundEvidence, Inputs, Reading, by_row, reading_by_row
-from pgm.evidence.keys import unknown
 from pgm.evidence.values import Constant, Evidence, Sightings
 from pgm.factors.runs import common_runs
 from pgm.factors.scope import listed
@@ -201,8 +200,10 @@ class _Binder:
         inputs = self._inputs(cpd, given, step, None if sorted_already else order)
         taken = taken_readings(sensor, rows, step)
         if taken is None:
-            return Reading(cpd, step, order, rows, np.ones(rows.shape[-2:], dtype=bool), inputs)
-        return Reading(cpd, step, order, np.where(taken, rows, 0.0), taken, inputs)
+            taken = np.ones(rows.shape[-2:], dtype=bool)
+        else:
+            rows = np.where(taken, rows, 0.0)
+        return Reading(cpd, step, order, rows, taken, inputs)
 
     def _inputs(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -92,11 +92,9 @@ def by_row(array: npt.NDArray[Kind], lead: tuple[int, ...]) -> npt.NDArray[Kind]
 
 def reading_by_row(reading: Reading, lead: tuple[int, ...]) -> Reading:
     """A reading whose arrays have the user's axes, with the axes of runs as one, rows first."""
-    return Reading(
-        reading.cpd,
-        reading.step,
-        reading.order,
-        by_row(reading.values, lead),
-        by_row(reading.taken, lead),
-        {v: by_row(a, lead) for v, a in reading.inputs.items()},
+    return replace(
+        reading,
+        values=by_row(reading.values, lead),
+        taken=by_row(reading.taken, lead),
+        inputs={v: by_row(a, lead) for v, a in reading.inputs.items()},
     )

@@ -11,7 +11,7 @@ from pgm.boundary import is_whole
 from pgm.cpds.values import Values
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, bind_values
-from pgm.evidence.keys import unknown
+from pgm.evidence.arrays import unknown
 from pgm.factors.scope import listed
 from pgm.sizes import require_memory
 from pgm.variables import Variable

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 
 import networkx as nx
 import numpy as np
-from matplotlib.path import Path
 
 from pgm.clustergraph.checks import Edge
 from pgm.kernels.arrays import Array
@@ -78,8 +77,9 @@ def draw_messages(canvas: Canvas, edge: Edge, at: Point, plate: Size, line: Arra
         border = 0.5 * np.abs(left) @ plate
         middle = at + (border + _AWAY) * left
         beyond = border + _AWAY + _APART + 0.5 * np.abs(left) @ text_size(name)
-        ends = np.stack([middle - 0.5 * _LENGTH * way, middle + 0.5 * _LENGTH * way])
-        canvas.arrow(path=Path(ends), head=8.0, zorder=4.0)
+        ends = (middle + half * way for half in (-0.5 * _LENGTH, 0.5 * _LENGTH))
+        start, end = ((float(x), float(y)) for x, y in ends)
+        canvas.arrow(posA=start, posB=end, shrinkA=0.0, shrinkB=0.0, head=8.0, zorder=4.0)
         x, y = at + beyond * left
         canvas.text((float(x), float(y)), name)
 
