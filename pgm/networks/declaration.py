@@ -25,12 +25,6 @@ def as_gaussian(cpds: CPD | Iterable[CPD], where: str) -> tuple[ConditionalGauss
     return tuple(result)
 
 
-def check_flat(cpds: Iterable[ConditionalGaussian]) -> None:
-    """Refuse an infinite variance in a transition or an observation."""
-    for cpd in cpds:
-        cpd.require_proper("only the prior of a dynamic network takes flat priors")
-
-
 def check_templates(cpds: Iterable[CPD]) -> None:
     """Refuse variables at single steps, and ones more than one step back."""
     for cpd in cpds:

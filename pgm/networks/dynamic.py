@@ -93,7 +93,8 @@ class DynamicBayesianNetwork(Immutable):
         observation = declaration.as_gaussian(observation, "observation")
         everything = (*prior, *transition, *observation)
         declaration.check_templates(everything)
-        declaration.check_flat((*transition, *observation))
+        for cpd in (*transition, *observation):
+            cpd.require_proper("only the prior of a dynamic network takes flat priors")
         one_name_each(v for cpd in everything for v in cpd.scope)
         checks.one_cpd_each(prior)
         checks.one_cpd_each((*transition, *observation))

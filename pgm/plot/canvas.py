@@ -70,8 +70,11 @@ def slack(texts: Sequence[Size], shapes: Sequence[Size], *, round: bool = True) 
     return max(1.0, _FULL / float(reach.max(initial=1e-9)))
 
 
-def room(ax: Axes) -> Size:
-    """The size of an axes on paper, in points."""
+def room(ax: Axes | None) -> Size | None:
+    """The size of an axes on paper, in points; None of a new figure's. Refuses what is none."""
+    if ax is None:
+        return None
+    check_axes(ax)
     unit = 72.0 / ax.figure.dpi
     return Size(ax.bbox.width * unit, ax.bbox.height * unit)
 
@@ -140,8 +143,8 @@ def open_canvas(ax: Axes | None, box: Box, letters: float = 1.0) -> Canvas:
 
     In a box that must shrink, texts may be larger by the factor `letters`, up to their full size.
     """
-    size = box.size
-    if ax is None:
+    size, paper = box.size, room(ax)
+    if ax is None or paper is None:
         scale = min(1.0, _LONGEST / max(size))
         width, height = max(size.width * scale, 72.0), max(size.height * scale, 36.0)
         ax = plt.subplots(
@@ -155,7 +158,6 @@ def open_canvas(ax: Axes | None, box: Box, letters: float = 1.0) -> Canvas:
         )[1]
         paper = Size(width, height)
     else:
-        paper = room(check_axes(ax))
         scale = min(paper.width / size.width, paper.height / size.height, _LARGEST)
     x, y = 0.5 * (box.left + box.right), 0.5 * (box.bottom + box.top)
     half = 0.5 / scale

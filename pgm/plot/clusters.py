@@ -15,7 +15,6 @@ from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
 from pgm.plot.arrangement import arrange
-from pgm.plot.axes import check_axes
 from pgm.plot.canvas import Box, Canvas, Point, Size, open_canvas, room, slack, text_size
 from pgm.plot.colours import CLUSTER, INK, MUTED, SEPSET, readable_on
 from pgm.plot.contents import contents, joined, links, shown
@@ -81,8 +80,7 @@ def cluster_graph(
         If the evidence does not fit the graph's model.
     """
     clusters = shown(graph, steps, _MOST)
-    if ax is not None:
-        check_axes(ax)
+    page = room(ax)
     sepsets, cut = joined(graph, clusters)
     shading = _shading(graph, clusters, sepsets, colour, residuals)
     texts = contents(graph, clusters, sepsets, evidence, sizes)
@@ -95,7 +93,7 @@ def cluster_graph(
     }
     joins = links(graph, clusters, sepsets)
     rooms = with_messages(shapes, sepsets, joins) if messages else shapes
-    layout = arrange(joins, rooms, None if ax is None else room(ax))
+    layout = arrange(joins, rooms, page)
 
     stubs = [stub(layout, rooms, k) for k in dict.fromkeys(cut)]
     box = around(layout.box(rooms), stubs)

@@ -14,6 +14,7 @@ from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence, bind
 from pgm.factors.scope import Scope
+from pgm.plot.graphs import last
 from pgm.plot.labels import cluster_label, scope_label
 from pgm.plot.layout import Node
 from pgm.variables import Variable
@@ -30,12 +31,8 @@ def shown(graph: ClusterGraph, steps: int | None, most: int | None = None) -> li
     if not found:
         raise GraphError("the graph has no clusters to draw")
     if steps is not None:
-        if not isinstance(steps, (int, np.integer)) or isinstance(steps, bool) or steps < 0:
-            raise GraphError(f"steps must be the last cluster to draw, 0 or more, not {steps!r}")
-        if isinstance(graph, DynamicGraph):
-            found = graph.within(int(steps))
-        else:
-            found = found[: int(steps) + 1]
+        end = last(steps, "cluster", GraphError)
+        found = graph.within(end) if isinstance(graph, DynamicGraph) else found[: end + 1]
     if most is not None and len(found) > most:
         raise GraphError(
             f"{len(found)} clusters are too many to read; draw {most} at most, as with steps=4"

@@ -40,10 +40,13 @@ def layered(
     gap : float
         Between layers, in points, where no line is shallow.
     """
-    pieces = [
-        graph.subgraph([node for node in graph if node in nodes])
-        for nodes in nx.weakly_connected_components(graph)
-    ]
+    pieces = []
+    for nodes in nx.weakly_connected_components(graph):
+        # A subgraph of NetworkX has the order of a set, which changes from run to run.
+        piece = nx.DiGraph()
+        piece.add_nodes_from(node for node in graph if node in nodes)
+        piece.add_edges_from(graph.edges(piece))
+        pieces.append(piece)
     root = math.ceil(math.sqrt(len(graph)))
     best: Layout | None = None
     tried = []

@@ -15,7 +15,6 @@ from pgm.errors import ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.networks.static import density
 from pgm.plot.arrows import bends, draw_arrow
-from pgm.plot.axes import check_axes
 from pgm.plot.canvas import FONT, Point, Size, open_canvas, room, slack, text_size
 from pgm.plot.colours import OBSERVED
 from pgm.plot.columns import place
@@ -76,8 +75,6 @@ def network(
             f"network draws a DynamicBayesianNetwork or BayesianNetwork, not {type(model).__name__}"
         )
     graph = directed(model, steps, evidence)
-    if ax is not None:
-        check_axes(ax)
     slices = isinstance(model, DynamicBayesianNetwork) or in_slices(graph)
     texts = densities(model, graph) if cpds else {}
     return (_slices if slices else _layers)(graph, texts, ax)
@@ -115,7 +112,7 @@ def _layers(graph: nx.DiGraph, below: dict[Variable, str], ax: Axes | None) -> A
     least = 2.0 * _SMALLEST
     high = max(least, *(1.3 * size.height + 6.0 for size in texts.values()))
     sizes = {node: Size(max(high, _width(size, high)), high) for node, size in texts.items()}
-    layout = layered(graph, sizes, None if ax is None else room(ax))
+    layout = layered(graph, sizes, room(ax))
     letters = slack(list(texts.values()), list(sizes.values()))
     canvas = open_canvas(ax, layout.box(sizes), letters)
     for node, at in layout.points.items():

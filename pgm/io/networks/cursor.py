@@ -55,11 +55,6 @@ def numbers(text: str, start: int, into: array[float]) -> int:
     return start
 
 
-def whole(value: float, most: int = 2**31 - 1) -> int | None:
-    """A number as a count or an index, if it is one."""
-    return int(value) if 0 <= value <= most and value == int(value) else None
-
-
 class Cursor:
     """A place in a text.
 

@@ -13,12 +13,14 @@ import numpy as np
 from pgm.errors import FileError, ModelError
 from pgm.io.networks import sources
 from pgm.io.networks.assembly import AXES, Assembly
-from pgm.io.networks.cursor import ITEM, numbers, shown, whole
+from pgm.io.networks.cursor import ITEM, numbers, shown
 from pgm.io.networks.sources import LIMIT, Content, Source, line_of
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork
 from pgm.variables import Discrete
 
+# The largest count or index.
+MOST = 2**31 - 1
 COMMENT = re.compile("#[^\r\n]*+")
 
 
@@ -195,11 +197,11 @@ class Words:
         """The next number, which must be whole and not negative."""
         if not self.left:
             self.fail(f"the file ends where {what} is due; is it whole?")
-        found = whole(self._values[self.at])
-        if found is None:
-            self.fail(f"{self._values[self.at]:.9g} stands where {what} is due", self.at)
+        found = self._values[self.at]
+        if not 0 <= found <= MOST or found != int(found):
+            self.fail(f"{found:.9g} stands where {what} is due", self.at)
         self.at += 1
-        return found
+        return int(found)
 
     def take(self, count: int) -> Array:
         """The next numbers, of a table."""
