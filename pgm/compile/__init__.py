@@ -4,8 +4,7 @@ from pgm.compile.balanced import Balanced, BalancedGraph
 from pgm.compile.compiling import Method, compile
 from pgm.compile.dynamic import DynamicGraph, SliceGraph
 from pgm.compile.families import LTRIP, Bethe
-from pgm.compile.joingraph import JoinGraph
-from pgm.compile.junction import JunctionTree
+from pgm.compile.junction import JoinGraph, JunctionTree
 from pgm.compile.layout import SliceLayout
 from pgm.compile.orders import (
     MinFill,

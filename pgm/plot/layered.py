@@ -12,9 +12,8 @@ import numpy as np
 from pgm.kernels.arrays import Array
 from pgm.plot.canvas import Size
 from pgm.plot.curves import lines
-from pgm.plot.layering import Layers, along, layers, ranks
+from pgm.plot.layering import Layers, along, layers, ordered, ranks
 from pgm.plot.layout import GAP, Layout, Node, packed
-from pgm.plot.ordering import ordered
 
 # Between layers that shallow lines join there is more room, up to this.
 _STEEPNESS = 0.14

@@ -11,8 +11,8 @@ from hypothesis import given
 
 import pgm
 from pgm.compile import StochasticMinFill, search
-from pgm.compile.dissection import dissect
 from pgm.compile.elimination import moral
+from pgm.compile.orders import dissect
 
 ORDERS = {
     "min-fill": pgm.MinFill(),
