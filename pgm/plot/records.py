@@ -76,11 +76,8 @@ def convergence(
     ax.set_yscale("log")
     tint = colour or next_colour(ax)
     label = "residual" if label is None else str(label)
-    many = residuals.shape[1] > _LINES
-    if many:
-        _draw_band(ax, across, residuals, label, tint)
-    else:
-        _draw_lines(ax, across, residuals, label, tint)
+    draw = _draw_band if residuals.shape[1] > _LINES else _draw_lines
+    draw(ax, across, residuals, label, tint)
     if tolerance:
         ax.axhline(
             tolerance, color=INK, lw=0.9, ls="--", zorder=1.5, label=f"tolerance {tolerance:g}"
@@ -116,11 +113,9 @@ def _draw_band(
     ax: Axes, across: npt.NDArray[np.int_], residuals: Array, label: str, tint: str
 ) -> None:
     """The band is of positive residuals; the median is of all, and ends where it is zero."""
-    rows = [row[~np.isnan(row)] for row in residuals]
-    least, most = (
-        np.array([f(row[row > 0.0]) if (row > 0.0).any() else np.nan for row in rows])
-        for f in (np.min, np.max)
-    )
+    positive = np.where(residuals > 0.0, residuals, np.nan)
+    least, most = (f.reduce(positive, axis=1) for f in (np.fmin, np.fmax))
+    rows = (row[~np.isnan(row)] for row in residuals)
     middle = np.array([np.median(row) if row.size else np.nan for row in rows])
     middle = np.where(middle > 0.0, middle, np.nan)
     many = f"{label}, {residuals.shape[1]} runs"
