@@ -177,12 +177,12 @@ class DynamicBayesianNetwork(Immutable):
         Raises
         ------
         ModelError
-            If the draws would not fit into memory, or `rng` is neither a generator nor a seed.
+            If `runs` is no number of draws, does not broadcast with the model's runs or would not
+            fit into memory, or `rng` is neither a generator nor a seed.
         EvidenceError
             If the inputs are not those of the model.
         """
-        shape = (runs,) if isinstance(runs, int) else tuple(runs)
-        return draw_steps(self, as_mapping(inputs, "inputs"), steps, shape, as_generator(rng))
+        return draw_steps(self, as_mapping(inputs, "inputs"), steps, runs, as_generator(rng))
 
     def unroll(self, steps: int) -> BayesianNetwork:
         """The network without time whose variables are those of the slices 0..steps.

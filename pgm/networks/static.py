@@ -182,7 +182,9 @@ class BayesianNetwork(Immutable):
         >>> net.sample(4, rng=0)[coin]
         array([1, 1, 1, 1])
         """
-        return sampling.draw(self, n, as_mapping(inputs, "inputs"), as_generator(rng))
+        return sampling.draw(
+            self, () if n is None else n, as_mapping(inputs, "inputs"), as_generator(rng)
+        )
 
     def to_networkx(self) -> nx.DiGraph:
         """The network as a graph, for pictures and questions of structure.
