@@ -168,7 +168,11 @@ def _read(value: Any, labels: Sequence[str], missing: bool) -> Array:
         columns = [_read(value[name], (), missing) for name in labels]
         return np.stack(columns, axis=-1)
     if isinstance(value, list | tuple) and not _leaves(value) <= _PLAIN:
-        return _stacked([_read(part, labels, missing) for part in value])
+        parts = [_read(part, labels, missing) for part in value]
+        try:
+            return np.stack(parts)
+        except ValueError as error:
+            raise _Unfit("rows of unequal length") from error
     if isinstance(value, np.ma.MaskedArray):
         return _unmasked(value, missing)
     try:
@@ -193,13 +197,6 @@ def _leaves(rows: Sequence[Any], depth: int = 0) -> set[type]:
         return found
     inner = [_leaves(row, depth + 1) for row in rows if type(row) in (list, tuple)]
     return (found - {list, tuple}).union(*inner)
-
-
-def _stacked(parts: list[Array]) -> Array:
-    try:
-        return np.stack(parts)
-    except ValueError as error:
-        raise _Unfit("rows of unequal length") from error
 
 
 def _converted(array: npt.NDArray[Any], missing: bool) -> Array:

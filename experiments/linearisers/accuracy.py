@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pgm
 from experiments.linearisers.settings import Setting, simulate, unwrapped
 from models.networks import pose
-from pgm.networks.dynamic_sampling import Sample
+from pgm.networks.sampling import Sample
 
 Array = npt.NDArray[np.float64]
 

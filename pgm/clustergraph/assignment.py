@@ -14,7 +14,7 @@ from pgm.factors.scope import Scope, listed
 from pgm.variables import Variable
 
 
-def _holders(scopes: Sequence[Scope]) -> dict[Variable, list[int]]:
+def holding(scopes: Sequence[Scope]) -> dict[Variable, list[int]]:
     """The clusters that hold each variable."""
     holders: dict[Variable, list[int]] = defaultdict(list)
     for k, scope in enumerate(scopes):
@@ -31,7 +31,7 @@ def assign(cpds: Iterable[CPD], scopes: Sequence[Scope]) -> list[tuple[CPD, ...]
     GraphError
         If no cluster does, naming the CPD.
     """
-    holders = _holders(scopes)
+    holders = holding(scopes)
     sizes = [size(scope) for scope in scopes]
     members = [set(scope) for scope in scopes]
     inside: list[list[CPD]] = [[] for _ in scopes]
@@ -70,7 +70,7 @@ def spanning_tree(scopes: Sequence[Scope]) -> dict[Edge, Scope]:
     acyclicity of hypergraphs, and selectively reduce acyclic hypergraphs, section 4. Jensen and
     Jensen (1994), Optimal junction trees.
     """
-    holders = _holders(scopes)
+    holders = holding(scopes)
     members = [set(scope) for scope in scopes]
     shared = [0] * len(scopes)
     taken = [False] * len(scopes)

@@ -1,13 +1,11 @@
 """Compiling networks to cluster graphs."""
 
 from pgm.compile.balanced import Balanced, BalancedGraph
-from pgm.compile.bethe import Bethe
 from pgm.compile.compiling import Method, compile
-from pgm.compile.dynamic import DynamicGraph
-from pgm.compile.joingraph import JoinGraph
-from pgm.compile.junction import JunctionTree
+from pgm.compile.dynamic import DynamicGraph, SliceGraph
+from pgm.compile.families import LTRIP, Bethe
+from pgm.compile.junction import JoinGraph, JunctionTree
 from pgm.compile.layout import SliceLayout
-from pgm.compile.ltrip import LTRIP
 from pgm.compile.orders import (
     MinFill,
     NestedDissection,
@@ -15,7 +13,6 @@ from pgm.compile.orders import (
     StochasticMinFill,
     WeightedMinFill,
 )
-from pgm.compile.slices import SliceGraph
 
 __all__ = [
     "LTRIP",

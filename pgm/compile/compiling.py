@@ -7,9 +7,8 @@ from typing import Any, Protocol, overload
 from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.balanced import Balanced, BalancedGraph
-from pgm.compile.dynamic import DynamicGraph
+from pgm.compile.dynamic import DynamicGraph, SliceGraph
 from pgm.compile.junction import JunctionTree
-from pgm.compile.slices import SliceGraph
 from pgm.errors import GraphError, ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.sizes import require_memory

@@ -1,15 +1,18 @@
-"""Junction trees: the exact way to compile a network without time."""
+"""Clusters from elimination orders: junction trees, and join graphs where cliques are too large."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pgm.boundary import as_tuple, is_unordered
+from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph import ClusterGraph
+from pgm.clustergraph.checks import Edge
+from pgm.clustergraph.size import amount, is_discrete, size
 from pgm.compile.elimination import clique_tree, moral
-from pgm.compile.orders import Order, StochasticMinFill, places
+from pgm.compile.orders import MinFill, Order, StochasticMinFill, places
 from pgm.errors import GraphError
+from pgm.factors.scope import listed
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
@@ -66,9 +69,164 @@ class JunctionTree:
             If the order is not of the variables of the network, each once.
         """
         tree = clique_tree(moral(network), places(self.order, network))
+        return graph_of(network, tree.cliques, tree.sepsets)
+
+
+def graph_of(
+    network: BayesianNetwork,
+    clusters: Iterable[set[int]],
+    sepsets: Mapping[Edge, set[int]],
+) -> ClusterGraph:
+    """The cluster graph of sets of places in `network.variables`."""
+    variables = network.variables
+    return ClusterGraph(
+        network,
+        [[variables[k] for k in cluster] for cluster in clusters],
+        {edge: [variables[k] for k in shared] for edge, shared in sepsets.items()},
+    )
+
+
+@dataclass(frozen=True)
+class JoinGraph:
+    """Compile to clusters of at most some size, as near to a junction tree as that allows.
+
+    Variables are eliminated in an order. All scopes that hold the next one, X, would make one
+    clique; they are put into as many *mini-buckets* as it takes for none to be too large. Each
+    passes its scope without X on, joined to where that goes by a sepset of all of it, and those of
+    X are joined in a chain by sepsets of X alone. Where every clique is small enough, the graph is
+    the junction tree of the order, and inference is exact; the smaller the clusters, the less they
+    take and, as a rule, the worse they approximate.
+
+    Parameters
+    ----------
+    max_size : int
+        The most that a cluster may hold, in the unit of `graph.sizes`: entries of its table if the
+        network is discrete, or components if it is continuous.
+    order : Order or iterable of Variable, optional
+        Of elimination, as of `JunctionTree`.
+
+    Raises
+    ------
+    GraphError
+        If the size is no positive whole number, or the order is none.
+
+    References
+    ----------
+    Dechter, Kask and Mateescu (2002), Iterative join-graph propagation. Mateescu, Kask, Gogate and
+    Dechter (2010), Join-graph propagation algorithms, section 4, where the bound is on the number
+    of variables.
+
+    Examples
+    --------
+    >>> JoinGraph(max_size=64)
+    JoinGraph(max_size=64, order=MinFill())
+    """
+
+    max_size: int
+    order: Order | Iterable[Variable] = field(default_factory=MinFill)
+
+    def __post_init__(self) -> None:
+        if not is_whole(self.max_size) or self.max_size < 1:
+            raise GraphError(
+                "JoinGraph makes clusters of at most `max_size` table entries or components, a "
+                f"whole number, 1 or more, not {self.max_size!r}"
+            )
+        object.__setattr__(self, "order", JunctionTree(self.order).order)
+
+    def __call__(self, network: BayesianNetwork) -> ClusterGraph:
+        """Compile a network.
+
+        Raises
+        ------
+        GraphError
+            If a family alone is too large, naming the largest and its size, or the order is not of
+            the variables of the network, each once.
+        """
+        largest = max(network.cpds, key=lambda cpd: size(cpd.scope))
+        if (least := size(largest.scope)) > self.max_size:
+            unit = "table entries" if is_discrete(largest.scope) else "components"
+            raise GraphError(
+                f"{self!r} has no cluster for the CPD of {largest.child!r}: its family "
+                f"({listed(largest.scope)}) takes {amount(least)} {unit}; give max_size={least} "
+                "or more",
+                variable=largest.child,
+                cpd=largest,
+            )
         variables = network.variables
-        return ClusterGraph(
-            network,
-            [[variables[k] for k in clique] for clique in tree.cliques],
-            {edge: [variables[k] for k in shared] for edge, shared in tree.sepsets.items()},
-        )
+        order = places(self.order, network)
+        place = {variable: k for k, variable in enumerate(variables)}
+        families = [{place[variable] for variable in cpd.scope} for cpd in network.cpds]
+
+        def fits(members: set[int]) -> bool:
+            return size(tuple(variables[k] for k in members)) <= self.max_size
+
+        return graph_of(network, *_mini_buckets(families, order, fits))
+
+
+@dataclass
+class _MiniBucket:
+    """Scopes that make a cluster together, each with the cluster that passed it on, if one did."""
+
+    members: set[int]
+    scopes: list[tuple[set[int], int | None]]
+
+
+def _mini_buckets(
+    families: Iterable[set[int]], order: Sequence[int], fits: Callable[[set[int]], bool]
+) -> tuple[list[set[int]], dict[Edge, set[int]]]:
+    """Clusters, none inside another, and sepsets, from eliminating vertices in an order."""
+    position = {vertex: k for k, vertex in enumerate(order)}
+    buckets: list[list[tuple[set[int], int | None]]] = [[] for _ in order]
+
+    def put(scope: set[int], sender: int | None) -> None:
+        buckets[min(map(position.__getitem__, scope))].append((scope, sender))
+
+    clusters: list[set[int]] = []
+    sepsets: dict[Edge, set[int]] = {}
+
+    def join(i: int, j: int, shared: set[int]) -> None:
+        # Running intersection: what joins two clusters for different variables is disjoint.
+        sepsets.setdefault((min(i, j), max(i, j)), set()).update(shared)
+
+    for family in families:
+        put(family, None)
+    for vertex, bucket in zip(order, buckets, strict=True):
+        last: int | None = None
+        for mini in _parted(bucket, fits):
+            # One that is no more than what a cluster passed on is that cluster.
+            inside = (k for scope, k in mini.scopes if len(scope) == len(mini.members))
+            home = next((k for k in inside if k is not None), len(clusters))
+            if home == len(clusters):
+                clusters.append(mini.members)
+            for scope, sender in mini.scopes:
+                if sender is not None and sender != home:
+                    join(sender, home, scope)
+            if last is not None:
+                join(last, home, {vertex})
+            last = home
+            if left := mini.members - {vertex}:
+                put(left, home)
+    return clusters, sepsets
+
+
+def _parted(
+    bucket: Iterable[tuple[set[int], int | None]], fits: Callable[[set[int]], bool]
+) -> list[_MiniBucket]:
+    """The scopes of a bucket, larger ones first, each in the first mini-bucket with room for it."""
+    minis: list[_MiniBucket] = []
+    for scope, sender in sorted(bucket, key=lambda each: -len(each[0])):
+        mini = next((mini for mini in minis if fits(mini.members | scope)), None)
+        if mini is None:
+            mini = _MiniBucket(set(), [])
+            minis.append(mini)
+        mini.members |= scope
+        mini.scopes.append((scope, sender))
+    # One may lie inside another that grew after it.
+    kept: list[_MiniBucket] = []
+    for mini in sorted(minis, key=lambda each: -len(each.members)):
+        holder = next((other for other in kept if other.members >= mini.members), None)
+        if holder:
+            holder.scopes += mini.scopes
+        else:
+            kept.append(mini)
+    return kept

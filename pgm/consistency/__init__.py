@@ -7,9 +7,7 @@ are. Results say how many they are made of, as their `count`.
 
 from pgm.consistency.autocorrelation import Whiteness, whiteness
 from pgm.consistency.averages import Average, anees, anis, average, mean_band
-from pgm.consistency.divergence import kl
-from pgm.consistency.errors import error, rmse
-from pgm.consistency.normalised import nees, nis
+from pgm.consistency.errors import error, kl, nees, nis, rmse
 from pgm.consistency.over_time import OverTime, over_time, rmse_over_time
 from pgm.consistency.regions import Coverage, coverage
 

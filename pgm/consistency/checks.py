@@ -16,7 +16,10 @@ from pgm.kernels.arrays import Array
 def check_gaussian(belief: Any) -> Gaussian:
     """The Gaussian; refuses anything else."""
     if not isinstance(belief, Gaussian):
-        raise ModelError(f"a belief is a Gaussian, like posterior[x], not {_kind(belief)}")
+        raise ModelError(
+            f"a belief is a Gaussian, like posterior[x], not {type(belief).__name__}; take the "
+            "marginal of one variable first"
+        )
     return belief
 
 
@@ -25,7 +28,7 @@ def check_innovations(innovations: Any) -> Innovations:
     if not isinstance(innovations, Innovations):
         raise ModelError(
             "innovations are those of one sensor, posterior.innovations[z], not "
-            f"{_kind(innovations)}"
+            f"{type(innovations).__name__}"
         )
     return innovations
 
@@ -42,7 +45,3 @@ def check_count(what: str, value: Any) -> None:
     """Refuse what is no whole number, 1 or more."""
     if not is_whole(value) or value < 1:
         raise ModelError(f"{what} = {value!r}; a whole number, 1 or more, was due")
-
-
-def _kind(value: object) -> str:
-    return type(value).__name__

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.consistency.checks import check_confidence
-from pgm.consistency.errors import nothing_known
-from pgm.consistency.normalised import nees_and_dof
+from pgm.consistency.errors import nees_and_dof, nothing_known
 from pgm.consistency.quantiles import chi_squared, clopper_pearson
 from pgm.factors import Gaussian
 from pgm.kernels.arrays import Array, Mask

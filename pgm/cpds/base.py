@@ -207,8 +207,7 @@ class CPD(Immutable):
             "draw fewer at a time",
             cpd=self,
         )
-        step = self.child.step
-        drawn = self._draw(known.values, known.lead, (known.runs,), step, generator, extra)
+        drawn = self._draw(known, generator, extra)
         return drawn.reshape((*extra, *known.lead, *drawn.shape[len(extra) + 1 :]))
 
     def _lead(self) -> tuple[int, ...]:
@@ -219,28 +218,8 @@ class CPD(Immutable):
         """The log-densities, at checked values whose axes broadcast."""
         raise ModelError(f"{self!r} is of a kind that has no density here", cpd=self)
 
-    def _draw(
-        self,
-        known: Mapping[Variable, Values],
-        lead: tuple[int, ...],
-        shape: tuple[int, ...],
-        step: npt.ArrayLike | None,
-        rng: np.random.Generator,
-        size: tuple[int, ...] = (),
-    ) -> Values:
-        """Draws of the child, (*size, *shape, d) or (*size, *shape).
-
-        Parameters
-        ----------
-        known : mapping of Variable to ndarray
-            Values of all parents, which broadcast to the shape.
-        lead : tuple of int
-            The axes of runs before they were flattened.
-        shape : tuple of int
-            The leading axes, the last of which are the runs, flattened.
-        step : array_like of int or None
-            The step of each, which broadcasts to the shape; for messages.
-        """
+    def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Values:
+        """Draws of the child, (*size, *known.shape, d) or (*size, *known.shape)."""
         raise ModelError(f"{self!r} is of a kind that cannot be drawn from", cpd=self)
 
     def _placed(self, step: int) -> dict[str, Any]:

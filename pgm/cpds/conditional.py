@@ -64,7 +64,7 @@ class ConditionalGaussian(CPD):
         return self.cov.given if isinstance(self.cov, Noise) else ()
 
     def _log_density(self, child: Values, known: Known) -> Array:
-        mean, lower = self._law(known.values, known.lead, (known.runs,), self.child.step)
+        mean, lower = self._law(known)
         center = unflat(mean, known.lead, 1)
         with quiet():  # what is too far off to be squared has no density that float64 can hold
             residual = difference(child, center, self.child.angle_mask)
@@ -83,32 +83,16 @@ class ConditionalGaussian(CPD):
         value = np.where(np.isnan(value), -np.inf, value) + 0.0  # no -0
         return value.reshape(residual.shape[:-1])
 
-    def _draw(
-        self,
-        known: Mapping[Variable, Array],
-        lead: tuple[int, ...],
-        shape: tuple[int, ...],
-        step: npt.ArrayLike | None,
-        rng: np.random.Generator,
-        size: tuple[int, ...] = (),
-    ) -> Array:
-        mean, lower = self._law(known, lead, shape, step)
-        white = rng.standard_normal((*size, *shape, self.child.dimension))
+    def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
+        mean, lower = self._law(known)
+        white = rng.standard_normal((*size, *known.shape, self.child.dimension))
         return normal.draw(mean, lower, white)
 
-    def _law(
-        self,
-        known: Mapping[Variable, Array],
-        lead: tuple[int, ...],
-        shape: tuple[int, ...],
-        step: npt.ArrayLike | None,
-    ) -> tuple[Array, Array]:
-        """The mean, and the root of the noise: they broadcast to (*shape, d) and (*shape, d, d).
-
-        Arguments as of `_draw`.
-        """
-        steps = None if step is None else np.asarray(step)
-        wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in known.items()}
+    def _law(self, known: Known) -> tuple[Array, Array]:
+        """The mean, and the root of the noise: they broadcast to (*shape, d) and (*shape, d, d)."""
+        lead, shape = known.lead, known.shape
+        steps = None if known.step is None else np.asarray(known.step)
+        wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in known.values.items()}
         call = Call(self.child, "function", shape, steps, 0, self)
         with np.errstate(all="ignore"):  # non-finite values are refused below
             mean = self._mean(wide, lead, call)

@@ -184,9 +184,5 @@ def _matrix(child: Variable, parent: Variable, value: npt.ArrayLike) -> Array:
     if matrix.ndim == 0 and due[0] == due[1]:
         matrix = matrix * np.eye(due[0])
     if matrix.shape != due:
-        raise ModelError(
-            f"LinearGaussianCPD of {child!r}: the matrix of {parent!r} has shape {matrix.shape}; "
-            f"{due} was due",
-            variable=parent,
-        )
+        raise ModelError(f"{what} has shape {matrix.shape}; {due} was due", variable=parent)
     return _finite(child, matrix, f"matrix of {parent!r}")

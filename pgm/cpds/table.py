@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import ClassVar
 
 import numpy as np
@@ -100,18 +100,10 @@ class TableCPD(CPD):
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(self.table[(*places, child)]))
 
-    def _draw(
-        self,
-        known: Mapping[Variable, Values],
-        lead: tuple[int, ...],
-        shape: tuple[int, ...],
-        step: npt.ArrayLike | None,
-        rng: np.random.Generator,
-        size: tuple[int, ...] = (),
-    ) -> Integers:
-        shape = (*size, *shape)
+    def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Integers:
+        shape = (*size, *known.shape)
         cumulative = np.cumsum(self.table, axis=-1)
-        row = tuple(known[v] for v in self.given)
+        row = tuple(known.values[v] for v in self.given)
         # A uniform below one, times the last sum, stays below it, so that what rounding leaves of
         # the sum from one goes to no state of its own.
         level = rng.random(shape) * cumulative[(*row, -1)]

@@ -31,19 +31,21 @@ class Known:
 
     Attributes
     ----------
-    lead : tuple of int
-        The leading axes that they and the CPD's own axes of runs broadcast to.
     values : mapping of Variable to ndarray
-        These axes as one: (runs or 1, d), or (runs or 1,) indices of states.
+        (*shape, d), or indices of states (*shape); they broadcast to it.
+    lead : tuple of int
+        The axes of runs before they were flattened: those that the values and the CPD's own
+        broadcast to.
+    shape : tuple of int
+        The leading axes, the last of which are the runs, flattened.
+    step : array_like of int or None
+        The step of each, which broadcasts to the shape; for messages.
     """
 
-    lead: Shape
     values: Mapping[Variable, Values]
-
-    @property
-    def runs(self) -> int:
-        """Number of combinations of values."""
-        return math.prod(self.lead)
+    lead: Shape
+    shape: Shape
+    step: npt.ArrayLike | None
 
 
 def as_parents(cpd: CPD, given: Any) -> Known:
@@ -51,7 +53,12 @@ def as_parents(cpd: CPD, given: Any) -> Known:
     found = as_mapping(given, f"the second argument, parents, of {cpd!r}", ModelError, cpd=cpd)
     for key in found:
         if key not in cpd.parents:
-            raise _stranger(cpd, key)
+            why = f"which is none of its parents ({listed(cpd.parents)})"
+            variable = key if isinstance(key, Variable) else None
+            advice = "" if variable else "; give the variable itself"
+            raise ModelError(
+                f"{cpd!r}: a value of {key!r}, {why}{advice}", variable=variable, cpd=cpd
+            )
     for parent in cpd.parents:
         if parent not in found:
             raise ModelError(
@@ -64,16 +71,8 @@ def as_parents(cpd: CPD, given: Any) -> Known:
     shapes = [(parent, shape_of(parent, array)) for parent, array in arrays.items()]
     lead = common(cpd, [*shapes, ("the CPD itself", cpd._lead())])
     own = 0 if cpd.discrete else 1
-    return Known(lead, {v: flat(array, lead, own) for v, array in arrays.items()})
-
-
-def _stranger(cpd: CPD, key: object) -> ModelError:
-    """The error of a value of what is no parent."""
-    why = f"which is none of its parents ({listed(cpd.parents)})"
-    if not isinstance(key, Variable):
-        why += "; give the variable itself"
-    variable = key if isinstance(key, Variable) else None
-    return ModelError(f"{cpd!r}: a value of {key!r}, {why}", variable=variable, cpd=cpd)
+    values = {v: flat(array, lead, own) for v, array in arrays.items()}
+    return Known(values, lead, (math.prod(lead),), cpd.child.step)
 
 
 def as_values(cpd: CPD, variable: Variable, value: Any) -> Values:

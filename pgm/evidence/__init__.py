@@ -2,8 +2,7 @@
 
 from pgm.evidence.continuous import BoundValues, bind_values
 from pgm.evidence.discrete import BoundStates, bind_discrete
-from pgm.evidence.dynamic import bind
-from pgm.evidence.dynamic_layout import BoundEvidence, Reading
+from pgm.evidence.dynamic import BoundEvidence, Reading, bind
 from pgm.evidence.records import records
 from pgm.evidence.values import Constant, Evidence, Sightings, Soft, constant, sightings, soft
 

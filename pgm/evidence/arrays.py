@@ -1,7 +1,8 @@
-"""Checks of the arrays that evidence is made of."""
+"""Checks of evidence: what it is of, and the arrays that it is made of."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from pgm.boundary import as_floats, as_wholes
 from pgm.errors import EvidenceError
 from pgm.evidence.values import Soft
 from pgm.factors.scope import listed
+from pgm.factors.unknown_names import unknown_name
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
@@ -66,16 +68,10 @@ def require_finite(
     return array
 
 
-def require_readings(variable: Variable, array: Array, step: Integers | None = None) -> Array:
-    """Refuse infinity in a sensor's readings, in which NaN is a component not taken."""
-    taken_readings(variable, array, step)
-    return array
-
-
 def taken_readings(variable: Variable, array: Array, step: Integers | None = None) -> Mask | None:
     """Which components of a sensor's readings, (..., rows, d), were taken; None for all.
 
-    Refuses what `require_readings` does.
+    NaN is a component not taken; infinity is refused.
     """
     if np.isfinite(array).all():
         return None
@@ -130,3 +126,11 @@ def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Int
             step=int(outside[0]),
         )
     return array
+
+
+def unknown(key: object, known: Collection[Variable]) -> EvidenceError:
+    """The error of evidence whose key is none of the known variables."""
+    return EvidenceError(
+        f"evidence for {key!r}, {unknown_name(key, known)}",
+        variable=key if isinstance(key, Variable) else None,
+    )

@@ -10,8 +10,7 @@ import numpy as np
 
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
-from pgm.evidence.arrays import as_rows, require_finite, taken_readings
-from pgm.evidence.keys import unknown
+from pgm.evidence.arrays import as_rows, require_finite, taken_readings, unknown
 from pgm.evidence.values import Constant, Evidence, Sightings
 from pgm.factors.runs import common_runs, flat
 from pgm.kernels.arrays import Array, Mask

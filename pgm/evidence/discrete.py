@@ -11,7 +11,7 @@ import numpy as np
 
 from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
-from pgm.evidence.keys import unknown
+from pgm.evidence.arrays import unknown
 from pgm.evidence.values import Constant, Sightings, Soft
 from pgm.factors.indices import as_indices
 from pgm.factors.runs import common_runs, flat, in_run

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pgm.errors import EvidenceError
 from pgm.evidence import Constant, Sightings, sightings
-from pgm.evidence.arrays import as_rows, require_readings
+from pgm.evidence.arrays import as_rows, taken_readings
 from pgm.io.stamped import (
     SAME,
     Stamped,
@@ -168,7 +168,9 @@ def _values(variable: Variable, logs: Sequence[Stamped], counts: Sequence[int]) 
         as_table(what, log.values, count, variable.components, variable)
         for log, count in zip(logs, counts, strict=True)
     ]
-    return require_readings(variable, np.concatenate(tables))
+    values = np.concatenate(tables)
+    taken_readings(variable, values)  # refuses infinity
+    return values
 
 
 def _given(

@@ -139,17 +139,7 @@ class Source(NamedTuple):
     first_run: int | None = 0
 
 
-class _Bound(NamedTuple):
-    template: FunctionTemplate
-    inputs: Sequence[Array | None]
-    lead: int
-    step: int | Integers | None = None
-    group: int | None = None
-    joint: bool = False
-    source: Source = Source()
-
-
-class BoundFunction(_Bound):
+class BoundFunction(NamedTuple):
     """A CPD's function of its hidden parents alone, the evidence bound.
 
     Calling it maps (..., n) to (..., d); the leading axes are those of the belief at hand,
@@ -172,7 +162,13 @@ class BoundFunction(_Bound):
         For messages.
     """
 
-    __slots__ = ()
+    template: FunctionTemplate
+    inputs: Sequence[Array | None]
+    lead: int
+    step: int | Integers | None = None
+    group: int | None = None
+    joint: bool = False
+    source: Source = Source()
 
     @property
     def name(self) -> str:

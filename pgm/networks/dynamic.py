@@ -14,8 +14,8 @@ from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, one_name_each
 from pgm.immutable import Immutable
-from pgm.networks import checks, declaration
-from pgm.networks.dynamic_sampling import Sample, draw
+from pgm.networks import checks
+from pgm.networks.sampling import Sample, draw_steps
 from pgm.networks.static import BayesianNetwork, density
 from pgm.sizes import require_memory
 
@@ -88,20 +88,21 @@ class DynamicBayesianNetwork(Immutable):
         transition: Iterable[CPD],
         observation: Iterable[CPD] = (),
     ) -> None:
-        prior = declaration.as_gaussian(prior, "prior")
-        transition = declaration.as_gaussian(transition, "transition")
-        observation = declaration.as_gaussian(observation, "observation")
+        prior = checks.as_gaussian(prior, "prior")
+        transition = checks.as_gaussian(transition, "transition")
+        observation = checks.as_gaussian(observation, "observation")
         everything = (*prior, *transition, *observation)
-        declaration.check_templates(everything)
-        declaration.check_flat((*transition, *observation))
+        checks.check_templates(everything)
+        for cpd in (*transition, *observation):
+            cpd.require_proper("only the prior of a dynamic network takes flat priors")
         one_name_each(v for cpd in everything for v in cpd.scope)
         checks.one_cpd_each(prior)
         checks.one_cpd_each((*transition, *observation))
         states = {cpd.child for cpd in prior}
         hidden = {cpd.child for cpd in transition}
         sensors = tuple(cpd.child for cpd in observation)
-        declaration.check_states(prior, transition, states, hidden)
-        declaration.check_parents(prior, transition, observation, states, hidden, set(sensors))
+        checks.check_states(prior, transition, states, hidden)
+        checks.check_parents(prior, transition, observation, states, hidden, set(sensors))
         checks.runs(everything)
         transition = checks.in_order(transition, lambda cpd: cpd.given)
         parents = (v for cpd in (*transition, *observation) for v in cpd.parents)
@@ -176,12 +177,12 @@ class DynamicBayesianNetwork(Immutable):
         Raises
         ------
         ModelError
-            If the draws would not fit into memory, or `rng` is neither a generator nor a seed.
+            If `runs` is no number of draws, does not broadcast with the model's runs or would not
+            fit into memory, or `rng` is neither a generator nor a seed.
         EvidenceError
             If the inputs are not those of the model.
         """
-        shape = (runs,) if isinstance(runs, int) else tuple(runs)
-        return draw(self, as_mapping(inputs, "inputs"), steps, shape, as_generator(rng))
+        return draw_steps(self, as_mapping(inputs, "inputs"), steps, runs, as_generator(rng))
 
     def unroll(self, steps: int) -> BayesianNetwork:
         """The network without time whose variables are those of the slices 0..steps.

@@ -17,7 +17,7 @@ from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each
 from pgm.factors.unknown_names import unknown_name
 from pgm.immutable import Immutable
-from pgm.networks import ancestral, checks
+from pgm.networks import checks, sampling
 from pgm.variables import Variable
 
 # Up to how many CPDs a network shows by their densities.
@@ -182,7 +182,9 @@ class BayesianNetwork(Immutable):
         >>> net.sample(4, rng=0)[coin]
         array([1, 1, 1, 1])
         """
-        return ancestral.draw(self, n, as_mapping(inputs, "inputs"), as_generator(rng))
+        return sampling.draw(
+            self, () if n is None else n, as_mapping(inputs, "inputs"), as_generator(rng)
+        )
 
     def to_networkx(self) -> nx.DiGraph:
         """The network as a graph, for pictures and questions of structure.

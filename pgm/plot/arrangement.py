@@ -12,7 +12,7 @@ import numpy as np
 from pgm.clustergraph.checks import Edge
 from pgm.plot.canvas import Size
 from pgm.plot.layered import layered, rooted
-from pgm.plot.layout import GAP, PAGE, Layout, Node, packed
+from pgm.plot.layout import GAP, PAGE, Layout, Node, best, packed
 
 # Another way to draw a graph must be better by this factor to be taken.
 _BETTER = 1.1
@@ -95,13 +95,11 @@ def _per_row(count: int, across: float, down: float, room: Size | None) -> int:
 
 def _layers(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> Layout:
     """The best of several choices of which cluster stands before which."""
-    best: Layout | None = None
-    for directed in _directions(graph):
-        found = layered(_halves(directed.edges), sizes, room, gap=1.2 * GAP)
-        if best is None or found.worth(sizes, room) > _BETTER * best.worth(sizes, room):
-            best = found
-    assert best is not None
-    return _along(graph, best)
+    layouts = (
+        layered(_halves(directed.edges), sizes, room, gap=1.2 * GAP)
+        for directed in _directions(graph)
+    )
+    return _along(graph, best(layouts, sizes, room, _BETTER))
 
 
 def _halves(arrows: Iterable[Edge]) -> nx.DiGraph:
@@ -113,17 +111,17 @@ def _halves(arrows: Iterable[Edge]) -> nx.DiGraph:
     return halves
 
 
-def _along(graph: nx.Graph, best: Layout) -> Layout:
+def _along(graph: nx.Graph, whole: Layout) -> Layout:
     """A layout of clusters and sepsets, with one line for the two halves of each edge."""
     lines: dict[Node, np.ndarray] = {}
     for i, j in (key(*edge) for edge in graph.edges):
-        pieces = [best.points[i]]
+        pieces = [whole.points[i]]
         for one, other in ((i, (i, j)), ((i, j), j)):
-            curve = best.lines.get((one, other))
-            pieces += best.lines[other, one][::-1].tolist() if curve is None else curve.tolist()
-            pieces.append(best.points[other])
+            curve = whole.lines.get((one, other))
+            pieces += whole.lines[other, one][::-1].tolist() if curve is None else curve.tolist()
+            pieces.append(whole.points[other])
         lines[i, j] = np.array(pieces)
-    return Layout(best.points, lines, best.crossings)
+    return Layout(whole.points, lines, whole.crossings)
 
 
 def _directions(graph: nx.Graph) -> Iterator[nx.DiGraph]:

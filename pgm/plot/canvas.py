@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties
-from matplotlib.patches import Patch
+from matplotlib.patches import FancyArrowPatch, Patch
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
 
@@ -70,8 +70,11 @@ def slack(texts: Sequence[Size], shapes: Sequence[Size], *, round: bool = True) 
     return max(1.0, _FULL / float(reach.max(initial=1e-9)))
 
 
-def room(ax: Axes) -> Size:
-    """The size of an axes on paper, in points."""
+def room(ax: Axes | None) -> Size | None:
+    """The size of an axes on paper, in points; None of a new figure's. Refuses what is none."""
+    if ax is None:
+        return None
+    check_axes(ax)
     unit = 72.0 / ax.figure.dpi
     return Size(ax.bbox.width * unit, ax.bbox.height * unit)
 
@@ -112,6 +115,19 @@ class Canvas:
         x, y = np.array(route).T
         self.ax.plot(x, y, color=MUTED, linewidth=self.width(1.0), linestyle=style, zorder=1.0)
 
+    def arrow(self, *, head: float = 9.0, zorder: float = 2.0, **between: Any) -> None:
+        """Draw an arrow, as of the keywords of a `FancyArrowPatch`, with a head of some size."""
+        self.ax.add_patch(
+            FancyArrowPatch(
+                **between,
+                arrowstyle="-|>",
+                mutation_scale=head * self.scale,
+                linewidth=self.width(0.9),
+                color=INK,
+                zorder=zorder,
+            )
+        )
+
     def shape(self, patch: Patch, fill: Any, border: float) -> None:
         """Draw a shape with a border of some width, above all lines."""
         patch.set(facecolor=fill, edgecolor=INK, linewidth=self.width(border), zorder=3.0)
@@ -127,8 +143,8 @@ def open_canvas(ax: Axes | None, box: Box, letters: float = 1.0) -> Canvas:
 
     In a box that must shrink, texts may be larger by the factor `letters`, up to their full size.
     """
-    size = box.size
-    if ax is None:
+    size, paper = box.size, room(ax)
+    if ax is None or paper is None:
         scale = min(1.0, _LONGEST / max(size))
         width, height = max(size.width * scale, 72.0), max(size.height * scale, 36.0)
         ax = plt.subplots(
@@ -142,7 +158,6 @@ def open_canvas(ax: Axes | None, box: Box, letters: float = 1.0) -> Canvas:
         )[1]
         paper = Size(width, height)
     else:
-        paper = room(check_axes(ax))
         scale = min(paper.width / size.width, paper.height / size.height, _LARGEST)
     x, y = 0.5 * (box.left + box.right), 0.5 * (box.bottom + box.top)
     half = 0.5 / scale

@@ -1,10 +1,12 @@
-"""Cluster graphs."""
+"""Cluster graphs, and the messages between their clusters."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
+import networkx as nx
+import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Rectangle
@@ -14,17 +16,24 @@ from pgm.clustergraph.checks import Edge
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
+from pgm.kernels.arrays import Array
 from pgm.plot.arrangement import arrange
-from pgm.plot.axes import check_axes
-from pgm.plot.canvas import Canvas, Size, open_canvas, room, slack, text_size
-from pgm.plot.colours import CLUSTER, INK, SEPSET, readable_on
+from pgm.plot.canvas import Box, Canvas, Point, Size, open_canvas, room, slack, text_size
+from pgm.plot.colours import CLUSTER, INK, MUTED, SEPSET, readable_on
 from pgm.plot.contents import contents, joined, links, shown
-from pgm.plot.layout import Node
-from pgm.plot.messages import cluster_name, draw_messages, with_messages
+from pgm.plot.layout import GAP, Layout, Node
+from pgm.plot.segments import distances
 from pgm.plot.shading import Shading, by_residual, by_size
-from pgm.plot.stubs import around, draw_stub, stub
 
 _MOST = 200
+_STUB = 30.0
+_DASHES = (0.0, (3.0, 2.5))
+Stub = tuple[Point, Point]
+_SUBSCRIPT = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+# Short enough for lines that come slanting to pass by.
+_ARROW = 18.0
+# From a sepset's border to its arrows, and from these to their names.
+_AWAY, _APART = 6.0, 3.0
 
 
 def cluster_graph(
@@ -79,8 +88,7 @@ def cluster_graph(
         If the evidence does not fit the graph's model.
     """
     clusters = shown(graph, steps, _MOST)
-    if ax is not None:
-        check_axes(ax)
+    page = room(ax)
     sepsets, cut = joined(graph, clusters)
     shading = _shading(graph, clusters, sepsets, colour, residuals)
     texts = contents(graph, clusters, sepsets, evidence, sizes)
@@ -93,7 +101,7 @@ def cluster_graph(
     }
     joins = links(graph, clusters, sepsets)
     rooms = with_messages(shapes, sepsets, joins) if messages else shapes
-    layout = arrange(joins, rooms, None if ax is None else room(ax))
+    layout = arrange(joins, rooms, page)
 
     stubs = [stub(layout, rooms, k) for k in dict.fromkeys(cut)]
     box = around(layout.box(rooms), stubs)
@@ -163,3 +171,117 @@ def _draw(
     else:
         canvas.shape(Ellipse(at, *size), tint or CLUSTER, 1.0)
     canvas.text(at, text, colour=ink)
+
+
+def stub(layout: Layout, sizes: Mapping[Node, Size], index: int) -> Stub:
+    """A short line from a cluster's border to where no shape is, to the right if it can be."""
+    x, y = layout.points[index]
+    width, height = sizes[index]
+    shapes = [(at, sizes[node]) for node, at in layout.points.items() if node != index]
+    stubs = []
+    for across, down in ((1.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (0.0, 1.0)):
+        edge = x + 0.5 * across * width, y + 0.5 * down * height
+        end = edge[0] + _STUB * across, edge[1] + _STUB * down
+        middle, reach = (0.5 * (edge[0] + end[0]), 0.5 * (edge[1] + end[1])), 0.5 * _STUB + GAP
+        if all(
+            abs(at[0] - middle[0]) > 0.5 * size.width + reach * abs(across)
+            or abs(at[1] - middle[1]) > 0.5 * size.height + reach * abs(down)
+            for at, size in shapes
+        ):
+            return edge, end
+        stubs.append((edge, end))
+    return stubs[0]
+
+
+def around(box: Box, stubs: list[Stub]) -> Box:
+    """A box with room for stubs too."""
+    ends = [end for _, end in stubs]
+    return Box(
+        min([box.left, *(x - GAP for x, _ in ends)]),
+        min([box.bottom, *(y - GAP for _, y in ends)]),
+        max([box.right, *(x + GAP for x, _ in ends)]),
+        max([box.top, *(y + GAP for _, y in ends)]),
+    )
+
+
+def draw_stub(canvas: Canvas, line: Stub) -> None:
+    """Draw a dashed line, and dots beyond it."""
+    (left, low), (right, high) = line
+    canvas.line([(left, low), (right, high)], _DASHES)
+    beyond = 7.0 / _STUB
+    canvas.text((right + beyond * (right - left), high + beyond * (high - low)), "…", colour=MUTED)
+
+
+def cluster_name(index: int) -> str:
+    """``C₁``."""
+    return f"C{index}".translate(_SUBSCRIPT)
+
+
+def message_name(source: int, target: int) -> str:
+    """``δ₁,₂``."""
+    return f"δ{source},{target}".translate(_SUBSCRIPT)
+
+
+def with_messages(
+    shapes: Mapping[Node, Size], sepsets: Iterable[Edge], links: nx.Graph
+) -> dict[Node, Size]:
+    """Shapes, with room for arrows about the sepsets, whichever way the lines run.
+
+    Parameters
+    ----------
+    shapes : mapping to Size
+        The clusters, and the sepsets alone.
+    sepsets : iterable of (int, int)
+    links : networkx.Graph
+        The clusters; in chains all lines are horizontal.
+    """
+    chain = nx.is_forest(links) and max(degree for _, degree in links.degree) <= 2
+    found = dict(shapes)
+    for edge in sepsets:
+        width, height = shapes[edge]
+        name = text_size(message_name(*edge))
+        beside = 0.0 if chain else name.width + _AWAY + _APART
+        found[edge] = Size(
+            max(width + 2.0 * beside, name.width, _ARROW),
+            max(height + 2.0 * (_AWAY + _APART + name.height), 0.0 if chain else _ARROW),
+        )
+    return found
+
+
+def draw_messages(canvas: Canvas, edge: Edge, at: Point, plate: Size, line: Array) -> None:
+    """Draw both arrows of a sepset, across or up and down, each to the left of its way.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    edge : (int, int)
+    at : Point
+        The centre of the sepset.
+    plate : Size
+        Of the sepset.
+    line : ndarray
+        (P, 2), from the first cluster to the second, through the centre.
+    """
+    along = _along(line, at)
+    for (source, target), way in ((edge, along), (edge[::-1], -along)):
+        name = message_name(source, target)
+        left = np.array([-way[1], way[0]])
+        border = 0.5 * np.abs(left) @ plate
+        middle = at + (border + _AWAY) * left
+        beyond = border + _AWAY + _APART + 0.5 * np.abs(left) @ text_size(name)
+        ends = (middle + half * way for half in (-0.5 * _ARROW, 0.5 * _ARROW))
+        start, end = ((float(x), float(y)) for x, y in ends)
+        canvas.arrow(posA=start, posB=end, shrinkA=0.0, shrinkB=0.0, head=8.0, zorder=4.0)
+        x, y = at + beyond * left
+        canvas.text((float(x), float(y)), name)
+
+
+def _along(line: Array, at: Point) -> Array:
+    """Which way a line mostly runs where it passes a point: right, left, up or down."""
+    pieces = np.diff(line, axis=0)
+    lengths = np.linalg.norm(pieces, axis=-1, keepdims=True)
+    here = distances(np.array([at]), line[:-1], line[1:])[:, 0] < 1e-6
+    way = (pieces / np.maximum(lengths, 1e-9))[here].sum(axis=0)
+    steepest = int(np.argmax(np.abs(way)))
+    found: Array = np.sign(way[steepest]) * np.eye(2)[steepest]
+    return found

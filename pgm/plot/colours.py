@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
@@ -19,7 +20,7 @@ CLUSTER = "#E9F2F9"
 SEPSET = "#FCEBD2"
 
 # Perceptually uniform, so that it reads in grey too; more is darker.
-SCALE = "viridis_r"
+SCALE = matplotlib.colormaps["viridis_r"]
 
 
 def readable_on(colour: tuple[float, float, float, float]) -> str:

@@ -4,25 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pgm.consistency.checks import check_gaussian
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.factors.scope import names
+from pgm.factors.scope import labels, names
 from pgm.kernels.arrays import Array
-
-
-def check_gaussian(belief: Any) -> Gaussian:
-    """The Gaussian; refuses anything else."""
-    if not isinstance(belief, Gaussian):
-        raise ModelError(
-            f"a Gaussian is drawn, like posterior[x], not {type(belief).__name__}; take the "
-            "marginal of one variable first"
-        )
-    return belief
 
 
 def one_run(belief: Gaussian) -> Gaussian:
@@ -51,11 +41,6 @@ def one_run(belief: Gaussian) -> Gaussian:
     )
 
 
-def component_names(belief: Gaussian) -> list[str]:
-    """The components of the stacked vector, by name."""
-    return [name for variable in belief.scope for name in variable.components]
-
-
 def component_places(belief: Gaussian, components: Sequence[str]) -> list[int]:
     """Where components stand in the stacked vector.
 
@@ -66,11 +51,11 @@ def component_places(belief: Gaussian, components: Sequence[str]) -> list[int]:
     """
     if isinstance(components, str):
         raise ModelError(f"components must be a sequence of names, not {components!r} alone")
-    known = component_names(belief)
+    known = labels(belief.scope)
     for name in components:
         if known.count(name) != 1:
             raise ModelError(
-                f"{names(belief.scope)} has no single component {name!r}; it has {known}"
+                f"{names(belief.scope)} has no single component {name!r}; it has {list(known)}"
             )
     return [known.index(name) for name in components]
 
@@ -97,6 +82,6 @@ def truth_columns(belief: Gaussian, truth: npt.ArrayLike, places: Sequence[int])
     if array.ndim < 2 or array.shape[-1] < needed:
         raise ModelError(
             f"the truth has shape {array.shape}; (..., steps, components) was due, at least "
-            f"{needed} of them, in the order {component_names(belief)}"
+            f"{needed} of them, in the order {list(labels(belief.scope))}"
         )
     return array[..., list(places)]

@@ -11,12 +11,12 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.checks import Edge
 from pgm.clustergraph.size import amount, is_discrete, size
 from pgm.compile import BalancedGraph, DynamicGraph
-from pgm.errors import GraphError
-from pgm.evidence import Evidence
+from pgm.errors import EvidenceError, GraphError
+from pgm.evidence import Evidence, bind
 from pgm.factors.scope import Scope
+from pgm.plot.graphs import last
 from pgm.plot.labels import cluster_label, scope_label
 from pgm.plot.layout import Node
-from pgm.plot.sightings import reading_counts
 from pgm.variables import Variable
 
 # How many variables a cluster names, in graphs of up to so many clusters.
@@ -31,12 +31,8 @@ def shown(graph: ClusterGraph, steps: int | None, most: int | None = None) -> li
     if not found:
         raise GraphError("the graph has no clusters to draw")
     if steps is not None:
-        if not isinstance(steps, (int, np.integer)) or isinstance(steps, bool) or steps < 0:
-            raise GraphError(f"steps must be the last cluster to draw, 0 or more, not {steps!r}")
-        if isinstance(graph, DynamicGraph):
-            found = graph.within(int(steps))
-        else:
-            found = found[: int(steps) + 1]
+        end = last(steps, "cluster", GraphError)
+        found = graph.within(end) if isinstance(graph, DynamicGraph) else found[: end + 1]
     if most is not None and len(found) > most:
         raise GraphError(
             f"{len(found)} clusters are too many to read; draw {most} at most, as with steps=4"
@@ -96,3 +92,34 @@ def contents(
 def _size(scope: Scope) -> str:
     number = size(scope)
     return f"{amount(number)} entries" if is_discrete(scope) else f"dim {number:,}"
+
+
+def reading_counts(graph: ClusterGraph, evidence: Evidence) -> dict[Variable, int]:
+    """Readings of each sensor of a dynamic network at each step, zeros included for all sensors.
+
+    A reading counts if one run or more took it.
+
+    Parameters
+    ----------
+    graph : ClusterGraph
+        One that no dynamic network lies behind has none.
+    evidence : mapping of Variable
+        As for `pgm.infer`.
+
+    Raises
+    ------
+    EvidenceError
+        As by `pgm.infer`.
+    """
+    if not isinstance(graph, DynamicGraph):
+        return {}
+    if not hasattr(evidence, "items"):
+        raise EvidenceError(f"evidence maps variables to values; found {type(evidence).__name__}")
+    model, span = graph.model, range(graph.steps + 1)
+    bound = bind(model.transition, model.observation, evidence, graph.steps, model.lead)
+    counts = {sensor.at(step): 0 for sensor in model.sensors for step in span}
+    for reading in bound.readings:
+        steps = reading.step[reading.taken.any(axis=(1, 2))]
+        for step, count in zip(*np.unique(steps, return_counts=True), strict=True):
+            counts[reading.cpd.child.at(int(step))] = int(count)
+    return counts

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import networkx as nx
 
 from pgm.boundary import is_whole
-from pgm.errors import EvidenceError, ModelError
+from pgm.errors import EvidenceError, ModelError, PgmError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Variable
 
@@ -36,12 +36,10 @@ def directed(model: Network, steps: int | None, evidence: Iterable[Variable] | N
     if isinstance(model, BayesianNetwork):
         if steps is not None:
             raise ModelError("steps cut a DynamicBayesianNetwork; leave them out")
-        graph = nx.DiGraph()
-        graph.add_nodes_from(model.variables)
-        graph.add_edges_from((parent, cpd.child) for cpd in model.cpds for parent in cpd.parents)
+        graph = model.to_networkx()
         sensors: tuple[Variable, ...] = ()
     else:
-        graph = model.to_networkx(_last(steps))
+        graph = model.to_networkx(1 if steps is None else last(steps, "slice", ModelError))
         sensors = model.sensors
     known = set(graph) | {node.template for node in graph} | set(model.variables)
     observed = {*model.inputs, *(sensors if evidence is None else named(evidence, known))}
@@ -73,9 +71,8 @@ def in_slices(graph: nx.DiGraph) -> bool:
     )
 
 
-def _last(steps: int | None) -> int:
-    if steps is None:
-        return 1
+def last(steps: int, what: str, error: type[PgmError]) -> int:
+    """The last slice or cluster to draw; refuses what is none."""
     if not is_whole(steps) or steps < 0:
-        raise ModelError(f"steps must be the last slice to draw, 0 or more, not {steps!r}")
+        raise error(f"steps must be the last {what} to draw, 0 or more, not {steps!r}")
     return int(steps)

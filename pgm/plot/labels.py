@@ -23,16 +23,16 @@ def node_label(node: Variable) -> str:
     if text_size(node.name + step).width <= _LONG_NAME:
         return node.name + step
     words = [word for word in re.split(r"(?<=[_\s.\-])", node.name) if word]
-    lines = _filled([*words, step] if step else words, _LONG_NAME)
+    lines = _filled([*words, step] if step else words, _LONG_NAME, "")
     return "\n".join(line.strip() for line in lines)
 
 
-def _filled(words: Iterable[str], width: float) -> list[str]:
+def _filled(words: Iterable[str], width: float = _WIDEST, between: str = ", ") -> list[str]:
     """Words on lines no wider than the width, or than the longest word."""
     lines: list[str] = []
     for word in words:
-        if lines and text_size(lines[-1] + word).width <= width:
-            lines[-1] += word
+        if lines and text_size(longer := f"{lines[-1]}{between}{word}").width <= width:
+            lines[-1] = longer
         else:
             lines.append(word)
     return lines
@@ -80,7 +80,7 @@ def cluster_label(
 def _by_step(scope: Iterable[Variable]) -> list[list[Variable]]:
     """Variables of different steps apart, where they do not fit on a line."""
     found = list(scope)
-    if len(_lines(map(repr, found))) <= 1:
+    if len(_filled(map(repr, found))) <= 1:
         return [found]
     steps = sorted({v.step for v in found if v.step is not None})
     return [[v for v in found if v.step == step] for step in [None, *steps]]
@@ -97,7 +97,7 @@ def _text(groups: list[list[str]], most: int | None) -> str:
         last = max(k for k, group in enumerate(shown) if group)
         shown[last].append(f"+{count - room}")
         groups = shown
-    return "\n".join(line for group in groups for line in _lines(group)) or _EMPTY
+    return "\n".join(line for group in groups for line in _filled(group)) or _EMPTY
 
 
 def _counted(variable: Variable, count: int) -> str:
@@ -112,14 +112,3 @@ def _short(name: str) -> str:
         keep -= 1
         cut = f"{name[: keep - keep // 3]}…{name[len(name) - keep // 3 :]}"
     return cut
-
-
-def _lines(words: Iterable[str]) -> list[str]:
-    lines: list[str] = []
-    for word in words:
-        longer = f"{lines[-1]}, {word}" if lines else word
-        if lines and text_size(longer).width <= _WIDEST:
-            lines[-1] = longer
-        else:
-            lines.append(word)
-    return lines

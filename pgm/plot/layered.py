@@ -10,12 +10,10 @@ import networkx as nx
 import numpy as np
 
 from pgm.kernels.arrays import Array
-from pgm.plot.along_layers import along
 from pgm.plot.canvas import Size
 from pgm.plot.curves import lines
-from pgm.plot.layering import Layers, layers, ranks
-from pgm.plot.layout import GAP, Layout, Node, packed
-from pgm.plot.ordering import ordered
+from pgm.plot.layering import Layers, along, layers, ordered, ranks
+from pgm.plot.layout import GAP, Layout, Node, best, packed
 
 # Between layers that shallow lines join there is more room, up to this.
 _STEEPNESS = 0.14
@@ -41,12 +39,15 @@ def layered(
     gap : float
         Between layers, in points, where no line is shallow.
     """
-    pieces = [
-        graph.subgraph([node for node in graph if node in nodes])
-        for nodes in nx.weakly_connected_components(graph)
-    ]
+    pieces = []
+    for nodes in nx.weakly_connected_components(graph):
+        # A subgraph of NetworkX has the order of a set, which changes from run to run.
+        piece = nx.DiGraph()
+        piece.add_nodes_from(node for node in graph if node in nodes)
+        piece.add_edges_from(graph.edges(piece))
+        pieces.append(piece)
     root = math.ceil(math.sqrt(len(graph)))
-    best: Layout | None = None
+    layouts = []
     tried = []
     for widest in (None, 2 * root, root + 1):
         found = [ranks(piece, widest) for piece in pieces]
@@ -56,11 +57,8 @@ def layered(
         choices = [_order(piece, rank) for piece, rank in zip(pieces, found, strict=True)]
         for across in (False, True):
             parts = [_place(*one, sizes, gap, across) for one in choices]
-            other = packed(parts, sizes, room)
-            if best is None or other.worth(sizes, room) > _BETTER * best.worth(sizes, room):
-                best = other
-    assert best is not None
-    return best
+            layouts.append(packed(parts, sizes, room))
+    return best(layouts, sizes, room, _BETTER)
 
 
 def rooted(
@@ -79,8 +77,8 @@ def rooted(
     for node in graph:
         depth[node] = max((depth[parent] + 1 for parent in graph.predecessors(node)), default=0)
     parts = layers(graph, depth)
-    down, across = (_place(parts, 0, sizes, gap, across) for across in (False, True))
-    return across if across.worth(sizes, room) > _BETTER * down.worth(sizes, room) else down
+    layouts = (_place(parts, 0, sizes, gap, across) for across in (False, True))
+    return best(layouts, sizes, room, _BETTER)
 
 
 def _order(graph: nx.DiGraph, rank: Mapping[Node, int]) -> tuple[Layers, int]:

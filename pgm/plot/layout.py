@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,6 +57,17 @@ class Layout:
         page, size = room or PAGE, self.box(sizes).size
         scale = min(page.width / size.width, page.height / size.height, 1.0)
         return scale / (1.0 + _CROSSING * self.crossings)
+
+
+def best(
+    layouts: Iterable[Layout], sizes: Mapping[Node, Size], room: Size | None, factor: float
+) -> Layout:
+    """The first of some layouts, or a later one that is better by a factor."""
+    found, *others = layouts
+    for other in others:
+        if other.worth(sizes, room) > factor * found.worth(sizes, room):
+            found = other
+    return found
 
 
 def packed(parts: Sequence[Layout], sizes: Mapping[Node, Size], room: Size | None) -> Layout:

@@ -14,6 +14,7 @@ from pgm.errors import ModelError
 from pgm.inference import Kind, Status
 from pgm.kernels.arrays import Array
 from pgm.plot.axes import given_or_new, name_axes, useful_legend
+from pgm.plot.bands import band
 from pgm.plot.colours import INK, next_colour
 
 # More runs than this are a band and a median.
@@ -75,11 +76,8 @@ def convergence(
     ax.set_yscale("log")
     tint = colour or next_colour(ax)
     label = "residual" if label is None else str(label)
-    many = residuals.shape[1] > _LINES
-    if many:
-        _draw_band(ax, across, residuals, label, tint)
-    else:
-        _draw_lines(ax, across, residuals, label, tint)
+    draw = _draw_band if residuals.shape[1] > _LINES else _draw_lines
+    draw(ax, across, residuals, label, tint)
     if tolerance:
         ax.axhline(
             tolerance, color=INK, lw=0.9, ls="--", zorder=1.5, label=f"tolerance {tolerance:g}"
@@ -115,22 +113,13 @@ def _draw_band(
     ax: Axes, across: npt.NDArray[np.int_], residuals: Array, label: str, tint: str
 ) -> None:
     """The band is of positive residuals; the median is of all, and ends where it is zero."""
-    rows = [row[~np.isnan(row)] for row in residuals]
-    least, most = (
-        np.array([f(row[row > 0.0]) if (row > 0.0).any() else np.nan for row in rows])
-        for f in (np.min, np.max)
-    )
+    positive = np.where(residuals > 0.0, residuals, np.nan)
+    least, most = (f.reduce(positive, axis=1) for f in (np.fmin, np.fmax))
+    rows = (row[~np.isnan(row)] for row in residuals)
     middle = np.array([np.median(row) if row.size else np.nan for row in rows])
     middle = np.where(middle > 0.0, middle, np.nan)
-    ax.fill_between(
-        across,
-        least,
-        most,
-        facecolor=to_rgba(tint, 0.18),
-        edgecolor=to_rgba(tint, 0.4),
-        lw=0.8,
-        label=f"{label}, {residuals.shape[1]} runs",
-    )
+    many = f"{label}, {residuals.shape[1]} runs"
+    band(ax, across, least, most, tint, many, inside=0.18, outline=0.4)
     ax.plot(across, middle, color=tint, lw=1.6, zorder=2.2, label=f"{label}, median")
 
 

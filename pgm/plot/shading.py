@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import matplotlib
 import numpy as np
 import numpy.typing as npt
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, LogNorm, Normalize
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from pgm.clustergraph import ClusterGraph
@@ -56,12 +55,8 @@ class Shading:
             return None
         # Zero is at the lower end of a logarithmic scale.
         value = max(self.values[node], float(self.norm.vmin or 0.0))
-        r, g, b, a = self._map(float(self.norm(value)))
+        r, g, b, a = SCALE(float(self.norm(value)))
         return r, g, b, a
-
-    @property
-    def _map(self) -> Colormap:
-        return matplotlib.colormaps[SCALE]
 
     def bar_box(self, box: Box) -> Box:
         """A box with room for the bar, below."""
@@ -76,7 +71,7 @@ class Shading:
         place = canvas.ax.inset_axes(
             (left, box.bottom + 26.0, length, _BAR), transform=canvas.ax.transData
         )
-        shown = ScalarMappable(self.norm, self._map)
+        shown = ScalarMappable(self.norm, SCALE)
         bar = canvas.ax.figure.colorbar(shown, cax=place, orientation="horizontal")
         bar.outline.set_linewidth(canvas.width(0.8))
         if not isinstance(self.norm, LogNorm):

@@ -10,9 +10,10 @@ from dags import chain, continuous, discrete, grid, networks, star, tree
 from hypothesis import given
 
 import pgm
-from pgm.compile import StochasticMinFill, search
-from pgm.compile.dissection import dissect
+from pgm.compile import StochasticMinFill
+from pgm.compile import orders as module
 from pgm.compile.elimination import moral
+from pgm.compile.orders import dissect
 
 ORDERS = {
     "min-fill": pgm.MinFill(),
@@ -113,7 +114,7 @@ def test_a_search_finds_cheaper_orders_of_large_networks():
 
 def test_large_networks_are_searched_in_proportion_to_what_is_asked(monkeypatch):
     made = []
-    monkeypatch.setattr(search, "_try", lambda *given: made.append(given) or [])
+    monkeypatch.setattr(module, "_try", lambda *given: made.append(given) or [])
     network = discrete(grid(14))
     counts = []
     for tries in (20, 200, 2000):

@@ -5,12 +5,12 @@ import pytest
 from numpy.testing import assert_array_equal
 from scipy.stats.qmc import Sobol
 
-from pgm.linearisers import draws
+from pgm.linearisers import sampled
 
 
 def net(samples, dimension, step=0, seed=0):
-    size = draws.scrambling_size(samples, dimension)
-    return draws.scrambled_net(draws.uniform(seed, "y", step, size, False), samples, dimension)
+    size = sampled.scrambling_size(samples, dimension)
+    return sampled.scrambled_net(sampled.uniform(seed, "y", step, size, False), samples, dimension)
 
 
 @pytest.mark.parametrize("step", range(4))
@@ -59,14 +59,14 @@ def test_a_net_of_any_size_is_the_beginning_of_a_larger_one(samples):
 @pytest.mark.parametrize("size", [1, 4, 9])
 def test_streams_do_not_overlap(size):
     steps = np.broadcast_to(np.arange(50)[:, None], (50, 20))
-    shared = draws.uniform(3, "y", np.arange(50), size, fresh=False)
-    fresh = draws.uniform(3, "y", steps, size, fresh=True)
+    shared = sampled.uniform(3, "y", np.arange(50), size, fresh=False)
+    fresh = sampled.uniform(3, "y", steps, size, fresh=True)
     assert np.unique(np.concatenate([shared.ravel(), fresh.ravel()])).size == 50 * 21 * size
 
 
 def test_normal_quantiles_are_finite():
     ends = np.array([0.0, 2.0**-53, 0.5, 1.0 - 2.0**-53])
-    found = draws.normal(ends)
+    found = sampled.normal(ends)
     assert np.isfinite(found).all()
     assert (np.diff(found) > 0).all()
     assert found[2] == 0.0

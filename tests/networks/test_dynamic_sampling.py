@@ -236,3 +236,20 @@ def test_means_of_runs_of_a_hidden_control():
     )
     sample = model.sample(steps=2, rng=0)
     assert_allclose(sample[Y], [[[0.0], [1.0], [2.0]], [[0.0], [2.0], [4.0]]])
+
+
+@pytest.mark.parametrize("runs", [0, -1, 2.5, "3", True, (2, 0)])
+def test_the_number_of_draws_is_checked(runs):
+    with pytest.raises(pgm.ModelError, match="runs is the number of draws"):
+        drawn(runs)
+
+
+def test_draws_and_the_runs_of_the_model_broadcast():
+    level = pgm.Variable("level")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(level, [[0.0], [9.0]], 1.0)],
+        [pgm.LinearGaussianCPD(level, {level.previous: 1.0}, cov=1.0)],
+    )
+    assert model.sample(steps=3, runs=np.int64(2), rng=0)[level].shape == (2, 4, 1)
+    with pytest.raises(pgm.ModelError, match=r"axes of runs \(2,\); runs=\(1000, 1\) draws"):
+        model.sample(steps=3, runs=3, rng=0)

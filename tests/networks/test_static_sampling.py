@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
+from pgm.cpds.values import Known
 from tests.dense import linear_joint, random_covariance
 
 A, B, C, U, W = pgm.variables("a b c u w")
@@ -104,7 +105,7 @@ def test_a_state_of_probability_zero_is_never_drawn(table):
     edges = np.cumsum(table)
     levels = np.concatenate([[0.0, 5e-324, LAST], edges, np.nextafter(edges, 0), np.linspace(0, 1)])
     levels = levels[levels < 1.0]
-    found = cpd._draw({}, (), (levels.size,), None, Uniforms(levels))
+    found = cpd._draw(Known({}, (), (levels.size,), None), Uniforms(levels))
     assert (cpd.table[found] > 0.0).all()
     for level, state in zip(levels, found, strict=True):
         assert state == next(k for k, edge in enumerate(edges) if edge > level * edges[-1])
@@ -117,7 +118,7 @@ def test_many_states():
     table = rng.exponential(size=(3, 1000)) * (rng.random((3, 1000)) < 0.5)
     cpd = pgm.TableCPD(big, row, table=table / table.sum(axis=-1, keepdims=True))
     parents, levels = rng.integers(3, size=5000), rng.random(5000)
-    found = cpd._draw({row: parents}, (), (5000,), None, Uniforms(levels))
+    found = cpd._draw(Known({row: parents}, (), (5000,), None), Uniforms(levels))
     edges = np.cumsum(cpd.table, axis=-1)
     for k in range(3):
         mine = parents == k

@@ -12,7 +12,7 @@ import pgm.plot
 from models import networks
 from models.networks import fix, point, shift
 from pgm import consistency
-from pgm.plot.consistency_bands import right_band
+from pgm.plot.bands import right_band
 
 STEPS = 25
 
@@ -259,7 +259,7 @@ def test_all_of_them_draw_on_the_axes_given_and_return_it(right):
 
 def test_refusals(right):
     posterior, truth = right
-    with pytest.raises(pgm.ModelError, match="a Gaussian is drawn"):
+    with pytest.raises(pgm.ModelError, match="a belief is a Gaussian"):
         pgm.plot.nees(posterior, truth)
     with pytest.raises(pgm.ModelError, match="over no steps"):
         pgm.plot.nees(posterior[point.at(3)], truth[:, 3])

@@ -19,7 +19,7 @@ from pgm.compile.layout import Place
 from pgm.cpds import AffineCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
-from pgm.evidence.dynamic_layout import Inputs
+from pgm.evidence.dynamic import Inputs
 from pgm.factors.scope import Scope
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.family import Family

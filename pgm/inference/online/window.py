@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from pgm.errors import NumericalError
 from pgm.evidence import BoundEvidence, Reading
-from pgm.evidence.dynamic_layout import Inputs
+from pgm.evidence.dynamic import Inputs
 from pgm.inference.chain.backward import Reverse
 from pgm.inference.chain.certificate import MODERATE
 from pgm.inference.chain.fixed_lag import Beginning, SingleStep, Window, filter_step, iterate_window

@@ -8,9 +8,11 @@ from array import array
 from typing import NoReturn
 
 from pgm.errors import FileError
-from pgm.io.networks.numbers import numbers
 from pgm.io.networks.sources import Origin, line_of
 
+# A stretch of a run of numbers, never cut within one; it bounds the memory of converting a run.
+STRETCH = re.compile(r"[-+.0-9eE,\s]{1,65536}+[-+.0-9eE]*+")
+ITEM = re.compile(r"[^,\s]++")
 # Every repetition is possessive: nothing that was matched is ever tried again.
 QUOTE = r'"[^"\\]*+(?:\\(?s:.)[^"\\]*+)*+"'
 SPACE = r"(?:\s++|//[^\r\n]*+|/\*(?s:.*?)\*/)"
@@ -26,9 +28,31 @@ PROPERTY = re.compile(r'[^;"{}]*+(?:' + QUOTE + r'[^;"{}]*+)*+;')
 INSIDE = r'(?:[^{}"/]++|' + QUOTE + "|" + SPACE + "|/(?![/*]))*+"
 BLOCK = re.compile(INSIDE + r"\{" + INSIDE + r"\}")
 END, MARK, QUOTED, WORD = None, 1, 2, 3  # which group of a token matched
-
 # What an error shows of a text, in characters.
 SHOWN = 40
+
+
+def numbers(text: str, start: int, into: array[float]) -> int:
+    """Append the numbers from a place on, which white space or commas keep apart.
+
+    Returns
+    -------
+    int
+        Where they end: at the first thing that is no number, or at the end of the text.
+    """
+    while stretch := STRETCH.match(text, start):
+        held = len(into)
+        try:
+            into.extend(map(float, stretch[0].replace(",", " ").split()))
+        except ValueError:
+            del into[held:]
+            for word in ITEM.finditer(text, start, stretch.end()):
+                try:
+                    into.append(float(word[0]))
+                except ValueError:
+                    return word.start()
+        start = stretch.end()
+    return start
 
 
 class Cursor:
@@ -114,17 +138,13 @@ class Cursor:
         """The token that was read, for messages."""
         return "the end of the file" if self.kind is END else shown(self.value)
 
-    def line(self, at: int) -> int:
-        """The line of a place in the text, from 1."""
-        return line_of(self.text, at)
-
     def fail(self, message: str) -> NoReturn:
         """Raise the error of the token that was read."""
         raise self.fault(message, self.start)
 
     def fault(self, message: str, at: int | None) -> FileError:
         """The error of a place, or of the whole text."""
-        return self.origin.fault(message, None if at is None else self.line(at))
+        return self.origin.fault(message, None if at is None else line_of(self.text, at))
 
     def _unquoted(self, text: str) -> str:
         if "\\" not in text:

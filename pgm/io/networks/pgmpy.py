@@ -9,7 +9,7 @@ import numpy as np
 
 from pgm.cpds import TableCPD
 from pgm.errors import ModelError
-from pgm.io.networks.written import tables
+from pgm.io.networks.writers import tables
 from pgm.networks import BayesianNetwork
 from pgm.variables import Discrete
 

@@ -13,8 +13,7 @@ import numpy as np
 from pgm.errors import FileError
 from pgm.io.networks import sources
 from pgm.io.networks.assembly import Assembly
-from pgm.io.networks.cursor import shown
-from pgm.io.networks.numbers import numbers
+from pgm.io.networks.cursor import numbers, shown
 from pgm.io.networks.sources import LIMIT, Content, Source
 from pgm.networks import BayesianNetwork
 

@@ -1,4 +1,4 @@
-"""Ancestral sampling of dynamic networks."""
+"""Ancestral sampling: drawing children given their parents, one after another."""
 
 from __future__ import annotations
 
@@ -10,8 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pgm.errors import ModelError
-from pgm.evidence import Evidence, Reading, Sightings, bind, sightings
+from pgm.boundary import as_tuple, is_whole
+from pgm.cpds.values import Known, Values
+from pgm.errors import EvidenceError, ModelError
+from pgm.evidence import Evidence, Reading, Sightings, bind, bind_values, sightings
+from pgm.evidence.arrays import unknown
+from pgm.factors.scope import listed
 from pgm.factors.unknown_names import unknown_name
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
@@ -20,6 +24,59 @@ from pgm.variables import Variable
 
 if TYPE_CHECKING:
     from pgm.networks.dynamic import DynamicBayesianNetwork
+    from pgm.networks.static import BayesianNetwork
+
+
+def draw(
+    network: BayesianNetwork,
+    n: int | tuple[int, ...],
+    inputs: Evidence,
+    rng: np.random.Generator,
+) -> dict[Variable, Values]:
+    """Draw each variable of a network without time after its parents."""
+    shape = _as_shape("n", n, network.lead)
+    require_memory(
+        math.prod(shape) * sum(cpd.child.dimension or 1 for cpd in network.cpds),
+        f"{n} draws of {len(network.cpds)} variables",
+        "draw fewer at a time",
+    )
+    for variable in inputs:
+        if variable not in network.variables:
+            raise unknown(variable, network.variables)
+        if variable not in network.inputs:
+            raise EvidenceError(
+                f"{variable!r} is no input of the network, whose inputs are "
+                f"({listed(network.inputs)}); given evidence of other variables one infers, not "
+                "samples",
+                variable=variable,
+            )
+    bound = bind_values(network.cpds, inputs, shape, network.inputs)
+    lead, runs = bound.lead, bound.runs
+    values: dict[Variable, Values] = dict(bound.values)
+    drawn: dict[Variable, Values] = {}
+    for cpd in network.cpds:
+        parents = {v: values[v] for v in cpd.parents}
+        child = cpd._draw(Known(parents, lead, (runs,), cpd.child.step), rng)
+        values[cpd.child] = child
+        drawn[cpd.child] = child.reshape((*lead, *child.shape[1:]))
+    return drawn
+
+
+def _as_shape(name: str, asked: Any, lead: tuple[int, ...]) -> tuple[int, ...]:
+    """The axes of draws that are asked for, with the model's axes of runs."""
+    shape = asked if isinstance(asked, tuple) else (asked,)
+    for length in shape:
+        if not is_whole(length) or length < 1:
+            raise ModelError(
+                f"{name} is the number of draws, 1 or more, or a tuple of such; not {asked!r}"
+            )
+    try:
+        return np.broadcast_shapes(tuple(map(int, shape)), lead)
+    except ValueError:
+        raise ModelError(
+            f"draws of shape {shape} do not broadcast with the model's axes of runs {lead}; "
+            f"{name}=(1000, 1) draws a thousand for each"
+        ) from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,25 +104,19 @@ class Sample(Immutable):
         return self.values[variable]
 
 
-def draw(
+def draw_steps(
     model: DynamicBayesianNetwork,
     inputs: Evidence,
     steps: int | None,
-    runs: tuple[int, ...],
+    runs: int | tuple[int, ...],
     rng: np.random.Generator,
 ) -> Sample:
     """Draw states forward in time, then the readings."""
     hidden = (*model.states, *model.controls)
     width = sum(variable.dimension for variable in hidden)
-    _require_memory(runs, 1, width)
-    bound = bind(
-        model.transition,
-        model.observation,
-        inputs,
-        steps,
-        np.broadcast_shapes(runs, model.lead),
-        drawing=True,
-    )
+    shape = _as_shape("runs", as_tuple(runs) or runs, model.lead)
+    _require_memory(shape, 1, width)
+    bound = bind(model.transition, model.observation, inputs, steps, shape, drawing=True)
     count = bound.runs
     _require_memory(bound.lead, bound.steps + 1, width)
     path: dict[Variable, Array] = {
@@ -73,14 +124,15 @@ def draw(
     }
     for cpd in model.prior:
         now = {v: path[v][0] for v in cpd.given}
-        path[cpd.child][0] = cpd._draw(now, bound.lead, (count,), 0, rng)
+        path[cpd.child][0] = cpd._draw(Known(now, bound.lead, (count,), 0), rng)
     for step in range(1, bound.steps + 1):
         for cpd, known in zip(model.transition, bound.transition, strict=True):
             values = {v: rows[step - 1] for v, rows in known.items()}
             for parent in cpd.given:
                 if parent not in values:
                     values[parent] = path[parent.template][step - parent.lag]
-            path[cpd.child][step] = cpd._draw(values, bound.lead, (count,), step, rng)
+            given = Known(values, bound.lead, (count,), step)
+            path[cpd.child][step] = cpd._draw(given, rng)
     evidence: dict[Variable, Any] = dict(inputs)
     values = {v: _unflat(path[v], bound.lead) for v in model.states}
     values |= {v: _unflat(path[v][1:], bound.lead) for v in model.controls}
@@ -120,7 +172,7 @@ def _draw_reading(
     wide = {v: np.broadcast_to(a, (size, runs, a.shape[-1])) for v, a in values.items()}
     if not size:
         return np.empty((0, runs, reading.cpd.child.dimension))
-    return reading.cpd._draw(wide, lead, (size, runs), reading.step[:, None], rng)
+    return reading.cpd._draw(Known(wide, lead, (size, runs), reading.step[:, None]), rng)
 
 
 def _unflat(rows: Array, lead: tuple[int, ...]) -> Array:

@@ -1,4 +1,4 @@
-"""Layered trees: loopy graphs whose sepsets hold more than one variable where families do."""
+"""Loopy graphs whose clusters are the network's families."""
 
 from __future__ import annotations
 
@@ -8,11 +8,57 @@ from dataclasses import dataclass
 from networkx.utils import UnionFind
 
 from pgm.clustergraph import ClusterGraph
+from pgm.clustergraph.assignment import holding
 from pgm.clustergraph.checks import Edge
-from pgm.compile.bethe import maximal
 from pgm.factors.scope import Scope
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
+
+
+@dataclass(frozen=True)
+class Bethe:
+    """Compile to a cluster for each family, joined through a cluster for each variable they share.
+
+    Families inside other families have no cluster of their own. Where the graph has loops, messages
+    go round: means of Gaussian networks are exact if they converge, all else is an approximation.
+
+    References
+    ----------
+    Yedidia, Freeman and Weiss (2005), Constructing free-energy approximations and generalized
+    belief propagation algorithms.
+
+    Examples
+    --------
+    >>> Bethe()
+    Bethe()
+    """
+
+    def __call__(self, network: BayesianNetwork) -> ClusterGraph:
+        """Compile a network."""
+        families = maximal([cpd.scope for cpd in network.cpds])
+        holders = holding(families)
+        shared = [variable for variable in network.variables if len(holders[variable]) > 1]
+        sepsets: dict[Edge, Scope] = {}
+        for k, variable in enumerate(shared, start=len(families)):
+            sepsets |= {(holder, k): (variable,) for holder in holders[variable]}
+        return ClusterGraph(network, [*families, *((variable,) for variable in shared)], sepsets)
+
+
+def maximal(families: list[Scope]) -> list[Scope]:
+    """The families that lie in no other, the first of equals."""
+    members = [frozenset(family) for family in families]
+    holders = holding(families)
+
+    def inside(k: int, other: int) -> bool:
+        return members[k] < members[other] or (members[k] == members[other] and other < k)
+
+    return [
+        family
+        for k, family in enumerate(families)
+        if not any(
+            inside(k, other) for other in min((holders[variable] for variable in family), key=len)
+        )
+    ]
 
 
 @dataclass(frozen=True)
@@ -49,10 +95,7 @@ class LTRIP:
 
 def _layers(clusters: Sequence[Scope]) -> dict[Edge, list[Variable]]:
     """The sepsets: Kruskal's algorithm for the trees of all variables at once."""
-    holders: dict[Variable, list[int]] = {}
-    for k, scope in enumerate(clusters):
-        for variable in scope:
-            holders.setdefault(variable, []).append(k)
+    holders = holding(clusters)
     strength = [sum(len(holders[variable]) for variable in scope) for scope in clusters]
     rank = {k: r for r, k in enumerate(sorted(range(len(clusters)), key=lambda k: -strength[k]))}
     trees = {variable: UnionFind(found) for variable, found in holders.items()}
