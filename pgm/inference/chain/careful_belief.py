@@ -104,9 +104,6 @@ class Belief(NamedTuple):
         unit = np.sqrt(np.maximum(variance, _TOLD**2 * self.largest))
         changed = (self.parts if parts is None else parts) * np.sqrt(variance)
         changed = np.maximum(changed, np.sqrt(np.maximum(variances(self.drift), 0.0)))
-        # And the mean itself is rounded to float64 in the end.
-        rounded = 0.5 * _EPS * np.abs(self.columns.hi[..., 0])
-        changed = np.maximum(changed, np.where(variance > 0.0, rounded, 0.0))
         share = np.where(unit > 0.0, changed / np.where(unit > 0.0, unit, 1.0), 0.0)
         found: Array = share.max(axis=-1, initial=0.0)
         return found

@@ -37,10 +37,8 @@ _COUNTS, _FARTHER = 3e-8, 30.0
 # The part of a deviation that rounding of a mean may be, of a belief that goes on in float64.
 _TOLD = 1e-8
 _EPS = float(np.finfo(np.float64).eps)
-# Rounding of a mean, in its deviations, of which the digits are told wherever it is more; and the
-# square of such a mean, in its variance.
-_MUCH = 1e-6
-FAR = (_MUCH / _EPS) ** 2
+# The square of a mean, in its variance, whose rounding is a part 10⁻⁶ of its deviation.
+FAR = (1e-6 / _EPS) ** 2
 
 
 def is_flat(plan: ChainPlan) -> bool:
@@ -92,8 +90,7 @@ def _sinks(swept: Forward | Filtered, *, both: bool) -> bool:
         return False
     parts = _EPS * np.where(known, 0.0, mean / np.sqrt(np.where(known, 1.0, left))).max(axis=-1)
     largest = parts.max(axis=0) if both else np.maximum.accumulate(parts, axis=0)
-    lost = (largest > _COUNTS) & (largest > _FARTHER * parts) | (parts > _MUCH)
-    return bool(lost.any())
+    return bool(((largest > _COUNTS) & (largest > _FARTHER * parts)).any())
 
 
 def _is_open(cov: Array, limit: float) -> bool:
