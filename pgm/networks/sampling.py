@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -70,13 +71,14 @@ def _as_shape(name: str, asked: Any, lead: tuple[int, ...]) -> tuple[int, ...]:
             raise ModelError(
                 f"{name} is the number of draws, 1 or more, or a tuple of such; not {asked!r}"
             )
-    try:
-        return np.broadcast_shapes(tuple(map(int, shape)), lead)
-    except ValueError:
+    # Not by NumPy, whose lengths end at 2⁶³: too many draws are refused for the memory they take.
+    pairs = list(zip_longest(map(int, shape[::-1]), lead[::-1], fillvalue=1))
+    if any(own != other and 1 not in (own, other) for own, other in pairs):
         raise ModelError(
             f"draws of shape {shape} do not broadcast with the model's axes of runs {lead}; "
             f"{name}=(1000, 1) draws a thousand for each"
-        ) from None
+        )
+    return tuple(max(pair) for pair in reversed(pairs))
 
 
 @dataclass(frozen=True, eq=False)
