@@ -15,7 +15,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import pgm
-from pgm.inference.chain import sweep
+from pgm.inference import sweep
 from tests.inference.test_sweep_families import Tables
 from tests.test_imports import LAYERS
 
@@ -79,7 +79,7 @@ def model(called=lambda name: None):
 
 def test_files_that_are_named_exist():
     named = set(re.findall(r"`([\w/]+(?:\.py|/))`", PAGE))
-    assert {"kernels/gaussian.py", "sweep.py", "inference/gaussian/"} <= named
+    assert {"kernels/gaussian.py", "inference/sweep.py", "inference/gaussian/"} <= named
     for path in named:
         places = [ROOT / path, PACKAGE / path, PACKAGE / CHAIN / path]
         assert any(place.exists() for place in places), path

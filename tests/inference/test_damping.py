@@ -10,9 +10,9 @@ from textbooks import assert_same, wrapped
 import pgm
 from pgm.factors.scope import positions
 from pgm.inference.chain import cost
-from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.run import bind_chain
+from pgm.inference.iteration import Point
 
 SIGHT = SENSORS["range_bearing"]
 LM = pgm.LevenbergMarquardt()

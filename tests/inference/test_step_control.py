@@ -7,10 +7,10 @@ from textbooks import assert_log, assert_same
 
 import pgm
 from pgm.inference.chain import cost
-from pgm.inference.chain.iteration import Anchor, Point
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.chain.smoother import relinearise
+from pgm.inference.iteration import Anchor, Point
 
 SIGHT = SENSORS["range_bearing"]
 LM = pgm.LevenbergMarquardt()

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import pgm
-from pgm.inference.chain import sweep
+from pgm.inference import sweep
 
 EQUAL = {"rtol": 1e-12, "atol": 1e-14}
 

@@ -39,8 +39,8 @@ from pgm.inference.chain.careful_belief import (
     rounded,
     through,
 )
-from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.iteration import Point
 from pgm.kernels import twofold
 from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stacked, variances
 from pgm.kernels.twofold import Twofold

@@ -40,12 +40,12 @@ from pgm.inference.chain.careful_belief import (
 from pgm.inference.chain.certificate import is_flat
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iterated_update import IteratedUpdate, UpdateProblem, iterated
-from pgm.inference.chain.iteration import Anchor, Point
 from pgm.inference.chain.likelihoods import distinct
 from pgm.inference.chain.moments import MomentChain, largest
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.family import Family
+from pgm.inference.iteration import Anchor, Point
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
 from pgm.kernels import twofold

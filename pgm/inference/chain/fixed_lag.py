@@ -21,11 +21,11 @@ from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Begin, Careful
 from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.forward import Forward
-from pgm.inference.chain.iteration import Anchor, Iterated, iterate
 from pgm.inference.chain.moments import largest
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.smoother import Chain, Either, swept
+from pgm.inference.iteration import Anchor, Iterated, iterate
 from pgm.inference.schedule import ONCE, FixedLag
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Mask, stacked

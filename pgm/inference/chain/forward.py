@@ -11,12 +11,12 @@ from functools import cached_property
 import numpy as np
 
 from pgm.errors import PgmError
-from pgm.inference.chain import sweep
+from pgm.inference import sweep
 from pgm.inference.chain.cost import require_cost
-from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments, Room
+from pgm.inference.iteration import Anchor
 from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
 from pgm.kernels import along_runs, memory

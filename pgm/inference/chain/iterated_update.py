@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from pgm.errors import NumericalError
 from pgm.inference.chain import cost, readings
-from pgm.inference.chain.iteration import Anchor, Point, Solution, iterate
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.vector import Measured
+from pgm.inference.iteration import Anchor, Point, Solution, iterate
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
 from pgm.kernels.angles import difference

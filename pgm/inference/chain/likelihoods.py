@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import Stack, stacks
+from pgm.inference.iteration import Anchor
 from pgm.kernels import moments, roots
 from pgm.kernels.arrays import (
     LOG_2PI,

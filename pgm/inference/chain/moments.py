@@ -12,9 +12,9 @@ import numpy as np
 from pgm.inference import faults
 from pgm.inference.chain import readings, refusals
 from pgm.inference.chain.iterated_update import MomentUpdate, iterated
-from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments, Reading, Room
+from pgm.inference.iteration import Anchor
 from pgm.inference.rows import At
 from pgm.inference.schedule import Filtering
 from pgm.kernels import gaussian

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.inference.chain.backward import about, between_slices
-from pgm.inference.chain.iteration import Point
 from pgm.inference.chain.likelihoods import Readings, distinct
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.iteration import Point
 from pgm.kernels import banded, canonical, roots
 from pgm.kernels.arrays import Array, apply, block, multiply, transpose
 from pgm.kernels.banded import System

@@ -15,11 +15,11 @@ from pgm.errors import NumericalError
 from pgm.inference.chain import certificate, forward, newton
 from pgm.inference.chain.backward import Ahead, about, absorb_readings, between_slices
 from pgm.inference.chain.forward import Forward
-from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.likelihoods import Readings, know
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.vector import Stack
+from pgm.inference.iteration import Anchor
 from pgm.inference.schedule import ONCE
 from pgm.kernels import conditionals, elements, moments
 from pgm.kernels.arrays import Array, apply, deviation, room

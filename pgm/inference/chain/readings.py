@@ -13,10 +13,10 @@ import numpy as np
 
 from pgm.inference import faults
 from pgm.inference.chain import refusals
-from pgm.inference.chain.iteration import Anchor
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import Measured, Vector, vector
+from pgm.inference.iteration import Anchor
 from pgm.inference.rows import At
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN

@@ -14,13 +14,13 @@ from pgm.factors.scope import angle_mask
 from pgm.inference.chain import backward, careful, cost, forward, newton, parallel
 from pgm.inference.chain.adjoint import CarefulSmoothed
 from pgm.inference.chain.backward import Ahead, Beliefs, Reverse
-from pgm.inference.chain.iteration import Anchor, Point, iterate
 from pgm.inference.chain.likelihoods import Readings
 from pgm.inference.chain.moments import on_chart, turns_far
 from pgm.inference.chain.newton import Means
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import linearise_grouped
 from pgm.inference.damping import LevenbergMarquardt
+from pgm.inference.iteration import Anchor, Point, iterate
 from pgm.inference.schedule import ONCE, Smoothing
 from pgm.inference.status import Status
 from pgm.kernels.angles import nearest_branch

@@ -13,7 +13,6 @@ from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.evidence.continuous import BoundValues, bind_values
-from pgm.inference.chain.iteration import Anchor, iterate
 from pgm.inference.gaussian import careful
 from pgm.inference.gaussian.beliefs import Calibrated, TreePoint, relinearise
 from pgm.inference.gaussian.buffer import Buffer
@@ -23,6 +22,7 @@ from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.gaussian.tree import TreePlan, calibrate
+from pgm.inference.iteration import Anchor, iterate
 from pgm.inference.limits import require_runs, require_size
 from pgm.inference.loopy import run_loopy
 from pgm.inference.schedule import Calibration, Loopy, Schedule, Smoothing
