@@ -69,18 +69,21 @@ def divide(matrix: Array, lower: Array) -> Array:
     return along_runs.divide(matrix, lower)
 
 
-def is_regular(cov: Array, before: Array, least: float) -> bool:
+def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float) -> bool:
     """Whether a covariance is neither nearly singular nor far below an earlier one.
 
     The components before it leave more than the share `least` of each variance, and no variance is
-    a smaller part of the earlier one. A component without a variance in both does not count.
+    a smaller part of the earlier one. Means are finite, and the square of none is more than `far`
+    variances. A component without a variance does not count, if it had none before.
     """
     if cov.ndim == 2:
-        written = checking(len(cov), least)
-        if written is not None and written(cov, before):
+        written = checking(len(cov), least, far)
+        if written is not None and written(mean, cov, before):
             return True
-    fell = np.einsum("ii...->i...", cov) < least * np.einsum("ii...->i...", before)
-    return not fell.any() and roots.is_regular(components_last(cov, 2), least)
+    variances = np.einsum("ii...->i...", cov)
+    fell = variances < least * np.einsum("ii...->i...", before)
+    off = (mean * mean > far * variances) & (variances > 0.0) | ~np.isfinite(mean)
+    return not (fell | off).any() and roots.is_regular(components_last(cov, 2), least)
 
 
 def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ()) -> Array:

@@ -20,10 +20,10 @@ from pgm.kernels.arrays import LOG_2PI, Array
 # Of n components and d others, beyond n d (n + d) of this size LAPACK is the quicker.
 MOST = 90
 
-# Arguments and results as of `predict`, `update_one` and `is_regular` in `gaussian`.
+# Arguments and results as of `predict`, `update_one` and `is_moderate` in `gaussian`.
 Predict = Callable[[Array, Array, Array], Array]
 Update = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array, float] | None]
-Check = Callable[[Array, Array], bool]
+Check = Callable[[Array, Array, Array], bool]
 
 
 @lru_cache(maxsize=64)
@@ -50,11 +50,12 @@ def predicting(height: int, size: int) -> Predict | None:
 
 
 @lru_cache(maxsize=64)
-def checking(size: int, least: float) -> Check | None:
-    """Whether a covariance is regular beside an earlier one; None where that is too large."""
+def checking(size: int, least: float, far: float) -> Check | None:
+    """Whether moments are moderate beside an earlier covariance; None where that is too large."""
     if not 0 < size**3 <= MOST:
         return None
-    check: Check = _function("cov, before", _check(size), {"least": least})
+    names = {"least": least, "far": far}
+    check: Check = _function("mean, cov, before", _check(size), names)
     return check
 
 
@@ -130,9 +131,10 @@ def _update(size: int, height: int) -> list[str]:
 
 
 def _check(size: int) -> list[str]:
-    """The pivots d of Q, beside its own diagonal and that of B."""
+    """The pivots d of Q, beside its own diagonal and that of B; and the mean m beside Q."""
     states = range(size)
     lines = [
+        f"{_vector('m', states)} = mean.tolist()",
         f"{_matrix('q', states, states)} = cov.tolist()",
         f"{_matrix('b', states, states)} = before.tolist()",
     ]
@@ -141,7 +143,8 @@ def _check(size: int) -> list[str]:
             rest = f"q{i}{k}{_less(f'l{i}{m} * u{k}{m}' for m in range(k))}"
             lines += [f"u{i}{k} = {rest}", f"l{i}{k} = u{i}{k} / d{k}"]
         lines.append(f"d{i} = q{i}{i}{_less(f'l{i}{k} * u{i}{k}' for k in range(i))}")
-        lines.append(f"if not (d{i} > least * q{i}{i} and q{i}{i} > least * b{i}{i}): return False")
+        regular = f"d{i} > least * q{i}{i} and q{i}{i} > least * b{i}{i}"
+        lines.append(f"if not ({regular} and m{i} * m{i} < far * q{i}{i}): return False")
     return [*lines, "return True"]
 
 

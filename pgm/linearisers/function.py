@@ -233,7 +233,8 @@ class BoundFunction(NamedTuple):
         if lead:
             arguments, shape = self._arguments(x)
         else:
-            x = sealed(x)
+            if x.flags.writeable:
+                x = sealed(x)
             arguments, shape = [x if value is None else value for value in inputs], ()
         role, function = "function", template.function
         try:

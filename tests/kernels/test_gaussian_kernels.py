@@ -423,7 +423,7 @@ def test_what_is_regular(size):
         if abs(np.log(min(shares) / 1e-7)) < 0.1:
             continue  # too near to say
         due = min(shares) > 1e-7
-        assert gaussian.is_regular(cov, before, 1e-7) == due
+        assert gaussian.is_moderate(np.zeros(cov.shape[1:]), cov, before, 1e-7, 1.0) == due
         seen.append(due)
         covs.append(cov)
         befores.append(before)
@@ -431,6 +431,19 @@ def test_what_is_regular(size):
     assert 0 < good.size < len(seen)
     for some in (good, np.append(good, np.flatnonzero(~np.array(seen))[0])):
         cov, before = (np.stack([part[k] for k in some], axis=-1) for part in (covs, befores))
-        assert gaussian.is_regular(cov, before, 1e-7) == (some is good)
+        assert gaussian.is_moderate(np.zeros(cov.shape[1:]), cov, before, 1e-7, 1.0) == (
+            some is good
+        )
     known = np.diag([0.0, *np.ones(size)])
-    assert gaussian.is_regular(known, known, 1e-7)
+    assert gaussian.is_moderate(np.ones(size + 1), known, known, 1e-7, 2.0)
+
+
+@pytest.mark.parametrize("size", [1, 3, 6])
+@pytest.mark.parametrize("batch", [(), (4,)])
+def test_a_mean_far_above_its_deviation_is_not_moderate(size, batch):
+    cov = np.multiply.outer(4.0 * np.eye(size), np.ones(batch))
+    mean = np.full((size, *batch), 19.0)
+    assert gaussian.is_moderate(mean, cov, cov, 1e-7, 100.0)
+    for odd in (21.0, np.nan, np.inf):
+        mean[size - 1, ...] = -odd
+        assert not gaussian.is_moderate(mean, cov, cov, 1e-7, 100.0)

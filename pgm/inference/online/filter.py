@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from math import isfinite
 from typing import Any, NoReturn
 
 import numpy as np
@@ -159,7 +158,7 @@ class OnlineFilter(Immutable):
         plan = self._plan(BoundEvidence(0, lead, (), ()), 0, prior=True)
         found = MomentChain(plan, ONCE, keep=False).start()
         log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
-        if gaussian.is_regular(found.cov, found.cov, _REGULAR):
+        if _is_moderate(found, found):
             return _belief(plan, 0, found, log_evidence, status, PREDICTED, self._behind)
         carried = careful.start(plan, linearise=True)
         return _carried(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
@@ -191,34 +190,43 @@ class OnlineFilter(Immutable):
             behind = behind.on(self._windows, bound.transition, bound.lead)
             return self._slid(step, behind, np.broadcast_to(belief.log_evidence, bound.lead))
         if _is_plain(belief):
-            laid = None if belief.lead else self._motions.motion(belief, inputs)
-            if laid is None:
-                chain = MomentChain(self._ahead(belief, inputs), ONCE, keep=False)
-                ats = chain.motion(1)
-            else:
-                chain, ats = laid
-            if behind is not None:
-                chain = trailing(chain.plan, ats)
-            plan, known = chain.plan, _moments(belief, chain.plan)
-            found = chain.predicted(ats, step, known)
-            regular = gaussian.is_regular(found.cov, found.cov, _REGULAR) and _is_near(found)
-            if not (_is_finite(found) and (regular or np.isfinite(found.cov).all())):
-                MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
-                _refuse(step)
-            if regular:
-                log_evidence, status = belief.log_evidence, _DONE
-                if laid is None:
-                    log_evidence = np.broadcast_to(log_evidence, plan.lead)
-                    status = _nothing_to_iterate(plan.lead)
-                if behind is not None:
-                    behind = behind.on(Passed(plan, known, found))
-                return _belief(plan, step, found, log_evidence, status, PREDICTED, behind)
+            ordinary = self._predicted(belief, inputs)
+            if ordinary is not None:
+                return ordinary
         plan = self._ahead(belief, inputs)
         carried = careful.predict(plan, step, _careful(belief, plan))
         log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
         status = _nothing_to_iterate(plan.lead)
         behind = None if behind is None else behind.on(None)
         return _carried(plan, step, carried, log_evidence, status, PREDICTED, behind)
+
+    def _predicted(
+        self, belief: OnlineBelief, inputs: Mapping[Variable, Any]
+    ) -> OnlineBelief | None:
+        """The belief one step later, in float64; None where that has too few digits."""
+        step, behind = belief.step + 1, belief.behind
+        laid = None if belief.lead else self._motions.motion(belief, inputs)
+        if laid is None:
+            chain = MomentChain(self._ahead(belief, inputs), ONCE, keep=False)
+            ats = chain.motion(1)
+        else:
+            chain, ats = laid
+        if isinstance(behind, Trail):
+            chain = trailing(chain.plan, ats)
+        plan, known = chain.plan, _moments(belief, chain.plan)
+        found = chain.predicted(ats, step, known)
+        if not _is_moderate(found, found):
+            if not np.isfinite(found.mean.sum() + found.cov.sum()):
+                MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
+                _refuse(step)
+            return None
+        log_evidence, status = belief.log_evidence, _DONE
+        if laid is None:
+            log_evidence = np.broadcast_to(log_evidence, plan.lead)
+            status = _nothing_to_iterate(plan.lead)
+        if isinstance(behind, Trail):
+            behind = behind.on(Passed(plan, known, found))
+        return _belief(plan, step, found, log_evidence, status, PREDICTED, behind)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of a prediction, its inputs checked."""
@@ -281,7 +289,7 @@ class OnlineFilter(Immutable):
                 found, log_density = chain.taken(parts, belief.step, known)
             except NumericalError:
                 return None  # with twice the digits there may be an answer; if not, it is refused
-        if not (gaussian.is_regular(found.cov, known.cov, _REGULAR) and _is_near(found)):
+        if not _is_moderate(found, known):
             return None
         if belief.lead or plan.lead:
             log_evidence = np.asarray(
@@ -289,8 +297,6 @@ class OnlineFilter(Immutable):
             )
         else:
             log_evidence = np.array(belief.log_evidence.item() + float(log_density))
-        if (laid is None or not parts) and not _is_finite(found):
-            _refuse(belief.step)
         if chain.residuals or plan.lead:
             status = Status.of(chain.residuals, chain.converged, plan.lead)
         else:
@@ -372,23 +378,9 @@ def _moments(belief: OnlineBelief, plan: ChainPlan) -> Moments:
     return Moments.of(plan, _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
 
 
-def _is_near(found: Moments) -> bool:
-    """Whether rounding of means is little beside their deviations."""
-    mean, variances = found.mean, np.einsum("ii...->i...", found.cov)
-    if mean.ndim > 1:
-        return bool(((mean * mean < certificate.FAR * variances) | (variances <= 0.0)).all())
-    for value, variance in zip(mean.tolist(), variances.tolist(), strict=True):
-        if value * value > certificate.FAR * variance > 0.0:
-            return False
-    return True
-
-
-def _is_finite(found: Moments) -> bool:
-    """Whether all numbers are finite, of one run's mean alone: its covariance is regular."""
-    if found.mean.ndim > 1:
-        return bool(np.isfinite(found.mean.sum() + found.cov.sum()))
-    # A sum of few numbers tells it most quickly.
-    return isfinite(sum(found.mean.tolist()))
+def _is_moderate(found: Moments, before: Moments) -> bool:
+    """Whether float64 has digits enough for a belief, after an earlier one."""
+    return gaussian.is_moderate(found.mean, found.cov, before.cov, _REGULAR, certificate.FAR)
 
 
 def _is_plain(belief: OnlineBelief) -> bool:
