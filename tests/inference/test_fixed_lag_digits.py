@@ -158,3 +158,41 @@ def test_joints_in_twice_the_digits():
     belief = found.joint(x.at(1), x.at(3))
     assert_means(belief.mean, mean, cov, 1e-8)
     assert_covs(belief.cov, cov, 1e-8)
+
+
+@pytest.mark.parametrize("way", ["offline", "online"])
+def test_a_window_begins_in_the_digits_in_which_it_was_left(way):
+    """A belief that looks ordinary in float64, whose variance later readings divide by 10¹³."""
+    both = pgm.Variable("both", components=("sum", "difference"))
+    see = np.array([[1.0, 1.0], [1.0, 1.0 + 2.0**-27]])
+    roll, wide, noise = [[1.0, 1.0], [0.0, 1.0]], np.diag([2.0**27, 2.0**30]), 2.0**-16 * I2
+    values = np.array([[3.0, 2.96875], [np.nan, np.nan], [7.0, 7.015625], [9.0, 8.984375]])
+    prior, move, sensor = (
+        pgm.GaussianCPD(x, [0.0, 0.0], wide),
+        pgm.LinearGaussianCPD(x, {x.previous: roll}, cov=O2),
+        pgm.LinearGaussianCPD(both, {x: see}, cov=noise),
+    )
+    linear = pgm.DynamicBayesianNetwork([prior], [move], [sensor])
+    rows = [(both, k, list(value), {}) for k, value in enumerate(values) if k != 1]
+    joint = exact_linear(linear, 3, {}, rows).joint
+    mean, cov = joint[(x.at(1),)]
+    if way == "online":
+        robot = pgm.OnlineFilter(linear, schedule=pgm.FixedLag(2, iterations=2))
+        belief = robot.initial()
+        for step, value in enumerate(values):
+            belief = robot.update(robot.predict(belief) if step else belief, {both: value})
+        found, status = belief.lagged[x], belief.status
+    else:
+        seen = pgm.NonlinearGaussianCPD(
+            both,
+            (x,),
+            lambda x: x @ see.T,
+            noise,
+            jacobian={x: lambda x: np.broadcast_to(see, (*x.shape[:-1], 2, 2))},
+        )
+        model = linear.replace(observation=[seen])
+        evidence = {both: pgm.sightings(values, step=np.arange(4))}
+        posterior = pgm.smooth(model, evidence, lag=2, iterations=3, steps=3)
+        found, status = posterior[x.at(1)], posterior.status
+    assert_belief(found, np.array(mean, float), np.array(cov, float), 1e-8)
+    assert status.digits > 7

@@ -377,6 +377,18 @@ REFUSALS = [
         "begin with initial()",
     ),
     refusal(
+        "a belief of a filter with another lag",
+        lambda: made(pgm.FixedLag(3))[0].predict(made(ONCE)[1], MOVE),
+        pgm.ModelError,
+        "is no belief to go on from with FixedLag(lag=3",
+    ),
+    refusal(
+        "a belief of a filter with other iterations",
+        lambda: made(pgm.FixedLag(2, iterations=3))[0].update(made(AGAIN)[1], {z: seen(3)}),
+        pgm.ModelError,
+        "is no belief to go on from with FixedLag(lag=2, iterations=3",
+    ),
+    refusal(
         "other runs",
         more_runs,
         pgm.EvidenceError,

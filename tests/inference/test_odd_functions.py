@@ -1,6 +1,7 @@
 """Functions that lose a number, wrap an angle, reuse their result: one run, many, and online."""
 
 import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -267,6 +268,44 @@ def test_a_function_that_changes_its_argument_is_refused(rule):
     robot = pgm.OnlineFilter(model, RULES[rule])
     with pytest.raises(pgm.ModelError, match=r"trial call .* read-only"):
         robot.predict(robot.initial(), {u: [1.0, 0.1]})
+
+
+@pytest.mark.parametrize("what", ["function", "jacobian"])
+@pytest.mark.parametrize("runs", [(), (2,), (40,)])
+@rules
+def test_a_function_that_changes_its_argument_at_times_is_refused(rule, runs, what):
+    """A trial call does not see it; the belief would be another one."""
+    level, flow = pgm.variables("level flow")
+
+    def clipped(level):
+        if (level < 0.0).any():
+            level[level < 0.0] = 0.0
+        return np.sqrt(np.maximum(level, 0.0) + 1.0)
+
+    def right(level):
+        return np.sqrt(np.maximum(level, 0.0) + 1.0)
+
+    def slope(level):
+        return 0.5 * np.where(level > 0.0, 1.0 / right(level), 0.0)[..., None]
+
+    def clipped_slope(level):
+        clipped(level)
+        return slope(level)
+
+    taken = (clipped, slope) if what == "function" else (right, clipped_slope)
+    if what == "jacobian" and "taylor" not in rule:
+        return
+    function, derivative = taken
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(level, 1.0, 1.0)],
+        [pgm.LinearGaussianCPD(level, {level.previous: 1.0}, offset=[-1.0], cov=0.5)],
+        [pgm.NonlinearGaussianCPD(flow, level, function, 0.1, jacobian={level: derivative})],
+    )
+    evidence = {flow: np.ones((*runs, 4, 1))}
+    for call in (pgm.filter, partial(pgm.smooth, iterations=3)):
+        with pytest.raises(pgm.ModelError, match="read-only") as caught:
+            call(model, evidence, lineariser=RULES[rule])
+        assert caught.value.cpd.child == flow
 
 
 @pytest.mark.parametrize("runs", [(), (40,)])

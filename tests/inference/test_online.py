@@ -340,6 +340,22 @@ def test_sharp_readings_of_what_is_hardly_known_cost_no_digits():
     np.testing.assert_allclose(belief[place].cov, 0.5, rtol=1e-9)
 
 
+@pytest.mark.parametrize("lead", [(), (3,)])
+def test_a_mean_that_goes_far_keeps_its_digits(lead):
+    """At 10¹² float64 has none of a deviation of 10⁻⁶; the belief there says so."""
+    place, push = pgm.variables("place push")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, 0.1, 1e-12)],
+        [pgm.LinearGaussianCPD(place, {place.previous: 1.0, push: 1.0}, cov=0.0)],
+        [],
+    )
+    robot = pgm.OnlineFilter(model)
+    belief = robot.predict(robot.initial(), {push: np.full((*lead, 1), 1e12)})
+    belief = robot.predict(belief, {push: np.full((*lead, 1), -1e12)})
+    np.testing.assert_allclose(belief[place].mean, np.full((*lead, 1), 0.1), rtol=0, atol=1e-13)
+    assert (belief.status.digits > 6).all()
+
+
 # ---- preparation
 
 

@@ -9,7 +9,7 @@ from robots import x
 from zoo import MODELS, SIGHT, T, assert_same, at_step, of, of_run, recording
 
 import pgm
-from pgm.linearisers import ArrayLineariser, Line
+from pgm.linearisers import ArrayLineariser, Line, apart
 
 
 def bare(function, at):
@@ -214,3 +214,65 @@ def test_a_prepared_form_that_returns_something_odd(fault, run):
     with pytest.raises(pgm.LinearisationError, match="returned") as caught:
         pgm.filter(MODELS["plain"], of_run(recording("plain"), run), lineariser=Odd())
     assert caught.value.cpd.child == SIGHT.z
+
+
+@pytest.mark.parametrize("run", [1, slice(None)], ids=["one", "few"])
+@pytest.mark.parametrize("argument", ["mean", "cov"])
+def test_a_prepared_form_that_writes_into_its_arguments(argument, run):
+    class Own(Prepared):
+        def prepare(self, template):
+            def line(function, mean, cov):
+                found = tangent(function, mean.copy(), cov.copy())
+                work = mean if argument == "mean" else cov
+                work -= 1.0
+                return found
+
+            return line
+
+    with pytest.raises(pgm.ModelError, match="read-only"):
+        pgm.filter(MODELS["plain"], of_run(recording("plain"), run), lineariser=Own())
+
+
+@pytest.mark.parametrize("run", [1, slice(None)], ids=["one", "few"])
+@pytest.mark.parametrize("prepared", [False, True], ids=["a callable", "prepared"])
+def test_an_error_that_is_not_symmetric(prepared, run):
+    def error(size):
+        return np.eye(size) + np.triu(np.full((size, size), 0.5), 1)
+
+    def uneven(function, at):
+        found = bare(function, at)
+        return pgm.AffineGaussian(found.F, found.b, error(found.b.shape[-1]))
+
+    class Uneven(Prepared):
+        def prepare(self, template):
+            def line(function, mean, cov):
+                matrix, value, _ = tangent(function, mean, cov)
+                batch = value.shape[1:]
+                spread = np.multiply.outer(error(len(value)), np.ones(batch))
+                return Line(matrix, value, spread)
+
+            return line
+
+    rule = Uneven() if prepared else uneven
+    with pytest.raises(pgm.LinearisationError, match="not symmetric"):
+        pgm.filter(MODELS["plain"], of_run(recording("plain"), run), lineariser=rule)
+
+
+def test_a_single_sighting_apart_is_the_sighting():
+    class Apart(Prepared):
+        def prepare(self, template):
+            return lambda *arguments: apart(tangent, *arguments)
+
+    evidence = of_run(recording("plain"), 1)
+    found = pgm.filter(MODELS["plain"], evidence, lineariser=Apart())
+    due = pgm.filter(MODELS["plain"], evidence, lineariser=Prepared())
+    assert_allclose(found[x].mean, due[x].mean, atol=1e-12)
+
+
+def test_a_need_that_is_no_answer():
+    class Odd(Prepared):
+        needs_cov = "perhaps"
+
+    evidence = of_run(recording("plain"), 1)
+    with pytest.raises(pgm.LinearisationError, match="needs_cov is 'perhaps'; True or False"):
+        pgm.smooth(MODELS["plain"], evidence, lineariser=Odd(), iterations=3)
