@@ -236,3 +236,39 @@ def test_numbers_at_the_ends_of_float64(way):
         except Exception as error:
             raise AssertionError(f"seed {seed}") from error
     assert answered >= 10
+
+
+@pytest.mark.parametrize("way", ["filter", "online"])
+@pytest.mark.parametrize("apart", [1e-7, 1e-8, 0.0])
+def test_an_exact_reading_that_rounding_hides_is_told(apart, way):
+    """All but a repetition, it would determine the state; a repetition says nothing."""
+    state, sharp = pgm.Variable("state", ("a", "b")), pgm.Variable("sharp")
+    exact, truth = pgm.Variable("exact", ("p", "q")), np.array([1.1, 0.37])
+    see, know = np.array([[1.0, 2.0]]), np.array([[1.0, -2.0], [1.0 + apart, -2.0]])
+    nothing = np.zeros((2, 2))
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(state, [0.0, 0.0], np.diag([1e8, 1e6]))],
+        [pgm.LinearGaussianCPD(state, {state.previous: 1.0}, cov=nothing)],
+        [
+            pgm.LinearGaussianCPD(sharp, {state: see}, cov=1e-13),
+            pgm.LinearGaussianCPD(exact, {state: know}, cov=nothing),
+        ],
+    )
+
+    def run():
+        if way == "filter":
+            values = {sharp: see @ truth, exact: know @ truth}
+            seen = {z: pgm.sightings([value], step=[0]) for z, value in values.items()}
+            return pgm.filter(model, seen, steps=0)
+        robot = pgm.OnlineFilter(model)
+        belief = robot.update(robot.initial(), {sharp: see @ truth})
+        return robot.update(belief, {exact: know @ truth})
+
+    if apart:
+        with pytest.warns(pgm.PrecisionWarning):
+            found = run()
+        assert found.status.digits < 2
+    else:
+        found = run()
+        assert found.status.digits > 6
+    np.testing.assert_allclose(found[state].mean.reshape(-1), truth, atol=1e-6)

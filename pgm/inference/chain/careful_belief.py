@@ -313,6 +313,10 @@ def take(
     indefinite = bool(negative) or not np.isfinite(floor).all()
     # What the belief leaves open may be rounding alone; the noise is none.
     open_ = spread.hi > CLEAR * floor
+    # And still say more of a component than rounding does, which would then be lost.
+    said = np.sqrt(np.maximum(variances(rounding) * blurred[:, None], 0.0))
+    said = said + ROUNDING * (np.abs(cov.hi) @ np.abs(row.hi)[..., None])[..., 0]
+    said = (np.abs(cross.hi) > CLEAR * said) & ~open_[:, None]
     cross = twofold.where(open_[:, None], cross, 0.0)
     predictive = twofold.where(open_, spread, 0.0) + noise
     # A lineariser's error may be negative, and take more than there is.
@@ -334,6 +338,7 @@ def take(
     moved = blur * missed + ROUNDING * (mean + np.abs(gain.hi) * added[:, None])
     unheard = np.where(read & ~open_, CLEAR * floor * weight.hi**2, 0.0)[:, None]
     moved = moved + np.sqrt(unheard * variance) * missed
+    moved = moved + np.where(said & (seen & ~read)[:, None], np.sqrt(variance), 0.0)
     # A noise that S does not tell from rounding leaves no digit of what float64 tells at all.
     untold = read & (noise.hi > 0.0) & (noise.hi < CLEAR * summed)
     if untold.any():

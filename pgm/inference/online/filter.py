@@ -158,9 +158,9 @@ class OnlineFilter(Immutable):
         plan = self._plan(BoundEvidence(0, lead, (), ()), 0, prior=True)
         found = MomentChain(plan, ONCE, keep=False).start()
         log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
-        if _is_moderate(found, found):
-            return _belief(plan, 0, found, log_evidence, status, PREDICTED, self._behind)
         carried = careful.start(plan, linearise=True)
+        if _is_moderate(found, found):
+            return _belief(plan, 0, found, log_evidence, status, PREDICTED, self._behind, carried)
         return _carried(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
 
     @_quiet
