@@ -108,10 +108,11 @@ class CPD(Immutable):
 
               ln N(y; f, R) = −½ (rᵀ R⁻¹ r + ln |2πR|),    r = y − f,
 
-          the residual r of components that are angles wrapped to [−π, π). Where R is singular, it
-          is the density of the components that those before them leave free (by their order, then),
-          and −∞ where one of the others is not what these make it by more than rounding: 1e-9 of y
-          and f, or 1e-6 of its standard deviation. With R = 0 it is 0 at f, −∞ elsewhere.
+          the residual r of components that are angles wrapped to [−π, π), or as it is where a
+          singular R rules the wrapped one out. Where R is singular, it is the density of the
+          components that those before them leave free (by their order, then), and −∞ where one of
+          the others is not what these make it by more than rounding: 1e-9 of y and f, or 1e-6 of
+          its standard deviation. With R = 0 it is 0 at f, −∞ elsewhere.
         - Of a table, its entry's logarithm; −∞ where the entry is zero.
 
         Parameters

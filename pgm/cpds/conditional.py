@@ -63,25 +63,20 @@ class ConditionalGaussian(CPD):
         """The parents that the noise covariance depends on."""
         return self.cov.given if isinstance(self.cov, Noise) else ()
 
+    @quiet()  # what is too far off to be squared has no density that float64 can hold
     def _log_density(self, child: Values, known: Known) -> Array:
         mean, lower = self._law(known)
-        center = unflat(mean, known.lead, 1)
-        with quiet():  # what is too far off to be squared has no density that float64 can hold
-            residual = difference(child, center, self.child.angle_mask)
-            if lower.ndim == 2:
-                points = -1, self.child.dimension
-            else:
-                lower = unflat(lower, known.lead, 2)
-                points = *residual.shape[:-1], 1, self.child.dimension
-            white, left = normal.whitened(lower, residual.reshape(points))
-            value = normal.log_density(lower, white)
-            if left is not None:
-                error = normal.INEXACT * (np.abs(child) + np.abs(center))
-                error = error + ROUNDING * unflat(self._summed(known.values), known.lead, 1)
-                error = np.broadcast_to(error, residual.shape).reshape(points)
-                value = np.where(normal.off(lower, left, error), -np.inf, value)
-        value = np.where(np.isnan(value), -np.inf, value) + 0.0  # no -0
-        return value.reshape(residual.shape[:-1])
+        center, angles = unflat(mean, known.lead, 1), self.child.angle_mask
+        if lower.ndim > 2:
+            lower = unflat(lower, known.lead, 2)
+        error = normal.INEXACT * (np.abs(child) + np.abs(center))
+        error = error + ROUNDING * unflat(self._summed(known.values), known.lead, 1)
+        value = _log_density(lower, difference(child, center, angles), error)
+        if angles.any() and roots.determined(lower).any():
+            # Wrapped, an angle may leave the subspace on which the noise is.
+            there = _log_density(lower, child - center, error)
+            value = np.where(np.isneginf(value), there, value)
+        return value
 
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
         mean, lower = self._law(known)
@@ -135,3 +130,16 @@ class ConditionalGaussian(CPD):
         if isinstance(self.cov, Noise):
             placed["cov"] = Noise(self.cov.function, tuple(v.at(step) for v in self.cov.given))
         return placed
+
+
+def _log_density(lower: Array, residual: Array, error: Array) -> Array:
+    """The value ln N(r; 0, L Lᵀ), (...); −∞ where r is off its subspace by more than an error."""
+    size = residual.shape[-1]
+    points = (-1, size) if lower.ndim == 2 else (*residual.shape[:-1], 1, size)
+    white, left = normal.whitened(lower, residual.reshape(points))
+    value = normal.log_density(lower, white)
+    if left is not None:
+        error = np.broadcast_to(error, residual.shape).reshape(points)
+        value = np.where(normal.off(lower, left, error), -np.inf, value)
+    value = np.where(np.isnan(value), -np.inf, value) + 0.0  # no -0
+    return value.reshape(residual.shape[:-1])

@@ -210,6 +210,17 @@ def test_singular_noise_has_the_density_of_what_it_leaves_free(rank, seed):
         assert_array_equal(cpd.log_density(away), -np.inf)
 
 
+def test_draws_of_an_angle_beside_what_it_determines_have_a_density():
+    """Some turn by more than half, where the wrapped residual is off the line of the noise."""
+    turned = pgm.Variable("turned", components=("heading", "drift"), angles=("heading",))
+    cpd = pgm.GaussianCPD(turned, [0.0, 0.0], [[9.0, 9.0], [9.0, 9.0]])
+    draws = cpd.sample(size=2000, rng=0)
+    assert (np.abs(draws[:, 0]) > np.pi).any()
+    due = -0.5 * (draws[:, 0] ** 2 / 9.0 + np.log(2 * np.pi * 9.0))
+    assert_allclose(cpd.log_density(draws), due, rtol=1e-9)
+    assert_array_equal(cpd.log_density(draws + np.array([0.0, 1e-3])), -np.inf)
+
+
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("far", [0.0, 1e4])
 def test_draws_of_others_lie_on_the_subspace(scale, far):

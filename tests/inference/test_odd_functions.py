@@ -328,3 +328,22 @@ def test_a_prediction_that_a_rule_makes_indefinite_is_refused(runs):
     assert (belief[y].std > 0.0).all()
     with pytest.raises(pgm.NumericalError, match=words):
         robot.predict(robot.initial(), {v: large[..., 0, :]})
+
+
+def test_an_error_that_is_not_finite_is_named_online_too():
+    """A rule's covariance of NaN, told as NaN and not as indefinite."""
+    y = pgm.Variable("y")
+
+    def lost(function, at):
+        slope, value = function.jacobian(at.mean), function(at.mean)
+        return pgm.AffineGaussian(slope, value - slope @ at.mean, np.full((1, 1), np.nan))
+
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(y, 0.0, 1.0)],
+        [pgm.NonlinearGaussianCPD(y, y.previous, lambda y: 1.0 * y, 1.0)],
+        [],
+    )
+    robot = pgm.OnlineFilter(model, lineariser=lost)
+    with pytest.raises(pgm.LinearisationError, match="NaN or infinite") as caught:
+        robot.predict(robot.initial())
+    assert caught.value.cpd.child == y

@@ -68,19 +68,15 @@ def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
 
     With `finite`, one that is not finite too.
     """
-    family = link.family
-    if finite and not np.isfinite(cov).all():
-        fault = (
-            "not finite; are the belief before it, its inputs and its noise of a size that float64 "
-            "can hold?"
-        )
-    elif family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2))):
+    family, whole = link.family, bool(np.isfinite(cov).all())
+    proper = family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2)))
+    if proper and (whole or not finite):
         return
-    else:
-        fault = (
-            f"indefinite with {family.lineariser!r}; use a rule with positive weights or more "
-            "samples"
-        )
+    fault = "not finite; are the belief before it, its inputs and its noise of a size that float64"
+    fault += " can hold?"
+    if whole:
+        fault = f"indefinite with {family.lineariser!r}; use a rule with positive weights or more"
+        fault += " samples"
     raise NumericalError(
         f"{family.cpd!r}: the predicted covariance at step {step} is {fault}",
         variable=family.cpd.child,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, NoReturn
 
@@ -23,6 +23,7 @@ from pgm.inference.online import step_evidence
 from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.step_evidence import Layouts
 from pgm.inference.online.window import Passed, Sliding, Trail, trailing
+from pgm.inference.rows import At
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.inference.status import Status, digits
 from pgm.kernels import gaussian
@@ -214,10 +215,14 @@ class OnlineFilter(Immutable):
         if isinstance(behind, Trail):
             chain = trailing(chain.plan, ats)
         plan, known = chain.plan, _moments(belief, chain.plan)
-        found = chain.predicted(ats, step, known)
+        try:
+            found = chain.predicted(ats, step, known)
+        except NumericalError:
+            _look(plan, ats, step, known)
+            raise
         if not _is_moderate(found, found):
             if not np.isfinite(found.mean.sum() + found.cov.sum()):
-                MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
+                _look(plan, ats, step, known)
                 _refuse(step)
             return None
         log_evidence, status = belief.log_evidence, _DONE
@@ -381,6 +386,11 @@ def _moments(belief: OnlineBelief, plan: ChainPlan) -> Moments:
 def _is_moderate(found: Moments, before: Moments) -> bool:
     """Whether float64 has digits enough for a belief, after an earlier one."""
     return gaussian.is_moderate(found.mean, found.cov, before.cov, _REGULAR, certificate.FAR)
+
+
+def _look(plan: ChainPlan, ats: Sequence[At], step: int, known: Moments) -> None:
+    """Predict again with a look at every number, to name the CPD that has one not finite."""
+    MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
 
 
 def _is_plain(belief: OnlineBelief) -> bool:
