@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NoReturn
+
+import numpy as np
 
 from pgm.compile import SliceLayout
-from pgm.errors import EvidenceError
+from pgm.errors import EvidenceError, NumericalError
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
-from pgm.inference.chain.careful_belief import Belief
+from pgm.inference.chain import certificate
+from pgm.inference.chain.careful_belief import Belief, over
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.readings import Moments
 from pgm.inference.kind import Kind
 from pgm.inference.online.window import Sliding, Trail
 from pgm.inference.posterior import require_variable
-from pgm.inference.status import Status
+from pgm.inference.status import Status, digits
+from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array, block, symmetric
 from pgm.variables import Variable
+
+# The share of its variance below which a component counts as determined.
+_REGULAR = 1.0 / certificate.MODERATE
 
 
 class OnlineBelief(Immutable):
@@ -120,3 +130,79 @@ class OnlineBelief(Immutable):
 
     def __repr__(self) -> str:
         return f"OnlineBelief({self.kind}, step {self.step}, over {list(self.layout.slice)})"
+
+
+def belief_of(
+    plan: ChainPlan,
+    step: int,
+    found: Moments,
+    log_evidence: Array,
+    status: Status,
+    kind: Kind,
+    behind: Trail | Sliding | None,
+    careful: Belief | None = None,
+) -> OnlineBelief:
+    """A belief with the runs as the user's axes."""
+    lead, (mean, cov, _) = plan.lead, found
+    if lead:
+        mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in found.by_run)
+    told = log_evidence, status, kind, careful, behind
+    return OnlineBelief(step, plan.layout, lead, mean, cov, *told)
+
+
+def careful_belief(
+    plan: ChainPlan,
+    step: int,
+    found: Belief,
+    log_evidence: Array,
+    status: Status,
+    kind: Kind,
+    behind: Trail | None,
+) -> OnlineBelief:
+    """A belief in twice the digits, whose status tells how many it has."""
+    mean, cov = found.moments
+    if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
+        refuse(step)
+    status = status.with_digits(digits(found.error(), plan.lead))
+    parts = Moments.of(plan, mean, cov), log_evidence, status, kind, behind, found
+    return belief_of(plan, step, *parts)
+
+
+def moments_of(belief: OnlineBelief, plan: ChainPlan) -> Moments:
+    """Moments for the runs of a plan."""
+    if not plan.lead:
+        return Moments(belief.mean, belief.cov)
+    return Moments.of(plan, _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
+
+
+def in_digits(belief: OnlineBelief, plan: ChainPlan) -> Belief:
+    """A belief in twice the digits, for the runs of a plan."""
+    if belief.careful is None:
+        return Belief.of(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
+    found: Belief = over(belief.careful, belief.lead, plan.lead)
+    return found
+
+
+def is_plain(belief: OnlineBelief) -> bool:
+    """Whether float64 can carry a belief."""
+    return belief.careful is None or certificate.is_ordinary(belief.mean, belief.cov)
+
+
+def is_moderate(found: Moments, before: Moments) -> bool:
+    """Whether float64 has digits enough for a belief, after an earlier one."""
+    return gaussian.is_moderate(found.mean, found.cov, before.cov, _REGULAR, certificate.FAR)
+
+
+def refuse(step: int) -> NoReturn:
+    """Refuse a belief that is not finite."""
+    raise NumericalError(
+        f"the belief at step {step} or its log-evidence is not finite: numbers of the model or the "
+        "evidence are larger, or further apart, than float64 can hold; give them in other units",
+        step=step,
+    )
+
+
+def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
+    """A belief's array for the runs of a plan, as one axis."""
+    rest = array.shape[-own:]
+    return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)

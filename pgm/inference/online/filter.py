@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -12,28 +12,33 @@ from pgm.compile import compile
 from pgm.errors import ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
-from pgm.inference.chain import careful, certificate
-from pgm.inference.chain.careful_belief import Belief, over
+from pgm.inference.chain import careful
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
-from pgm.inference.kind import FILTERED, PREDICTED, Kind
+from pgm.inference.kind import FILTERED, PREDICTED
 from pgm.inference.online import step_evidence
-from pgm.inference.online.beliefs import OnlineBelief
+from pgm.inference.online.beliefs import (
+    OnlineBelief,
+    belief_of,
+    careful_belief,
+    in_digits,
+    is_moderate,
+    is_plain,
+    moments_of,
+    refuse,
+)
 from pgm.inference.online.step_evidence import Layouts
 from pgm.inference.online.window import Passed, Sliding, Trail, trailing
 from pgm.inference.rows import At
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.inference.status import Status, digits
-from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
-# The share of its variance below which a component counts as determined.
-_REGULAR = 1.0 / certificate.MODERATE
 # Of one robot: nothing was to iterate, and linearised once.
 _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged in (True, False))
 # Numbers too large for float64 are refused where they end up, so that NumPy need not warn. A
@@ -160,9 +165,9 @@ class OnlineFilter(Immutable):
         found = MomentChain(plan, ONCE, keep=False).start()
         log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
         carried = careful.start(plan, linearise=True)
-        if _is_moderate(found, found):
-            return _belief(plan, 0, found, log_evidence, status, PREDICTED, self._behind, carried)
-        return _carried(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
+        if is_moderate(found, found):
+            return belief_of(plan, 0, found, log_evidence, status, PREDICTED, self._behind, carried)
+        return careful_belief(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
 
     @_quiet
     def predict(
@@ -190,16 +195,16 @@ class OnlineFilter(Immutable):
             bound = step_evidence.inputs(self.model, belief, inputs)
             behind = behind.on(self._windows, bound.transition, bound.lead)
             return self._slid(step, behind, np.broadcast_to(belief.log_evidence, bound.lead))
-        if _is_plain(belief):
+        if is_plain(belief):
             ordinary = self._predicted(belief, inputs)
             if ordinary is not None:
                 return ordinary
         plan = self._ahead(belief, inputs)
-        carried = careful.predict(plan, step, _careful(belief, plan))
+        carried = careful.predict(plan, step, in_digits(belief, plan))
         log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
         status = _nothing_to_iterate(plan.lead)
         behind = None if behind is None else behind.on(None)
-        return _carried(plan, step, carried, log_evidence, status, PREDICTED, behind)
+        return careful_belief(plan, step, carried, log_evidence, status, PREDICTED, behind)
 
     def _predicted(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any]
@@ -214,16 +219,16 @@ class OnlineFilter(Immutable):
             chain, ats = laid
         if isinstance(behind, Trail):
             chain = trailing(chain.plan, ats)
-        plan, known = chain.plan, _moments(belief, chain.plan)
+        plan, known = chain.plan, moments_of(belief, chain.plan)
         try:
             found = chain.predicted(ats, step, known)
         except NumericalError:
             _look(plan, ats, step, known)
             raise
-        if not _is_moderate(found, found):
+        if not is_moderate(found, found):
             if not np.isfinite(found.mean.sum() + found.cov.sum()):
                 _look(plan, ats, step, known)
-                _refuse(step)
+                refuse(step)
             return None
         log_evidence, status = belief.log_evidence, _DONE
         if laid is None:
@@ -231,7 +236,7 @@ class OnlineFilter(Immutable):
             status = _nothing_to_iterate(plan.lead)
         if isinstance(behind, Trail):
             behind = behind.on(Passed(plan, known, found))
-        return _belief(plan, step, found, log_evidence, status, PREDICTED, behind)
+        return belief_of(plan, step, found, log_evidence, status, PREDICTED, behind)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of a prediction, its inputs checked."""
@@ -263,18 +268,18 @@ class OnlineFilter(Immutable):
             bound = step_evidence.readings(self.model, belief, readings)
             behind = behind.read(self._windows, bound.readings, bound.lead)
             return self._slid(belief.step, behind, belief.log_evidence)
-        if _is_plain(belief):
+        if is_plain(belief):
             ordinary = self._updated(belief, readings)
             if ordinary is not None:
                 return ordinary
         plan = self._seen(belief, readings)
-        known = _careful(belief, plan)
+        known = in_digits(belief, plan)
         found, taken = careful.update(plan, belief.step, known, self._filtering)
         log_density = taken.solution.log_density.reshape(plan.lead)
         log_evidence = np.asarray(belief.log_evidence + log_density)
         status = Status.of(taken.residuals, taken.converged, plan.lead)
         behind = None if behind is None else behind._replace(imprecise=True)
-        return _carried(plan, belief.step, found, log_evidence, status, FILTERED, behind)
+        return careful_belief(plan, belief.step, found, log_evidence, status, FILTERED, behind)
 
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
@@ -286,7 +291,7 @@ class OnlineFilter(Immutable):
             parts = chain.readings(0)
         else:
             chain, parts = laid
-        plan, known = chain.plan, _moments(belief, chain.plan)
+        plan, known = chain.plan, moments_of(belief, chain.plan)
         log_density: Array | float = 0.0
         found = known
         if parts:
@@ -294,7 +299,7 @@ class OnlineFilter(Immutable):
                 found, log_density = chain.taken(parts, belief.step, known)
             except NumericalError:
                 return None  # with twice the digits there may be an answer; if not, it is refused
-        if not _is_moderate(found, known):
+        if not is_moderate(found, known):
             return None
         if belief.lead or plan.lead:
             log_evidence = np.asarray(
@@ -306,7 +311,7 @@ class OnlineFilter(Immutable):
             status = Status.of(chain.residuals, chain.converged, plan.lead)
         else:
             status = _DONE if plan.linear else _LINEARISED
-        return _belief(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
+        return belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its readings checked."""
@@ -327,11 +332,11 @@ class OnlineFilter(Immutable):
             status, kind = Status.of(window.residuals, window.converged, lead), FILTERED
             log_evidence = behind.log_evidence.reshape(lead)
         if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
-            _refuse(step)
+            refuse(step)
         if error is not None:
             status = status.with_digits(digits(error, lead))
         found = Moments.of(plan, mean, cov)
-        return _belief(plan, step, found, log_evidence, status, kind, behind)
+        return belief_of(plan, step, found, log_evidence, status, kind, behind)
 
     def _windows(self, bound: BoundEvidence, first: int, prior: bool) -> ChainPlan:
         """The plan of a window."""
@@ -370,81 +375,6 @@ def _nothing_to_iterate(lead: tuple[int, ...]) -> Status:
     return Status(1, np.empty((0, *lead)), np.ones(lead, dtype=bool))
 
 
-def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
-    """A belief's array for the runs of a plan, as one axis."""
-    rest = array.shape[-own:]
-    return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)
-
-
-def _moments(belief: OnlineBelief, plan: ChainPlan) -> Moments:
-    """Moments for the runs of a plan."""
-    if not plan.lead:
-        return Moments(belief.mean, belief.cov)
-    return Moments.of(plan, _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
-
-
-def _is_moderate(found: Moments, before: Moments) -> bool:
-    """Whether float64 has digits enough for a belief, after an earlier one."""
-    return gaussian.is_moderate(found.mean, found.cov, before.cov, _REGULAR, certificate.FAR)
-
-
 def _look(plan: ChainPlan, ats: Sequence[At], step: int, known: Moments) -> None:
     """Predict again with a look at every number, to name the CPD that has one not finite."""
     MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
-
-
-def _is_plain(belief: OnlineBelief) -> bool:
-    """Whether float64 can carry a belief."""
-    return belief.careful is None or certificate.is_ordinary(belief.mean, belief.cov)
-
-
-def _careful(belief: OnlineBelief, plan: ChainPlan) -> Belief:
-    """A belief in twice the digits, for the runs of a plan."""
-    if belief.careful is None:
-        return Belief.of(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
-    found: Belief = over(belief.careful, belief.lead, plan.lead)
-    return found
-
-
-def _carried(
-    plan: ChainPlan,
-    step: int,
-    found: Belief,
-    log_evidence: Array,
-    status: Status,
-    kind: Kind,
-    behind: Trail | None,
-) -> OnlineBelief:
-    """A belief in twice the digits, whose status tells how many it has."""
-    mean, cov = found.moments
-    if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
-        _refuse(step)
-    status = status.with_digits(digits(found.error(), plan.lead))
-    parts = Moments.of(plan, mean, cov), log_evidence, status, kind, behind, found
-    return _belief(plan, step, *parts)
-
-
-def _refuse(step: int) -> NoReturn:
-    raise NumericalError(
-        f"the belief at step {step} or its log-evidence is not finite: numbers of the model or the "
-        "evidence are larger, or further apart, than float64 can hold; give them in other units",
-        step=step,
-    )
-
-
-def _belief(
-    plan: ChainPlan,
-    step: int,
-    found: Moments,
-    log_evidence: Array,
-    status: Status,
-    kind: Kind,
-    behind: Trail | Sliding | None,
-    careful: Belief | None = None,
-) -> OnlineBelief:
-    """A belief with the runs as the user's axes."""
-    lead, (mean, cov, _) = plan.lead, found
-    if lead:
-        mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in found.by_run)
-    told = log_evidence, status, kind, careful, behind
-    return OnlineBelief(step, plan.layout, lead, mean, cov, *told)
