@@ -480,6 +480,13 @@ def test_warnings_reach_the_user(kind, workers):
     assert found[0].filename == __file__
 
 
+def test_a_warning_of_many_calls_is_shown_once(workers):
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("default")
+        pgm.filter(network(SIGHT.cpd(function=warning)), recording(), executor=workers["processes"])
+    assert [str(each.message) for each in found] == ["a steep slope"]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("run", [pgm.filter, pgm.smooth])
 def test_runs_that_take_twice_the_digits(run, kind, workers):

@@ -12,6 +12,9 @@ from pgm.errors import ExecutorError, PrecisionWarning
 from pgm.inference.executors.memory import Name, seen
 from pgm.inference.executors.parcels import Parcel, loads
 
+# The warnings of each file that workers have told of.
+_REGISTRIES: dict[str, dict[Any, Any]] = {}
+
 
 class RemoteTraceback(Exception):
     """The traceback of an error of another process, as the cause of the error here."""
@@ -39,8 +42,9 @@ class Done(NamedTuple):
 
     def result(self) -> Any:
         """The value; or the error is raised."""
-        for warning in self.warned:
-            warnings.warn_explicit(*warning)
+        for message, category, file, line in self.warned:
+            registry = _REGISTRIES.setdefault(file, {})  # so that a filter may show it once
+            warnings.warn_explicit(message, category, file, line, registry=registry)
         if self.error is None:
             return self.value
         raise self.error from self.error.__cause__ or (
