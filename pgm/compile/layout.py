@@ -26,7 +26,7 @@ class Place(NamedTuple):
     parents : Index
         Where these stand.
     child : slice
-        Where its child stands; nowhere, if it is a reading.
+        Where its child stands; nowhere, if it is a measurement.
     angles, before : ndarray of int
         The child's components that are angles, and where those of the step before stand; empty
         where the child does not depend on itself.

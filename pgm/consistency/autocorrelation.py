@@ -24,7 +24,7 @@ class Whiteness:
     lags : ndarray of int
         (L,): 1 and up, counted in steps at which the sensor was read.
     autocorrelation : ndarray
-        (L,), in [−1, 1]; NaN where no two readings are that far apart.
+        (L,), in [−1, 1]; NaN where no two measurements are that far apart.
     band : ndarray
         (L,): its size stays below with the confidence asked for, at each lag by itself.
     statistic : float
@@ -60,12 +60,12 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
         \rho_l = \frac{\sum p_l}{\sqrt{\sum |w_t|^2 \sum |w_{t+l}|^2}}
 
     Sums are over steps and runs. Innovations of an exact filter are independent from step to
-    step; its ρ_l has the variance Σ p_l² / (Σ |w_t|² Σ |w_{t+l}|²), which for one reading a step
-    tends to 1/N, N the number of products of components summed. Several readings of one step
-    share its prediction: the variance above allows for it. The k-th reading of a step meets the
-    k-th of a later one, so that sightings of several landmarks are best given in one order.
-    After iterating, innovations are those of the last linearisation, z − (F x⁻ + b) at the
-    predicted mean x⁻, not z − h(x⁻): they have seen the reading that they are innovations of.
+    step; its ρ_l has the variance Σ p_l² / (Σ |w_t|² Σ |w_{t+l}|²), which for one measurement a
+    step tends to 1/N, N the number of products of components summed. Several measurements of one
+    step share its prediction: the variance above allows for it. The k-th measurement of a step
+    meets the k-th of a later one, so that sightings of several landmarks are best given in one
+    order. After iterating, innovations are those of the last linearisation, z − (F x⁻ + b) at the
+    predicted mean x⁻, not z − h(x⁻): they have seen the measurement that they are innovations of.
 
     Parameters
     ----------
@@ -79,8 +79,8 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
     Raises
     ------
     ModelError
-        If there are no more steps with readings than lags, or no run was read at two of them; or
-        if an argument is not what it should be.
+        If there are no more steps with measurements than lags, or no run was read at two of them;
+        or if an argument is not what it should be.
 
     References
     ----------
@@ -91,8 +91,8 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
     check_count("lags", lags)
     if lags >= len(white):
         raise ModelError(
-            f"lags = {lags} for readings at {len(white)} steps; ask for fewer than there are "
-            "steps with readings"
+            f"lags = {lags} for measurements at {len(white)} steps; ask for fewer than there are "
+            "steps with measurements"
         )
     z = normal(confidence)
     correlation, deviation = np.array(
@@ -102,6 +102,6 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
     statistic = float(np.sum((correlation[known] / deviation[known]) ** 2))
     dof = int(known.sum())
     if not dof:
-        raise ModelError(f"no run was read at two steps {lags} or fewer readings apart")
+        raise ModelError(f"no run was read at two steps {lags} or fewer measurements apart")
     limit = float(chi_squared(confidence, dof))
     return Whiteness(np.arange(1, lags + 1), correlation, z * deviation, statistic, dof, limit)

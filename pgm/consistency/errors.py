@@ -205,7 +205,7 @@ def nis(innovations: Innovations) -> Array:
 
     χ² for a right model, its degrees the number of components read, ``innovations.dof``. After
     iterating, innovations are those of the last linearisation, z − (F x⁻ + b) at the predicted
-    mean x⁻, not z − h(x⁻): they have seen the reading that they are innovations of.
+    mean x⁻, not z − h(x⁻): they have seen the measurement that they are innovations of.
 
     Parameters
     ----------

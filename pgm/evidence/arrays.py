@@ -34,7 +34,7 @@ def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
         variable=variable,
     )
     if axis == "M" and array.shape == (0,):
-        array = np.empty((0, variable.dimension))  # no readings, written as []
+        array = np.empty((0, variable.dimension))  # no measurements, written as []
     if axis is None and array.ndim == 0 and variable.dimension == 1:
         array = array[None]
     hint = "; give a scalar its component axis, value[..., None]" if variable.dimension == 1 else ""
@@ -102,7 +102,7 @@ def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Int
     """The steps of sightings, (M,), in 0..last."""
     if step is None:
         raise EvidenceError(
-            f"sightings of {variable!r} have no steps; give step=, one for each reading",
+            f"sightings of {variable!r} have no steps; give step=, one for each measurement",
             variable=variable,
         )
     array = as_wholes(step, f"sightings of {variable!r}: step", EvidenceError, variable=variable)
@@ -114,8 +114,8 @@ def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Int
         )
     if count is not None and array.shape != (count,):
         raise EvidenceError(
-            f"sightings of {variable!r}: {count} readings with {array.shape[0]} steps; one step "
-            "for each reading was due",
+            f"sightings of {variable!r}: {count} measurements with {array.shape[0]} steps; one "
+            "step for each measurement was due",
             variable=variable,
         )
     outside = array[(array < 0) | (array > last)]

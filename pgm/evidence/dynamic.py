@@ -24,7 +24,7 @@ from pgm.variables import Variable
 # Values of parents with evidence, (rows, runs or 1, d): a row is a step or a sighting.
 Inputs = Mapping[Variable, Array]
 Kind = TypeVar("Kind", np.float64, np.bool_)
-WHOLE = "only a sensor's reading may be missing, or components of it, as NaN"
+WHOLE = "only a sensor's measurement may be missing, or components of it, as NaN"
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ def bind(
     transition_inputs : bool
         Whether the transition is to be used, so that its inputs must be there.
     drawing : bool
-        Whether readings are to be drawn: sightings then have no values.
+        Whether measurements are to be drawn: sightings then have no values.
 
     Raises
     ------
@@ -198,7 +198,7 @@ class _Binder:
             if variable.step is not None and variable.template in known:
                 raise EvidenceError(
                     f"evidence for the single step {variable!r}; give {variable.template!r} an "
-                    "array (..., T, d) of steps 1..T or, where it is a sensor's reading, "
+                    "array (..., T, d) of steps 1..T or, where it is a sensor's measurement, "
                     "sightings with step=",
                     variable=variable,
                     step=variable.step,
@@ -241,13 +241,13 @@ class _Binder:
         for variable, value in self.evidence.items():
             if isinstance(value, Sightings) and variable not in self.sensors:
                 raise EvidenceError(
-                    f"sightings of {variable!r}, which is no sensor's reading; give its values as "
-                    "an array (..., T, d), a constant, or in the sightings' given=",
+                    f"sightings of {variable!r}, which is no sensor's measurement; give its values "
+                    "as an array (..., T, d), a constant, or in the sightings' given=",
                     variable=variable,
                 )
             if isinstance(value, Constant) and variable in self.sensors:
                 raise EvidenceError(
-                    f"a constant reading of {variable!r} does not say at which steps; give an "
+                    f"a constant measurement of {variable!r} does not say at which steps; give an "
                     "array or sightings",
                     variable=variable,
                 )
@@ -331,7 +331,7 @@ class _Binder:
                 rows = as_rows(variable, value, "M")
                 if rows.shape[-2] != step.size:
                     raise EvidenceError(
-                        f"sightings of {cpd.child!r}: {step.size} readings with "
+                        f"sightings of {cpd.child!r}: {step.size} measurements with "
                         f"{rows.shape[-2]} rows of {variable!r}; one for each was due",
                         variable=variable,
                         cpd=cpd,

@@ -64,7 +64,7 @@ def constant(value: npt.ArrayLike) -> Constant:
 def soft(weights: npt.ArrayLike) -> Soft:
     """Soft (virtual, likelihood) evidence for a discrete variable.
 
-    The belief is multiplied by the weights, as by an observed child with p(reading | state)
+    The belief is multiplied by the weights, as by an observed child with p(measurement | state)
     proportional to them.
 
     Parameters
@@ -91,13 +91,13 @@ def sightings(
     Parameters
     ----------
     values : array_like
-        (..., M, d); leading axes are runs; NaN is a component not taken, a row of NaN a reading
+        (..., M, d); leading axes are runs; NaN is a component not taken, a row of NaN a measurement
         not taken. Left out where a model is to draw them (`DynamicBayesianNetwork.sample`).
     step : array_like of int
         (M,), in 0..T, in any order, repeats allowed, shared by all runs. Left out online, where
-        readings belong to the current step.
+        measurements belong to the current step.
     given : mapping of Variable to array_like, optional
-        The sensor's observed parents that differ from reading to reading, (..., M, d) each.
+        The sensor's observed parents that differ from measurement to measurement, (..., M, d) each.
 
     Examples
     --------

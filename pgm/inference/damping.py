@@ -18,11 +18,11 @@ class LevenbergMarquardt:
 
         Σ rᵀ Σ⁻¹ r over all CPDs,  r = y − E[f(X)],  X ~ N(x, P):
 
-    under `Taylor` twice the negative log-density of x and the readings, but for a constant. A full
-    step that raises it is taken back, and tried again with a reading x = (the point) + n added,
-    n ~ N(0, diag(P)/λ), λ growing from try to try; if no try lowers the cost the means stay. A
-    posterior's means are those of the last point accepted, its covariances those of the last
-    linearisation, without the added reading.
+    under `Taylor` twice the negative log-density of x and the measurements, but for a constant. A
+    full step that raises it is taken back, and tried again with a measurement x = (the point) + n
+    added, n ~ N(0, diag(P)/λ), λ growing from try to try; if no try lowers the cost the means stay.
+    A posterior's means are those of the last point accepted, its covariances those of the last
+    linearisation, without the added measurement.
 
     It suits `Taylor`, and rules as exact as `GaussHermite`. With few points F is only nearly the
     derivative of E[f(X)], so that close to a fixed point no step may lower the cost: the means then
@@ -33,7 +33,7 @@ class LevenbergMarquardt:
     start, or dead reckoning on a `Balanced` tree, the first step is controlled as well, with one
     iteration too: the cost of the start is never exceeded. A start that does not obey the exact
     CPDs (linear, with singular noise) has no cost, and is represented by its projection onto them;
-    so is a filter's predicted belief beside an exact reading, by the belief given that alone.
+    so is a filter's predicted belief beside an exact measurement, by the belief given that alone.
 
     Parameters
     ----------

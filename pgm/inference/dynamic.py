@@ -67,7 +67,7 @@ def filter(
 ) -> ChainPosterior | KeptPosterior:
     r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
 
-    .. math:: p(x_t \mid \text{readings up to } t), \quad t = 0, \ldots, T
+    .. math:: p(x_t \mid \text{measurements up to } t), \quad t = 0, \ldots, T
 
     Parameters
     ----------
@@ -154,10 +154,10 @@ def smooth(
 ) -> ChainPosterior | KeptPosterior:
     r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
 
-    .. math:: p(x_t \mid \text{all readings}), \quad t = 0, \ldots, T
+    .. math:: p(x_t \mid \text{all measurements}), \quad t = 0, \ldots, T
 
     With a lag it is `FixedLag(lag, iterations, tolerance, damping)`, whose beliefs know the
-    readings up to so many steps later.
+    measurements up to so many steps later.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def smooth(
         filter's. On the chain the later ones, of all steps at once, are solved for in about
         2 log₂ T rounds, as on a balanced tree, where that is faster (from 64 steps on, up to 200
         numbers, the components of a slice times the runs) and costs no digits (no noise-free or
-        grouped readings, none that shrink a variance more than 4·10⁶ times); else step by step.
+        grouped measurements, none that shrink a variance more than 4·10⁶ times); else step by step.
         `Balanced()` saves the filter's sweep, and starts from dead reckoning.
     keep, executor : optional
         As for `infer`.

@@ -93,9 +93,9 @@ def infer(
         For a dynamic network arrays (..., T, d), `constant` or `sightings`, by variable. For
         others values (..., d) of continuous variables; of discrete ones the name or index of a
         state, an array of indices with −1 for "not observed in this run", or `soft` weights.
-        Leading axes are runs. NaN is a component that was not observed, of a sensor's reading or
-        of a variable on which no other depends. `records` makes such a mapping of a table, one run
-        a record.
+        Leading axes are runs. NaN is a component that was not observed, of a sensor's measurement
+        or of a variable on which no other depends. `records` makes such a mapping of a table, one
+        run a record.
     schedule : Schedule, optional
         `Filtering`, `FixedLag` or `Smoothing` for a dynamic network, `Smoothing()` without;
         `Calibration()` for a tree; `Flooding`, `Sequential` or `Residual`, which a graph with loops

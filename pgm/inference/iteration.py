@@ -70,7 +70,7 @@ class Anchor(NamedTuple):
     Attributes
     ----------
     mean, std : ndarray
-        (steps, runs, n): the point, and the deviation of the reading at a weight of one.
+        (steps, runs, n): the point, and the deviation of the measurement at a weight of one.
     weight : ndarray
         (runs,): λ; nothing is held where it is zero, or where the deviation is.
     """

@@ -21,7 +21,7 @@ class Kind:
     Parameters
     ----------
     lag : int or math.inf
-        In steps: −1 of a prediction, which knows the readings before its step; 0 of a filter;
+        In steps: −1 of a prediction, which knows the measurements before its step; 0 of a filter;
         more of a fixed-lag smoother; ``math.inf`` of a smoother, which knows all.
 
     Raises

@@ -17,8 +17,8 @@ class Filtering:
     A transition is linearised at the incoming message, a sensor at the predicted belief. With
     `Taylor` it is the extended Kalman filter, with `Unscented` the unscented one. Further
     iterations linearise the sensors of a step together at the step's posterior, and each starts
-    again from the predicted belief, so that no reading counts twice: the iterated extended Kalman
-    filter, the iterated posterior linearisation filter.
+    again from the predicted belief, so that no measurement counts twice: the iterated extended
+    Kalman filter, the iterated posterior linearisation filter.
 
     Parameters
     ----------
@@ -115,15 +115,15 @@ class FixedLag:
     rounding, of others the one that was iterated until it settled.
 
     With one iteration every CPD is linearised as in the filter. With more, each new step s has a
-    window: the transitions into the steps s − L + 1 to s and their readings. All of its CPDs are
-    linearised again at the window's smoothed beliefs, the motion included, and the window is
-    smoothed again from its prior p(x[s−L] | readings up to s − L), until that settles or the
+    window: the transitions into the steps s − L + 1 to s and their measurements. All of its CPDs
+    are linearised again at the window's smoothed beliefs, the motion included, and the window is
+    smoothed again from its prior p(x[s−L] | measurements up to s − L), until that settles or the
     iterations are used up. A step that the next window leaves behind keeps the linearisations it
     had last, at beliefs that knew L steps more, and what it says goes into the next window's prior.
-    So later readings say where an earlier CPD is linearised, and nothing else: each reading is a
-    factor once. While the first step is in the window, so are the network's prior and the readings
-    there, and nothing has been left behind. A lag of one with iterations is the dynamically
-    iterated filter.
+    So later measurements say where an earlier CPD is linearised, and nothing else: each measurement
+    is a factor once. While the first step is in the window, so are the network's prior and the
+    measurements there, and nothing has been left behind. A lag of one with iterations is the
+    dynamically iterated filter.
 
     The log-evidence is that of the model as each CPD was linearised last. ``posterior.filtered``
     has the belief of each window at its newest step.
@@ -167,7 +167,7 @@ class FixedLag:
         if not is_whole(self.lag) or self.lag < 0:
             raise ModelError(
                 f"{self!r}: a lag is a whole number of steps, 0 or more, not {self.lag!r}; of all "
-                "later readings, use pgm.Smoothing()"
+                "later measurements, use pgm.Smoothing()"
             )
         require_count(self, "iterations, which count linearisations,", self.iterations)
         require_tolerance(self, self.tolerance)

@@ -46,11 +46,11 @@ class ReadingReport:
     step : ndarray of int
         (M,): the state nearest in time.
     shift : ndarray
-        (M,): how far [s] that state is from the reading, positive where it is later.
+        (M,): how far [s] that state is from the measurement, positive where it is later.
     reason : ndarray of str
-        (M,): why the reading was dropped, empty where it was kept.
+        (M,): why the measurement was dropped, empty where it was kept.
     repeated : ndarray of bool
-        (M,): whether a reading kept has the stamp and the landmark of an earlier one kept. Both
+        (M,): whether a measurement kept has the stamp and the landmark of an earlier one kept. Both
         count in the evidence.
     backwards : int
         How many rows are stamped before the row above them.
@@ -80,7 +80,7 @@ class ReadingReport:
         return np.flatnonzero(~self.kept)
 
     def __repr__(self) -> str:
-        text = f"{self.kept.size} readings, {self.kept.sum()} kept, {self.moved.sum()} moved"
+        text = f"{self.kept.size} measurements, {self.kept.sum()} kept, {self.moved.sum()} moved"
         if self.moved.any():
             by = np.abs(self.shift[self.moved])
             text += f" by {np.median(by):.4g} s (median), {by.max():.4g} s at most"
@@ -117,7 +117,7 @@ def readings(
     kept = reason == ""
     if taken.any() and not kept.any():
         raise EvidenceError(
-            f"no reading of {variable!r} is near a state: stamps from {clock(stamps.min())} to "
+            f"no measurement of {variable!r} is near a state: stamps from {clock(stamps.min())} to "
             f"{clock(stamps.max())}, states from {clock(times[0])} to {clock(times[-1])}"
             f"{'' if tolerance is None else f', tolerance {tolerance:.4g} s'}; are both in "
             "seconds of the same clock?",
@@ -156,14 +156,14 @@ def _parents(variable: Variable, logs: Sequence[Stamped]) -> tuple[Variable, ...
     for parent in logs[0].given:
         if not isinstance(parent, Variable):
             raise EvidenceError(
-                f"readings of {variable!r} are given {parent!r}, which is no variable",
+                f"measurements of {variable!r} are given {parent!r}, which is no variable",
                 variable=variable,
             )
     return tuple(logs[0].given)
 
 
 def _values(variable: Variable, logs: Sequence[Stamped], counts: Sequence[int]) -> Array:
-    what = f"readings of {variable!r}"
+    what = f"measurements of {variable!r}"
     tables = [
         as_table(what, log.values, count, variable.components, variable)
         for log, count in zip(logs, counts, strict=True)
@@ -181,7 +181,7 @@ def _given(
     taken: Mask,
 ) -> Array:
     """The parents' values at each reading, (M, d)."""
-    what = f"{parent!r}, given for the readings of {variable!r}"
+    what = f"{parent!r}, given for the measurements of {variable!r}"
     tables = []
     for log, count in zip(logs, counts, strict=True):
         value = log.given[parent]
@@ -192,7 +192,7 @@ def _given(
         tables.append(table)
     table = np.concatenate(tables)
     needed = np.where(taken[:, None], table, 0.0)
-    require_finite_rows(what, needed, parent, "a reading is explained only by what is known")
+    require_finite_rows(what, needed, parent, "a measurement is explained only by what is known")
     return table
 
 

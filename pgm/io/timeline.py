@@ -35,7 +35,7 @@ class Timeline(Immutable):
     controls : mapping of Variable to ControlReport
         What became of each control's rows.
     readings : mapping of Variable to ReadingReport
-        What became of each sensor's readings.
+        What became of each sensor's measurements.
     """
 
     times: Array
@@ -88,12 +88,12 @@ def timeline(
         ``{u: pgm.stamped(stamps, values)}``: each value holds until the next stamp, the last one
         at most as long as the longest of the others. A step's control is the average over time.
     sensors : mapping of Variable to Stamped or list of Stamped, optional
-        ``{z: pgm.stamped(stamps, values, {m: landmarks})}``: each reading goes to the state
-        nearest in time; midway, to the earlier one. Repeated readings all count.
+        ``{z: pgm.stamped(stamps, values, {m: landmarks})}``: each measurement goes to the state
+        nearest in time; midway, to the earlier one. Repeated measurements all count.
     tolerance : float, optional
-        Seconds: a reading farther than this from every state is dropped. Without it, every
-        reading between the first and the last state is kept, and one outside them if it is within
-        half of the first or the last step.
+        Seconds: a measurement farther than this from every state is dropped. Without it, every
+        measurement between the first and the last state is kept, and one outside them if it is
+        within half of the first or the last step.
 
     Returns
     -------
@@ -104,9 +104,9 @@ def timeline(
     ------
     EvidenceError
         If times do not increase, rows do not fit their stamps or their variable, numbers are NaN
-        or infinite (a reading may lack components, NaN: without any it is dropped as not taken),
-        controls do not reach from the first state to the last, two rows of a control have one
-        stamp, or none of a sensor's readings is kept.
+        or infinite (a measurement may lack components, NaN: without any it is dropped as not
+        taken), controls do not reach from the first state to the last, two rows of a control have
+        one stamp, or none of a sensor's measurements is kept.
 
     Notes
     -----
@@ -116,8 +116,9 @@ def timeline(
     Sums and averages are right for motion that is steady within a step, and for small turns. What
     does not add up, such as (first turn, translation, second turn), needs a state at every stamp.
 
-    A moved reading is in error by what the robot does meanwhile. So that none is moved, let there
-    be a state at every stamp, of odometry and readings, in the time that the odometry covers.
+    A moved measurement is in error by what the robot does meanwhile. So that none is moved, let
+    there be a state at every stamp, of odometry and measurements, in the time that the odometry
+    covers.
 
     Examples
     --------
@@ -138,7 +139,7 @@ def timeline(
     Timeline of 3 states, 0 s to 2 s; steps of 1 s (median), 1 to 1 s
       u          3 increments, 3 used, 1 of them divided at a state; the longest covers 1 s
                  the first is taken to count from the first state on, 0.5 s
-      z          3 readings, 2 kept, 2 moved by 0.1 s (median), 0.1 s at most
+      z          3 measurements, 2 kept, 2 moved by 0.1 s (median), 0.1 s at most
                  1 stamped before the row above
                  1 dropped: after the last state, by 5 s (row 2)
     """

@@ -15,7 +15,7 @@ from pgm.kernels.roots import NEGLIGIBLE
 
 # A B and A Bᵀ, the latter the faster one.
 _PRODUCT, _TIMES_TRANSPOSED = "ijr,jkr->ikr", "ijr,kjr->ikr"
-# By how much a mild reading shrinks a variance at most.
+# By how much a mild measurement shrinks a variance at most.
 _MILD = 1e3
 # Below this a product of pivots has lost digits.
 _SMALLEST = float(np.finfo(np.float64).tiny)
@@ -35,7 +35,7 @@ class Update(NamedTuple):
     Attributes
     ----------
     mean, cov : ndarray
-        (n, runs), (n, n, runs): the belief given the reading.
+        (n, runs), (n, n, runs): the belief given the measurement.
     log_density : ndarray
         (runs,): ln N(r; 0, S).
     unit, pivots : ndarray

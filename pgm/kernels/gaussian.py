@@ -27,7 +27,8 @@ from pgm.kernels.arrays import (
 from pgm.kernels.moments import ROUNDING
 from pgm.kernels.unrolled import checking, predicting, updating
 
-# Below this part of its diagonal entry a pivot of several readings together costs too many digits.
+# Below this part of its diagonal entry a pivot of several measurements together costs too many
+# digits.
 NEARLY_SINGULAR = 1e-6
 # And of a covariance, below which its root is left to `roots`, which tells zeros from rounding.
 _REGULAR = 1e-11
@@ -170,9 +171,9 @@ class Update(NamedTuple):
     mean, cov : ndarray
         (n, *batch), (n, n, *batch).
     log_density : ndarray or float
-        (*batch): of the reading; a component that an exact model determines adds nothing.
+        (*batch): of the measurement; a component that an exact model determines adds nothing.
     regular : bool
-        Whether no component of the reading is determined by those before it to 10⁻⁶ of its
+        Whether no component of the measurement is determined by those before it to 10⁻⁶ of its
         variance.
     mild : bool
         Whether no variance is known to have fallen more than a thousand times.
@@ -217,7 +218,7 @@ def update(
     sharp : ndarray, optional
         `along_runs.sharpness` of the noise, where it is at hand.
     least : float
-        The share of a component that those before it have to leave open in a regular reading.
+        The share of a component that those before it have to leave open in a regular measurement.
     """
     if not exact:
         if cov.ndim > 2:
@@ -244,9 +245,9 @@ def update(
 def update_one(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
 ) -> tuple[Array, Array, float] | None:
-    """The `update` of one Gaussian by a regular reading: its moments, and the log-density.
+    """The `update` of one Gaussian by a regular measurement: its moments, and the log-density.
 
-    None where a component of the reading is nearly determined by those before it.
+    None where a component of the measurement is nearly determined by those before it.
     """
     written = updating(len(mean), len(residual), NEARLY_SINGULAR)
     if written is not None:

@@ -32,11 +32,11 @@ class Update(NamedTuple):
     Attributes
     ----------
     mean, cov : ndarray
-        The belief given the reading.
+        The belief given the measurement.
     log_density : ndarray
-        Of the reading; a component that an exact model determines adds nothing.
+        Of the measurement; a component that an exact model determines adds nothing.
     lower : ndarray
-        The root of the reading's predictive covariance; NaN where that is indefinite.
+        The root of the measurement's predictive covariance; NaN where that is indefinite.
     left : ndarray or None
         (..., D): how far each determined component is from what the model says it is; None
         where nothing is determined.

@@ -201,7 +201,7 @@ def check_parents(
                 refuse(
                     cpd,
                     parent,
-                    "is a sensor's reading, which cannot be a parent; add a "
+                    "is a sensor's measurement, which cannot be a parent; add a "
                     "state that both depend on",
                 )
         for parent in cpd.noise_given:

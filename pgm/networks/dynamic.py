@@ -38,8 +38,8 @@ class DynamicBayesianNetwork(Immutable):
         the same step, and inputs. A child without a prior, such as a control with noise, is
         hidden at steps 1..T.
     observation : sequence of CPD, optional
-        Of readings given hidden variables of the same step, and inputs. A reading may be taken
-        any number of times a step, or never.
+        Of measurements given hidden variables of the same step, and inputs. A measurement may be
+        taken any number of times a step, or never.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ class DynamicBayesianNetwork(Immutable):
         -------
         Sample
             ``sample[x]`` is (*runs, T+1, d) for a state, (*runs, T, d) for a control;
-            ``sample.evidence`` are the inputs and the readings, ready for `infer`.
+            ``sample.evidence`` are the inputs and the measurements, ready for `infer`.
 
         Raises
         ------

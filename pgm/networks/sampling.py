@@ -88,9 +88,9 @@ class Sample(Immutable):
     Attributes
     ----------
     values : mapping of Variable to ndarray
-        States (*runs, T+1, d), controls (*runs, T, d), readings (*runs, M, d).
+        States (*runs, T+1, d), controls (*runs, T, d), measurements (*runs, M, d).
     evidence : mapping
-        The inputs and the readings, ready for `infer`.
+        The inputs and the measurements, ready for `infer`.
     """
 
     values: Mapping[Variable, Array]

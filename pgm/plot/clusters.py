@@ -61,8 +61,8 @@ def cluster_graph(
         Only clusters 0..steps are drawn, of a balanced tree those of the steps 0..steps; dashed
         stubs lead to the others.
     evidence : mapping of Variable, optional
-        That given to `pgm.infer`. Several readings of a sensor at a step are then shown as
-        ``z[3] ×4``, and sensors without a reading left out.
+        That given to `pgm.infer`. Several measurements of a sensor at a step are then shown as
+        ``z[3] ×4``, and sensors without a measurement left out.
     sizes : bool
         Whether to write the number of components, or of table entries, below the variables.
     colour : {"size", "residual"}, optional

@@ -24,7 +24,7 @@ _LEVELS = np.concatenate([[0.01], np.linspace(0.05, 0.95, 19), [0.99]])
 _DIAGONAL = np.array([[0.0, 0.0], [1.0, 1.0]])
 # How far to the right of its lag the stems of further innovations may stand, in lags.
 _WITHIN = 0.6
-# Bands that come of the readings themselves, as many of them, differ by chance.
+# Bands that come of the measurements themselves, as many of them, differ by chance.
 _ALIKE = 0.2
 
 
@@ -98,8 +98,8 @@ def nis(
     """Draw the NIS over time, averaged over runs and divided by its degrees of freedom.
 
     A right model has 1, within the χ² band, which is wider at steps where less was read. Steps
-    without readings are left out, and nothing is drawn across a gap longer than is usual (the
-    median) between readings. Call it again with the same `ax` to compare.
+    without measurements are left out, and nothing is drawn across a gap longer than is usual (the
+    median) between measurements. Call it again with the same `ax` to compare.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def whiteness(
     Raises
     ------
     ModelError
-        If there are no more steps with readings than lags, or an argument is not what it should
+        If there are no more steps with measurements than lags, or an argument is not what it should
         be.
     """
     found = consistency.whiteness(innovations, lags, confidence=confidence)

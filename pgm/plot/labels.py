@@ -57,8 +57,8 @@ def cluster_label(
     observed : frozenset of Variable
         Those known to be observed, as variables or as templates for all steps.
     counts : mapping of Variable to int
-        Readings of a sensor at a step: more than one are shown as ``z[3] ×4``; a sensor with none
-        is left out, and so are the observed parents that it alone has in the cluster.
+        Measurements of a sensor at a step: more than one are shown as ``z[3] ×4``; a sensor with
+        none is left out, and so are the observed parents that it alone has in the cluster.
     most : int, optional
         Variables beyond this many are only counted, as ``+5``.
     """

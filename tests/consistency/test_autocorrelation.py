@@ -51,7 +51,7 @@ def test_readings_not_taken_are_left_out_and_lags_count_steps_with_readings():
     assert_allclose(found.band, due.band)
     pairs = dense[:, :-1, 0] * dense[:, 1:, 0]
     assert_allclose(np.sign(found.autocorrelation[0]), np.sign(np.nansum(pairs)))
-    with pytest.raises(pgm.ModelError, match="readings at 10 steps"):
+    with pytest.raises(pgm.ModelError, match="measurements at 10 steps"):
         consistency.whiteness(innovations(sparse, range(40)), 10)
 
 
@@ -97,7 +97,7 @@ def test_determined_components_have_no_innovation():
     assert_allclose(found.autocorrelation, due.autocorrelation, rtol=1e-12)
     assert_allclose(found.band, due.band, rtol=1e-12)
     known = innovations(1e-12 * one, range(12), np.zeros((1, 1)))
-    with pytest.raises(pgm.ModelError, match="readings at 0 steps"):
+    with pytest.raises(pgm.ModelError, match="measurements at 0 steps"):
         consistency.whiteness(known, 1)
 
 
@@ -169,9 +169,9 @@ def test_refusals(right):
     for lags in (0, -1, 2.5, True, "3", None):
         with pytest.raises(pgm.ModelError, match=r"lags = .* whole number, 1 or more"):
             consistency.whiteness(right.innovations[fix], lags)
-    with pytest.raises(pgm.ModelError, match="readings at 40 steps"):
+    with pytest.raises(pgm.ModelError, match="measurements at 40 steps"):
         consistency.whiteness(right.innovations[fix], 40)
-    with pytest.raises(pgm.ModelError, match="readings at 0 steps"):
+    with pytest.raises(pgm.ModelError, match="measurements at 0 steps"):
         consistency.whiteness(none, 1)
     apart = np.array([[[1.0], [np.nan]], [[np.nan], [1.0]]])
     with pytest.raises(pgm.ModelError, match="no run was read at two steps"):

@@ -275,7 +275,7 @@ NETWORKS = [
         "a reading as a parent",
         network([prior(a)], [OF_READING], [linear(w, a)]),
         "w",
-        "reading",
+        "measurement",
         variable=w,
         cpd=OF_READING,
     ),

@@ -87,13 +87,15 @@ SHAPES = [
         "value[..., None]",
         variable=gauge,
     ),
-    row("readings of 2 components", GOOD | {fix: np.zeros((T, 2))}, "(4, 2)", "3)", variable=fix),
+    row(
+        "measurements of 2 components", GOOD | {fix: np.zeros((T, 2))}, "(4, 2)", "3)", variable=fix
+    ),
     row("a constant of 3", {u: pgm.constant([1, 2, 3])}, "u", "(3,)", "2)", steps=T, variable=u),
     row("sightings of 1 component", sights([[5.0]], [1], {m: AT[:1]}), "(1, 1)", variable=z),
     row("sightings without rows", sights([5.0, 1.0], [1], {m: AT[:1]}), "(2,)", variable=z),
     row("landmarks of 3", sights(given={m: np.zeros((3, 3))}), "m", "(3, 3)", variable=m),
     row("2 landmarks for 3", sights(given={m: AT[:2]}), "3", "2", "m", variable=m, cpd=SIGHT),
-    row("2 steps for 3", sights(step=[1, 2]), "3 readings", "2 steps", variable=z),
+    row("2 steps for 3", sights(step=[1, 2]), "3 measurements", "2 steps", variable=z),
     row("step 5 of 4", sights(step=[1, 5, 2]), "z", "5", "0..4", variable=z, step=5),
     row("step -1", sights(step=[1, -1, 2]), "z", "-1", "0..4", variable=z, step=-1),
     row("steps that are no integers", sights(step=[1.0, 2, 3]), "whole", "float64", variable=z),
@@ -325,7 +327,7 @@ ONLINE = [
         variable=fix,
     ),
     online(
-        "a reading of 2",
+        "a measurement of 2",
         lambda: ROBOT.update(BELIEF, {fix: [0, 0]}),
         "fix",
         "(2,)",

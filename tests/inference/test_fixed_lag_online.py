@@ -401,7 +401,7 @@ REFUSALS = [
         "too few digits",
         lambda: exact().lagged,
         pgm.NumericalError,
-        "float64 loses the belief at step 1 given the readings up to step 2",
+        "float64 loses the belief at step 1 given the measurements up to step 2",
         "deviations lie too far apart",
         "pgm.smooth(..., lag=...)",
         "iterations=2",

@@ -136,7 +136,7 @@ class Drawn:
 def test_costs_never_rise_from_a_start(method, seed):
     drawn = Drawn(seed)
     if method is not None and drawn.exact and not drawn.noise.any():
-        pytest.skip("exact readings of an exact motion have no elements")
+        pytest.skip("exact measurements of an exact motion have no elements")
     for start in (drawn.feasible, drawn.astray):
         made = [
             smoothed(drawn.model, drawn.evidence, STEPS, method, k, {x: start}) for k in (1, 2, 4)

@@ -271,7 +271,7 @@ def test_report_of_readings():
     assert_allclose(report.shift, [-0.1, -5.0, -0.1, -0.1, 3.0, 0.0, 0.4, 0.0])
     assert report.backwards == 3
     assert repr(report).splitlines() == [
-        "8 readings, 5 kept, 4 moved by 0.1 s (median), 0.4 s at most",
+        "8 measurements, 5 kept, 4 moved by 0.1 s (median), 0.4 s at most",
         "1 kept that repeat a stamp and landmark",
         "3 stamped before the row above",
         "1 dropped: not taken (row 7)",
@@ -314,7 +314,7 @@ def test_a_sensor_that_read_nothing():
     none = timeline(TIMES, sensors={gps: stamped([], []), z: stamped([1.0, 2.0], [np.nan, np.nan])})
     assert none.evidence[gps].values.shape == (0, 2)
     assert none.evidence[z].values.shape == (0, 1)
-    assert "0 readings, 0 kept" in repr(none)
+    assert "0 measurements, 0 kept" in repr(none)
 
 
 def test_results_do_not_change():
@@ -551,25 +551,25 @@ BAD = {
         r"gps has infinite entries; a component not taken is NaN",
     ),
     "a reading infinite": ({"sensors": {z: stamped([0.0], [np.inf])}}, z, r"range has infinite"),
-    "a reading of a wrong shape": (
+    "a measurement of a wrong shape": (
         {"sensors": {gps: stamped([0.0, 1.0], [1, 2])}},
         gps,
-        r"readings of gps have shape \(2,\); \(2, 2\) was due, .*east, north",
+        r"measurements of gps have shape \(2,\); \(2, 2\) was due, .*east, north",
     ),
     "landmarks too few": (
         {"sensors": {z: stamped([0.0, 1.0], [1, 2], {m: [[0, 0]]})}},
         m,
-        r"beacon, given for the readings of range have 1 rows with 2 stamps",
+        r"beacon, given for the measurements of range have 1 rows with 2 stamps",
     ),
     "a landmark unknown": (
         {"sensors": {z: stamped([0.0, 1.0], [1, 2], {m: [[0, 0], [np.nan, 0]]})}},
         m,
-        r"beacon, given for the readings of range, row 1: NaN",
+        r"beacon, given for the measurements of range, row 1: NaN",
     ),
     "a landmark without variable": (
         {"sensors": {z: stamped([0.0], [1], {"m": [[0, 0]]})}},
         z,
-        r"readings of range are given 'm', which is no variable",
+        r"measurements of range are given 'm', which is no variable",
     ),
     "logs given different things": (
         {"sensors": {z: [stamped([0.0], [1], {m: [[0, 0]]}), stamped([0.0], [1])]}},
@@ -580,13 +580,13 @@ BAD = {
     "another clock": (
         {"sensors": {z: stamped([1.7e9, 1.7e9 + 1], [1, 2])}},
         z,
-        r"no reading of range is near a state: stamps from 1700000000 s to 1700000001 s, states "
-        r"from 0 s to 4 s; are both in seconds",
+        r"no measurement of range is near a state: stamps from 1700000000 s to 1700000001 s, "
+        r"states from 0 s to 4 s; are both in seconds",
     ),
     "too tight a tolerance": (
         {"sensors": {z: stamped([0.5], [1])}, "tolerance": 0.1},
         z,
-        r"no reading of range is near a state: .*tolerance 0\.1 s",
+        r"no measurement of range is near a state: .*tolerance 0\.1 s",
     ),
 }
 

@@ -165,8 +165,8 @@ def test_the_unrolled_network():
         ([start(A)], [walk(A)], [linear(Z, A), linear(Z, A)], "z has two CPDs", Z),
         ([start(A)], [walk(A)], [linear(A, C)], "a has two CPDs", A),
         ([start(A)], [walk(A)], [linear(Z, A.previous)], "cannot be a sensor's parent", A.previous),
-        ([start(A)], [walk(A)], [linear(Z, A), linear(W, Z)], "sensor's reading", Z),
-        ([start(A)], [linear(A, A.previous, Z)], [linear(Z, A)], "sensor's reading", Z),
+        ([start(A)], [walk(A)], [linear(Z, A), linear(W, Z)], "sensor's measurement", Z),
+        ([start(A)], [linear(A, A.previous, Z)], [linear(Z, A)], "sensor's measurement", Z),
         ([linear(A, C)], [walk(A)], [], "cannot be a parent in the prior", C),
         ([linear(A, A.previous)], [walk(A)], [], "cannot be a parent in the prior", A.previous),
         (

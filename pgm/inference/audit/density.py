@@ -191,8 +191,8 @@ def has_exact(read: Iterable[Family]) -> bool:
         if not family.exact:
             cpd = family.cpd
             raise NumericalError(
-                f"{cpd!r} is nonlinear, its noise is singular, and it has readings: they leave a "
-                "curved set of states, which no Gaussian draw meets; give it noise in all "
+                f"{cpd!r} is nonlinear, its noise is singular, and it has measurements: they leave "
+                "a curved set of states, which no Gaussian draw meets; give it noise in all "
                 "components",
                 variable=cpd.child,
                 cpd=cpd,

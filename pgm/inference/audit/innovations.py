@@ -24,14 +24,15 @@ class InnovationCheck:
     sensor : Variable
     nis : ndarray
         (...): the normalised innovation squared for each component read, its mean over the steps
-        of a run; 1 is right. Above, readings are further off than the model says: outliers, too
+        of a run; 1 is right. Above, measurements are further off than the model says: outliers, too
         small a noise, a wrong motion. NaN where nothing was read.
     overall : float
         The same of all runs.
     band : float
         How far from 1 `overall` is with a probability of 99 % if the model is right.
     autocorrelation : float
-        Of whitened innovations one reading apart; 0 is right. NaN without two readings of a run.
+        Of whitened innovations one measurement apart; 0 is right. NaN without two measurements of a
+        run.
     autocorrelation_band : float
         How far from 0 it is with a probability of 99 % if the model is right.
     """

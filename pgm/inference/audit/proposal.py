@@ -37,7 +37,7 @@ class Proposal:
     def make(cls, conditional: Conditional, free: Mask) -> Proposal:
         """Propose the free components, (rows, runs, n), of conditionals of all."""
         matrix, offset, cov = conditional
-        # What an exact reading determines may have a variance of zero less rounding.
+        # What an exact measurement determines may have a variance of zero less rounding.
         certain = moments.certain(cov, np.where(free, 0.0, np.inf))
         lower = roots.root(certain)
         if not roots.is_proper(lower):

@@ -34,11 +34,11 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
         w_s = p(x_s, z) / q(x_s),    ln p(z) ≈ ln (1/S) Σ w_s,
 
     p(x, z) being the product of all CPDs with their own noise: priors, transitions, hidden
-    controls and every reading taken. For a linear model all weights are p(z). Where a CPD without
-    noise determines components, q proposes the others, and these follow from the model. After
-    filtering, q is the smoothed joint of the filter's linearisation.
+    controls and every measurement taken. For a linear model all weights are p(z). Where a CPD
+    without noise determines components, q proposes the others, and these follow from the model.
+    After filtering, q is the smoothed joint of the filter's linearisation.
 
-    Residuals of readings of angles are wrapped, and an angle that a function wraps is taken on
+    Residuals of measurements of angles are wrapped, and an angle that a function wraps is taken on
     the branch of the linearisation, so that wrapping it or not gives the same.
 
     Parameters

@@ -6,9 +6,9 @@ and N = 0 behind the last step,
     r ← (1 − G h)ᵀ r + hᵀv/S,    N ← (1 − G h)ᵀ N (1 − G h) + hᵀh/S,
 
 and r ← Aᵀ r, N ← Aᵀ N A through a transition with the matrix A. A belief m, P that knows the
-readings up to a step becomes m + P r, P − P N P with those after it. Where that difference would
-leave too few digits (an unstable motion, a wide prior), it is found from the next belief by Bayes'
-rule instead, as in the smoother of Rauch, Tung and Striebel.
+measurements up to a step becomes m + P r, P − P N P with those after it. Where that difference
+would leave too few digits (an unstable motion, a wide prior), it is found from the next belief by
+Bayes' rule instead, as in the smoother of Rauch, Tung and Striebel.
 
 References
 ----------
@@ -129,7 +129,7 @@ class CarefulSmoothed:
     careful : Careful
         The forward pass.
     slices : list of Smooth
-        Of each step, given all readings, or those up to a lag after it.
+        Of each step, given all measurements, or those up to a lag after it.
     beliefs : Beliefs
         Their moments, rounded.
     layout : SliceLayout
@@ -226,7 +226,7 @@ def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Arr
     """Moments of the slices of some steps, ascending, given the readings up to the last slice.
 
     With Φ the product of A (1 − G h) from one step to another, the errors of two predictions have
-    the covariance P Φᵀ, of which the readings from the second step on leave P Φᵀ (1 − N P).
+    the covariance P Φᵀ, of which the measurements from the second step on leave P Φᵀ (1 − N P).
 
     Returns
     -------

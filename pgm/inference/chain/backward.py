@@ -114,7 +114,7 @@ class Reverse:
     Attributes
     ----------
     states : Conditional
-        The states of step t given the slice of step t + 1 and the readings up to t, at row t.
+        The states of step t given the slice of step t + 1 and the measurements up to t, at row t.
     slices : Conditional or None
         The slice given its states, at each step; None where there are no controls.
     """
@@ -313,7 +313,7 @@ def absorbed(
     """The states at a step given those before it and the step's readings, and what these say.
 
     Both about the filtered means: of the states at the step, and of those before it, of which the
-    readings' likelihood is a function.
+    measurements' likelihood is a function.
     """
     layout = plan.layout
     select = np.eye(layout.slice_size)[layout.state_places]
@@ -338,8 +338,8 @@ def absorb_readings(
 ) -> tuple[Array, Array, Array, Canonical]:
     """Bring a step's readings into its transition w = A x + q, both about predicted means.
 
-    Returns the conditional of w given x and the readings, and their likelihood as a function of
-    x, through S = H Q Hᵀ + noise of the reading, which has to be regular.
+    Returns the conditional of w given x and the measurements, and their likelihood as a function of
+    x, through S = H Q Hᵀ + noise of the measurement, which has to be regular.
     """
     cross = h_matrix @ noise
     lower = canonical.strict_root(cross @ transpose(h_matrix) + reading_noise)

@@ -25,7 +25,7 @@ class BalancedPosterior(ChainPosterior):
 
     All is as on a chain of slices but the messages and the beliefs of clusters. After smoothing
     they are those of calibration. After filtering the messages down are those of a prefix scan:
-    they know the readings up to a segment alone, and nothing is sent back to cluster 0.
+    they know the measurements up to a segment alone, and nothing is sent back to cluster 0.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class BalancedPosterior(ChainPosterior):
 
         Of a segment from a to b, x its states at a and y those at b:
 
-            up     p(y, readings after a up to b | x),
-            down   p(x, readings up to a) p(readings after b | y),
+            up     p(y, measurements after a up to b | x),
+            down   p(x, measurements up to a) p(measurements after b | y),
 
-        the latter without its second factor after filtering. Cluster 0 sends up p(x[0], readings
-        at 0) and is sent down p(readings after 0 | x[0]).
+        the latter without its second factor after filtering. Cluster 0 sends up p(x[0],
+        measurements at 0) and is sent down p(measurements after 0 | x[0]).
 
         Raises
         ------

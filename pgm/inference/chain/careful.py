@@ -1,6 +1,6 @@
 """The forward pass in twice the digits, for models whose deviations lie too far apart for float64.
 
-Readings are taken in one component after another, their noise decorrelated first, so that each
+Measurements are taken in one component after another, their noise decorrelated first, so that each
 component is either read, with S = h P hᵀ + noise above rounding, or determined already:
 
     G = P hᵀ/S,   v = z − h m,   m ← m + G v,   P ← (1 − G h) P (1 − G h)ᵀ + G noise Gᵀ.
@@ -57,7 +57,7 @@ from pgm.kernels.twofold import Twofold
 class Step(NamedTuple):
     """A step of the pass: the transition that led to it, and its belief before and after readings.
 
-    Belief and estimate of δ know the readings up to the step.
+    Belief and estimate of δ know the measurements up to the step.
     """
 
     move: Move | None
@@ -100,7 +100,7 @@ def sweep(
     schedule : Filtering, optional
         The linearisations at incoming beliefs; without, CPDs stay as they were linearised.
     anchor : Anchor, optional
-        Readings that hold the beliefs near a point.
+        Measurements that hold the beliefs near a point.
     begin : Begin, optional
         Where a window begins; without, the prior.
     """
@@ -261,7 +261,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
             refusals.contradiction(
                 parts, self.step, self.mean, left.T if self.mean.ndim > 1 else left[0]
             )
-        if anchor is not None:  # a reading of all components, which is no evidence
+        if anchor is not None:  # a measurement of all components, which is no evidence
             held = (anchor.std[0] > 0.0) & (anchor.weight > 0.0)[:, None]
             share = np.where(anchor.weight > 0.0, anchor.weight, 1.0)[:, None]
             noises, values = Twofold(anchor.std[0] ** 2 / share), Twofold(anchor.mean[0])

@@ -55,11 +55,11 @@ class Belief(NamedTuple):
         (runs, n, n): P.
     rounding : ndarray
         (runs, n, n): a bound, as a covariance, of what rounding has changed P by so far. It goes
-        through transitions and readings as an error does.
+        through transitions and measurements as an error does.
     drift : ndarray
         (runs, n, n): the covariance, in that sense, of what rounding has changed m by.
     largest : ndarray
-        (runs, n): the largest variances before readings, so far.
+        (runs, n): the largest variances before measurements, so far.
     """
 
     columns: Twofold
@@ -216,7 +216,7 @@ class Solved(NamedTuple):
     open : ndarray
         (runs, q, q): directions in which nothing is known, as columns, or zeros.
     log_weight : ndarray
-        (runs,): what integrating δ out adds to the log-density of the readings.
+        (runs,): what integrating δ out adds to the log-density of the measurements.
     """
 
     weights: Twofold
@@ -361,7 +361,7 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
     Returns
     -------
     rows : Twofold
-        (runs, D, n + 1): h, and the reading less the CPD's offset.
+        (runs, D, n + 1): h, and the measurement less the CPD's offset.
     noises : Twofold
         (runs, D): variances.
     taken : ndarray of bool

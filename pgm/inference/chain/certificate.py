@@ -2,12 +2,14 @@
 
 A covariance in float64 keeps what is small in it to about 10⁻¹⁶ of what is large. Where every
 belief is regular, no variance along any direction is much smaller than its parts, and neither what
-a transition nor what a reading sums up loses digits. These ratios bound what is lost:
+a transition nor what a measurement sums up loses digits. These ratios bound what is lost:
 
-- of a belief, before and after readings: a variance over the share of it that is left open by the
+- of a belief, before and after measurements: a variance over the share of it that is left open by
+the
   components before it;
-- of a component: its variance before readings, at the step or later ones, over that after them;
-- of readings without noise: (Σ_j |h_j| σ_j)² over the share of the variance of an innovation that
+- of a component: its variance before measurements, at the step or later ones, over that after them;
+- of measurements without noise: (Σ_j |h_j| σ_j)² over the share of the variance of an innovation
+that
   is left open by those before it.
 
 A mean is rounded to some 10⁻¹⁶ of the largest numbers that it went through. In units of the

@@ -3,8 +3,9 @@
 With one linearisation the filter's forward pass is reversed, and beliefs go back by a lag, all
 steps at once. With more, a window slides along the chain: its CPDs are linearised at its smoothed
 beliefs, and it is smoothed again from where it begins, until that settles. A window begins with the
-belief at its first step given the readings up to there, as the window before has left it, so that
-no reading counts twice. It is solved in float64, and in twice the digits where that has too few.
+belief at its first step given the measurements up to there, as the window before has left it, so
+that no measurement counts twice. It is solved in float64, and in twice the digits where that has
+too few.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ class Windows:
     Attributes
     ----------
     newest : Beliefs
-        Given the readings up to the step: (T+1, runs, n) and (T+1, runs, n, n).
+        Given the measurements up to the step: (T+1, runs, n) and (T+1, runs, n, n).
     log_evidence : ndarray
-        (T+1, runs): of the readings up to the step.
+        (T+1, runs): of the measurements up to the step.
     plain : bool
         Whether float64 had digits enough for all of them.
     """

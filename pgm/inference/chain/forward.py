@@ -26,8 +26,8 @@ from pgm.kernels.arrays import Array, stacked
 MANY = 8
 # And so many runs at a time: what a step touches then stays in a cache of some megabytes.
 MOST = 10_000
-# Between readings that are mild, beliefs are looked at every so many steps, at the last, and where
-# a variance has grown by so much since.
+# Between measurements that are mild, beliefs are looked at every so many steps, at the last, and
+# where a variance has grown by so much since.
 _EVERY, _GROWN = 8, 1e2
 
 
@@ -42,7 +42,7 @@ class Forward:
     predicted_cov, cov : ndarray
         (T+1, runs, slice size, slice size).
     log_density : ndarray
-        (T+1, runs): of each step's readings given those before.
+        (T+1, runs): of each step's measurements given those before.
     gentle : bool
         Whether it was composed of segments, whose variances have been found to be moderate.
     """
@@ -98,8 +98,8 @@ class Watch:
     ----------
     closest : float
         The smallest share of a variance that the components before it leave open, or that a sharp
-        reading leaves. Beliefs are looked at before and after sharp readings, where variances have
-        grown, and at some steps between.
+        measurement leaves. Beliefs are looked at before and after sharp measurements, where
+        variances have grown, and at some steps between.
     """
 
     def __init__(self) -> None:

@@ -25,13 +25,13 @@ from pgm.variables import Variable
 class Innovations:
     """The innovations of one sensor, one row a sighting, in the order of the evidence.
 
-    Where readings were linearised several times they are those of the last linearisation,
+    Where measurements were linearised several times they are those of the last linearisation,
     z − (F x⁻ + b), at the predicted mean x⁻; not z − h(x⁻).
 
     Attributes
     ----------
     residual : ndarray
-        (..., M, d): reading less prediction; NaN in components not taken, and where the
+        (..., M, d): measurement less prediction; NaN in components not taken, and where the
         prediction still has an infinite variance.
     cov : ndarray
         (..., M, d, d): its predictive covariance, S = H P Hᵀ + noise; NaN in rows and columns of
@@ -67,7 +67,8 @@ class BySensor(Mapping[Variable, Innovations]):
     def __getitem__(self, variable: Variable) -> Innovations:
         if require_variable(variable) not in self._innovations:
             raise EvidenceError(
-                f"there are no innovations of {variable!r}; readings were given of {list(self)}",
+                f"there are no innovations of {variable!r}; measurements were given of "
+                f"{list(self)}",
                 variable=variable,
             )
         return self._innovations[variable]
@@ -157,6 +158,6 @@ def autocorrelation(now: Array, later: Array) -> tuple[float, float]:
         return np.nan, np.nan
     product = np.zeros(met.shape)
     product[met] = inner(now, later)
-    # The readings of a step are no independent ones: their products are one term.
+    # The measurements of a step are no independent ones: their products are one term.
     terms = product.sum(axis=-1)
     return float(terms.sum() / scale), float(np.sqrt(np.sum(terms**2)) / scale)

@@ -30,7 +30,7 @@ class Updated:
     known : Moments
         In the layout of a sweep.
     log_density : ndarray or float
-        Of the readings, (*batch).
+        Of the measurements, (*batch).
     """
 
     known: Moments

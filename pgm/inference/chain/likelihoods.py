@@ -1,7 +1,7 @@
 """Likelihoods of the readings of all steps at once, about a reference, in information form.
 
-Readings are whitened, put in units of their noise; what those of a step say together is a quadratic
-in the slice.
+Measurements are whitened, put in units of their noise; what those of a step say together is a
+quadratic in the slice.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Readings:
     reference : ndarray
         (T+1, runs, n): what all means are deviations from.
     likelihood : Likelihood
-        (T+1, runs, ...): what readings with a regular noise say of the slices.
+        (T+1, runs, ...): what measurements with a regular noise say of the slices.
     stacks : list of Stack
         The others: those of singular noise, or with cross terms.
     """
@@ -91,7 +91,7 @@ class Readings:
         Parameters
         ----------
         known : ndarray
-            Deviations of the means after the readings.
+            Deviations of the means after the measurements.
         predicted : Moments
             Before them. The plan has to be linearised as it was.
         """
@@ -113,7 +113,7 @@ class Known(NamedTuple):
     mean, cov : ndarray
         (..., n), (..., n, n).
     evidence : ndarray
-        (...): the readings' log-density, but for each one's own part.
+        (...): the measurements' log-density, but for each one's own part.
     """
 
     mean: Array
@@ -124,7 +124,7 @@ class Known(NamedTuple):
 def know(before: Belief, likelihood: Likelihood) -> Known:
     """Take readings into beliefs.
 
-    With x⁺ the mean given the readings, ln N(v; W x⁻, I + W P Wᵀ) is
+    With x⁺ the mean given the measurements, ln N(v; W x⁻, I + W P Wᵀ) is
     −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) − ½ ln |I + P WᵀW|, which does not subtract.
     """
     after = condition(before, likelihood)
@@ -136,7 +136,7 @@ def _is_all(places: Index, size: int) -> bool:
     return isinstance(places, slice) and places == slice(0, size)
 
 
-# Readings, times runs, that are worked on at once: what stays near the processor.
+# Measurements, times runs, that are worked on at once: what stays near the processor.
 _CHUNK = 8192
 
 
@@ -150,7 +150,8 @@ class Whitened:
     reference : ndarray
         (T+1, runs, n).
     white, scale : ndarray
-        L⁻¹ and ln N(0; 0, L Lᵀ) of the noise L Lᵀ of each reading, or of all: (M or 1, runs or 1,
+        L⁻¹ and ln N(0; 0, L Lᵀ) of the noise L Lᵀ of each measurement, or of all: (M or 1, runs or
+        1,
         ...). Of a reading of some components alone they are those of its part of the noise.
     """
 
@@ -185,7 +186,7 @@ class Whitened:
             residual = self._residual(rows, self.reference)
             alike = counts.size > 0 and bool((counts == counts[0]).all())
             if alike:
-                # The readings of a step as one: their sum is that of the product.
+                # The measurements of a step as one: their sum is that of the product.
                 matrix, residual = (_one_a_step(part, counts.size) for part in (matrix, residual))
             back = transpose(matrix)
             parts = multiply(back, matrix), apply(back, residual)
@@ -233,13 +234,13 @@ def _by_step(
 ) -> tuple[Array, ...]:
     """Arrays made of the readings of each step, (T+1, ...), a chunk of steps at a time.
 
-    `part` takes rows of readings, and how many are of each step.
+    `part` takes rows of measurements, and how many are of each step.
     """
     bounds = np.asarray(sensor.bounds)
     counts = np.diff(bounds)
     size = max(_CHUNK // sensor.moved.shape[1], 1)
     out: tuple[Array, ...] = ()
-    # Steps before all readings are a chunk of their own: later ones are often all alike.
+    # Steps before all measurements are a chunk of their own: later ones are often all alike.
     first, last = 0, int(np.flatnonzero(counts)[0])
     while first < counts.size:
         if last > first:

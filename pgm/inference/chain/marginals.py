@@ -29,7 +29,7 @@ class Marginals:
     Attributes
     ----------
     kind : Kind
-        Which readings they know.
+        Which measurements they know.
     """
 
     layout: SliceLayout
@@ -106,7 +106,7 @@ class KeptPosterior(Posterior):
     status : Status
         Linearisations, residuals, and whether they converged.
     kind : Kind
-        Which readings the marginals know.
+        Which measurements the marginals know.
     log_evidence : ndarray
         (...).
     log_evidence_kind : str
@@ -152,7 +152,7 @@ class KeptPosterior(Posterior):
     @property
     def predicted(self) -> Marginals:
         """Not kept."""
-        raise EvidenceError(self._missing("marginals given the readings before each step"))
+        raise EvidenceError(self._missing("marginals given the measurements before each step"))
 
     @property
     def filtered(self) -> Marginals:

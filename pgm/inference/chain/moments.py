@@ -31,11 +31,11 @@ class MomentChain:
     ----------
     plan : ChainPlan
     schedule : Filtering or None
-        How often readings are linearised; None leaves all CPDs as they were linearised before.
+        How often measurements are linearised; None leaves all CPDs as they were linearised before.
     keep : bool
         Whether the plan keeps the linearisations.
     anchor : Anchor, optional
-        Readings of all components that hold the beliefs near a point, for step control.
+        Measurements of all components that hold the beliefs near a point, for step control.
     room : callable, optional
         Gives arrays that the moments of a step may be written to, in a sweep of many runs.
     check : bool

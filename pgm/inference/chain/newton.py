@@ -33,7 +33,7 @@ class Means:
     means, variance : ndarray
         (T+1, runs, n).
     readings : Readings
-        The readings that they were found from.
+        The measurements that they were found from.
     pair : int
         Components of a pair, of whose covariances there are none.
     """

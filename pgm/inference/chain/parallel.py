@@ -1,6 +1,7 @@
 """Both passes over a chain as scans: 2 log₂ T rounds each, every round one batched call.
 
-Steps are elements, each a transition with the readings at its end, and segments are compositions.
+Steps are elements, each a transition with the measurements at its end, and segments are
+compositions.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ def filtered(
         linearised. Elements are about it, so that large coordinates cost no digits.
     anchor : Anchor, optional
     readings : Readings, optional
-        The readings of the plan about the reference, where they are known.
+        The measurements of the plan about the reference, where they are known.
     """
     readings = Readings.of(plan, reference) if readings is None else readings
     found = _solve(plan, between_slices(plan), _first(plan, anchor), readings, anchor)
@@ -92,8 +93,8 @@ def run(plan: ChainPlan) -> Ahead:
     """The forward pass of an affine model, as `forward.run` gives it.
 
     Elements are about a guess of the means. Where that is far from the beliefs, or has led an
-    angle's reading to another branch than the prediction does, the pass is repeated about the means
-    that it found; and where that does not end soon, it goes step by step.
+    angle's measurement to another branch than the prediction does, the pass is repeated about the
+    means that it found; and where that does not end soon, it goes step by step.
     """
     moves = between_slices(plan)
     reference = _guess(plan, moves)
@@ -227,7 +228,7 @@ def _predicted(moves: Conditional, start: Array) -> Array:
     out = room((moves.offset.shape[0] + 1, start.shape[0]), start.shape[1:])
     out[0] = start
     if len(out) > 1:
-        # An unstable transition leads beyond all numbers where readings hold the beliefs.
+        # An unstable transition leads beyond all numbers where measurements hold the beliefs.
         with np.errstate(over="ignore", invalid="ignore"):
             tree = levels(Map(moves.matrix, moves.offset), conditionals.after)
             out[1:] = prefixes(Value(start[None]), tree, conditionals.send).value
@@ -251,8 +252,8 @@ def _refuse(known: Moments) -> None:
 def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[Stack]) -> Element:
     """The element of every step, in deviations from a reference: (T, runs, ...).
 
-    It begins with the readings at the step before, and ends before those of its own step; but for
-    those of a singular noise, which it has with it, since they can only be absorbed by the
+    It begins with the measurements at the step before, and ends before those of its own step; but
+    for those of a singular noise, which it has with it, since they can only be absorbed by the
     transition that leads to them. Step 0 is left to the belief from which all begins.
 
     Parameters
@@ -260,7 +261,7 @@ def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[S
     moves : Conditional
         As `about` makes them.
     likelihood : Likelihood
-        Of the readings with a regular noise, (T+1, runs, ...).
+        Of the measurements with a regular noise, (T+1, runs, ...).
     stacks : list of Stack
         Those of a singular one.
     """
@@ -292,7 +293,7 @@ def _absorb_exact(moves: Element, stack: Stack) -> None:
     if bad.any():
         step = int(rows[np.flatnonzero(bad)[0]]) + 1
         raise NumericalError(
-            f"the readings at step {step} are exact, and so is what the transition leads to: "
+            f"the measurements at step {step} are exact, and so is what the transition leads to: "
             "their covariance given the states before is singular, and the step has no element; "
             "compile without pgm.Balanced(), for a chain of slices",
             step=step,

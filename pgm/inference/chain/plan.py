@@ -75,7 +75,7 @@ class ChainPlan:
     first : int
         The number of the plan's first step: other than zero online, and of a window.
     begin : (ndarray, ndarray) or None
-        The belief at the first step given its readings, of a window: (n, *batch) and
+        The belief at the first step given its measurements, of a window: (n, *batch) and
         (n, n, *batch). None where the prior is the beginning.
     """
 
@@ -142,7 +142,7 @@ class ChainPlan:
     def window(self, first: int, last: int, begin: tuple[Array, Array] | None = None) -> ChainPlan:
         """The plan of a window of steps, with views of these arrays; what is linearised is its own.
 
-        It begins with a belief that knows the readings of its first step, or with the prior.
+        It begins with a belief that knows the measurements of its first step, or with the prior.
         """
 
         def links(every: list[Link], start: int, end: int) -> list[Link]:

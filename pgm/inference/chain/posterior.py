@@ -44,7 +44,7 @@ class ChainPosterior(Posterior):
     status : Status
         Linearisations, residuals, and whether they converged.
     kind : Kind
-        Which readings the beliefs know: filtered, fixed-lag or smoothed.
+        Which measurements the beliefs know: filtered, fixed-lag or smoothed.
     log_evidence_kind : str
         ``exact``; ``linearised``, of the linearised model; or ``laplace``, at the fixed point of
         Taylor relinearisation.

@@ -71,14 +71,14 @@ def update(
 
     `room` has arrays for its moments, which are used where that saves a copy.
 
-    Where the joint predictive covariance of several readings is nearly singular, as with sharp
-    readings of a wide belief, they are taken in one by one, which is equal but for rounding.
+    Where the joint predictive covariance of several measurements is nearly singular, as with sharp
+    measurements of a wide belief, they are taken in one by one, which is equal but for rounding.
     """
     if not parts:
         return belief, 0.0
     first, mean = parts[0], belief.mean
     if mean.ndim == 1 and len(parts) == 1 and first.taken is None and not first.sensor.exact:
-        # A regular reading of one run, the usual case.
+        # A regular measurement of one run, the usual case.
         matrix, residual, noise, _ = vector(parts, mean)
         one = gaussian.update_one(mean, belief.cov, matrix, residual, noise)
         if one is not None and isfinite(one[2]):

@@ -14,7 +14,8 @@ from pgm.kernels import roots
 from pgm.kernels.arrays import Array, components_last, times
 from pgm.kernels.twofold import Twofold
 
-# A reading this far from what an exact model says, as a part of the numbers' size, contradicts it.
+# A measurement this far from what an exact model says, as a part of the numbers' size, contradicts
+# it.
 CONTRADICTION = 1e-8
 
 
@@ -26,7 +27,7 @@ def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
     advice = (
         f"with {sensor.family.lineariser!r} it may be: use positive weights or more samples"
         if blamed
-        else "are the belief before it and the reading of a size that float64 can hold?"
+        else "are the belief before it and the measurement of a size that float64 can hold?"
     )
     raise NumericalError(
         f"the predictive covariance of {names} at step {step} is indefinite or not "
@@ -53,7 +54,7 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
     sensor = parts[int(np.searchsorted(np.cumsum(heights), place, side="right"))].sensor
     run, off = sensor.family.first_run + run, float(far.T[where] and left.T[where])
     raise NumericalError(
-        f"a reading of {sensor.variable!r} at step {step}, run {run}, contradicts an exact "
+        f"a measurement of {sensor.variable!r} at step {step}, run {run}, contradicts an exact "
         f"model: it is {off:.3g} from a value that is certain; give the sensor, the "
         "motion or the prior some noise",
         variable=sensor.variable,
@@ -110,7 +111,7 @@ def belief(plan: ChainPlan, step: int, *beliefs: tuple[Twofold, Twofold]) -> Non
 def infinite(what: str, step: int) -> NoReturn:
     """Refuse a belief that is not finite."""
     raise NumericalError(
-        f"{what} at step {step} is not finite; are its inputs, readings and noises of a size that "
-        "float64 can hold?",
+        f"{what} at step {step} is not finite; are its inputs, measurements and noises of a size "
+        "that float64 can hold?",
         step=step,
     )

@@ -93,7 +93,7 @@ def _refuse_infinite(posterior: ChainPosterior) -> None:
         if lost.any():
             step, run = (int(axis[0]) for axis in np.nonzero(lost)[:2])
             raise NumericalError(
-                f"the belief at step {step}, run {run}, or the density of its readings is not "
+                f"the belief at step {step}, run {run}, or the density of its measurements is not "
                 "finite, or a variance is negative: numbers of the model or the evidence are "
                 "larger, or further apart, than float64 can hold; give them in other units",
                 step=step,

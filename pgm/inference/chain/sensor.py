@@ -69,7 +69,7 @@ class Sensor:
     values : ndarray
         (M, runs or 1, d), as given.
     bounds : list of int
-        The readings of step t are the rows bounds[t] to bounds[t + 1].
+        The measurements of step t are the rows bounds[t] to bounds[t + 1].
     cross : dict of int to ndarray
         By step, the covariances between different sightings' approximation errors, (runs, D, D),
         of a grouped sensor.
@@ -147,7 +147,7 @@ class Sensor:
         """The CPD at a step's readings, their values, and which components are there.
 
         The latter two, (D, *batch), one for all with a batch of one; None where nothing is read.
-        Stored readings are as they were linearised, their angles where they were moved to.
+        Stored measurements are as they were linearised, their angles where they were moved to.
         """
         first, last = self.bounds[step], self.bounds[step + 1]
         if first == last:

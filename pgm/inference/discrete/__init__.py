@@ -28,7 +28,7 @@ Graphs of any shape, on which messages go round:
 - ``loopy_plan``: lays out rounds of messages, clusters of one shape in one call;
 - ``loopy_messages``: the messages, and the beliefs and the Bethe value that they make.
 
-Reading:
+Measurement:
 
 - ``joints``: joints of variables of one cluster, or of several of a tree;
 - ``impossible``: evidence of probability zero, and where it contradicts the tables;

@@ -121,7 +121,7 @@ class Buffer:
         if not scope:
             raise NumericalError(
                 f"the density of the evidence in cluster {cluster} is beyond the range of float64: "
-                "a reading is more than 1e150 deviations from what the model expects",
+                "a measurement is more than 1e150 deviations from what the model expects",
                 cluster=cluster,
             )
         raise NumericalError(

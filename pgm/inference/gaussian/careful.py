@@ -28,8 +28,9 @@ from pgm.kernels.decimals import ONE, ZERO, Decimals
 from pgm.linearisers import Taylor
 from pgm.linearisers.regression import StatisticalRegression
 
-# How far a reading that a model without noise determines may miss it: in parts of the numbers that
-# it is a sum of, and of deviations of the prior. That much float64 leaves of a user's arithmetic.
+# How far a measurement that a model without noise determines may miss it: in parts of the numbers
+# that it is a sum of, and of deviations of the prior. That much float64 leaves of a user's
+# arithmetic.
 CONTRADICTION = Decimal("1e-12")
 # The same in parts of what rounding of linearised values comes to at most.
 OF_ROUNDING = 10

@@ -1,7 +1,7 @@
 """The digits that float64 leaves of a tree's beliefs, by how far apart its deviations lie.
 
 Rows are divided by their noise and multiplied by the prior's deviations, so that the size a of a
-row's entries says by how much a CPD or reading is sharper than the prior. A factorisation moves
+row's entries says by how much a CPD or measurement is sharper than the prior. A factorisation moves
 each row by some 10⁻¹⁶ a, and a mean by as many of its own deviations, times the distance of the
 mean from the prior's in deviations of the prior. A covariance is pushed down the tree as it is and
 keeps what is small to 10⁻¹⁶ of the prior's, 10⁻¹⁶ a² of itself. What relations without noise put

@@ -5,8 +5,8 @@ One that is observed joins, is conditioned on component by component,
 
     G = P eₖ / s,   m ← m + G (z − mₖ),   P ← P − G eₖᵀ P,   s = eₖᵀ P eₖ,
 
-and leaves again. A component with s = 0 is determined by what was read before: its reading agrees,
-or contradicts the model.
+and leaves again. A component with s = 0 is determined by what was read before: its measurement
+agrees, or contradicts the model.
 """
 
 from __future__ import annotations

@@ -203,18 +203,19 @@ class GaussianPosterior(Posterior):
     def log_evidence(self) -> Array:
         """The value ln p(evidence), (...); see `log_evidence_kind`.
 
-        Exact readings that repeat one another have no joint density; what is then given is that
+        Exact measurements that repeat one another have no joint density; what is then given is that
         of those that do not, in a unit that depends on the graph.
 
         Raises
         ------
         NumericalError
-            If it is beyond the range of float64: readings some 10¹⁵⁰ deviations from the model's.
+            If it is beyond the range of float64: measurements some 10¹⁵⁰ deviations from the
+            model's.
         """
         value = self._done.log_evidence
         if not np.isfinite(value).all():
             raise NumericalError(
-                "ln p(evidence) is beyond the range of float64: a reading is more than 1e150 "
+                "ln p(evidence) is beyond the range of float64: a measurement is more than 1e150 "
                 "deviations from what the model expects; give its CPD more noise"
             )
         return frozen(runs_first(value).reshape(self._model.lead))

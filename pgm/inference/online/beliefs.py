@@ -34,12 +34,12 @@ class OnlineBelief(Immutable):
     ----------
     step : int
     log_evidence : ndarray
-        (...): ln p of all readings so far.
+        (...): ln p of all measurements so far.
     status : Status
         How the linearisations of the last update went; with the digits that are left, where
         deviations lie too far apart for float64 and steps are made in twice the digits.
     kind : Kind
-        Which readings it knows: filtered after an update, predicted before.
+        Which measurements it knows: filtered after an update, predicted before.
     """
 
     step: int

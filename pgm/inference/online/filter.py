@@ -58,10 +58,10 @@ class OnlineFilter(Immutable):
     lineariser : Lineariser, optional
         For every CPD that has none of its own; `Taylor()` without.
     schedule : Filtering or FixedLag, optional
-        How often readings are linearised; once without. With a `FixedLag`, ``belief.lagged`` is the
-        belief at the step a lag before, given everything so far. Without iterations it is found
+        How often measurements are linearised; once without. With a `FixedLag`, ``belief.lagged`` is
+        the belief at the step a lag before, given everything so far. Without iterations it is found
         when it is asked for; with them each update settles the window of its step, taking all
-        readings of the step together, as `infer` does on recorded ones.
+        measurements of the step together, as `infer` does on recorded ones.
     lag : int, optional
         In place of a schedule, as ``schedule=FixedLag(lag)``.
 
@@ -251,18 +251,18 @@ class OnlineFilter(Immutable):
         belief : OnlineBelief
         readings : mapping of Variable
             For a sensor ``pgm.sightings(values, given=...)`` without steps, any number, or one
-            reading (..., d); for inputs that the sensors need, values (..., d).
+            measurement (..., d); for inputs that the sensors need, values (..., d).
 
         Raises
         ------
         EvidenceError
-            If a reading does not fit its sensor.
+            If a measurement does not fit its sensor.
         NumericalError
-            If a reading contradicts an exact model.
+            If a measurement contradicts an exact model.
         """
         self._check(belief)
         if type(readings) is not dict:
-            readings = step_evidence.mapping(readings, "update", "sensors to readings")
+            readings = step_evidence.mapping(readings, "update", "sensors to measurements")
         behind = belief.behind
         if isinstance(behind, Sliding):
             bound = step_evidence.readings(self.model, belief, readings)

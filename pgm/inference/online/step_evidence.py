@@ -1,7 +1,7 @@
 """Evidence of one step online, checked and laid out.
 
 For one robot a layout, a plan of the step, is made once for each kind of input. Batches of robots,
-missing readings and values of odd shapes have none: their plans are made anew at each step.
+missing measurements and values of odd shapes have none: their plans are made anew at each step.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ def inputs(
     for variable in values:
         if variable not in needed or variable not in model.inputs:
             raise EvidenceError(
-                f"predict takes inputs of the transition, not {variable!r}; readings go to update",
+                f"predict takes inputs of the transition, not {variable!r}; measurements go to "
+                "update",
                 variable=variable,
                 step=belief.step + 1,
             )
@@ -181,7 +182,7 @@ class _Local:
         The place of each input among the rows, and whether it is shared by several sightings.
     sightings : int
     reading : int
-        The place of the readings.
+        The place of the measurements.
     """
 
     def __init__(
@@ -227,7 +228,7 @@ class Layouts:
     make : callable
         Makes a plan, or refuses what is given.
     schedule : Filtering
-        How often readings are linearised.
+        How often measurements are linearised.
     """
 
     def __init__(
@@ -256,7 +257,7 @@ class Layouts:
         if given is None:
             return None
         key, rows = given
-        if not belief.step:  # there are no controls, and readings of them are refused
+        if not belief.step:  # there are no controls, and measurements of them are refused
             key = *key, 0
         layout = self._known.get(key) or self._add(key, belief, readings)
         parts = []

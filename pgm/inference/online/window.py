@@ -250,7 +250,7 @@ class Trail(NamedTuple):
     passed : tuple of Passed or None
         The last of them ends at the belief's step; None where a step took twice the digits.
     imprecise : bool
-        Whether the readings of the belief's step did.
+        Whether the measurements of the belief's step did.
     """
 
     lag: int
@@ -277,9 +277,9 @@ class Trail(NamedTuple):
 
     def _refuse(self, first: int, before: int, step: int) -> NoReturn:
         raise NumericalError(
-            f"float64 loses the belief at step {first} given the readings up to step {step}: at "
-            f"step {before} or the next, deviations lie too far apart. That at step {step} is "
-            "right; the other is found on recorded readings, pgm.smooth(..., lag=...), and by an "
-            "online filter with iterations=2, which solves its windows in twice the digits",
+            f"float64 loses the belief at step {first} given the measurements up to step {step}: "
+            f"at step {before} or the next, deviations lie too far apart. That at step {step} is "
+            "right; the other is found on recorded measurements, pgm.smooth(..., lag=...), and by "
+            "an online filter with iterations=2, which solves its windows in twice the digits",
             step=first,
         )

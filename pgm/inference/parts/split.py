@@ -69,7 +69,7 @@ def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, wor
             rules.append(cpd.lineariser)
     if any(getattr(rule, "fresh_per_run", False) for rule in rules):
         return bound.runs  # what a run draws depends on how many come before it
-    # About ten matrices and vectors of the slice for each step, five of each reading.
+    # About ten matrices and vectors of the slice for each step, five of each measurement.
     width = graph.layout.slice_size + graph.layout.state_size
     numbers = (bound.steps + 1) * 5 * width * (graph.layout.slice_size + 1)
     for reading in bound.readings:
