@@ -85,7 +85,7 @@ KINDS = {
 }
 UNCHANGED = Change("pgm", "the model of range and bearing", None, tuple(KINDS))
 CHANGES = (
-    Change("missing", "one reading in 100,000 missing", 1.3, work=changes.missing),
+    Change("missing", "one measurement in 100,000 missing", 1.3, work=changes.missing),
     Change("second_state", "a second state variable", 1.8, work=changes.second_state),
     Change(
         "no_jacobian", "the motion without a Jacobian", None, work=changes.no_jacobian, same=True

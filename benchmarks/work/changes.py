@@ -11,14 +11,14 @@ from benchmarks.work import robots
 from benchmarks.work.robots import DRIVE, DT, Array, Robots
 from models.networks import pose, velocity
 
-MISSING = 1e-5  # of all readings
+MISSING = 1e-5  # of all measurements
 NOISE_STD = (0.0, 0.03, 0.02)  # as `robots.MOTION_STD`, but for the first component
 BIAS_STD, DRIFT_STD = 0.01, 0.001  # [rad/s], at the start and of the walk a step
 bias = pgm.Variable("b", components=("drift",))
 
 
 def missing(work: Robots) -> Robots:
-    """One reading in 100,000 is not taken, and one at the least."""
+    """One measurement in 100,000 is not taken, and one at the least."""
     places = work.runs * work.steps
     rng = np.random.default_rng(0)
     run, step = np.divmod(

@@ -29,7 +29,7 @@ WHOLE = "only a sensor's measurement may be missing, or components of it, as NaN
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """All readings of one sensor, sorted by step.
+    """All measurements of one sensor, sorted by step.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ def by_row(array: npt.NDArray[Kind], lead: tuple[int, ...]) -> npt.NDArray[Kind]
 
 
 def reading_by_row(reading: Reading, lead: tuple[int, ...]) -> Reading:
-    """A reading whose arrays have the user's axes, with the axes of runs as one, rows first."""
+    """A measurement whose arrays have the user's axes, with the axes of runs as one, rows first."""
     return replace(
         reading,
         values=by_row(reading.values, lead),

@@ -29,7 +29,7 @@ class Soft:
 
 
 class Sightings(Immutable):
-    """Readings of one sensor at any steps; made by `sightings`."""
+    """Measurements of one sensor at any steps; made by `sightings`."""
 
     __slots__ = ("given", "step", "values")
 
@@ -86,7 +86,7 @@ def sightings(
     step: npt.ArrayLike | None = None,
     given: Mapping[Variable, npt.ArrayLike | Constant] | None = None,
 ) -> Sightings:
-    """Any number of readings of one sensor at any steps, none included.
+    """Any number of measurements of one sensor at any steps, none included.
 
     Parameters
     ----------

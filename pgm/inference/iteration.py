@@ -65,7 +65,7 @@ class Point(NamedTuple):
 
 
 class Anchor(NamedTuple):
-    """A reading of all components that holds a solution near a point.
+    """A measurement of all components that holds a solution near a point.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Anchor(NamedTuple):
         return Anchor(self.mean[one], self.std[one], self.weight)
 
     def hold(self, step: int, mean: Array, cov: Array) -> tuple[Array, Array]:
-        """Take the reading of a step into a belief, (runs, n) and (runs, n, n)."""
+        """Take the measurement of a step into a belief, (runs, n) and (runs, n, n)."""
         held = (self.std[step] > 0.0) & (self.weight > 0.0)[:, None]
         eye = np.eye(mean.shape[-1])
         variance = self.std[step] ** 2 / np.where(self.weight > 0.0, self.weight, 1.0)[:, None]

@@ -11,7 +11,7 @@ from pgm.errors import ModelError
 
 @dataclass(frozen=True)
 class Kind:
-    r"""The kind of a chain's beliefs: each knows the readings up to a lag after its step.
+    r"""The kind of a chain's beliefs: each knows the measurements up to a lag after its step.
 
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + \mathrm{lag},\, T)})
 
@@ -51,7 +51,7 @@ class Kind:
         return names.get(self.lag, "fixed-lag")
 
     def last(self, step: int, steps: int) -> int:
-        """The last step whose readings a belief at a step knows, of a chain of so many steps."""
+        """The last step, of a chain of so many, whose measurements a belief at a step knows."""
         return int(min(step + self.lag, steps))
 
     def __str__(self) -> str:

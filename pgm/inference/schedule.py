@@ -12,7 +12,7 @@ from pgm.inference.damping import Damping, require_damping
 
 @dataclass(frozen=True)
 class Filtering:
-    """Forward messages alone: each belief knows the readings up to its step.
+    """Forward messages alone: each belief knows the measurements up to its step.
 
     A transition is linearised at the incoming message, a sensor at the predicted belief. With
     `Taylor` it is the extended Kalman filter, with `Unscented` the unscented one. Further
@@ -76,7 +76,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Smoothing(Calibration):
-    """Forward and backward messages: the calibration of a chain, whose beliefs know all readings.
+    """Forward and backward messages, the calibration of a chain: all measurements are known.
 
     The first linearisation is that of the filter, so that one iteration is the (extended,
     unscented) RTS smoother; the later ones are of every CPD at the smoothed belief over its hidden
@@ -107,7 +107,7 @@ class Smoothing(Calibration):
 
 @dataclass(frozen=True)
 class FixedLag:
-    r"""Forward messages, and backward ones over a lag: each belief knows the readings up to it.
+    r"""Forward messages, and backward ones over a lag: each belief knows the measurements up to it.
 
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + L,\, T)})
 

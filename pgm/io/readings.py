@@ -1,4 +1,4 @@
-"""Stamped readings, each put at the state nearest in time."""
+"""Stamped measurements, each put at the state nearest in time."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ NOT_TAKEN, BEFORE, AFTER, FAR = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReadingReport:
-    """The fate of each reading of one sensor; arrays are in the order of the log.
+    """The fate of each measurement of one sensor; arrays are in the order of the log.
 
     Attributes
     ----------
@@ -65,18 +65,18 @@ class ReadingReport:
 
     @property
     def kept(self) -> Mask:
-        """Which readings are in the evidence, (M,); there they stand in the same order."""
+        """Which measurements are in the evidence, (M,); there they stand in the same order."""
         kept: Mask = self.reason == ""
         return kept
 
     @property
     def moved(self) -> Mask:
-        """Which of the readings kept are not of the moment of their state, (M,)."""
+        """Which of the measurements kept are not of the moment of their state, (M,)."""
         return self.kept & (np.abs(self.shift) > SAME)
 
     @property
     def dropped(self) -> Integers:
-        """The rows of the readings that are not in the evidence."""
+        """The rows of the measurements that are not in the evidence."""
         return np.flatnonzero(~self.kept)
 
     def __repr__(self) -> str:
@@ -180,7 +180,7 @@ def _given(
     counts: Sequence[int],
     taken: Mask,
 ) -> Array:
-    """The parents' values at each reading, (M, d)."""
+    """The parents' values at each measurement, (M, d)."""
     what = f"{parent!r}, given for the measurements of {variable!r}"
     tables = []
     for log, count in zip(logs, counts, strict=True):
@@ -199,7 +199,7 @@ def _given(
 def _reasons(
     stamps: Array, shift: Array, taken: Mask, times: Array, tolerance: float | None
 ) -> npt.NDArray[np.str_]:
-    """Why each reading is dropped, empty where it is kept."""
+    """Why each measurement is dropped, empty where it is kept."""
     before, after = stamps < times[0], stamps > times[-1]
     if tolerance is None:
         first, last = 0.5 * np.diff(times)[[0, -1]]

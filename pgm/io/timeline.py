@@ -69,7 +69,7 @@ def timeline(
     sensors: Mapping[Variable, Stamped | Sequence[Stamped]] | None = None,
     tolerance: float | None = None,
 ) -> Timeline:
-    """Lay a log of stamped rows on the times of the states: controls by step, readings by state.
+    """Lay a log of stamped rows on the states: controls by step, measurements by state.
 
     Rows may come in any order, and every control and sensor has its own stamps. Stamps less than
     a microsecond apart are of one moment.

@@ -30,7 +30,7 @@ def push(cov: Array, matrix: Array, noise: Array, out: Array) -> None:
 
 
 class Update(NamedTuple):
-    """Many beliefs, each given a reading.
+    """Many beliefs, each given a measurement.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Update(NamedTuple):
 
 
 def sharpness(noise: Array, least: float = NEGLIGIBLE) -> Array:
-    """The value of det S from which on a reading with this noise is sharp, (runs or 1,).
+    """The value of det S from which on a measurement with this noise is sharp, (runs or 1,).
 
     S is at least the noise, and below this it is at most a thousand times the noise, in whatever
     direction. So no variance falls more than a thousand times in an update, and P − K S Kᵀ loses

@@ -164,7 +164,7 @@ def extend(
 
 
 class Update(NamedTuple):
-    """A belief given a reading.
+    """A belief given a measurement.
 
     Attributes
     ----------
@@ -202,7 +202,7 @@ def update(
     sharp: Array | None = None,
     least: float = NEARLY_SINGULAR,
 ) -> Update:
-    """Condition N(mean, cov) on a reading z = H x + n, n ~ N(0, noise), of residual z − H mean.
+    """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), of residual z − H mean.
 
     The covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of semidefinite terms, with the
     gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise.

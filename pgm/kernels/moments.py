@@ -27,7 +27,7 @@ ROUNDING = 1e-14
 
 
 class Update(NamedTuple):
-    """A belief given a reading.
+    """A belief given a measurement.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Update(NamedTuple):
 def update(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array, *, exact: bool = True
 ) -> Update:
-    """Condition N(mean, cov) on a reading z = H x + n, n ~ N(0, noise), residual z − H mean.
+    """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), residual z − H mean.
 
     The covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of semidefinite terms, with the
     gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise. `exact` says whether the noise is singular, so that

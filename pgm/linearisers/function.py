@@ -106,6 +106,11 @@ class FunctionTemplate:
         return self.child.dimension
 
     @cached_property
+    def shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """The shapes of a value and of its derivative, of one run."""
+        return (self.height,), (self.height, self.size)
+
+    @cached_property
     def turning(self) -> list[int]:
         """The places of the value's components that are angles."""
         return [int(k) for k in np.flatnonzero(self.angles)]
@@ -243,12 +248,13 @@ class BoundFunction(NamedTuple):
             slope = function(*arguments)
         except Exception as error:
             raise self._told(role, x).failure(function, arguments, error) from error
-        due = (*shape, template.height)
+        due, steep = template.shapes
+        if shape:
+            due, steep = (*shape, *due), (*shape, *steep)
         if not (type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due):
             value = self._told("function", x).array(template.function, arguments, value, due)
-        due = (*due, template.size)
-        if not (type(slope) is _ARRAY and slope.dtype is _FLOAT and slope.shape == due):
-            slope = self._told("derivative", x).array(derivative, arguments, slope, due)
+        if not (type(slope) is _ARRAY and slope.dtype is _FLOAT and slope.shape == steep):
+            slope = self._told("derivative", x).array(derivative, arguments, slope, steep)
         return value, slope
 
     def apart(self) -> BoundFunction:

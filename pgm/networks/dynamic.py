@@ -153,7 +153,7 @@ class DynamicBayesianNetwork(Immutable):
         runs: int | tuple[int, ...] = (),
         rng: np.random.Generator | int,
     ) -> Sample:
-        """Draw the states, and the readings of the sensors, from the model.
+        """Draw the states, and the measurements of the sensors, from the model.
 
         Parameters
         ----------

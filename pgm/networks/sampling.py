@@ -113,7 +113,7 @@ def draw_steps(
     runs: int | tuple[int, ...],
     rng: np.random.Generator,
 ) -> Sample:
-    """Draw states forward in time, then the readings."""
+    """Draw states forward in time, then the measurements."""
     hidden = (*model.states, *model.controls)
     width = sum(variable.dimension for variable in hidden)
     shape = _as_shape("runs", as_tuple(runs) or runs, model.lead)

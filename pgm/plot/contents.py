@@ -95,7 +95,7 @@ def _size(scope: Scope) -> str:
 
 
 def reading_counts(graph: ClusterGraph, evidence: Evidence) -> dict[Variable, int]:
-    """Readings of each sensor of a dynamic network at each step, zeros included for all sensors.
+    """The number of measurements of each sensor of a dynamic network at each step.
 
     A measurement counts if one run or more took it.
 

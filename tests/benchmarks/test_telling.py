@@ -196,7 +196,7 @@ def test_the_page_takes_its_numbers_from_the_summary(tmp_path, monkeypatch):
     assert "| 1.6–5 ×, median 4 × | 19–2000 ×, median 30 × |" in text
     assert "| `sets_asia` | set of evidence | 1000000 |" in text
     assert "repository_asia`" not in text
-    assert "| one reading in 100,000 missing | 1.25 |  |  | 1.3 |" in text
+    assert "| one measurement in 100,000 missing | 1.25 |  |  | 1.3 |" in text
     assert "| the motion without a Jacobian | 4.50 |  |  |  |" in text
     assert "| 31 runs instead of 32 | 1.05 |  |  | 1.1 |" in text
     assert "| 1.35 |  | 1.20 | 1.3 |" in text

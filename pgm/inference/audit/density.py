@@ -95,7 +95,7 @@ class Term:
         return proposed, self._relative(row, parents, proposed, log_density)
 
     def readings(self, rows: slice, parents: Array, values: Array, moved: Array) -> Array:
-        """The log-density of readings, (runs, S), their sum over rows.
+        """The log-density of measurements, (runs, S), their sum over rows.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ class Term:
 
 
 def has_exact(read: Iterable[Family]) -> bool:
-    """Whether the noise of some readings is singular; refuses such ones of nonlinear sensors."""
+    """Whether some noise of measurements is singular; that of nonlinear sensors is refused."""
     found = [f for f in read if roots.determined(roots.root(f.own_noise)).any()]
     for family in found:
         if not family.exact:

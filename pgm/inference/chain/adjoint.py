@@ -50,7 +50,7 @@ _CLOSE = 1e-12
 
 
 class Later(NamedTuple):
-    """The message of later readings to a slice.
+    """The message of later measurements to a slice.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Back(NamedTuple):
 
 
 class Smooth(NamedTuple):
-    """A slice given the readings up to a last step.
+    """A slice given the measurements up to a last step.
 
     Attributes
     ----------
@@ -199,7 +199,7 @@ class CarefulSmoothed:
 
 @quiet()
 def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
-    """Every slice from a first up to a last step, given the readings up to this."""
+    """Every slice from a first up to a last step, given the measurements up to this."""
     columns, cov, *_ = careful.steps[last].predicted
     nothing = np.zeros(cov.shape)
     said = Twofold.zeros(columns.shape), Twofold.zeros(cov.shape)
@@ -223,7 +223,7 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
 
 @quiet()
 def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Array, Array]:
-    """Moments of the slices of some steps, ascending, given the readings up to the last slice.
+    """Moments of the slices of some steps, ascending, given the measurements up to the last slice.
 
     With Φ the product of A (1 − G h) from one step to another, the errors of two predictions have
     the covariance P Φᵀ, of which the measurements from the second step on leave P Φᵀ (1 − N P).

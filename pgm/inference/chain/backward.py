@@ -88,7 +88,7 @@ class Ahead(Protocol):
 
     @property
     def predicted_mean(self) -> Array:
-        """(T+1, runs, n): before each step's readings."""
+        """(T+1, runs, n): before each step's measurements."""
         ...
 
     @property
@@ -181,7 +181,7 @@ def _reverse(step: _Step) -> Conditional:
 
 
 def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
-    """The slice given its states and the readings up to it; the states are given exactly."""
+    """The slice given its states and the measurements up to it; the states are given exactly."""
     layout = plan.layout
     states, controls = layout.state_places, layout.control_places
     known = block(forward.cov, states, states)
@@ -232,7 +232,7 @@ def sweep(forward: Ahead, reverse: Reverse) -> Beliefs:
 
 
 def lagged(forward: Ahead, reverse: Reverse, lag: int) -> Beliefs:
-    """Moments of every slice given the readings up to a lag after it, all steps at once.
+    """Moments of every slice given the measurements up to a lag after it, all steps at once.
 
     With B_k[t] the belief that knows those up to k steps later, and C_m[t] the slice at t given
     that m steps later, both up to T at the most,
@@ -282,7 +282,7 @@ def pairs(beliefs: Beliefs, reverse: Reverse, steps: slice | int) -> Beliefs:
 
 
 def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
-    """The likelihood of the readings after each step, as a function of the states at it.
+    """The likelihood of the measurements after each step, as a function of the states at it.
 
     Messages are carried about the filtered mean, so that large coordinates cost no digits, and
     moved to the origin at the end. NaN in runs where the message does not exist.
@@ -310,7 +310,7 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
 def absorbed(
     plan: ChainPlan, forward: Forward, conditionals: Conditional, later: int
 ) -> tuple[Conditional, Canonical | None]:
-    """The states at a step given those before it and the step's readings, and what these say.
+    """The states at a step given those before it and the step's measurements, and what these say.
 
     Both about the filtered means: of the states at the step, and of those before it, of which the
     measurements' likelihood is a function.
@@ -336,7 +336,7 @@ def absorb_readings(
     reading_noise: Array,
     missing: Array | None,
 ) -> tuple[Array, Array, Array, Canonical]:
-    """Bring a step's readings into its transition w = A x + q, both about predicted means.
+    """Bring a step's measurements into its transition w = A x + q, both about predicted means.
 
     Returns the conditional of w given x and the measurements, and their likelihood as a function of
     x, through S = H Q Hᵀ + noise of the measurement, which has to be regular.

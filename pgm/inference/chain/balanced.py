@@ -90,7 +90,7 @@ class BalancedPosterior(ChainPosterior):
         return self._form(scope, parts, f"the belief of cluster {index}", index)
 
     def _future(self, step: int) -> Canonical:
-        """The likelihood of the readings after a step, those that were heard of."""
+        """The likelihood of the measurements after a step, those that were heard of."""
         if self.kind == SMOOTHED:
             return self._backward_messages[step]
         size = self.graph.layout.state_size

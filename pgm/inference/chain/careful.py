@@ -55,7 +55,7 @@ from pgm.kernels.twofold import Twofold
 
 
 class Step(NamedTuple):
-    """A step of the pass: the transition that led to it, and its belief before and after readings.
+    """A step of the pass: the transition to it, its belief before and after measurements.
 
     Belief and estimate of δ know the measurements up to the step.
     """
@@ -155,7 +155,7 @@ def predict(plan: ChainPlan, step: int, known: Belief) -> Belief:
 def update(
     plan: ChainPlan, step: int, known: Belief, schedule: Filtering
 ) -> tuple[Belief, IteratedUpdate[CarefulUpdate]]:
-    """The belief of an online filter given the readings of its step."""
+    """The belief of an online filter given the measurements of its step."""
     nothing = Twofold.zeros((plan.runs, 1, 1))
     reading = CarefulReading.of(plan, 0, known.moments, known, nothing, schedule)
     taken = iterated(reading, schedule)
@@ -166,7 +166,7 @@ def update(
 
 @dataclass(frozen=True, eq=False)
 class CarefulUpdate:
-    """The belief that an update leaves, and the log-density of its readings.
+    """The belief that an update leaves, and the log-density of its measurements.
 
     Attributes
     ----------
@@ -206,7 +206,7 @@ class CarefulUpdate:
 
 
 class CarefulReading(UpdateProblem[CarefulUpdate]):
-    """The readings of a step, taken in in twice the digits."""
+    """The measurements of a step, taken in in twice the digits."""
 
     belief: Belief
     information: Twofold
@@ -221,7 +221,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         information: Twofold,
         schedule: Filtering | None,
     ) -> CarefulReading:
-        """The readings of a step, at a belief of these moments, (runs, n) and (runs, n, n)."""
+        """The measurements of a step, at a belief of these moments, (runs, n) and (runs, n, n)."""
         parts = MomentChain(plan, schedule).readings(step)
         at = Moments.of(plan, *moments)
         made = cls(parts, plan.first + step, at.mean, at.cov)
@@ -232,12 +232,12 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         return made
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
-        """Linearise a sensor's readings."""
+        """Linearise a sensor's measurements."""
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 
     @quiet()
     def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
-        """The belief given the readings."""
+        """The belief given the measurements."""
         belief, information, parts = self.belief, self.information, self.measured
         runs, size = belief.largest.shape
         rows, noises, seen = decorrelated(parts, runs, size)
@@ -289,7 +289,7 @@ def prior_mean(plan: ChainPlan) -> Array:
 
 
 def start(plan: ChainPlan, *, linearise: bool) -> Belief:
-    """The slice at step 0 before its readings; there are no controls."""
+    """The slice at step 0 before its measurements; there are no controls."""
     nonlinear = next((link.family for link in plan.prior if not link.family.exact), None)
     if linearise and nonlinear is not None:
         if is_flat(plan):

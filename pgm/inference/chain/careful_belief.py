@@ -1,4 +1,4 @@
-"""Beliefs in twice the digits, and what transitions and single components of readings make of them.
+"""Beliefs in twice the digits, led through transitions and given components of measurements.
 
 They are functions m + D δ of an unknown δ, which is estimated from what was read, and they bound
 what rounding has made of them.
@@ -191,7 +191,7 @@ class Move(NamedTuple):
 
 @quiet()
 def predicted(belief: Belief, move: Move) -> Belief:
-    """The belief over the next slice, before its readings."""
+    """The belief over the next slice, before its measurements."""
     matrix = move.matrix
     summed = np.abs(matrix.hi) @ np.abs(belief.columns.hi)
     columns = cancelled(matrix @ belief.columns, summed)
@@ -271,7 +271,7 @@ def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
 
 
 class Component(NamedTuple):
-    """A component of a reading, taken in.
+    """A component of a measurement, taken in.
 
     Attributes
     ----------
@@ -356,7 +356,7 @@ def take(
 
 
 def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twofold, Twofold, Mask]:
-    """The components of readings, each with an error of its own.
+    """The components of measurements, each with an error of its own.
 
     Returns
     -------

@@ -58,24 +58,26 @@ def is_ordinary(mean: Array, cov: Array) -> bool:
 def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:
     """Whether a forward pass, and the covariances that a smoother made of it, kept their digits."""
     with np.errstate(all="ignore"):  # a ratio of what is not finite is no moderate one
-        if not np.isfinite(swept.log_density.sum()) or _sinks(swept, both=smoothed is not None):
+        if not np.isfinite(swept.log_density.sum()) or _means_sink(
+            swept, both=smoothed is not None
+        ):
             return False
         if isinstance(swept, Filtered):
             return swept.closest * MODERATE > 1.0
         predicted, known = swept.predicted_cov, swept.cov
-        if smoothed is not None and not _stands(known, smoothed, MODERATE):
+        if smoothed is not None and not _hold(known, smoothed, MODERATE):
             return False
-        return (swept.gentle or composes(predicted, known, MODERATE)) and _told(plan, swept)
+        return (swept.gentle or composes(predicted, known, MODERATE)) and _told_apart(plan, swept)
 
 
 def composes(predicted: Array, known: Array, limit: float = _GENTLE) -> bool:
-    """Whether segments about these covariances, before and after readings, compose well."""
+    """Whether segments about these covariances, before and after measurements, compose well."""
     with np.errstate(all="ignore"):
-        stands = _stands(predicted, known, limit)
-        return stands and _is_open(predicted, limit) and _is_open(known, limit)
+        stands = _hold(predicted, known, limit)
+        return stands and _is_regular(predicted, limit) and _is_regular(known, limit)
 
 
-def _sinks(swept: Forward | Filtered, *, both: bool) -> bool:
+def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
     """Whether means come from numbers so large that their last digits count where they are small.
 
     An error is at most as many deviations at other steps: later ones, or with `both` earlier too.
@@ -95,7 +97,7 @@ def _sinks(swept: Forward | Filtered, *, both: bool) -> bool:
     return bool(((largest > _COUNTS) & (largest > _FARTHER * parts)).any())
 
 
-def _is_open(cov: Array, limit: float) -> bool:
+def _is_regular(cov: Array, limit: float) -> bool:
     """Whether beliefs (T+1, runs, n, n) are regular."""
     size = cov.shape[-1]
     last = np.moveaxis(cov, (-2, -1), (0, 1)).reshape(size, size, -1)
@@ -104,15 +106,15 @@ def _is_open(cov: Array, limit: float) -> bool:
     return along_runs.open_share(last) * limit > 1.0
 
 
-def _stands(before: Array, after: Array, limit: float) -> bool:
+def _hold(before: Array, after: Array, limit: float) -> bool:
     """Whether no variance falls by much; one of zero is known, and a negative one is rounding."""
     left = variances(after)
     fallen = limit * left < variances(before)
     return not fallen.any() or not (fallen & (left != 0.0)).any()
 
 
-def _told(plan: ChainPlan, swept: Forward) -> bool:
-    """Whether readings without noise are told apart by more than rounding."""
+def _told_apart(plan: ChainPlan, swept: Forward) -> bool:
+    """Whether measurements without noise are told apart by more than rounding."""
     exact = [s for s in plan.sensors if s.exact and s.family.step.size]
     for steps, matrix, _, noise, _ in stacks(plan, exact, swept.predicted_mean) if exact else []:
         cov = swept.predicted_cov[steps]

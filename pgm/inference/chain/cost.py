@@ -75,7 +75,7 @@ def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Arr
 
 
 def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
-    """The cost of some steps' readings at beliefs over their slices, (k, runs, n): (runs,)."""
+    """The cost of some steps' measurements at beliefs over their slices, (k, runs, n): (runs,)."""
     family, parents = sensor.family, sensor.parents
     if not mean.shape[0]:
         return np.zeros(mean.shape[1])

@@ -1,4 +1,4 @@
-"""Fixed-lag smoothing: each belief knows the readings of some further steps.
+"""Fixed-lag smoothing: each belief knows the measurements of some further steps.
 
 With one linearisation the filter's forward pass is reversed, and beliefs go back by a lag, all
 steps at once. With more, a window slides along the chain: its CPDs are linearised at its smoothed
@@ -54,7 +54,7 @@ class Windows:
 
 @dataclass(frozen=True, eq=False)
 class Lagged:
-    """Beliefs given the readings up to a lag after each step.
+    """Beliefs given the measurements up to a lag after each step.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class _Record:
         self.error: Array | None = None
 
     def leave(self, window: Window) -> None:
-        """Leave the first step of a window behind, and the readings of the next with it."""
+        """Leave the first step of a window behind, and the measurements of the next with it."""
         self.left = self.left + window.ahead.log_density[:2].sum(axis=0)
 
     def keep(self, first: int, window: Window) -> None:
@@ -167,7 +167,7 @@ class _Record:
 
 
 class Beginning(NamedTuple):
-    """The belief at a window's first step, given the readings up to there.
+    """The belief at a window's first step, given the measurements up to there.
 
     Attributes
     ----------
@@ -237,7 +237,7 @@ class Window:
     careful: CarefulSmoothed | None
 
     def at(self, row: int) -> Beginning:
-        """The belief at a row given the readings there, for another window to begin with.
+        """The belief at a row given the measurements there, for another window to begin with.
 
         A mean that the step control held back is held back here as much.
         """
@@ -266,7 +266,7 @@ class SingleStep(NamedTuple):
 
 
 def filter_step(plan: ChainPlan, step: int, begin: Beginning | None) -> SingleStep:
-    """Filter one step: its transition and its readings, from the belief before."""
+    """Filter one step: its transition and its measurements, from the belief before."""
     first = max(step - 1, 0)
     alone, begin = _cut(plan, first, step, begin)
     if _is_plain(alone, begin):

@@ -33,7 +33,7 @@ _EVERY, _GROWN = 8, 1e2
 
 @dataclass(frozen=True, eq=False)
 class Forward:
-    """The beliefs of a forward sweep over the slices, before and after readings, time first.
+    """The beliefs of a forward sweep over the slices, before and after measurements, time first.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Watch:
         self._level: Array | float = np.inf
 
     def look(self, predicted: Array, known: Array, mild: bool, *, last: bool) -> None:
-        """Look at the covariances (n, n, runs) of a step, before and after its readings."""
+        """Look at the covariances (n, n, runs) of a step, before and after its measurements."""
         spread = np.einsum("iir->ir", predicted)
         regular = mild and not (spread > _GROWN * self._level).any()
         if not regular:

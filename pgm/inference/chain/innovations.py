@@ -1,4 +1,4 @@
-"""Innovations: what readings add to what was predicted."""
+"""Innovations: what measurements add to what was predicted."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def _by_step(plan: ChainPlan, sensor: Sensor, forward: Forward) -> tuple[Array, 
 
 
 def whitened(innovations: Innovations) -> Array:
-    """Whitened innovations, (steps with readings, runs, readings, d), 0 where none was taken."""
+    """Whitened innovations, (steps with any, runs, measurements, d), 0 where none was taken."""
     shape = innovations.residual.shape
     runs = math.prod(shape[:-2])
     residual = innovations.residual.reshape(runs, *shape[-2:])

@@ -52,7 +52,7 @@ U = TypeVar("U", bound=Solution, covariant=True)
 
 @dataclass(frozen=True, eq=False)
 class IteratedUpdate(Generic[U]):
-    """The belief at a step given its readings.
+    """The belief at a step given its measurements.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class IteratedUpdate(Generic[U]):
 
 
 class UpdateProblem(ABC, Generic[U]):
-    """The readings of a step, which can be linearised anywhere and taken into the predicted belief.
+    """The measurements of a step, linearised anywhere and taken into the predicted belief.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class UpdateProblem(ABC, Generic[U]):
 
     @property
     def measured(self) -> list[Measured]:
-        """The readings as they were linearised last."""
+        """The measurements as they were linearised last."""
         return [part.seen for part in self.parts]
 
     def keep(self) -> None:
@@ -104,11 +104,11 @@ class UpdateProblem(ABC, Generic[U]):
             self.move(part, mean, cov, some)
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
-        """Linearise a sensor's readings."""
+        """Linearise a sensor's measurements."""
         part.linearise(mean, cov, active)
 
     def solve(self, anchor: Anchor | None = None) -> U:
-        """The belief given the readings as they are linearised."""
+        """The belief given the measurements as they are linearised."""
         try:
             return self.taken_in(anchor)
         except NumericalError:
@@ -118,7 +118,7 @@ class UpdateProblem(ABC, Generic[U]):
 
     @abstractmethod
     def taken_in(self, anchor: Anchor | None) -> U:
-        """The belief given the readings, which may be refused."""
+        """The belief given the measurements, which may be refused."""
 
     def cost(self, at: Point) -> Array:
         """The cost of means, (runs,)."""
@@ -143,7 +143,7 @@ class UpdateProblem(ABC, Generic[U]):
         return total
 
     def feasible(self, mean: Array, found: Point) -> Array:
-        """The predicted means, given the exact readings alone."""
+        """The predicted means, given the exact measurements alone."""
         exact = [seen for seen in self.measured if seen.sensor.exact]
         first = self._moments(found._replace(mean=mean))[0]
         return _as_point(readings.update(exact, self.step, Moments(first, self.cov))[0].mean, 1)
@@ -156,10 +156,10 @@ class UpdateProblem(ABC, Generic[U]):
 
 
 class MomentUpdate(UpdateProblem[Updated]):
-    """Readings taken in as one vector, in float64."""
+    """Measurements taken in as one vector, in float64."""
 
     def taken_in(self, anchor: Anchor | None) -> Updated:
-        """The belief given the readings."""
+        """The belief given the measurements."""
         known, density = readings.update(self.measured, self.step, Moments(self.mean, self.cov))
         return Updated(known if anchor is None else known.held(anchor, 0), density)
 
@@ -172,7 +172,7 @@ def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
 
 
 def iterated(reading: UpdateProblem[U], schedule: Filtering) -> IteratedUpdate[U]:
-    """Take the readings of a step into the predicted belief, as often linearised as is due.
+    """Take the measurements of a step into the predicted belief, as often linearised as is due.
 
     They are linearised at the predicted belief.
     """

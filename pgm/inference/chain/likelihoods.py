@@ -1,4 +1,4 @@
-"""Likelihoods of the readings of all steps at once, about a reference, in information form.
+"""Likelihoods of the measurements of all steps at once, about a reference, in information form.
 
 Measurements are whitened, put in units of their noise; what those of a step say together is a
 quadratic in the slice.
@@ -37,7 +37,7 @@ from pgm.kernels.scan import gather
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """The readings of a plan as it is linearised, about a reference.
+    """The measurements of a plan as it is linearised, about a reference.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Readings:
 
     @classmethod
     def of(cls, plan: ChainPlan, reference: Array) -> Readings:
-        """Whiten and add up all readings."""
+        """Whiten and add up all measurements."""
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
         sensors = [sensor for sensor in plan.sensors if sensor.family.step.size]
         whitened = [Whitened.of(sensor, reference) for sensor in sensors]
@@ -75,7 +75,7 @@ class Readings:
         return cls(reference, likelihood, stacks(plan, rest, reference), regular)
 
     def held(self, anchor: Anchor | None) -> Likelihood:
-        """The likelihood with an anchor's readings of all components."""
+        """The likelihood with an anchor's measurements of all components."""
         if anchor is None:
             return self.likelihood
         weight = anchor.weight[:, None]
@@ -86,7 +86,7 @@ class Readings:
         return Likelihood(added, h)
 
     def log_density(self, known: Array, predicted: Moments) -> Array:
-        """The log-density of each step's readings, (T+1, runs), but for `Known.evidence`.
+        """The log-density of each step's measurements, (T+1, runs), but for `Known.evidence`.
 
         Parameters
         ----------
@@ -106,7 +106,7 @@ class Readings:
 
 
 class Known(NamedTuple):
-    """Filtered moments as deviations from a reference, and the evidence term of their readings.
+    """Filtered moments as deviations from a reference, and the evidence term of their measurements.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class Known(NamedTuple):
 
 
 def know(before: Belief, likelihood: Likelihood) -> Known:
-    """Take readings into beliefs.
+    """Take measurements into beliefs.
 
     With x⁺ the mean given the measurements, ln N(v; W x⁻, I + W P Wᵀ) is
     −½ |v − W x⁺|² − ½ (x⁺ − x⁻)ᵀP⁺(x⁺ − x⁻) − ½ ln |I + P WᵀW|, which does not subtract.
@@ -142,7 +142,7 @@ _CHUNK = 8192
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """A sensor's readings about a reference, in units of their noise: v = W x + n, n ~ N(0, I).
+    """A sensor's measurements about a reference, in units of their noise: v = W x + n, n ~ N(0, I).
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ class Whitened:
 
     @classmethod
     def of(cls, sensor: Sensor, reference: Array) -> Whitened | None:
-        """None where the noise has no inverse, or readings have errors in common."""
+        """None where the noise has no inverse, or measurements have errors in common."""
         if sensor.exact or sensor.cross:
             return None
         noise, taken = distinct(sensor.family.noise), sensor.taken
@@ -176,7 +176,7 @@ class Whitened:
         return cls(sensor, reference, white, -0.5 * (roots.log_determinant(lower) + size * LOG_2PI))
 
     def likelihood(self) -> Likelihood:
-        """The likelihood of all readings of each step, (T+1, runs, ...)."""
+        """The likelihood of all measurements of each step, (T+1, runs, ...)."""
 
         def said(rows: slice, counts: Integers) -> tuple[Array, Array]:
             matrix = self.sensor.family.matrix[rows]
@@ -196,7 +196,7 @@ class Whitened:
         return Likelihood(precision, h)
 
     def log_density(self, mean: Array) -> Array:
-        """Of each step's readings at the means of the slices, but for their joint part."""
+        """Of each step's measurements at the means of the slices, but for their joint part."""
         taken = self.sensor.taken
 
         def density(rows: slice, counts: Integers) -> tuple[Array]:
@@ -212,7 +212,7 @@ class Whitened:
         return self.white if len(self.white) == 1 else self.white[rows]
 
     def _residual(self, rows: slice, mean: Array) -> Array:
-        """Of some readings at given means, in units of their noise; zero where they are missing."""
+        """The residuals at given means, in units of their noise; zero where one is missing."""
         sensor, family = self.sensor, self.sensor.family
         at = gather(mean, family.step[rows])[..., sensor.parents]
         left = sensor.moved[rows] - family.offset[rows] - apply(family.matrix[rows], at)
@@ -232,7 +232,7 @@ def distinct(array: Array) -> Array:
 def _by_step(
     sensor: Sensor, part: Callable[[slice, Integers], tuple[Array, ...]]
 ) -> tuple[Array, ...]:
-    """Arrays made of the readings of each step, (T+1, ...), a chunk of steps at a time.
+    """Arrays made of the measurements of each step, (T+1, ...), a chunk of steps at a time.
 
     `part` takes rows of measurements, and how many are of each step.
     """

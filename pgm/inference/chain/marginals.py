@@ -141,7 +141,7 @@ class KeptPosterior(Posterior):
 
     @property
     def log_evidence(self) -> Array:
-        """The value ln p(readings), (...)."""
+        """The value ln p(measurements), (...)."""
         return self._log_evidence
 
     @property

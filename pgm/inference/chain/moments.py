@@ -74,7 +74,7 @@ class MomentChain:
         return np.full(self.plan.runs, self.plan.linear)
 
     def start(self) -> Moments:
-        """The slice at step 0 before its readings, without controls; or where a window begins."""
+        """The slice at step 0 before its measurements and controls; or where a window begins."""
         plan = self.plan
         if plan.begin is not None:
             return Moments(*plan.begin)
@@ -96,7 +96,7 @@ class MomentChain:
         return self.predicted(self.motion(step), self.plan.first + step, belief)
 
     def take(self, step: int, belief: Moments) -> tuple[Moments, Array | float]:
-        """The belief given the readings of its step."""
+        """The belief given the measurements of its step."""
         parts = self.readings(step)
         if not parts and self.anchor is None:
             return belief, 0.0
@@ -107,7 +107,7 @@ class MomentChain:
         return [self._at(link, step - 1) for link in self.plan.transition]
 
     def readings(self, step: int) -> list[Reading]:
-        """The readings of a step."""
+        """The measurements of a step."""
         found = []
         for sensor in self.plan.sensors:
             due = sensor.at(step, stored=not self.linearises)
@@ -139,7 +139,7 @@ class MomentChain:
     def taken(
         self, parts: Sequence[Reading], step: int, belief: Moments
     ) -> tuple[Moments, Array | float]:
-        """The belief given readings of its step, and their log-density."""
+        """The belief given measurements of its step, and their log-density."""
         mean, cov, _ = belief
         schedule = self.schedule
         if schedule is None or not self.iterates or self.plan.linear:

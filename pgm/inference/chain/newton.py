@@ -72,7 +72,7 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
 
 
 def _equations(plan: ChainPlan, readings: Readings) -> System | None:
-    """The normal equations, in deviations from the readings' reference."""
+    """The normal equations, in deviations from the measurements' reference."""
     layout = plan.layout
     states = layout.state_places
     mean, cov = MomentChain(plan, None).start().by_run

@@ -124,7 +124,7 @@ def _guess(plan: ChainPlan, moves: Conditional) -> Array:
 
 
 def _move(plan: ChainPlan, mean: Array) -> bool:
-    """Move readings of angles to the branch nearest to means; whether one has changed."""
+    """Move measurements of angles to the branch nearest to means; whether one has changed."""
     changed = False
     for sensor in plan.sensors:
         if sensor.variable.angle_mask.any() and sensor.family.step.size:
@@ -136,7 +136,7 @@ def _move(plan: ChainPlan, mean: Array) -> bool:
 
 
 class _First(NamedTuple):
-    """The slice at step 0 before and after its readings, and their log-density, (runs,)."""
+    """The slice at step 0 before and after its measurements, and their log-density, (runs,)."""
 
     predicted: Belief
     known: Belief
@@ -195,7 +195,7 @@ def _solve(
 
 
 def _read(predicted: Moments, readings: Readings) -> Moments:
-    """Predictions after the readings of their steps."""
+    """Predictions after the measurements of their steps."""
     mean, cov, _ = in_chunks(
         know, Belief(*predicted, np.zeros(predicted.mean.shape[:2])), readings.likelihood
     )
@@ -224,7 +224,7 @@ def _from(belief: Belief, reference: Array, steps: int) -> Moments:
 
 
 def _predicted(moves: Conditional, start: Array) -> Array:
-    """The prior's means as the transition moves them, without any reading, (T+1, runs, n)."""
+    """The prior's means as the transition moves them, without any measurement, (T+1, runs, n)."""
     out = room((moves.offset.shape[0] + 1, start.shape[0]), start.shape[1:])
     out[0] = start
     if len(out) > 1:
@@ -279,7 +279,7 @@ def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[S
 
 
 def _absorb_exact(moves: Element, stack: Stack) -> None:
-    """Bring readings into the transitions to their steps, in place."""
+    """Bring measurements into the transitions to their steps, in place."""
     later = np.flatnonzero(stack.steps)
     if not later.size:
         return

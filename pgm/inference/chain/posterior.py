@@ -86,14 +86,14 @@ class ChainPosterior(Posterior):
 
     @property
     def predicted(self) -> Marginals:
-        """Marginals given the readings before each step, as CPDs were linearised last."""
+        """Marginals given the measurements before each step, as CPDs were linearised last."""
         forward = self._forward
         beliefs = Beliefs(forward.predicted_mean, forward.predicted_cov)
         return self._marginals(beliefs, PREDICTED)
 
     @property
     def filtered(self) -> Marginals:
-        """Marginals given the readings up to each step: the forward pass.
+        """Marginals given the measurements up to each step: the forward pass.
 
         Of an iterated fixed lag, those of each window at its newest step.
         """
@@ -113,7 +113,7 @@ class ChainPosterior(Posterior):
 
     @property
     def log_evidence(self) -> Array:
-        """The value ln p(readings), (...): the sum of the innovations' log-densities."""
+        """The value ln p(measurements), (...): the sum of the innovations' log-densities."""
         total: Array = self._swept.log_density.sum(axis=0)
         return total.reshape(self._planned.lead)
 
@@ -136,7 +136,7 @@ class ChainPosterior(Posterior):
 
     @quiet()
     def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
-        """The joint of hidden variables at any steps, given the readings that the latest knows.
+        """The joint of hidden variables at any steps, given the measurements that the latest knows.
 
         After filtering those up to its step, after smoothing all, as `kind` says.
 
@@ -236,7 +236,7 @@ class ChainPosterior(Posterior):
         return weight if self._windows is None else self._windows.log_evidence[last]
 
     def _past(self, step: int) -> canonical.Canonical:
-        """The states at a step given the readings up to it, times the evidence of these."""
+        """The states at a step given the measurements up to it, times the evidence of these."""
         places = self.graph.layout.state_places
         weight = self._forward.log_density[: step + 1].sum(axis=0)
         mean = self._forward.mean[step][:, places]

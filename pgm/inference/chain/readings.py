@@ -1,4 +1,4 @@
-"""The readings of a step: linearised at a belief, and taken in.
+"""The measurements of a step: linearised at a belief, and taken in.
 
 Arrays have components first and the batch last, which has no axis for one run and one for many.
 """
@@ -50,7 +50,7 @@ class Moments(NamedTuple):
         return cls(components_first(mean, 1), components_first(cov, 2))
 
     def held(self, anchor: Anchor, step: int) -> Moments:
-        """The belief held near a point, by the reading of an anchor."""
+        """The belief held near a point, by the measurement of an anchor."""
         mean, cov = anchor.hold(step, *self.by_run)
         if self.mean.ndim == 1:
             return Moments(mean[0], cov[0], False)
@@ -79,7 +79,10 @@ def update(
     first, mean = parts[0], belief.mean
     if mean.ndim == 1 and len(parts) == 1 and first.taken is None and not first.sensor.exact:
         # A regular measurement of one run, the usual case.
-        matrix, residual, noise, _ = vector(parts, mean)
+        if first.sensor.whole:  # it is the vector already
+            matrix, residual, noise = first.matrix, first.residual(mean), first.noise
+        else:
+            matrix, residual, noise, _ = vector(parts, mean)
         one = gaussian.update_one(mean, belief.cov, matrix, residual, noise)
         if one is not None and isfinite(one[2]):
             return Moments(one[0], one[1], False), one[2]
@@ -209,7 +212,7 @@ class Reading:
 
 
 def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
-    """Readings, their angles moved by whole turns to the branch nearest to values."""
+    """Measurements, their angles moved by whole turns to the branch nearest to values."""
     moved = reading
     for k in turning:
         if reading.ndim == 1:
@@ -228,7 +231,7 @@ def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
 
 
 def stored(plan: ChainPlan, step: int, mean: Array) -> Vector | None:
-    """The readings of a step, as they were linearised, as one vector at means (runs, n).
+    """The measurements of a step, as they were linearised, as one vector at means (runs, n).
 
     None where nothing is read.
     """

@@ -1,4 +1,4 @@
-"""Beliefs and readings that are refused, with the CPD and the step to blame."""
+"""Beliefs and measurements that are refused, with the CPD and the step to blame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CONTRADICTION = 1e-8
 
 
 def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
-    """Refuse readings whose predictive covariance is indefinite or not finite."""
+    """Refuse measurements whose predictive covariance is indefinite or not finite."""
     names = ", ".join(seen.sensor.variable.name for seen in parts)
     blamed = [seen.sensor for seen in parts if not seen.sensor.family.taylor]
     sensor = blamed[0] if blamed else parts[0].sensor
@@ -39,7 +39,7 @@ def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
 
 
 def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array) -> None:
-    """Refuse readings that are (D, *batch) off values which an exact model determines already."""
+    """Refuse measurements that are (D, *batch) off values that an exact model determines."""
     sizes = []
     for seen in parts:
         # Numbers of this size are summed up to the expected value.

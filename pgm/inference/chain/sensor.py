@@ -1,4 +1,4 @@
-"""A sensor in place, with its readings sorted by step, and grouped sightings linearised as one."""
+"""A sensor in place: its measurements by step, grouped sightings linearised as one."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from pgm.variables import Variable
 
 
 class Seen(NamedTuple):
-    """Some readings of a sensor as it is linearised, z = F x + b + n.
+    """Some measurements of a sensor as it is linearised, z = F x + b + n.
 
     A missing component is one of unit variance that says nothing: zero in F, b and z.
 
@@ -51,14 +51,14 @@ class Seen(NamedTuple):
 
     @property
     def missing(self) -> Integers:
-        """The number of missing components of each reading, (k, runs or 1)."""
+        """The number of missing components of each measurement, (k, runs or 1)."""
         none: Integers = np.zeros((1, 1), dtype=np.intp)
         return none if self.taken is None else (~self.taken).sum(axis=-1)
 
 
 @dataclass(eq=False)
 class Sensor:
-    """A sensor's family in place, with its readings sorted by step.
+    """A sensor's family in place, with its measurements sorted by step.
 
     Attributes
     ----------
@@ -108,16 +108,16 @@ class Sensor:
 
     @cached_property
     def exact(self) -> bool:
-        """Whether the noise of some reading is singular."""
+        """Whether the noise of some measurement is singular."""
         return bool(roots.determined(roots.root(self.family.own_noise)).any())
 
     def rows(self, step: int) -> slice:
-        """The readings of a step."""
+        """The measurements of a step."""
         return slice(self.bounds[step], self.bounds[step + 1])
 
     @cached_property
     def variable(self) -> Variable:
-        """The reading's variable."""
+        """The measurement's variable."""
         return self.family.cpd.child
 
     def turning(self, height: int) -> list[int]:
@@ -144,7 +144,7 @@ class Sensor:
         return along_runs.sharpness(self._constant)
 
     def at(self, step: int, *, stored: bool) -> tuple[At, Array, Mask | None] | None:
-        """The CPD at a step's readings, their values, and which components are there.
+        """The CPD at a step's measurements, their values, and which components are there.
 
         The latter two, (D, *batch), one for all with a batch of one; None where nothing is read.
         Stored measurements are as they were linearised, their angles where they were moved to.
@@ -195,7 +195,7 @@ class Sensor:
         )
 
     def window(self, first: int, last: int, *, after: bool) -> Sensor:
-        """The readings of some steps, after the first of them or from it on.
+        """The measurements of some steps, after the first of them or from it on.
 
         In views of these arrays; what is linearised is its own.
         """
@@ -212,7 +212,7 @@ class Sensor:
         return part
 
     def put(self, first: int, part: Sensor, *, after: bool) -> None:
-        """Keep how the readings of these steps were linearised."""
+        """Keep how the measurements of these steps were linearised."""
         row = self.bounds[first + after]
         self.family.put(row, part.family)
         if self.variable.angles:
@@ -229,7 +229,7 @@ class Sensor:
         self.moved[rows] = moved
 
     def reading(self, rows: slice | Integers) -> Seen:
-        """Some readings as they are linearised, for passes over all steps at once."""
+        """Some measurements as they are linearised, for passes over all steps at once."""
         family = self.family
         matrix, offset, value = family.matrix[rows], family.offset[rows], self.moved[rows]
         noise, taken = family.noise[rows], self._taken(rows)

@@ -145,7 +145,7 @@ def _masked(seen: Measured, mean: Array) -> Vector:
 
 
 class Stack(NamedTuple):
-    """The readings of some steps with equally many, each step's as one vector: z = H x + n.
+    """The measurements of some steps with equally many, each step's as one vector: z = H x + n.
 
     Attributes
     ----------
@@ -165,7 +165,7 @@ class Stack(NamedTuple):
 
 
 def stacks(plan: ChainPlan, sensors: list[Sensor], reference: Array) -> list[Stack]:
-    """Steps with equally many readings of each sensor, a stack each."""
+    """Steps with equally many measurements of each sensor, a stack each."""
     if not sensors:
         return []
     counts = np.stack([np.diff(sensor.bounds) for sensor in sensors], axis=-1)

@@ -9,7 +9,7 @@ from pgm.inference.gaussian.model import Model
 
 
 def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
-    """Of readings that an exact model excludes."""
+    """Of measurements that an exact model excludes."""
     scope = model.layout.graph.clusters[cluster].scope
     which = f", run {run}" if model.lead else ""
     return NumericalError(

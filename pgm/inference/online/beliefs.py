@@ -102,7 +102,7 @@ class OnlineBelief(Immutable):
 
     @cached_property
     def lagged(self) -> OnlineBelief:
-        """The belief at the step a lag before, given all readings so far; at step 0 until then.
+        """The belief at the step a lag before, given all measurements so far; at step 0 until then.
 
         It is there where the filter's schedule is a `FixedLag`: ``belief.lagged[x]`` is x at
         ``belief.lagged.step``, and ``belief.lagged.kind`` says how many steps it knows more. A

@@ -116,7 +116,7 @@ class OnlineFilter(Immutable):
 
     @cached_property
     def _filtering(self) -> Filtering:
-        """The schedule of a step's readings, where its window is not linearised."""
+        """The schedule of a step's measurements, where its window is not linearised."""
         schedule = self.schedule
         if isinstance(schedule, FixedLag):
             return ONCE if schedule.lag else schedule.filtering
@@ -144,7 +144,7 @@ class OnlineFilter(Immutable):
 
     @cached_property
     def _sensors(self) -> Layouts:
-        """Sensors, laid out for each kind of readings of one robot."""
+        """Sensors, laid out for each kind of measurements of one robot."""
         return Layouts(self._seen, self._filtering)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -244,7 +244,7 @@ class OnlineFilter(Immutable):
 
     @_quiet
     def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
-        """The belief given readings of its step; a further update goes on from the first.
+        """The belief given measurements of its step; a further update goes on from the first.
 
         Parameters
         ----------
@@ -284,7 +284,7 @@ class OnlineFilter(Immutable):
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
-        """The belief given readings, in float64; None where that has too few digits."""
+        """The belief given measurements, in float64; None where that has too few digits."""
         laid = None if belief.lead else self._sensors.sensors(belief, readings)
         if laid is None:
             chain = MomentChain(self._seen(belief, readings), self._filtering, keep=False)
@@ -314,7 +314,7 @@ class OnlineFilter(Immutable):
         return belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
-        """The plan of an update, its readings checked."""
+        """The plan of an update, its measurements checked."""
         plan = self._plan(step_evidence.readings(self.model, belief, readings), belief.step)
         require_cost(self._filtering, (sensor.family for sensor in plan.sensors))
         return plan

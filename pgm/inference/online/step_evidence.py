@@ -58,7 +58,7 @@ def inputs(
 def readings(
     model: DynamicBayesianNetwork, belief: OnlineBelief, values: Mapping[Variable, Any]
 ) -> BoundEvidence:
-    """The readings of an update."""
+    """The measurements of an update."""
     evidence = {v: _reading(model, v, value) for v, value in values.items()}
     parts = model.transition, model.observation, evidence, 0, belief.lead
     return _same_runs(belief, bind(*parts, transition_inputs=False))
@@ -252,7 +252,7 @@ class Layouts:
     def sensors(
         self, belief: OnlineBelief, readings: Values
     ) -> tuple[MomentChain, list[Reading]] | None:
-        """The chain of an update, and its readings."""
+        """The chain of an update, and its measurements."""
         given = ordinary(readings)
         if given is None:
             return None

@@ -92,7 +92,7 @@ class Sliding:
         return Sliding(self.schedule, lead, (*kept, Entry(motion)), window, None, left)
 
     def read(self, make: Make, readings: tuple[Reading, ...], lead: tuple[int, ...]) -> Sliding:
-        """With further readings of the step, taken in together with those before."""
+        """With further measurements of the step, taken in together with those before."""
         *others, last = self.entries
         last = last._replace(readings=(*last.readings, *readings))
         found = replace(self, lead=lead, entries=(*others, last), window=None)
@@ -118,7 +118,7 @@ class Sliding:
 
     @property
     def log_evidence(self) -> Array:
-        """Of all readings so far, (runs,), of a window that has been settled."""
+        """Of all measurements so far, (runs,), of a window that has been settled."""
         assert self.window is not None
         total: Array = self.left + self.window.ahead.log_density.sum(axis=0)
         return total
@@ -222,7 +222,7 @@ class Passed:
 
     @cached_property
     def variances(self) -> Array:
-        """Of the slice before, given the readings up to it, (*lead, n)."""
+        """Of the slice before, given the measurements up to it, (*lead, n)."""
         cov = self._made[1].by_run[1]
         found: Array = np.einsum("...ii->...i", cov).reshape(*self._lead, cov.shape[-1])
         return found

@@ -137,7 +137,7 @@ def _of(room: Sequence[Array], part: Part) -> list[Array]:
 def _require_memory(
     layout: SliceLayout, bound: BoundEvidence, schedule: Schedule | None, kept: Scope | None
 ) -> None:
-    """Refuse beliefs that would not fit: a smoother has those before and after each reading too."""
+    """Refuse beliefs that would not fit: a smoother has the filter's and predicted ones too."""
     sizes = [layout.slice_size] if kept is None else [v.dimension for v in kept]
     sets = 4 if kept is None and not isinstance(schedule, Filtering) else 1
     require_memory(
