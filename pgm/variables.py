@@ -98,7 +98,7 @@ class Variable:
 
     @property
     def angle_mask(self) -> npt.NDArray[np.bool_]:
-        """Which components are angles, shape (dimension,)."""
+        """The mask of components that are angles, shape (dimension,)."""
         return np.array([name in self.angles for name in self.components], dtype=bool)
 
     @property

@@ -1,4 +1,4 @@
-"""Which cluster takes which CPD, and which clusters are joined, where nobody says so."""
+"""The assignment of CPDs to clusters, and the tree of clusters, where nobody gives them."""
 
 from __future__ import annotations
 

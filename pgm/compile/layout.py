@@ -1,4 +1,4 @@
-"""Where the hidden variables of a slice stand in its vectors: compiled once for all steps."""
+"""The places of the hidden variables of a slice in its vectors: compiled once for all steps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pgm.variables import Variable
 
 
 class Place(NamedTuple):
-    """Where a CPD stands in the vector of a scope.
+    """The place of a CPD in the vector of a scope.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class SliceLayout:
 
     @cached_property
     def places(self) -> dict[Variable, Index]:
-        """Where each hidden variable stands in the slice vector."""
+        """The place of each hidden variable in the slice vector."""
         return {variable: positions(self.slice, [variable]) for variable in self.slice}
 
     @cached_property
@@ -85,12 +85,12 @@ class SliceLayout:
 
     @cached_property
     def state_places(self) -> Index:
-        """Where the states stand in the slice vector; everywhere, where there are no controls."""
+        """The places of the states in the slice vector: all of it, where there are no controls."""
         return positions(self.slice, self.states)
 
     @cached_property
     def control_places(self) -> Integers:
-        """Where the controls stand in the slice vector."""
+        """The places of the controls in the slice vector."""
         everywhere = np.arange(self.slice_size)
         return np.setdiff1d(everywhere, everywhere[self.state_places])
 
@@ -109,7 +109,7 @@ class SliceLayout:
         return {}
 
     def place(self, cpd: CPD, scope: Scope) -> Place:
-        """Where a CPD stands in the vector of the scope that it belongs to, found once."""
+        """The place of a CPD in the vector of the scope that it belongs to, found once."""
         found = self._places.get(cpd)
         if found is None:
             found = self._places[cpd] = self._find(cpd, scope)

@@ -68,7 +68,7 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
 
 
 def place(belief: Gaussian, index: tuple[int, ...]) -> str:
-    """Where one of the Gaussians stands, in words; nothing where there is but one."""
+    """The place of one of the Gaussians, in words; nothing where there is but one."""
     words = []
     run = index if belief.steps is None else index[:-1]
     if run:
@@ -79,7 +79,7 @@ def place(belief: Gaussian, index: tuple[int, ...]) -> str:
 
 
 def places(belief: Gaussian, components: Sequence[str]) -> Integers:
-    """Where the components named stand in the stacked vector; all of them, where none is named."""
+    """The places of components in the stacked vector; all of them, where none is named."""
     known = labels(check_gaussian(belief).scope)
     named = as_tuple(components)
     if named is None:

@@ -69,7 +69,7 @@ def require_finite(
 
 
 def taken_readings(variable: Variable, array: Array, step: Integers | None = None) -> Mask | None:
-    """Which components of a sensor's measurements, (..., rows, d), were taken; None for all.
+    """The mask of components of a sensor's measurements taken, (..., rows, d); None for all.
 
     NaN is a component not taken; infinity is refused.
     """

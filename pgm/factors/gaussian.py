@@ -154,7 +154,7 @@ class Gaussian(Immutable):
 
     @property
     def angles(self) -> npt.NDArray[np.bool_]:
-        """Which components are angles, (n,)."""
+        """The mask of components that are angles, (n,)."""
         return angle_mask(self.scope)
 
     def __getitem__(self, index: Any) -> Gaussian:

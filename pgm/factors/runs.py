@@ -73,6 +73,6 @@ def unflat(array: npt.NDArray[Any], lead: Shape, own: int) -> npt.NDArray[Any]:
 
 
 def in_run(bad: Mask | np.bool_) -> str:
-    """Where the first bad one of some runs is, for messages."""
+    """The place of the first bad one of some runs, for messages."""
     first = tuple(map(int, np.argwhere(bad)[0]))
     return f" (first in run {first[0] if len(first) == 1 else first})" if first else ""

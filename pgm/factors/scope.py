@@ -94,14 +94,14 @@ def labels(scope: Iterable[Variable]) -> tuple[str, ...]:
 
 
 def angle_mask(scope: Sequence[Variable]) -> Mask:
-    """Which components of the stacked vector are angles."""
+    """The mask of components of the stacked vector that are angles."""
     if not scope:
         return np.zeros(0, dtype=bool)
     return np.concatenate([variable.angle_mask for variable in scope])
 
 
 def positions(scope: Sequence[Variable], wanted: Iterable[Variable]) -> Index:
-    """Where the components of some variables stand in the stacked vector of a scope."""
+    """The places of the components of some variables in the stacked vector of a scope."""
     starts = dict(zip(scope, np.cumsum([0, *(v.dimension for v in scope)]), strict=False))
     places: list[int] = []
     for variable in wanted:

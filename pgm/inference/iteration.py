@@ -19,7 +19,7 @@ _HEAVIEST = 1e12
 
 
 class Point(NamedTuple):
-    """Where everything is linearised: moments with the runs as second axis.
+    """A point of linearisation: moments with the runs as second axis.
 
     Attributes
     ----------

@@ -165,7 +165,7 @@ class Rows:
 
     @cached_property
     def order(self) -> list[int | None]:
-        """Which of the inputs each argument of the function is; None for a hidden parent."""
+        """The input that each argument of the function is; None for a hidden parent."""
         assert self.template is not None
         places = {parent: k for k, parent in enumerate(self.inputs)}
         return [places.get(parent) for parent in self.template.given]

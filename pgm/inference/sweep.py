@@ -33,7 +33,7 @@ class Onwards(Protocol[B]):
 
 
 class Record(Protocol[C]):
-    """Where a forward sweep leaves its beliefs."""
+    """The record of a forward sweep."""
 
     def keep(self, step: int, predicted: C, known: C, log_density: Array | float) -> None:
         """Keep a step: its beliefs before and after its measurements, and their log-density."""

@@ -65,13 +65,13 @@ class ReadingReport:
 
     @property
     def kept(self) -> Mask:
-        """Which measurements are in the evidence, (M,); there they stand in the same order."""
+        """The mask of measurements in the evidence, (M,); there they stand in the same order."""
         kept: Mask = self.reason == ""
         return kept
 
     @property
     def moved(self) -> Mask:
-        """Which of the measurements kept are not of the moment of their state, (M,)."""
+        """The mask of measurements kept that are not of the moment of their state, (M,)."""
         return self.kept & (np.abs(self.shift) > SAME)
 
     @property
@@ -211,7 +211,7 @@ def _reasons(
 
 
 def _repeated(keys: Array, kept: Mask) -> Mask:
-    """Which of the rows kept equal an earlier one kept."""
+    """The mask of rows kept that equal an earlier one kept."""
     rows = np.flatnonzero(kept)
     result = kept.copy()
     result[rows[np.unique(keys[rows], axis=0, return_index=True)[1]]] = False

@@ -70,7 +70,7 @@ def _combined(
 
 
 def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
-    """Which products or quotients are right as computed with plain numbers."""
+    """The mask of products or quotients that are right as computed with plain numbers."""
     top = largest(result, axes)
     held = (top > SAFE) & (top < np.inf)
     if not held.all():

@@ -53,12 +53,12 @@ class FunctionTemplate:
 
     @cached_property
     def angles(self) -> Mask:
-        """Which components of the value are angles."""
+        """The mask of components of the value that are angles."""
         return self.child.angle_mask
 
     @cached_property
     def input_angles(self) -> Mask:
-        """Which components of the hidden parents are angles."""
+        """The mask of components of the hidden parents that are angles."""
         return angle_mask(self.hidden)
 
     @cached_property
@@ -68,7 +68,7 @@ class FunctionTemplate:
 
     @cached_property
     def places(self) -> tuple[Index | None, ...]:
-        """Where each parent stands among the hidden ones; None for a parent with evidence."""
+        """The place of each parent among the hidden ones; None for a parent with evidence."""
         return tuple(
             positions(self.hidden, [parent]) if parent in self.hidden else None
             for parent in self.given
@@ -182,7 +182,7 @@ class BoundFunction(NamedTuple):
 
     @property
     def angles(self) -> Mask:
-        """Which components of the value are angles, (d,)."""
+        """The mask of components of the value that are angles, (d,)."""
         angles = self.template.angles
         return angles if self.group is None else np.tile(angles, self.group)
 
@@ -197,7 +197,7 @@ class BoundFunction(NamedTuple):
 
     @property
     def input_angles(self) -> Mask:
-        """Which components of the stacked hidden parents are angles, (n,)."""
+        """The mask of components of the stacked hidden parents that are angles, (n,)."""
         return self.template.input_angles
 
     @property

@@ -1,4 +1,4 @@
-"""Where the clusters and sepsets of a graph stand: chains in rows, other graphs in layers."""
+"""The places of the clusters and sepsets of a graph: chains in rows, other graphs in layers."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from pgm.plot.colours import MUTED
 
 
 def along(steps: npt.NDArray[np.int_], times: npt.ArrayLike | None) -> tuple[npt.NDArray[Any], str]:
-    """Where values of steps stand on the horizontal axis, and what it is called."""
+    """The places of steps on the horizontal axis, and its label."""
     if times is None:
         return steps, "step"
     array = np.asarray(times)

@@ -277,7 +277,7 @@ def draw_messages(canvas: Canvas, edge: Edge, at: Point, plate: Size, line: Arra
 
 
 def _along(line: Array, at: Point) -> Array:
-    """Which way a line mostly runs where it passes a point: right, left, up or down."""
+    """The way a line mostly runs where it passes a point: right, left, up or down."""
     pieces = np.diff(line, axis=0)
     lengths = np.linalg.norm(pieces, axis=-1, keepdims=True)
     here = distances(np.array([at]), line[:-1], line[1:])[:, 0] < 1e-6

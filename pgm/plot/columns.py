@@ -1,4 +1,4 @@
-"""Where the nodes of an unrolled network stand, in rows and columns of its slices."""
+"""The places of the nodes of an unrolled network, in rows and columns of its slices."""
 
 from __future__ import annotations
 

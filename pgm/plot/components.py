@@ -1,4 +1,4 @@
-"""Which components of a belief to draw, and the columns of a truth that go with them."""
+"""The components of a belief to draw, and the columns of a truth that go with them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def one_run(belief: Gaussian) -> Gaussian:
 
 
 def component_places(belief: Gaussian, components: Sequence[str]) -> list[int]:
-    """Where components stand in the stacked vector.
+    """The places of components in the stacked vector.
 
     Raises
     ------

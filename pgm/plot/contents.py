@@ -1,4 +1,4 @@
-"""Which clusters and sepsets a picture shows, and what they say."""
+"""The clusters and sepsets that a picture shows, and their texts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the nodes of a directed acyclic graph stand: in layers, parents before children."""
+"""The places of the nodes of a directed acyclic graph: in layers, parents before children."""
 
 from __future__ import annotations
 

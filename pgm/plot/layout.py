@@ -1,4 +1,4 @@
-"""Where shapes stand and how lines run, in points; y grows upwards."""
+"""The places of shapes and the course of lines, in points; y grows upwards."""
 
 from __future__ import annotations
 

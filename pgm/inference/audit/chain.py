@@ -158,7 +158,7 @@ class ChainDraws:
 
 
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
-    """Which components of a vector's part from `start` on its CPDs leave open."""
+    """The mask of components that CPDs leave open, in a vector's part from `start` on."""
     free = np.zeros(shape, dtype=bool)
     for link, term in links:
         free[..., link.child.start - start : link.child.stop - start] = term.free()

@@ -67,7 +67,7 @@ class Term:
         return cls(family, own, relative, linearised, taken)
 
     def free(self) -> Mask:
-        """Which components of the child its parents leave open, (rows or 1, runs or 1, d)."""
+        """The mask of child components that parents leave open, (rows or 1, runs or 1, d)."""
         return ~roots.determined(self.own)
 
     def child(self, row: int, parents: Array, proposed: Array) -> tuple[Array, Array]:

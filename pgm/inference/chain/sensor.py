@@ -257,7 +257,7 @@ class Sensor:
         return np.where(seen[..., None] & seen[..., None, :], cross, 0.0)
 
     def _taken(self, rows: slice | Integers) -> Mask | None:
-        """Which components of some rows were taken, (k, runs or 1, d); None for all."""
+        """The mask of components of some rows that were taken, (k, runs or 1, d); None for all."""
         if self.taken is None or (taken := self.taken[rows]).all():
             return None
         return taken

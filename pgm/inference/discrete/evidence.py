@@ -1,4 +1,4 @@
-"""Evidence enters the tables: each variable's at its home."""
+"""Evidence multiplied into the tables: each variable's at its home."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where one table stands in the flat storage."""
+"""The place of one table in the flat storage: where it begins, and the steps of its axes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LARGE = 2**13
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where one table stands.
+    """The place of one table.
 
     Attributes
     ----------
@@ -52,26 +52,26 @@ class Place:
 
     @property
     def entries(self) -> slice:
-        """Where a table stands that stands by itself."""
+        """The slice of a table that is contiguous."""
         return slice(self.start, self.start + self.size)
 
     @property
     def stored(self) -> States:
-        """The axes of a table that stands by itself, the last one with entries side by side."""
+        """The axes of a contiguous table, the last one with entries side by side."""
         return tuple(sorted(self.scope, key=self.steps.__getitem__, reverse=True))
 
     def positions(self, scope: States) -> Integers:
-        """Where its entries stand, with an axis for each variable of a scope."""
+        """The positions of its entries, with an axis for each variable of a scope."""
         return positions(self.start, self.steps, scope)
 
     def view(self, scope: States) -> View:
-        """How the table is seen, with an axis for each variable of a scope."""
+        """The view of the table with an axis for each variable of a scope."""
         entry = np.dtype(np.float64).itemsize
         strides = tuple(entry * self.steps[variable] for variable in scope)
         return View(sizes(scope), entry * self.start, strides)
 
     def merged(self, wanted: States) -> Merged:
-        """The axes of a table that stands by itself, as few as tell some variables apart."""
+        """The axes of a contiguous table, as few as tell some variables apart."""
         stored = self.stored
         runs = [list(same) for _, same in groupby(stored, wanted.__contains__)]
         order = [v for v in stored if v in wanted]
@@ -85,7 +85,7 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """How a table is seen with its axes in some order.
+    """A view of a table with its axes in some order.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class View:
 
 
 def by_state(place: Place, variable: Discrete) -> View:
-    """How a table is seen with the axis of a variable first."""
+    """The view of a table with the axis of a variable first."""
     return place.view((variable, *without(place.scope, (variable,))))
 
 

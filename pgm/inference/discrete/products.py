@@ -1,4 +1,4 @@
-"""Messages that are multiplied into tables: which column of them meets which entry."""
+"""Messages multiplied into tables: the map of table entries to message columns."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class GatheredProduct:
 
 @dataclass(frozen=True, eq=False)
 class BlockProduct:
-    """A message to a table that stands by itself.
+    """A message to a contiguous table.
 
     Attributes
     ----------

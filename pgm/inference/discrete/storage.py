@@ -1,4 +1,4 @@
-"""Where the tables of a graph stand in one flat array, whose last axis, if any, is of runs."""
+"""The layout of a graph's tables in one flat array, whose last axis, if any, is of runs."""
 
 from __future__ import annotations
 

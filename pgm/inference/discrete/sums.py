@@ -59,7 +59,7 @@ class GatheredSum:
 
 @dataclass(frozen=True, eq=False)
 class BlockSum:
-    """A table that stands by itself, summed to some of its variables where it stands.
+    """A contiguous table, summed to some of its variables in place.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ Sum = GatheredSum | BlockSum
 
 
 def summed(sources: Sequence[tuple[Place, States]], start: int) -> Sum:
-    """The sums of some tables, or of one that stands by itself, from a place on.
+    """The sums of some tables, or of a contiguous one, from a place on.
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ class TreeBeliefs:
 
 
 class _Gathered:
-    """Arrays (..., [runs]) of some runs after the other as one of all, beside which none is kept.
+    """The results of batches of runs, (..., [runs]), gathered in one array.
 
     Parameters
     ----------

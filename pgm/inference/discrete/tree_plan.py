@@ -84,7 +84,7 @@ class Stack:
 
     @cached_property
     def top(self) -> slice:
-        """Where the scales of the messages stand; behind them are those of a hub's table."""
+        """The places of the messages' scales; behind them are those of a hub's table."""
         return slice(self.tops.start, self.tops.start + self.clusters.size)
 
     def largest(self, columns: Array) -> Array:
@@ -337,7 +337,7 @@ class _Planner:
     def _absorbed(
         self, clusters: list[int], storage: Storage, start: int, entries: int
     ) -> list[Product]:
-        """Which column of each child's message meets each entry."""
+        """The column of each child's message that meets each entry."""
         only = storage.places[clusters[0]]
         if only.large:
             return [

@@ -110,7 +110,7 @@ class Room:
             self.arrays.append(np.moveaxis(array, -1, len(before)))
 
     def offset(self, array: npt.NDArray[Any]) -> int | None:
-        """Where an array begins; None, if it is of other memory."""
+        """The offset of an array; None, if it is of other memory."""
         found = address(array) - self._start
         return found if 0 <= found < self.block.size else None
 
@@ -154,6 +154,6 @@ def lines(size: int) -> int:
 
 
 def address(array: npt.NDArray[Any]) -> int:
-    """Where an array begins in this process's memory."""
+    """The address of an array in this process's memory."""
     found: int = array.__array_interface__["data"][0]
     return found

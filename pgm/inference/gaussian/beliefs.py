@@ -31,7 +31,7 @@ def runs_first(array: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where the moments of each cluster stand, and where each variable's are read."""
+    """The places of each cluster's moments, and of each variable's."""
 
     layout: Layout
 
@@ -51,17 +51,17 @@ class Places:
         return np.cumsum([0, *(size * size for size in self.sizes)])
 
     def means(self, clusters: Integers, columns: Integers) -> Integers:
-        """Where means stand, for (B,) clusters and (B, n) columns of theirs."""
+        """The places of means, for (B,) clusters and (B, n) columns of theirs."""
         return self.starts[clusters][:, None] + columns
 
     def covs(self, clusters: Integers, columns: Integers) -> Integers:
-        """Where covariances stand, (B, n, n)."""
+        """The places of covariances, (B, n, n)."""
         size = np.array(self.sizes, dtype=np.intp)[clusters][:, None, None]
         start = self.block_starts[clusters][:, None, None]
         return start + columns[:, :, None] * size + columns[:, None, :]
 
     def of(self, clusters: Integers, components: Integers) -> tuple[Integers, Integers]:
-        """Where means and covariances of components (B, n) stand, for (B,) clusters."""
+        """The places of means and covariances of components (B, n), for (B,) clusters."""
         at = clusters, self.layout.columns_of(clusters, components)
         return self.means(*at), self.covs(*at)
 

@@ -91,7 +91,7 @@ class Buffer:
         return done, known + done.log_scale + unit[:, None]
 
     def out(self, messages: Integers, size: int) -> tuple[Integers, Integers]:
-        """Where the entries (B, s, s) and rows (B, s) of messages of one size stand."""
+        """The places of the entries (B, s, s) and rows (B, s) of messages of one size."""
         inside = np.arange(size * size).reshape(size, size)
         entries = self.rounds.entry_starts[messages][:, None, None] + inside
         return entries, self.rounds.row_starts[messages][:, None] + np.arange(size)
@@ -101,7 +101,7 @@ class Buffer:
         return self._rows(*self.out(messages, size))
 
     def store(self, stack: Stack, rest: Rows, log_scale: Array | None) -> None:
-        """Keep what a stack of messages came to."""
+        """Store a stack of messages."""
         entries, rows = self.out(stack.members, stack.kept)
         self.proper.put(entries, rows, rest.matrix, rest.right)
         if self.exact is not None and rest.exact is not None and rest.exact_right is not None:

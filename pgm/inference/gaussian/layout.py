@@ -1,4 +1,4 @@
-"""Where everything stands for one network, cluster graph and set of observed variables."""
+"""The layout of a Gaussian network with some variables observed: groups, rows, columns."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class Layout:
 
     @cached_property
     def places(self) -> dict[Variable, Integers]:
-        """Where each hidden variable's components stand among all of them."""
+        """The places of each hidden variable's components among all of them."""
         starts = np.cumsum([0, *(v.dimension for v in self.hidden)])
         return {v: np.arange(a, a + v.dimension) for v, a in zip(self.hidden, starts, strict=False)}
 
@@ -119,7 +119,7 @@ class Layout:
         return dimension(self.hidden)
 
     def components(self, scope: Scope) -> Integers:
-        """Where some hidden variables' components stand."""
+        """The places of some hidden variables' components."""
         if not scope:
             return np.zeros(0, dtype=np.intp)
         return np.concatenate([self.places[v] for v in scope])
@@ -142,7 +142,7 @@ class Layout:
         ]
 
     def columns_of(self, clusters: Integers, places: Integers) -> Integers:
-        """Where components (B, n) stand in the scopes of clusters (B,)."""
+        """The places of components (B, n) in the scopes of clusters (B,)."""
         pairs = zip(clusters.tolist(), places.tolist(), strict=True)
         found = [[self.columns[cluster][place] for place in row] for cluster, row in pairs]
         return np.array(found, dtype=np.intp).reshape(places.shape)

@@ -190,7 +190,7 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
 
 
 def _taken(group: Group, bound: BoundValues) -> Mask | None:
-    """Which components of a group's children were observed; None for all."""
+    """The mask of components of a group's children that were observed; None for all."""
     children = [cpd.child for cpd in group.cpds]
     if bound.taken.keys().isdisjoint(children):
         return None

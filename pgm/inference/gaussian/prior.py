@@ -105,7 +105,7 @@ class _Frontier:
         self.free = list(range(8))
 
     def covariance(self, places: Integers) -> tuple[Array, Array]:
-        """Of some components, and theirs with everything."""
+        """The covariance of some components, and theirs with everything."""
         rows = [self.slots[int(place)] for place in places]
         across = self.cov[:, rows]
         return across[:, :, rows], across

@@ -53,7 +53,7 @@ class Stack:
 
 @dataclass(frozen=True, eq=False)
 class Rounds:
-    """Where the rows of a layout's factors and messages stand in one buffer.
+    """The places of the rows of a layout's factors and messages in one buffer.
 
     The factors of the CPDs come first, then the messages, each with as many rows as its sepset has
     components, then a zero.
@@ -69,23 +69,23 @@ class Rounds:
 
     @cached_property
     def own_entries(self) -> Integers:
-        """Where the entries of each group of CPDs begin, and where they end."""
+        """The first entry of each group of CPDs, and the end."""
         groups = self.layout.groups
         return np.cumsum([0, *(len(g.cpds) * g.height * g.width for g in groups)])
 
     @cached_property
     def own_rows(self) -> Integers:
-        """Where the rows of each group of CPDs begin, and where they end."""
+        """The first row of each group of CPDs, and the end."""
         return np.cumsum([0, *(len(g.cpds) * g.height for g in self.layout.groups)])
 
     @cached_property
     def entry_starts(self) -> Integers:
-        """Where each message's entries begin, and the zero."""
+        """The first entry of each message, and the zero."""
         return int(self.own_entries[-1]) + np.cumsum([0, *(self.sizes**2)])
 
     @cached_property
     def row_starts(self) -> Integers:
-        """Where each message's rows begin, and the zero."""
+        """The first row of each message, and the zero."""
         return int(self.own_rows[-1]) + np.cumsum([0, *self.sizes])
 
     @cached_property

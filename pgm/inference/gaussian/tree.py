@@ -32,12 +32,12 @@ class TreePlan:
 
     @cached_property
     def rounds(self) -> Rounds:
-        """Where rows stand."""
+        """The places of rows."""
         return Rounds(self.layout)
 
     @cached_property
     def places(self) -> Places:
-        """Where moments stand."""
+        """The places of moments."""
         return Places(self.layout)
 
     @cached_property

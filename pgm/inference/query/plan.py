@@ -1,4 +1,4 @@
-"""In which order a query's variables are summed out, and what that costs."""
+"""The order in which a query's variables are summed out, and its cost."""
 
 from __future__ import annotations
 

@@ -247,7 +247,7 @@ def _head(cursor: Cursor, assembly: Assembly) -> Family:
 
 
 def _place(cursor: Cursor, family: Family, index: list[dict[str, int]]) -> int:
-    """Where in the table a row belongs."""
+    """The place of a row in the table."""
     names, words = names_to(cursor, ")", "after the parents' states")
     states = of_length(len(index), names, words)
     if states is None:
