@@ -103,7 +103,13 @@ class Variable:
 
     @property
     def previous(self) -> Variable:
-        """The same variable one step before."""
+        """The same variable one step before.
+
+        Raises
+        ------
+        ModelError
+            If that is before step 0.
+        """
         if self.step is not None:
             return self.at(self.step - 1)
         return self._moved(None, self.lag + 1)
@@ -114,7 +120,27 @@ class Variable:
         return self if self.step is None and not self.lag else self._moved(None, 0)
 
     def at(self, step: int) -> Variable:
-        """The copy at a step; for a template with a lag, that many steps before it."""
+        """The copy at a step; for a template with a lag, that many steps before it.
+
+        Parameters
+        ----------
+        step : int
+
+        Returns
+        -------
+        Variable
+
+        Raises
+        ------
+        ModelError
+            If the step is no whole number, or the copy would stand before step 0.
+
+        Examples
+        --------
+        >>> x = Variable("x")
+        >>> x.at(3), x.previous.at(3)
+        (x[3], x[2])
+        """
         if not is_whole(step):
             raise ModelError(f"{self!r}.at({step!r}): a step is a whole number", variable=self)
         return self._moved(int(step) - self.lag, 0)
@@ -204,7 +230,17 @@ class Discrete(Variable):
         return len(self.states)
 
     def index(self, state: str | int) -> int:
-        """The index of a state, given by name or index.
+        """The index of a state.
+
+        Parameters
+        ----------
+        state : str or int
+            Its name or its index.
+
+        Returns
+        -------
+        int
+            0 to size − 1.
 
         Raises
         ------
@@ -247,6 +283,16 @@ def variables(names: str | Iterable[str]) -> tuple[Variable, ...]:
     ----------
     names : str or iterable of str
         Names, in one string separated by white space or commas, or one by one.
+
+    Returns
+    -------
+    tuple of Variable
+        In the order of the names.
+
+    Raises
+    ------
+    ModelError
+        If a name is empty or no string, names repeat, or they are a set of several, without order.
 
     Examples
     --------

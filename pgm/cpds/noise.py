@@ -40,6 +40,16 @@ def noise(function: Callable[..., Any], given: Variable | Iterable[Variable]) ->
     given : Variable or sequence of Variable
         The parents, which must have evidence, since a covariance cannot be linearised.
 
+    Returns
+    -------
+    Noise
+        For the `cov` of a CPD; its values are checked where they are used.
+
+    Raises
+    ------
+    ModelError
+        If the function cannot be called, or the parents are no variables, repeat or are a set.
+
     Examples
     --------
     >>> u = Variable("u", components=("v", "dt"))

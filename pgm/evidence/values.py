@@ -57,6 +57,16 @@ def constant(value: npt.ArrayLike) -> Constant:
     ----------
     value : array_like
         (..., d); leading axes are runs.
+
+    Returns
+    -------
+    Constant
+        Evidence, checked where it is used.
+
+    Examples
+    --------
+    >>> constant([0.5, 0.0])
+    Constant(value=[0.5, 0.0])
     """
     return Constant(value)
 
@@ -73,6 +83,11 @@ def soft(weights: npt.ArrayLike) -> Soft:
         (..., size), one for each state, non-negative and not all zero; leading axes are runs.
         They need not sum to one: marginals depend on their ratios alone, and a common factor
         enters the log-evidence.
+
+    Returns
+    -------
+    Soft
+        Evidence, checked where it is used.
 
     References
     ----------
@@ -98,6 +113,16 @@ def sightings(
         measurements belong to the current step.
     given : mapping of Variable to array_like, optional
         The sensor's observed parents that differ from measurement to measurement, (..., M, d) each.
+
+    Returns
+    -------
+    Sightings
+        Evidence, whose shapes and steps are checked where it is used.
+
+    Raises
+    ------
+    EvidenceError
+        If `given` is no mapping.
 
     Examples
     --------

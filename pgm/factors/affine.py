@@ -71,7 +71,25 @@ class AffineGaussian(Immutable):
             put(self, name, part)
 
     def forward(self, x: Gaussian, child: Variable) -> Gaussian:
-        """The child's marginal: mean F μ + b and covariance F P Fᵀ + Σ."""
+        """The child's marginal: mean F μ + b and covariance F P Fᵀ + Σ.
+
+        Parameters
+        ----------
+        x : Gaussian
+            Over the parents: mean μ, (..., n), and covariance P.
+        child : Variable
+
+        Returns
+        -------
+        Gaussian
+            Over the child, (..., d).
+
+        Raises
+        ------
+        ModelError
+            If `x` is no Gaussian, F does not map its scope to the child, or F, b and Σ are not
+            finite or Σ is not symmetric.
+        """
         child_scope, given = as_scope(child), as_gaussian(x).scope
         one_name_each((*child_scope, *given))
         self._fits(child_scope, given)
@@ -84,8 +102,22 @@ class AffineGaussian(Immutable):
         With M = I + K Σ and e = h − K b: FᵀM⁻¹K F, FᵀM⁻¹e and
         g − ½ ln|M| + hᵀb − ½ bᵀK b + ½ eᵀΣM⁻¹e.
 
+        Parameters
+        ----------
+        message : CanonicalForm
+            Over the child.
+        given : Variable or sequence of Variable
+            The parents.
+
+        Returns
+        -------
+        CanonicalForm
+            Over the parents.
+
         Raises
         ------
+        ModelError
+            If the message is no canonical form; else as of `forward`.
         NumericalError
             If the integral diverges, which only an indefinite K can bring about.
         """
@@ -109,8 +141,18 @@ class AffineGaussian(Immutable):
         K = [[Σ⁻¹, −Σ⁻¹F], [−FᵀΣ⁻¹, FᵀΣ⁻¹F]], h = [Σ⁻¹b; −FᵀΣ⁻¹b] and
         g = −½ (bᵀΣ⁻¹b + d ln 2π + ln|Σ|).
 
+        Parameters
+        ----------
+        child, given : Variable or sequence of Variable
+
+        Returns
+        -------
+        CanonicalForm
+
         Raises
         ------
+        ModelError
+            If a variable is named twice; else as of `forward`.
         NumericalError
             If Σ is singular: the factor has no canonical form.
         """

@@ -109,7 +109,16 @@ class CanonicalForm(Immutable):
 
     @classmethod
     def vacuous(cls, scope: Variable | Iterable[Variable]) -> CanonicalForm:
-        """The factor that is one everywhere: K = 0, h = 0, g = 0."""
+        """The factor that is one everywhere: K = 0, h = 0, g = 0.
+
+        Parameters
+        ----------
+        scope : Variable or sequence of Variable
+
+        Returns
+        -------
+        CanonicalForm
+        """
         scope = as_scope(scope)
         size = dimension(scope)
         return cls._make(scope, np.zeros((size, size)), np.zeros(size), np.zeros(()))
@@ -118,8 +127,20 @@ class CanonicalForm(Immutable):
     def from_gaussian(cls, gaussian: Gaussian, log_weight: npt.ArrayLike = 0.0) -> CanonicalForm:
         """exp(log_weight) N(x; μ, P): K = P⁻¹, h = P⁻¹μ, g = ln N(0; μ, P) + log_weight.
 
+        Parameters
+        ----------
+        gaussian : Gaussian
+        log_weight : array_like
+            (...), which broadcasts with the leading axes of the Gaussian.
+
+        Returns
+        -------
+        CanonicalForm
+
         Raises
         ------
+        ModelError
+            If the first is no Gaussian, or the log-weight is not finite or does not broadcast.
         NumericalError
             If P is singular: K does not exist.
         """
@@ -138,7 +159,21 @@ class CanonicalForm(Immutable):
         return cls._make(gaussian.scope, K, h, g)
 
     def extend(self, scope: Variable | Iterable[Variable]) -> CanonicalForm:
-        """The same factor over a wider or reordered scope: zeros for the new variables."""
+        """The same factor over a wider or reordered scope: zeros for the new variables.
+
+        Parameters
+        ----------
+        scope : Variable or sequence of Variable
+
+        Returns
+        -------
+        CanonicalForm
+
+        Raises
+        ------
+        ModelError
+            If the scope lacks a variable of the factor, or is a set, without order.
+        """
         scope = as_scope(scope)
         if scope == self.scope:
             return self
@@ -188,8 +223,18 @@ class CanonicalForm(Immutable):
         K' = K_xx − K_xy K_yy⁻¹ K_yx, h' = h_x − K_xy K_yy⁻¹ h_y and
         g' = g + ½ (d_y ln 2π − ln|K_yy| + h_yᵀ K_yy⁻¹ h_y), for y the variables to drop.
 
+        Parameters
+        ----------
+        *drop : Variable
+
+        Returns
+        -------
+        CanonicalForm
+
         Raises
         ------
+        ModelError
+            If a variable is not in the scope, or is named twice.
         NumericalError
             If K_yy is not positive definite, so that the integral diverges.
         """
@@ -206,15 +251,46 @@ class CanonicalForm(Immutable):
         return self._make(keep, K, h, g)
 
     def marginal(self, *keep: Variable) -> CanonicalForm:
-        """Integrate all but some variables out; the result is in the order asked for."""
+        """Integrate all but some variables out.
+
+        Parameters
+        ----------
+        *keep : Variable
+
+        Returns
+        -------
+        CanonicalForm
+            In the order asked for.
+
+        Raises
+        ------
+        ModelError, NumericalError
+            As of `marginalise`.
+        """
         positions(self.scope, as_scope(keep))
         dropped = (variable for variable in self.scope if variable not in keep)
         return self.marginalise(*dropped).rearrange(keep)
 
     def reduce(self, evidence: Mapping[Variable, npt.ArrayLike]) -> CanonicalForm:
-        """Put in the values of some variables, (..., dimension) each.
+        """Put in the values Y of some variables y.
 
         K' = K_xx, h' = h_x − K_xy Y and g' = g + h_yᵀY − ½ Yᵀ K_yy Y.
+
+        Parameters
+        ----------
+        evidence : mapping of Variable to array_like
+            (..., dimension) each; a number for a scalar.
+
+        Returns
+        -------
+        CanonicalForm
+            Over the other variables, x.
+
+        Raises
+        ------
+        ModelError
+            If it is no mapping, a variable is not in the scope, or a value is not finite or of a
+            wrong shape.
         """
         evidence = as_mapping(evidence, "the evidence of a factor", ModelError)
         if not evidence:
@@ -244,20 +320,32 @@ class CanonicalForm(Immutable):
         return self._moments()[2]
 
     def gaussian(self) -> Gaussian:
-        """The normalised moment form; raises NumericalError where K is not positive definite."""
+        """The normalised moment form; NumericalError where K is not positive definite."""
         mean, cov, _ = self._moments()
         return Gaussian._make(self.scope, mean, cov)
 
     def combine(self, gaussian: Gaussian) -> tuple[Gaussian, Array]:
-        """The product N(x; m, P) C(x; K, h, g) in moment form, and its log-integral, (...).
+        """The product N(x; m, P) C(x; K, h, g) in moment form, and its log-integral.
 
         P may be singular and is never inverted: for a root P = L Lᵀ the covariance is
         P⁺ = L (I + LᵀK L)⁻¹ Lᵀ and the mean m + P⁺ (h − K m).
 
+        Parameters
+        ----------
+        gaussian : Gaussian
+            Over the variables of the factor, in any order.
+
+        Returns
+        -------
+        product : Gaussian
+            Normalised, in the order of the one given.
+        log_integral : ndarray
+            (...).
+
         Raises
         ------
         ModelError
-            If the scopes differ.
+            If it is no Gaussian, or the scopes hold different variables.
         NumericalError
             If the product has no integral, which only an indefinite K can bring about.
         """
@@ -277,11 +365,27 @@ class CanonicalForm(Immutable):
         return Gaussian._make(gaussian.scope, mean, cov), log_integral
 
     def normalised(self) -> CanonicalForm:
-        """The factor divided by its integral."""
+        """The factor divided by its integral; NumericalError where K is not positive definite."""
         return self._make(self.scope, self.K, self.h, self.g - self.log_integral)
 
     def log_value(self, x: npt.ArrayLike) -> Array:
-        """The value ln C(x) at stacked values x, (..., n)."""
+        """The logarithm ln C(x) at stacked values.
+
+        Parameters
+        ----------
+        x : array_like
+            (..., n); leading axes broadcast with the factor's.
+
+        Returns
+        -------
+        ndarray
+            (...).
+
+        Raises
+        ------
+        ModelError
+            If the values are not finite, or their shape does not fit.
+        """
         what = f"a point of the canonical form over {names(self.scope)}"
         x = as_points(self.scope, x, self.g.shape, what)
         return inner(self.h, x) - 0.5 * inner(apply(self.K, x), x) + self.g

@@ -188,7 +188,17 @@ class Gaussian(Immutable):
     __iter__ = None  # else Python would go through places until one is refused
 
     def marginal(self, *keep: Variable) -> Gaussian:
-        """The Gaussian over some of the variables, in the order asked for."""
+        """The `Gaussian` over some of the variables, in the order asked for; leading axes stay.
+
+        Parameters
+        ----------
+        *keep : Variable
+
+        Raises
+        ------
+        ModelError
+            If a variable is not in the scope, or is named twice.
+        """
         scope = as_scope(keep)
         places = positions(self.scope, scope)
         return self._make(
@@ -196,7 +206,18 @@ class Gaussian(Immutable):
         )
 
     def run(self, *index: int) -> Gaussian:
-        """One run of several: the leading axes of runs, or the first of them, indexed."""
+        """One run of several, a `Gaussian` with all its steps.
+
+        Parameters
+        ----------
+        *index : int
+            The run's places along the axes of runs, or along the first of them.
+
+        Raises
+        ------
+        ModelError
+            If an index is no whole number, or there are more of them than axes of runs.
+        """
         lead = self.mean.ndim - 1 - (self.steps is not None)
         if not all(map(is_whole, index)):
             raise ModelError(
@@ -214,7 +235,7 @@ class Gaussian(Immutable):
         return self._make(self.scope, mean, self.cov, self.steps)
 
     def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
-        """Draws, (*size, ..., n); the covariance may be singular.
+        """Draws; the covariance may be singular, and angles stay on the mean's chart.
 
         Parameters
         ----------
@@ -223,10 +244,16 @@ class Gaussian(Immutable):
         rng : numpy.random.Generator or int
             What draws, or the seed of one.
 
+        Returns
+        -------
+        ndarray
+            (*size, ..., n).
+
         Raises
         ------
         ModelError
-            If the draws would not fit into memory.
+            If `size` is no number of draws or would not fit into memory, or `rng` is neither a
+            generator nor a seed.
         NumericalError
             If a variance is infinite, or the covariance all but singular and off by more than
             rounding.
@@ -248,27 +275,45 @@ class Gaussian(Immutable):
         return normal.draw(self.mean, lower, white)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
-        """The log-density ln N(x; mean, cov), (...), at values (..., n).
+        """The log-density ln N(x; mean, cov); differences of angles are wrapped.
 
-        Differences of angles are wrapped.
+        Parameters
+        ----------
+        x : array_like
+            (..., n); leading axes broadcast with the Gaussian's.
+
+        Returns
+        -------
+        ndarray
+            (...), in nats.
 
         Raises
         ------
-        NumericalError
-            If the covariance is singular or infinite.
+        ModelError, NumericalError
+            If values are not finite or do not fit; if the covariance is singular or infinite.
         """
         value = moments.log_density(self._offset(x), self.cov)
         return self._exists(value, "log-density")
 
     def kl(self, other: Gaussian) -> Array:
-        """KL(self ‖ other), (...), in nats; differences of angles are wrapped.
+        """KL(self ‖ other); differences of angles are wrapped.
 
         ½ (ln |P'|/|P| − n + tr(P'⁻¹P) + (μ' − μ)ᵀ P'⁻¹ (μ' − μ)).
+
+        Parameters
+        ----------
+        other : Gaussian
+            Of mean μ' and covariance P', over the same scope.
+
+        Returns
+        -------
+        ndarray
+            (...), in nats.
 
         Raises
         ------
         ModelError
-            If the scopes differ.
+            If it is no Gaussian, or the scopes differ.
         NumericalError
             If a covariance is singular or infinite.
         """
@@ -304,6 +349,15 @@ class Gaussian(Immutable):
             Probability of the region, in (0, 1).
         components : pair of str, optional
             Which components, by name; the first two without.
+
+        Returns
+        -------
+        Ellipse
+
+        Raises
+        ------
+        ModelError
+            If the confidence is not in (0, 1), or the components are not two of the scope's.
         """
         known = labels(self.scope)
         if not is_number(confidence) or not 0.0 < confidence < 1.0:

@@ -136,13 +136,31 @@ class Table(Immutable):
 
     @classmethod
     def vacuous(cls, scope: Variable | Iterable[Variable]) -> Table:
-        """The factor that is one everywhere."""
+        """The factor that is one everywhere.
+
+        Parameters
+        ----------
+        scope : Discrete or sequence of Discrete
+
+        Returns
+        -------
+        Table
+        """
         scope = as_states(scope)
         return cls._make(scope, np.ones(sizes(scope)))
 
     @classmethod
     def uniform(cls, scope: Variable | Iterable[Variable]) -> Table:
-        """Equal probabilities of all combinations of states."""
+        """Equal probabilities of all combinations of states.
+
+        Parameters
+        ----------
+        scope : Discrete or sequence of Discrete
+
+        Returns
+        -------
+        Table
+        """
         return cls.vacuous(scope).normalised()
 
     @property
@@ -154,7 +172,21 @@ class Table(Immutable):
         return self._make(scope, *kernel.rescale(values, log_scale, len(scope)))
 
     def extend(self, scope: Variable | Iterable[Variable]) -> Table:
-        """The same factor over a wider or reordered scope; it is constant in new variables."""
+        """The same factor over a wider or reordered scope; it is constant in new variables.
+
+        Parameters
+        ----------
+        scope : Discrete or sequence of Discrete
+
+        Returns
+        -------
+        Table
+
+        Raises
+        ------
+        ModelError
+            If the scope lacks a variable of the factor, holds a continuous one, or is a set.
+        """
         scope = as_states(scope)
         if scope == self.scope:
             return self
@@ -213,7 +245,13 @@ class Table(Immutable):
         return self._combined(scope, values, self.log_scale - other.log_scale + scale)
 
     def marginalise(self, *drop: Variable) -> Table:
-        """Sum some variables out."""
+        """Sum some variables out: φ'(x) = Σ_y φ(x, y). The result is a `Table`.
+
+        Raises
+        ------
+        ModelError
+            If a variable is not in the scope, or is named twice.
+        """
         axes = axes_of(self.scope, drop)
         if not drop:
             return self
@@ -221,19 +259,47 @@ class Table(Immutable):
         return self._combined(without(self.scope, drop), values.sum(axis=axes), scale)
 
     def marginal(self, *keep: Variable) -> Table:
-        """Sum all but some variables out; the result is in the order asked for."""
+        """Sum all but some variables out; the `Table` is in the order asked for.
+
+        Raises
+        ------
+        ModelError
+            If a variable is not in the scope, or is named twice.
+        """
         axes_of(self.scope, keep)
         return self.marginalise(*without(self.scope, keep)).rearrange(keep)
 
     def maximise(self, *drop: Variable) -> Table:
-        """Maximise over some variables."""
+        """Maximise over some variables: φ'(x) = max_y φ(x, y). The result is a `Table`.
+
+        Raises
+        ------
+        ModelError
+            If a variable is not in the scope, or is named twice.
+        """
         axes = axes_of(self.scope, drop)
         if not drop:
             return self
         return self._combined(without(self.scope, drop), self.values.max(axis=axes), self.log_scale)
 
     def reduce(self, evidence: Mapping[Discrete, str | int]) -> Table:
-        """Put in the states of some variables, by name or index; entries stay as they are."""
+        """Put in the states of some variables; entries stay as they are.
+
+        Parameters
+        ----------
+        evidence : mapping of Discrete to str or int
+            One state each, by name or index.
+
+        Returns
+        -------
+        Table
+            Over the other variables.
+
+        Raises
+        ------
+        ModelError
+            If it is no mapping, a variable is not in the scope, or there is no such state.
+        """
         evidence = as_mapping(evidence, "the evidence of a table", ModelError)
         axes_of(self.scope, evidence)
         index = [v.index(evidence[v]) if v in evidence else slice(None) for v in self.scope]

@@ -119,7 +119,22 @@ class DynamicBayesianNetwork(Immutable):
         self._set(**values)
 
     def replace(self, **changes: Iterable[CPD]) -> DynamicBayesianNetwork:
-        """A variant with another prior, transition or observation."""
+        """A variant with another prior, transition or observation.
+
+        Parameters
+        ----------
+        **changes : iterable of CPD
+            ``prior=``, ``transition=``, ``observation=``: all CPDs of that part.
+
+        Returns
+        -------
+        DynamicBayesianNetwork
+
+        Raises
+        ------
+        ModelError
+            If a keyword is none of these, or the variant is no network.
+        """
         parts: dict[str, Any] = {
             "prior": self.prior,
             "transition": self.transition,
@@ -197,6 +212,10 @@ class DynamicBayesianNetwork(Immutable):
         steps : int
             T, 0 or more.
 
+        Returns
+        -------
+        BayesianNetwork
+
         Raises
         ------
         ModelError
@@ -224,8 +243,21 @@ class DynamicBayesianNetwork(Immutable):
     def to_networkx(self, steps: int = 1) -> nx.DiGraph:
         """The network unrolled to slices 0..steps, for pictures and questions of structure.
 
-        Nodes are variables at steps, with the attributes ``kind`` (state, control, sensor or
-        input) and ``step``; edges go from parents to children.
+        Parameters
+        ----------
+        steps : int
+            T, 0 or more.
+
+        Returns
+        -------
+        networkx.DiGraph
+            Nodes are variables at steps, with the attributes ``kind`` (state, control, sensor or
+            input) and ``step``; edges go from parents to children.
+
+        Raises
+        ------
+        ModelError
+            If the network would not fit into memory.
         """
         kinds = {
             **dict.fromkeys(self.states, "state"),
@@ -252,7 +284,18 @@ class DynamicBayesianNetwork(Immutable):
         )
 
     def cpds_at(self, step: int) -> tuple[ConditionalGaussian, ...]:
-        """The CPDs that hold at a step, as templates."""
+        """The CPDs that hold at a step, as templates.
+
+        Parameters
+        ----------
+        step : int
+
+        Returns
+        -------
+        tuple of CPD
+            At step 0 the prior and the sensors whose parents exist there; later the transition
+            and all sensors.
+        """
         if step == 0:
             possible = set(self.states) | set(self.inputs)
             first = tuple(cpd for cpd in self.observation if set(cpd.parents) <= possible)

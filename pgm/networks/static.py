@@ -113,6 +113,14 @@ class BayesianNetwork(Immutable):
     def cpd(self, variable: Variable) -> CPD:
         """The CPD of a variable.
 
+        Parameters
+        ----------
+        variable : Variable
+
+        Returns
+        -------
+        CPD
+
         Raises
         ------
         ModelError
@@ -128,6 +136,15 @@ class BayesianNetwork(Immutable):
 
     def replace(self, *cpds: CPD) -> BayesianNetwork:
         """A variant with other CPDs of some variables.
+
+        Parameters
+        ----------
+        *cpds : CPD
+            Each in place of the one of its child.
+
+        Returns
+        -------
+        BayesianNetwork
 
         Raises
         ------
@@ -189,8 +206,11 @@ class BayesianNetwork(Immutable):
     def to_networkx(self) -> nx.DiGraph:
         """The network as a graph, for pictures and questions of structure.
 
-        Nodes are variables with the attribute ``kind`` (variable or input); edges go from parents
-        to children.
+        Returns
+        -------
+        networkx.DiGraph
+            Nodes are variables with the attribute ``kind`` (variable or input); edges go from
+            parents to children.
         """
         graph = nx.DiGraph()
         graph.add_nodes_from(self._by_child, kind="variable")
@@ -214,6 +234,10 @@ class BayesianNetwork(Immutable):
         ----------
         a, b, given : Variable or iterable of Variable
             Disjoint sets.
+
+        Returns
+        -------
+        bool
 
         Raises
         ------
