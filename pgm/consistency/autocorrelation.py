@@ -76,6 +76,11 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
     confidence : float
         Probability of the band and below the limit.
 
+    Returns
+    -------
+    Whiteness
+        At the lags 1 to `lags`.
+
     Raises
     ------
     ModelError

@@ -99,6 +99,11 @@ def average(
     confidence : float
         Probability of the band.
 
+    Returns
+    -------
+    Average
+        Over the axes that are left.
+
     Raises
     ------
     ModelError
@@ -153,6 +158,11 @@ def anees(
     confidence : float
         Probability of the band, at each step.
 
+    Returns
+    -------
+    Average
+        (T+1,), or () of a belief without steps; NaN at steps where no truth is known.
+
     Raises
     ------
     ModelError
@@ -178,6 +188,11 @@ def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:
     confidence : float
         Probability of the band, at each step.
 
+    Returns
+    -------
+    Average
+        (T+1,); NaN at steps where the sensor was not read.
+
     Raises
     ------
     ModelError
@@ -199,6 +214,10 @@ def mean_band(dof: int, count: int, confidence: float = 0.99) -> tuple[float, fl
         How many are averaged.
     confidence : float
         Probability of the band.
+
+    Returns
+    -------
+    low, high : float
 
     Raises
     ------

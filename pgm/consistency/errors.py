@@ -32,6 +32,11 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
     truth : array_like
         (*runs, T+1, n), or without the axes of runs; NaN in components that are not known.
 
+    Returns
+    -------
+    ndarray
+        (*runs, T+1, n), in the units of the components; angles in radians.
+
     Raises
     ------
     ModelError
@@ -117,6 +122,11 @@ def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     components : sequence of str
         Over which the error's length is taken; all without.
 
+    Returns
+    -------
+    float
+        In the units of the components, which should be the same.
+
     Raises
     ------
     ModelError
@@ -151,6 +161,11 @@ def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
         (..., n), its leading axes as `error` asks for.
     components : sequence of str
         Whose marginal is judged, n of them; all without.
+
+    Returns
+    -------
+    ndarray
+        (*runs, T+1), or the belief's leading axes.
 
     Raises
     ------
@@ -212,6 +227,11 @@ def nis(innovations: Innovations) -> Array:
     innovations : Innovations
         As ``posterior.innovations[z]``.
 
+    Returns
+    -------
+    ndarray
+        (*runs, T+1).
+
     Raises
     ------
     ModelError
@@ -227,6 +247,11 @@ def kl(p: Gaussian, q: Gaussian) -> Array:
     ----------
     p, q : Gaussian
         Of one scope; leading axes broadcast.
+
+    Returns
+    -------
+    ndarray
+        (...), in nats.
 
     Raises
     ------

@@ -55,6 +55,11 @@ def over_time(
     percentiles : pair of float
         The lower and the upper one, in percent.
 
+    Returns
+    -------
+    OverTime
+        (T+1,).
+
     Raises
     ------
     ModelError
@@ -116,6 +121,11 @@ def rmse_over_time(
         Over which the error's length is taken; all without.
     percentiles : pair of float
         The lower and the upper one, in percent.
+
+    Returns
+    -------
+    OverTime
+        (T+1,), in the units of the components.
 
     Raises
     ------

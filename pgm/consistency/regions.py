@@ -77,10 +77,15 @@ def coverage(
     band : float
         Probability of the interval.
 
+    Returns
+    -------
+    Coverage
+        Of the shape of `confidence`.
+
     Raises
     ------
     ModelError
-        If a confidence is not between 0 and 1, or the truth or a component does not fit the
+        If a confidence or the band is not between 0 and 1, or the truth or a component does not fit the
         belief, or no truth is known.
     NumericalError
         If a covariance is singular.
