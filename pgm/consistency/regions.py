@@ -85,8 +85,8 @@ def coverage(
     Raises
     ------
     ModelError
-        If a confidence or the band is not between 0 and 1, or the truth or a component does not fit the
-        belief, or no truth is known.
+        If a confidence or the band is not between 0 and 1, the truth or a component does not fit
+        the belief, or no truth is known.
     NumericalError
         If a covariance is singular.
 

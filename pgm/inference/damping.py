@@ -44,6 +44,11 @@ class LevenbergMarquardt:
     tries : int
         Tries at the most in one iteration.
 
+    Raises
+    ------
+    ModelError
+        If one of them is no such number.
+
     References
     ----------
     Lindqvist, Särkkä, García-Fernández, Raitoharju & Svensson, Posterior linearisation smoothing

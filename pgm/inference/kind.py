@@ -51,7 +51,20 @@ class Kind:
         return names.get(self.lag, "fixed-lag")
 
     def last(self, step: int, steps: int) -> int:
-        """The last step, of a chain of so many, whose measurements a belief at a step knows."""
+        """The last step whose measurements a belief at a step knows.
+
+        Parameters
+        ----------
+        step : int
+            Of the belief.
+        steps : int
+            T, the chain's last step.
+
+        Returns
+        -------
+        int
+            min(step + lag, T); −1 of a prediction at step 0, which knows none.
+        """
         return int(min(step + self.lag, steps))
 
     def __str__(self) -> str:

@@ -40,7 +40,22 @@ class Posterior(ABC):
 
     @abstractmethod
     def __getitem__(self, variable: Variable) -> Gaussian | Table:
-        """The marginal of a variable without evidence."""
+        """The marginal of a variable without evidence.
+
+        Parameters
+        ----------
+        variable : Variable
+
+        Returns
+        -------
+        Gaussian or Table
+            Leading axes are runs; of a variable over time, the last of them is of steps.
+
+        Raises
+        ------
+        EvidenceError
+            If the variable has evidence, or is not of the network.
+        """
 
     @overload
     def joint(self, *variables: Discrete) -> Table: ...  # type: ignore[overload-overlap]
@@ -50,15 +65,66 @@ class Posterior(ABC):
 
     @abstractmethod
     def joint(self, *variables: Variable) -> Gaussian | Table:
-        """The joint of some variables, in the order given."""
+        """The joint of some variables without evidence.
+
+        Parameters
+        ----------
+        *variables : Variable
+
+        Returns
+        -------
+        Gaussian or Table
+            In the order given; leading axes are runs.
+
+        Raises
+        ------
+        EvidenceError, ModelError
+            If a variable has evidence, is not of the network or is named twice, or none is given.
+        GraphError
+            If no cluster of a graph with loops holds them all, or the result would not fit.
+        """
 
     @abstractmethod
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm | Table:
-        """The message from one cluster to a neighbour, over their sepset, unnormalised."""
+        """The message from one cluster to a neighbour, over their sepset, unnormalised.
+
+        Parameters
+        ----------
+        source, target : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm or Table
+            Leading axes are runs.
+
+        Raises
+        ------
+        GraphError
+            If the clusters are not joined.
+        NumericalError
+            If it has no canonical form, since a covariance is singular.
+        """
 
     @abstractmethod
     def belief(self, cluster: int | Cluster) -> CanonicalForm | Table:
-        """The belief of a cluster over its variables without evidence, unnormalised."""
+        """The belief of a cluster over its variables without evidence, unnormalised.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm or Table
+            Leading axes are runs.
+
+        Raises
+        ------
+        GraphError
+            If the graph has no such cluster.
+        NumericalError
+            If it has no canonical form, since a covariance is singular.
+        """
 
     @property
     @abstractmethod

@@ -31,6 +31,11 @@ class Filtering:
         The share of the old point of linearisation that is kept, in [0, 1), or a control of each
         step by its cost.
 
+    Raises
+    ------
+    ModelError
+        If one of them is no such number.
+
     References
     ----------
     García-Fernández, Svensson, Morelande & Särkkä, Posterior linearization filter, 2015.
@@ -64,6 +69,11 @@ class Calibration:
         Linearisations at the most.
     tolerance : float
         A run stops when no mean moves by more than this many standard deviations.
+
+    Raises
+    ------
+    ModelError
+        If one of them is no such number.
     """
 
     iterations: int = 1
@@ -92,6 +102,11 @@ class Smoothing(Calibration):
     damping : float or LevenbergMarquardt
         The share of the old point of linearisation that is kept, in [0, 1), or a control of each
         step by its cost.
+
+    Raises
+    ------
+    ModelError
+        If one of them is no such number.
 
     References
     ----------
@@ -201,6 +216,11 @@ class Loopy:
         The share of the old message that is kept, in [0, 1): a new one is the geometric mean.
     max_iterations : int
         Iterations at the most; one sends as many messages as the graph has.
+
+    Raises
+    ------
+    ModelError
+        If one of them is no such number.
     """
 
     tolerance: float = 1e-10
@@ -219,12 +239,44 @@ class Loopy:
 
 @dataclass(frozen=True)
 class Flooding(Loopy):
-    """All messages at once, each from the messages of the iteration before."""
+    """All messages at once, each from the messages of the iteration before.
+
+    Parameters
+    ----------
+    tolerance : float
+        A run has converged when no message changes by more than this: in standard deviations of
+        the belief it makes, or in probability.
+    damping : float
+        The share of the old message that is kept, in [0, 1).
+    max_iterations : int
+        Iterations at the most; one sends as many messages as the graph has.
+
+    Raises
+    ------
+    ModelError
+        If one of them is no such number.
+    """
 
 
 @dataclass(frozen=True)
 class Sequential(Loopy):
-    """Cluster after cluster, forth and back, each message from the latest ones."""
+    """Cluster after cluster, forth and back, each message from the latest ones.
+
+    Parameters
+    ----------
+    tolerance : float
+        A run has converged when no message changes by more than this: in standard deviations of
+        the belief it makes, or in probability.
+    damping : float
+        The share of the old message that is kept, in [0, 1).
+    max_iterations : int
+        Iterations at the most; one sends as many messages as the graph has.
+
+    Raises
+    ------
+    ModelError
+        If one of them is no such number.
+    """
 
 
 @dataclass(frozen=True)
@@ -233,6 +285,21 @@ class Residual(Loopy):
 
     Each message sent makes all messages it has a part in be computed anew. So an iteration takes
     about n² of them around a hub of n neighbours, where `Flooding` and `Sequential` take n.
+
+    Parameters
+    ----------
+    tolerance : float
+        A run has converged when no message changes by more than this: in standard deviations of
+        the belief it makes, or in probability.
+    damping : float
+        The share of the old message that is kept, in [0, 1).
+    max_iterations : int
+        Iterations at the most; one sends as many messages as the graph has.
+
+    Raises
+    ------
+    ModelError
+        If one of them is no such number.
 
     References
     ----------

@@ -126,7 +126,13 @@ class KeptPosterior(Posterior):
     _log_evidence_kind: str
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
-        """The marginal of a variable that was kept, at all its steps or at one."""
+        """The marginal of a variable that was kept, at all its steps or at one.
+
+        Raises
+        ------
+        EvidenceError
+            If it was not kept, or is not hidden.
+        """
         template, first = located(self.graph.layout, variable, self.graph.steps)
         if template not in self._kept:
             wanted = ", ".join(v.name for v in (*self._kept, template))
@@ -151,31 +157,31 @@ class KeptPosterior(Posterior):
 
     @property
     def predicted(self) -> Marginals:
-        """Not kept."""
+        """Not kept: raises EvidenceError."""
         raise EvidenceError(self._missing("marginals given the measurements before each step"))
 
     @property
     def filtered(self) -> Marginals:
-        """Not kept."""
+        """Not kept: raises EvidenceError."""
         here = self.kind == FILTERED
         what = "are posterior[x] here" if here else "are kept by pgm.filter(..., keep=[x])"
         raise EvidenceError(f"{self._missing('the forward pass')}; filtered marginals {what}")
 
     @property
     def innovations(self) -> Mapping[Variable, Innovations]:
-        """Not kept."""
+        """Not kept: raises EvidenceError."""
         raise EvidenceError(self._missing("innovations"))
 
     def joint(self, *variables: Variable) -> NoReturn:
-        """Not kept."""
+        """Not kept: raises EvidenceError."""
         raise EvidenceError(self._missing("joints"))
 
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
-        """Not kept."""
+        """Not kept: raises GraphError."""
         raise GraphError(self._missing("messages"))
 
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
-        """Not kept."""
+        """Not kept: raises GraphError."""
         raise GraphError(self._missing("beliefs of clusters"))
 
     def _missing(self, what: str) -> str:

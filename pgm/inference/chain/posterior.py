@@ -145,10 +145,19 @@ class ChainPosterior(Posterior):
         *variables : Variable
             Concrete ones, ``x.at(3)``, in the order of the result.
 
+        Returns
+        -------
+        Gaussian
+            (*runs, n), without steps.
+
         Raises
         ------
+        EvidenceError, ModelError
+            If one is not hidden, has no such step or stands twice, or none is given.
         GraphError
             If the covariance of all runs would not fit.
+        NumericalError
+            If windows of an iterated fixed lag were solved in twice the digits.
         """
         if not variables:
             raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
@@ -203,6 +212,10 @@ class ChainPosterior(Posterior):
 
         Its g carries the evidence that went into it.
 
+        Returns
+        -------
+        CanonicalForm
+
         Raises
         ------
         GraphError
@@ -249,8 +262,14 @@ class ChainPosterior(Posterior):
 
         Its integral is the evidence that its messages know: all of it after smoothing.
 
+        Returns
+        -------
+        CanonicalForm
+
         Raises
         ------
+        GraphError
+            If there is no such cluster.
         NumericalError
             If the belief has no canonical form, since its covariance is singular.
         """

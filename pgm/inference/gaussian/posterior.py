@@ -97,8 +97,15 @@ class GaussianPosterior(Posterior):
 
         Variables of several clusters are joined along the tree between them.
 
+        Returns
+        -------
+        Gaussian
+            (*runs, n).
+
         Raises
         ------
+        EvidenceError
+            If one is observed or not of the network, or none is given.
         GraphError
             If no cluster of a graph with loops holds them all, or the covariance would not fit.
         """

@@ -82,7 +82,13 @@ class OnlineBelief(Immutable):
         values["behind"] = behind
 
     def __getitem__(self, variable: Variable) -> Gaussian:
-        """The marginal of a hidden variable at the belief's step."""
+        """The marginal of a hidden variable at the belief's step, (*runs, d).
+
+        Raises
+        ------
+        EvidenceError
+            If the belief is not over the variable, or of another step.
+        """
         if type(variable) is not Variable:
             require_variable(variable)
         layout, template = self.layout, variable.template

@@ -157,7 +157,7 @@ class OnlineFilter(Immutable):
 
     @_quiet
     def initial(self) -> OnlineBelief:
-        """The prior, at step 0."""
+        """The prior, at step 0; runs are those of the model."""
         lead = self.model.lead
         if isinstance(self._behind, Sliding):
             return self._slid(0, self._behind, np.zeros(lead))
@@ -181,10 +181,18 @@ class OnlineFilter(Immutable):
         inputs : mapping of Variable to array_like
             Values (..., d) of the transition's inputs.
 
+        Returns
+        -------
+        OnlineBelief
+
         Raises
         ------
         EvidenceError
             If an input is missing or of a wrong shape, or something is no input.
+        ModelError
+            If the belief is not this filter's, or a function returns a wrong shape.
+        LinearisationError, NumericalError
+            If a number that is needed does not exist.
         """
         self._check(belief)
         if type(inputs) is not dict:
@@ -253,12 +261,18 @@ class OnlineFilter(Immutable):
             For a sensor ``pgm.sightings(values, given=...)`` without steps, any number, or one
             measurement (..., d); for inputs that the sensors need, values (..., d).
 
+        Returns
+        -------
+        OnlineBelief
+
         Raises
         ------
         EvidenceError
             If a measurement does not fit its sensor.
+        ModelError, LinearisationError
+            As of `predict`.
         NumericalError
-            If a measurement contradicts an exact model.
+            If a measurement contradicts an exact model, or a number does not exist.
         """
         self._check(belief)
         if type(readings) is not dict:
