@@ -14,7 +14,8 @@ class PgmError(Exception):
     message : str
         What was found and what to do about it.
     variable, cpd, cluster, step, run : optional
-        The objects concerned, for programs that handle the error; a run is counted from 0.
+        The objects concerned, for programs that handle the error; a run is counted from 0. They
+        are attributes, None where not given.
     """
 
     def __init__(
@@ -36,11 +37,17 @@ class PgmError(Exception):
 
 
 class ModelError(PgmError, ValueError):
-    """A variable, factor, CPD or network that is not well formed."""
+    """A variable, factor, CPD or network that is not well formed.
+
+    Parameters and attributes are those of a `PgmError`; it is a `ValueError` too.
+    """
 
 
 class GraphError(PgmError, ValueError):
-    """A cluster graph that is not valid, or one asked for something it does not have."""
+    """A cluster graph that is not valid, or one asked for something it does not have.
+
+    Parameters and attributes are those of a `PgmError`; it is a `ValueError` too.
+    """
 
 
 class FileError(PgmError, ValueError):
@@ -61,15 +68,24 @@ class FileError(PgmError, ValueError):
 
 
 class EvidenceError(PgmError, ValueError):
-    """Evidence that does not fit the model."""
+    """Evidence that does not fit the model.
+
+    Parameters and attributes are those of a `PgmError`; it is a `ValueError` too.
+    """
 
 
 class LinearisationError(PgmError, ValueError):
-    """A function or lineariser that gives values that cannot be used."""
+    """A function or lineariser that gives values that cannot be used.
+
+    Parameters and attributes are those of a `PgmError`; it is a `ValueError` too.
+    """
 
 
 class NumericalError(PgmError, ArithmeticError):
-    """A quantity that does not exist for these numbers, like the inverse of a singular matrix."""
+    """A quantity that does not exist for these numbers, like the inverse of a singular matrix.
+
+    Parameters and attributes are those of a `PgmError`; it is an `ArithmeticError` too.
+    """
 
 
 class ExecutorError(PgmError, RuntimeError):

@@ -137,7 +137,16 @@ class ClusterGraph(Immutable):
         return tuple(tuple(sorted(found)) for found in lists)
 
     def neighbours(self, cluster: int | Cluster) -> tuple[int, ...]:
-        """The indices of the clusters joined to one, given by index or value.
+        """The clusters joined to one.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        tuple of int
+            Their indices, in order.
 
         Raises
         ------
@@ -181,7 +190,16 @@ class ClusterGraph(Immutable):
         return sum(work(cluster.scope) * count for cluster, count in self._alike)
 
     def index(self, cluster: int | Cluster) -> int:
-        """The index of a cluster, given by index or value.
+        """The index of a cluster.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+            Its index or the cluster itself.
+
+        Returns
+        -------
+        int
 
         Raises
         ------
@@ -220,7 +238,13 @@ class ClusterGraph(Immutable):
         check_running_intersection(scopes, self.sepsets)
 
     def to_networkx(self) -> nx.Graph:
-        """Nodes are indices with the attribute ``cluster``; edges have ``sepset``."""
+        """The structure as a graph.
+
+        Returns
+        -------
+        networkx.Graph
+            Nodes are indices with the attribute ``cluster``; edges have ``sepset``.
+        """
         graph = nx.Graph()
         graph.add_nodes_from((cluster.index, {"cluster": cluster}) for cluster in self.clusters)
         graph.add_edges_from((i, j, {"sepset": scope}) for (i, j), scope in self.sepsets.items())
@@ -230,6 +254,17 @@ class ClusterGraph(Immutable):
         """The result of a function of this graph and a key, made once.
 
         The place of plans that the layers above compile from the structure; the latest are kept.
+
+        Parameters
+        ----------
+        make : callable
+            ``make(graph, *key)``.
+        *key : hashable
+
+        Returns
+        -------
+        object
+            The result of that call.
         """
         plans = self._derived
         found: T = plans.pop((make, key)) if (make, key) in plans else make(self, *key)

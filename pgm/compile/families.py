@@ -34,7 +34,16 @@ class Bethe:
     """
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
-        """Compile a network."""
+        """Compile a network.
+
+        Parameters
+        ----------
+        network : BayesianNetwork
+
+        Returns
+        -------
+        ClusterGraph
+        """
         families = maximal([cpd.scope for cpd in network.cpds])
         holders = holding(families)
         shared = [variable for variable in network.variables if len(holders[variable]) > 1]
@@ -88,7 +97,16 @@ class LTRIP:
     """
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
-        """Compile a network."""
+        """Compile a network.
+
+        Parameters
+        ----------
+        network : BayesianNetwork
+
+        Returns
+        -------
+        ClusterGraph
+        """
         clusters = maximal([cpd.scope for cpd in network.cpds])
         return ClusterGraph(network, clusters, _layers(clusters))
 

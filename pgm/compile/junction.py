@@ -63,6 +63,14 @@ class JunctionTree:
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
         """Compile a network.
 
+        Parameters
+        ----------
+        network : BayesianNetwork
+
+        Returns
+        -------
+        ClusterGraph
+
         Raises
         ------
         GraphError
@@ -135,6 +143,14 @@ class JoinGraph:
 
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
         """Compile a network.
+
+        Parameters
+        ----------
+        network : BayesianNetwork
+
+        Returns
+        -------
+        ClusterGraph
 
         Raises
         ------

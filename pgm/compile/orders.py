@@ -47,7 +47,17 @@ class MinFill:
     """
 
     def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order."""
+        """The variables of a network in this order.
+
+        Parameters
+        ----------
+        network : BayesianNetwork
+
+        Returns
+        -------
+        tuple of Variable
+            Each once, the first to be eliminated first.
+        """
         return _named(network, min_fill(moral(network), [1] * len(network.variables)))
 
 
@@ -64,7 +74,17 @@ class WeightedMinFill:
     """
 
     def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order."""
+        """The variables of a network in this order.
+
+        Parameters
+        ----------
+        network : BayesianNetwork
+
+        Returns
+        -------
+        tuple of Variable
+            Each once, the first to be eliminated first.
+        """
         return _named(network, min_fill(moral(network), _weights(network)))
 
 
@@ -108,7 +128,17 @@ class StochasticMinFill:
                 )
 
     def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order."""
+        """The variables of a network in this order.
+
+        Parameters
+        ----------
+        network : BayesianNetwork
+
+        Returns
+        -------
+        tuple of Variable
+            Each once, the first to be eliminated first.
+        """
         if not network.discrete:
             return MinFill()(network)
         return _named(network, cheapest(moral(network), _weights(network), self.tries, self.seed))
@@ -149,7 +179,17 @@ class NestedDissection:
             )
 
     def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order."""
+        """The variables of a network in this order.
+
+        Parameters
+        ----------
+        network : BayesianNetwork
+
+        Returns
+        -------
+        tuple of Variable
+            Each once, the first to be eliminated first.
+        """
         graph = moral(network)
         return _named(network, min_fill(graph, _weights(network), dissect(graph, self.small)))
 

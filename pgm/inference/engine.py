@@ -105,8 +105,8 @@ def infer(
     start : mapping of Variable to array_like, optional
         Means at which everything is linearised first, in place of the beliefs at hand: (..., d)
         of the variables without evidence; of a dynamic network (..., T+1, d) of the states,
-        (..., T, d) of hidden controls. On a `Balanced` tree without a start, where
-        motion alone leads.
+        (..., T, d) of hidden controls. Without, a `Balanced` tree is linearised first at dead
+        reckoning, where motion alone leads from the prior mean.
     keep : collection of Variable, optional
         Of a dynamic network, the hidden variables of whose results the marginals at all steps are
         kept, ``keep=[x]``, with log-evidence and status; without, everything is. The runs are then
@@ -137,12 +137,13 @@ def infer(
     Raises
     ------
     EvidenceError
-        If the evidence does not fit the model or the graph, or is impossible.
+        If the evidence, `start` or `keep` does not fit the model, or the evidence is impossible.
     GraphError
-        If a cluster is too large, `memory` is too small for a run, or the schedule does not suit
-        the graph.
+        If it is no cluster graph, a cluster is too large, `memory` is too small for a run, or an
+        argument is not for graphs of this kind.
     ModelError
-        If a function returns a wrong shape, or cannot be pickled for a worker.
+        If the schedule, lineariser or executor is none, or the schedule is not for a dynamic
+        network; if a function returns a wrong shape, or cannot be pickled for a worker.
     LinearisationError, NumericalError
         If a number that is needed does not exist.
     ExecutorError

@@ -57,6 +57,16 @@ def stamped(
         A sensor's observed parents, such as the landmark sighted: (n, d) each, (n,) where d = 1,
         or ``pgm.constant(value)`` where it is the same in all rows.
 
+    Returns
+    -------
+    Stamped
+        The rows as they were given; `timeline` checks them.
+
+    Raises
+    ------
+    EvidenceError
+        If `given` is no mapping.
+
     Examples
     --------
     >>> m = Variable("m", components=("east", "north"))

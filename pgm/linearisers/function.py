@@ -206,17 +206,33 @@ class BoundFunction(NamedTuple):
         return not self.template.numerical
 
     def residual(self, a: Array, b: Array) -> Array:
-        """A − b, (..., d), angles wrapped to [−π, π)."""
+        """The difference a − b of values, (..., d), angles wrapped to [−π, π)."""
         return difference(a, b, self.angles)
 
     def __call__(self, x: Array) -> Array:
-        """The value, (..., d), at stacked hidden parents x, (..., n)."""
+        """The value at stacked hidden parents.
+
+        Parameters
+        ----------
+        x : ndarray
+            (..., n).
+
+        Returns
+        -------
+        ndarray
+            (..., d).
+
+        Raises
+        ------
+        ModelError
+            If the CPD's function fails or returns a wrong shape.
+        """
         arguments, shape = self._arguments(x)
         value = self._value(x, arguments, shape)
         return value if not self.lead else _along_runs(value, 1)
 
     def jacobian(self, x: Array, std: Array | None = None) -> Array:
-        """The derivative, (..., d, n), as the user gave it, else by central differences.
+        """The derivative, as the user gave it, else by central differences.
 
         Parameters
         ----------
@@ -224,11 +240,16 @@ class BoundFunction(NamedTuple):
             (..., n).
         std : ndarray, optional
             Standard deviations, (..., n), which set the steps of the differences.
+
+        Returns
+        -------
+        ndarray
+            (..., d, n).
         """
         return _along_runs(self._jacobian(x, std, *self._arguments(x)), 2)
 
     def tangent(self, x: Array, std: Array | None = None) -> tuple[Array, Array]:
-        """The value and the derivative."""
+        """The value, (..., d), and the derivative, (..., d, n); arguments as of `jacobian`."""
         template, inputs, lead, _, group, _, _ = self
         derivative = template.derivative
         if derivative is None or group is not None:

@@ -30,7 +30,20 @@ class Lineariser(Protocol):
     """Anything that makes an affine Gaussian of a function at a belief: a bare function will do."""
 
     def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
-        """The affine Gaussian; its covariance is the approximation error alone."""
+        """Linearise a function at a belief.
+
+        Parameters
+        ----------
+        function : BoundFunction
+            Maps stacked hidden parents (..., n) to (..., d).
+        at : Gaussian
+            Over the hidden parents, (*batch, n).
+
+        Returns
+        -------
+        AffineGaussian
+            F (*batch, d, n), b (*batch, d); its covariance is the approximation error alone.
+        """
         ...
 
 
@@ -53,7 +66,7 @@ class Line(NamedTuple):
 
 
 class Prepared(Protocol):
-    """A lineariser that is ready for the functions of one template."""
+    """A lineariser that is ready for the functions of one template: a callable."""
 
     def __call__(self, function: BoundFunction, mean: Array, cov: Array, /) -> Line:
         """Linearise at beliefs (n, *batch) and (n, n, *batch).
@@ -61,6 +74,11 @@ class Prepared(Protocol):
         ``function`` takes points with the batch first, (*batch, ..., n). Where its ``group`` is k,
         a value stacks k sightings, d components each: unless they are ``joint``, each is to be
         linearised by itself, as `apart` does it.
+
+        Returns
+        -------
+        Line
+            (d, n, *batch), (d, *batch) and None or (d, d, *batch).
         """
         ...
 
@@ -99,14 +117,48 @@ class ArrayLineariser(ABC):
 
     @abstractmethod
     def prepare(self, template: FunctionTemplate) -> Prepared:
-        """The form that is ready for many calls."""
+        """The form that is ready for many calls.
+
+        Parameters
+        ----------
+        template : FunctionTemplate
+            Of the functions that it will be called with.
+
+        Returns
+        -------
+        Prepared
+        """
 
     def is_semidefinite(self, dimension: int) -> bool:
-        """Whether the error's covariance cannot be indefinite, at beliefs of so many components."""
+        """Whether the error's covariance cannot be indefinite.
+
+        Parameters
+        ----------
+        dimension : int
+            Number of components of the belief.
+
+        Returns
+        -------
+        bool
+            False where it is not known.
+        """
         return False
 
     def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
-        """Linearise a function at a belief."""
+        """Linearise a function at a belief.
+
+        Parameters
+        ----------
+        function : BoundFunction
+            Maps stacked hidden parents (..., n) to (..., d).
+        at : Gaussian
+            Over the hidden parents, (*batch, n).
+
+        Returns
+        -------
+        AffineGaussian
+            F (*batch, d, n), b (*batch, d), and the covariance of the approximation error.
+        """
         mean, cov = components_first(at.mean, 1), components_first(at.cov, 2)
         matrix, value, error = self.prepare(function.template)(function, mean, cov)
         offset = value - times(matrix, mean)

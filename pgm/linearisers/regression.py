@@ -111,6 +111,10 @@ class StatisticalRegression(ArrayLineariser):
             Of the CPD's child: with the step, what a random rule keys its draws by.
         step : int, ndarray of int or None
             The step, or an array over the belief's leading axes.
+
+        Returns
+        -------
+        Points
         """
 
     @property
@@ -124,11 +128,30 @@ class StatisticalRegression(ArrayLineariser):
         return False
 
     def prepare(self, template: FunctionTemplate) -> Prepared:
-        """The rule for functions of a template."""
+        """The rule for functions of a template.
+
+        Parameters
+        ----------
+        template : FunctionTemplate
+
+        Returns
+        -------
+        Prepared
+        """
         return _Regression(self, template)
 
     def is_semidefinite(self, dimension: int) -> bool:
-        """Whether no weight of what the line leaves is negative."""
+        """Whether no weight of the covariance is negative, so that it cannot be indefinite.
+
+        Parameters
+        ----------
+        dimension : int
+            Number of components, n.
+
+        Returns
+        -------
+        bool
+        """
         weights = self.points(dimension, "", 0).cov_weights
         return not self.prior_moments and bool((weights >= 0.0).all())
 

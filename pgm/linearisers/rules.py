@@ -31,6 +31,12 @@ class Unscented(StatisticalRegression):
     kappa : float
         Secondary spread.
 
+    Raises
+    ------
+    LinearisationError
+        If one is no finite number, or `kappa` is given without `alpha`: when made; if α²(n + κ) is
+        not positive: when used.
+
     References
     ----------
     Wan & van der Merwe, The unscented Kalman filter for nonlinear estimation, 2000.
@@ -55,7 +61,7 @@ class Unscented(StatisticalRegression):
             )
 
     def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
-        """The 2n + 1 points."""
+        """The 2n + 1 points, (2n + 1, n), the centre first; as of `StatisticalRegression`."""
         return _unscented(dimension, self.alpha, self.beta, self.kappa)
 
 
@@ -86,7 +92,7 @@ class Cubature(StatisticalRegression):
     """
 
     def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
-        """The 2n points."""
+        """The 2n points, (2n, n); as of `StatisticalRegression`."""
         return _cubature(dimension)
 
 
@@ -118,6 +124,11 @@ class GaussHermite(StatisticalRegression):
     order : int
         Points for each component, 2 to 100.
 
+    Raises
+    ------
+    LinearisationError
+        If it is no such number: when made; if there are more than 10⁶ points: when used.
+
     References
     ----------
     Ito & Xiong, Gaussian filters for nonlinear filtering problems, 2000.
@@ -133,7 +144,7 @@ class GaussHermite(StatisticalRegression):
             )
 
     def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
-        """The orderⁿ points."""
+        """The orderⁿ points, (orderⁿ, n); as of `StatisticalRegression`."""
         if int(self.order) ** dimension > MOST_POINTS:
             raise LinearisationError(
                 f"GaussHermite(order={self.order}) has {self.order}^{dimension} points for the "

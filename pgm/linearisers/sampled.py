@@ -176,7 +176,7 @@ class SampledRule(StatisticalRegression):
         """The points, (*axes of step, N, n)."""
 
     def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
-        """The sample, one for each step asked for."""
+        """The sample, (*axes of step, N, n); as of `StatisticalRegression`."""
         if self.samples < 2 * dimension + 2:
             raise LinearisationError(
                 f"{type(self).__name__}(samples={self.samples}) is too few for the {dimension} "

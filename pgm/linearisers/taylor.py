@@ -22,12 +22,30 @@ class Taylor(ArrayLineariser):
     """
 
     def prepare(self, template: FunctionTemplate) -> Prepared:
-        """The formula, with the deviations that set the steps of differences where it takes any."""
+        """The formula, with the deviations that set the steps of differences where it takes any.
+
+        Parameters
+        ----------
+        template : FunctionTemplate
+
+        Returns
+        -------
+        Prepared
+        """
         return _numerical if template.numerical else _analytic
 
     @staticmethod
     def needs_cov(template: FunctionTemplate) -> bool:
-        """Whether derivatives are taken by differences, whose steps depend on the deviations."""
+        """Whether derivatives are taken by differences, whose steps depend on the deviations.
+
+        Parameters
+        ----------
+        template : FunctionTemplate
+
+        Returns
+        -------
+        bool
+        """
         return bool(template.numerical)
 
 

@@ -23,7 +23,7 @@ BATCH = 2**18
 
 
 def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator | int) -> Audit:
-    """Say how far a Gaussian answer is from the exact one, by importance sampling.
+    """Estimate the distance of a Gaussian answer from the exact one, by importance sampling.
 
     Exact is the posterior of the model as declared: of a wrong model, too. Whether the model fits
     its data the innovations of a chain tell, which the result sums up beside (`innovations`).
@@ -49,12 +49,18 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
         S, 2 or more draws for each run; each is drawn by itself. The result keeps a number for
         each draw, and the draws are made in batches of bounded size.
     rng : numpy.random.Generator or int
-        What draws, or a seed.
+        What draws, or the seed of one.
+
+    Returns
+    -------
+    Audit
+        Log-evidence, divergence and effective sample size, (*runs), and the weights, (*runs, S).
 
     Raises
     ------
     ModelError
-        If the posterior is none of these, or an argument is no such number.
+        If the posterior is none of these, the prior of a chain has an infinite variance, or an
+        argument is no such number.
     GraphError
         If the graph has loops, or the weights of all runs would not fit.
     NumericalError

@@ -54,7 +54,16 @@ class MostProbable(Immutable):
     log_probability: Array
 
     def states(self, variable: Variable) -> str | npt.NDArray[np.str_]:
-        """The name of a variable's state; where the evidence has axes of runs, an array (...).
+        """The name of a variable's most probable state.
+
+        Parameters
+        ----------
+        variable : Discrete
+
+        Returns
+        -------
+        str or ndarray of str
+            An array (...) where the evidence has axes of runs.
 
         Raises
         ------
