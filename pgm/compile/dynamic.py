@@ -53,7 +53,7 @@ class DynamicGraph(ClusterGraph, ABC):
         return _Sepsets(self)
 
     def neighbours(self, cluster: int | Cluster) -> tuple[int, ...]:
-        """The indices of the clusters joined to one, given by index or value."""
+        """The clusters joined to one: their indices, in order; as of `ClusterGraph`."""
         return self._joined(self.index(cluster))
 
     @property
@@ -62,7 +62,7 @@ class DynamicGraph(ClusterGraph, ABC):
         return True
 
     def cluster(self, index: int) -> Cluster:
-        """The cluster of an index."""
+        """The `Cluster` of an index, from 0 to ``len(graph) - 1``; no other is refused."""
         cpds = self.model.cpds_at(index)
         families = tuple(tuple(v.at(index) for v in cpd.scope) for cpd in cpds)
         hidden = self.layout.pair if index else self.layout.states
@@ -71,7 +71,7 @@ class DynamicGraph(ClusterGraph, ABC):
         return Cluster(index, tuple(scope), cpds, families)
 
     def states_at(self, *steps: int) -> Scope:
-        """All states of some steps."""
+        """All states at some steps, as a tuple of variables ``x.at(step)``."""
         return tuple(state.at(step) for step in steps for state in self.layout.states)
 
     @abstractmethod

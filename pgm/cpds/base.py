@@ -94,7 +94,22 @@ class CPD(Immutable):
         return self._origin or self
 
     def at(self, step: int) -> Self:
-        """The copy for a concrete step, of a CPD declared for every step."""
+        """The copy for a concrete step, of a CPD declared for every step.
+
+        Parameters
+        ----------
+        step : int
+
+        Returns
+        -------
+        CPD
+            Of the same kind; this one is its `origin`.
+
+        Raises
+        ------
+        ModelError
+            If the step is no whole number, or one of the variables would stand before step 0.
+        """
         placed = copy.copy(self)
         placed._set(**self._placed(step), _origin=self.origin)
         return placed
@@ -173,7 +188,7 @@ class CPD(Immutable):
         size : int or tuple of int
             How many draws for each value of the parents.
         rng : numpy.random.Generator or int
-            What draws, or the seed of one.
+            The generator of draws, or its seed.
 
         Returns
         -------

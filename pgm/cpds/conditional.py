@@ -50,7 +50,18 @@ class ConditionalGaussian(CPD):
         self._set(cov=cov)
 
     def require_proper(self, what: str) -> None:
-        """Refuse an infinite variance where there is no use for it."""
+        """Refuse an infinite variance where there is no use for it.
+
+        Parameters
+        ----------
+        what : str
+            The reason, for the message.
+
+        Raises
+        ------
+        ModelError
+            If a variance is infinite.
+        """
         if not isinstance(self.cov, Noise) and np.isinf(self.cov).any():
             raise ModelError(
                 f"{self!r} has an infinite variance: {what}; give it a finite one",

@@ -242,7 +242,7 @@ class Gaussian(Immutable):
         size : int or tuple of int
             How many draws of each Gaussian.
         rng : numpy.random.Generator or int
-            What draws, or the seed of one.
+            The generator of draws, or its seed.
 
         Returns
         -------

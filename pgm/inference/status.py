@@ -94,13 +94,42 @@ class Status(Immutable):
 
     @classmethod
     def of(cls, residuals: list[Array], converged: Mask, lead: tuple[int, ...]) -> Status:
-        """The status of relinearisations, from residuals (runs,) each, in the user's axes."""
+        """The status of relinearisations, in the user's axes.
+
+        Parameters
+        ----------
+        residuals : list of ndarray
+            Of each relinearisation, (runs,).
+        converged : ndarray of bool
+            (runs,).
+        lead : tuple of int
+            The user's axes of runs, *runs.
+
+        Returns
+        -------
+        Status
+        """
         count = len(residuals)
         record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
         return cls(count + 1, record, converged.reshape(lead))
 
     def with_digits(self, digits: Array) -> Status:
-        """The same status with the digits that were measured, (*runs); it warns below six."""
+        """The same status with the digits that were measured.
+
+        Parameters
+        ----------
+        digits : ndarray
+            (*runs).
+
+        Returns
+        -------
+        Status
+
+        Warns
+        -----
+        PrecisionWarning
+            If a run has less than six.
+        """
         least = float(digits.min(initial=np.inf))
         if least < ENOUGH_DIGITS:
             runs = int((digits < ENOUGH_DIGITS).sum())

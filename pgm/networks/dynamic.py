@@ -181,7 +181,7 @@ class DynamicBayesianNetwork(Immutable):
         runs : int or tuple of int
             Leading axes of independent runs.
         rng : numpy.random.Generator or int
-            What draws, or the seed of one.
+            The generator of draws, or its seed.
 
         Returns
         -------

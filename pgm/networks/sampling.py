@@ -97,7 +97,13 @@ class Sample(Immutable):
     evidence: Evidence
 
     def __getitem__(self, variable: Variable) -> Array:
-        """The values of a variable."""
+        """The values of a variable, of the shape said above.
+
+        Raises
+        ------
+        ModelError
+            If the sample does not have the variable.
+        """
         if variable not in self.values:
             raise ModelError(
                 f"no values of {variable!r}, {unknown_name(variable, self.values, 'the sample')}",

@@ -175,7 +175,7 @@ class BayesianNetwork(Immutable):
             Values (..., d) of all inputs; leading axes are runs, which broadcast with those of
             the draws: ``n=(1000, 1)`` draws a thousand for each.
         rng : numpy.random.Generator or int
-            What draws, or the seed of one.
+            The generator of draws, or its seed.
 
         Returns
         -------

@@ -49,7 +49,7 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
         S, 2 or more draws for each run; each is drawn by itself. The result keeps a number for
         each draw, and the draws are made in batches of bounded size.
     rng : numpy.random.Generator or int
-        What draws, or the seed of one.
+        The generator of draws, or its seed.
 
     Returns
     -------

@@ -210,11 +210,14 @@ class ChainPosterior(Posterior):
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.
 
-        Its g carries the evidence that went into it.
+        Parameters
+        ----------
+        source, target : int or Cluster
 
         Returns
         -------
         CanonicalForm
+            Its g carries the evidence that went into it.
 
         Raises
         ------
@@ -260,11 +263,14 @@ class ChainPosterior(Posterior):
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its hidden variables, unnormalised.
 
-        Its integral is the evidence that its messages know: all of it after smoothing.
+        Parameters
+        ----------
+        cluster : int or Cluster
 
         Returns
         -------
         CanonicalForm
+            Its integral is the evidence that its messages know: all of it after smoothing.
 
         Raises
         ------
@@ -338,7 +344,6 @@ def joint_moments(
         Moments of the slices; the latest step wanted is where the way back starts.
     layout : SliceLayout
     variables : sequence of Variable
-        Concrete ones, in the order of the result.
     """
     steps = [variable.step for variable in variables if variable.step is not None]
     order = sorted(range(len(variables)), key=steps.__getitem__)

@@ -52,7 +52,13 @@ class DiscretePosterior(Posterior):
     _beliefs: TreeBeliefs | LoopyBeliefs
 
     def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
-        """The marginal of a variable that is not observed in all runs."""
+        """The marginal of a variable that is not observed in all runs, (*runs, size).
+
+        Raises
+        ------
+        EvidenceError
+            If the variable is observed or not of the network.
+        """
         wanted = self._require_hidden(variable)
         return self._table((wanted,), self._beliefs.marginal(wanted))
 
@@ -76,8 +82,19 @@ class DiscretePosterior(Posterior):
 
         Variables of several clusters are joined along the tree between them.
 
+        Parameters
+        ----------
+        *variables : Discrete
+
+        Returns
+        -------
+        Table
+            Probabilities (*runs, size of each variable...).
+
         Raises
         ------
+        EvidenceError
+            If one is observed or not of the network, or none is given.
         GraphError
             If no cluster of a graph with loops holds them all; if a table on the way is too large,
             or the joint of all runs.
@@ -106,6 +123,15 @@ class DiscretePosterior(Posterior):
         by run keep their axis. Of a tree its scale carries the evidence that went into it; on a
         graph with loops messages sum to one.
 
+        Parameters
+        ----------
+        source, target : int or Cluster
+
+        Returns
+        -------
+        Table
+            Leading axes are runs.
+
         Raises
         ------
         GraphError
@@ -129,6 +155,15 @@ class DiscretePosterior(Posterior):
 
         Its axes are as of a message. Of a graph without loops its sum is p(the evidence of the
         cluster's tree): p(evidence), where the graph is one tree.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        Table
+            Leading axes are runs.
 
         Raises
         ------

@@ -48,7 +48,13 @@ class GaussianPosterior(Posterior):
 
     @quiet()
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
-        """The marginal of a variable without evidence."""
+        """The marginal of a variable without evidence, (*runs, d).
+
+        Raises
+        ------
+        EvidenceError
+            If the variable is observed or not of the network.
+        """
         places = self._require_hidden(variable)
         cluster, _ = self._done.beliefs.places.homes
         return self._read((variable,), int(cluster[places[0]]))
@@ -96,6 +102,10 @@ class GaussianPosterior(Posterior):
         """The joint of variables without evidence, in the order given.
 
         Variables of several clusters are joined along the tree between them.
+
+        Parameters
+        ----------
+        *variables : Variable
 
         Returns
         -------
@@ -147,6 +157,15 @@ class GaussianPosterior(Posterior):
         Of a tree its g carries the evidence that went into it; on a graph with loops its scale
         has no meaning.
 
+        Parameters
+        ----------
+        source, target : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm
+            Leading axes are runs.
+
         Raises
         ------
         GraphError
@@ -170,8 +189,19 @@ class GaussianPosterior(Posterior):
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """The belief of a cluster over its variables without evidence, unnormalised.
 
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm
+            Leading axes are runs.
+
         Raises
         ------
+        GraphError
+            If there is no such cluster.
         NumericalError
             If the belief has no canonical form, since its covariance is singular.
         """
