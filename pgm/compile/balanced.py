@@ -116,7 +116,7 @@ class BalancedGraph(DynamicGraph):
         return (0, *below) if index == self.root and self.steps else below
 
     def cluster(self, index: int) -> Cluster:
-        """The `Cluster` of an index, from 0 to ``len(graph) - 1``; no other is refused."""
+        """The `Cluster` of an index from 0 to ``len(graph) - 1``, which is not checked."""
         if index <= self.steps:
             return super().cluster(index)
         first, last = self._segment(index)

@@ -62,7 +62,7 @@ class DynamicGraph(ClusterGraph, ABC):
         return True
 
     def cluster(self, index: int) -> Cluster:
-        """The `Cluster` of an index, from 0 to ``len(graph) - 1``; no other is refused."""
+        """The `Cluster` of an index from 0 to ``len(graph) - 1``, which is not checked."""
         cpds = self.model.cpds_at(index)
         families = tuple(tuple(v.at(index) for v in cpd.scope) for cpd in cpds)
         hidden = self.layout.pair if index else self.layout.states

@@ -328,7 +328,7 @@ class Table(Immutable):
 
     @property
     def probabilities(self) -> Array:
-        """The values of the normalised table, (..., size of each variable...)."""
+        """The values of `normalised`, (..., size of each variable...), or its NumericalError."""
         return self.normalised().values
 
     def argmax(self) -> dict[Discrete, str] | dict[Discrete, Integers]:

@@ -31,7 +31,13 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class Stamped:
-    """Rows of a log with their stamps; made by `stamped`."""
+    """Rows of a log with their stamps; made by `stamped`.
+
+    Attributes
+    ----------
+    stamps, values, given
+        As of `stamped`.
+    """
 
     stamps: Any
     values: Any

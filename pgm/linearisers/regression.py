@@ -151,6 +151,7 @@ class StatisticalRegression(ArrayLineariser):
         Returns
         -------
         bool
+            False, too, with `prior_moments`.
         """
         weights = self.points(dimension, "", 0).cov_weights
         return not self.prior_moments and bool((weights >= 0.0).all())

@@ -54,7 +54,7 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
     Returns
     -------
     Audit
-        Log-evidence, divergence and effective sample size, (*runs), and the weights, (*runs, S).
+        Log-evidence, divergence and effective sample size, (*runs), and log-weights, (*runs, S).
 
     Raises
     ------

@@ -38,7 +38,13 @@ class Marginals:
     kind: Kind
 
     def __getitem__(self, variable: Variable) -> Gaussian:
-        """Of ``x`` at all its steps, stacked; of ``x.at(3)`` at one."""
+        """The marginal of ``x`` at all its steps, stacked; of ``x.at(3)`` at one, (*runs, d).
+
+        Raises
+        ------
+        EvidenceError
+            If the variable is not hidden, or has no such step.
+        """
         layout, last = self.layout, self.beliefs.mean.shape[0] - 1
         template, first = located(layout, variable, last)
         places = positions(layout.slice, [template])

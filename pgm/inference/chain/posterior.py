@@ -61,7 +61,7 @@ class ChainPosterior(Posterior):
     _windows: Windows | None = None
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
-        """The marginal of a hidden variable, at all its steps or at one."""
+        """The marginal of a hidden variable at all its steps or at one; EvidenceError of others."""
         return self._marginals(self._beliefs, self.kind)[variable]
 
     @property
