@@ -36,7 +36,8 @@ class Variable:
     Raises
     ------
     ModelError
-        If names repeat, an angle is no component, or a step is negative.
+        If a name is no text or empty, names repeat, an angle is no component, or a step or lag is
+        negative or not whole.
 
     Examples
     --------

@@ -106,7 +106,7 @@ def timeline(
         If times do not increase, rows do not fit their stamps or their variable, numbers are NaN
         or infinite (a measurement may lack components, NaN: without any it is dropped as not
         taken), controls do not reach from the first state to the last, two rows of a control have
-        one stamp, or none of a sensor's measurements is kept.
+        one stamp, the tolerance is negative, or none of a sensor's measurements is kept.
 
     Notes
     -----

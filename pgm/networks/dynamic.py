@@ -195,7 +195,8 @@ class DynamicBayesianNetwork(Immutable):
             If `runs` is no number of draws, does not broadcast with the model's runs or would not
             fit into memory, or `rng` is neither a generator nor a seed.
         EvidenceError
-            If the inputs are not those of the model.
+            If the inputs are not those of the model, or T is not told, no whole number from 0 or
+            too large for memory.
         """
         return draw_steps(self, as_mapping(inputs, "inputs"), steps, runs, as_generator(rng))
 
