@@ -108,8 +108,15 @@ class CPD(Immutable):
         Raises
         ------
         ModelError
-            If the step is no whole number, or one of the variables would stand before step 0.
+            If the step is no whole number, one of the variables would stand before step 0, or the
+            CPD is of a step already.
         """
+        if self.child.step is not None:
+            raise ModelError(
+                f"{self!r} is of step {self.child.step} already; place its origin instead, "
+                "cpd.origin.at(...)",
+                cpd=self,
+            )
         placed = copy.copy(self)
         placed._set(**self._placed(step), _origin=self.origin)
         return placed

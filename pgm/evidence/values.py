@@ -45,6 +45,11 @@ class Sightings(Immutable):
         put(self, "step", step)
         put(self, "given", given)
 
+    def __repr__(self) -> str:
+        shape = getattr(self.values, "shape", None)
+        values = repr(self.values) if shape is None else f"of shape {shape}"
+        return f"Sightings({values}, given {list(self.given)})"
+
 
 # By variable: a plain array, a constant, or sightings; of a discrete one states, or soft weights.
 Evidence = Mapping[Variable, Any]

@@ -241,3 +241,13 @@ def test_what_is_no_number_is_refused(arguments):
 def test_malformed_children_are_refused(make, child, words):
     with pytest.raises(pgm.ModelError, match=words):
         make(child)
+
+
+def test_a_cpd_of_a_step_is_not_placed_again():
+    """Its parents would stand at the child's own step."""
+    position = pgm.Variable("position")
+    cpd = pgm.LinearGaussianCPD(position, {position.previous: 1.0}, cov=0.1)
+    placed = cpd.at(3)
+    with pytest.raises(pgm.ModelError, match=r"is of step 3 already; place its origin"):
+        placed.at(2)
+    assert placed.origin.at(2).parents == (position.at(1),)
