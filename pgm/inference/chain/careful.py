@@ -40,7 +40,7 @@ from pgm.inference.chain.careful_belief import (
 from pgm.inference.chain.certificate import is_flat
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.iterated_update import IteratedUpdate, UpdateProblem, iterated
-from pgm.inference.chain.likelihoods import distinct
+from pgm.inference.chain.likelihoods import shortened
 from pgm.inference.chain.moments import MomentChain, largest
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments, Reading
@@ -324,7 +324,7 @@ def transition(plan: ChainPlan, rows: slice) -> Move:
 def _conditional(links: list[Link], rows: slice, front: int, size: int, runs: int) -> Move:
     """The links' children given the first `front` components of the vector that all stand in."""
     families = [link.family for link in links]
-    parts = [[distinct(part[rows]) for part in (f.matrix, f.offset, f.noise)] for f in families]
+    parts = [[shortened(part[rows]) for part in (f.matrix, f.offset, f.noise)] for f in families]
     flat = [np.asarray(np.isinf(variances(each[2])).any(axis=(0, 1))) for each in parts]
     lead = np.broadcast_shapes(*(part.shape[:2] for each in parts for part in each))
     whole, q = front + size, int(sum(each.sum() for each in flat))

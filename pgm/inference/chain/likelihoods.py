@@ -165,7 +165,7 @@ class Whitened:
         """None where the noise has no inverse, or measurements have errors in common."""
         if sensor.exact or sensor.cross:
             return None
-        noise, taken = distinct(sensor.family.noise), sensor.taken
+        noise, taken = shortened(sensor.family.noise), sensor.taken
         size: int | Integers = noise.shape[-1]
         if taken is not None and (taken.any(axis=-1) != taken.all(axis=-1)).any():
             noise, size = independent(noise, taken), taken.sum(axis=-1)
@@ -221,7 +221,7 @@ class Whitened:
         return apply(self._white(rows), left)
 
 
-def distinct(array: Array) -> Array:
+def shortened(array: Array) -> Array:
     """A broadcast stack, its constant leading axes reduced to length one."""
     for axis in (0, 1):
         if array.strides[axis] == 0 and array.shape[axis] > 1:

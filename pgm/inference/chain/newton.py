@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.inference.chain.backward import about, between_slices
-from pgm.inference.chain.likelihoods import Readings, distinct
+from pgm.inference.chain.likelihoods import Readings, shortened
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.iteration import Point
@@ -79,7 +79,7 @@ def _equations(plan: ChainPlan, readings: Readings) -> System | None:
     mean, cov = mean[:, states], block(cov, states, states)
     lower = canonical.strict_root(cov)
     matrix, offset, noise = about(between_slices(plan), readings.reference)
-    noise_lower = canonical.strict_root(distinct(noise))
+    noise_lower = canonical.strict_root(shortened(noise))
     if not (roots.is_proper(lower) and roots.is_proper(noise_lower)):
         return None
     diagonal, right = readings.likelihood.K.copy("K"), readings.likelihood.h.copy("K")
