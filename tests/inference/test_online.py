@@ -356,6 +356,25 @@ def test_a_mean_that_goes_far_keeps_its_digits(lead):
     assert (belief.status.digits > 6).all()
 
 
+@pytest.mark.parametrize("lag", [None, 3])
+@pytest.mark.parametrize("wide", [1.0, 1e4])
+@pytest.mark.parametrize("deviation", [1e-2, 1e-3])
+def test_a_robot_far_from_the_origin_is_carried_in_float64(deviation, wide, lag):
+    """At 5000 km float64 tells a millimetre; twice the digits would take fifty times as long."""
+    place, fix = (pgm.Variable(name, components=("east", "north")) for name in ("place", "fix"))
+    noise = deviation**2 * np.eye(2)
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, [5e6, 5e6], wide**2 * noise)],
+        [pgm.LinearGaussianCPD(place, {place.previous: np.eye(2)}, cov=0.25 * noise)],
+        [pgm.LinearGaussianCPD(fix, {place: np.eye(2)}, cov=noise)],
+    )
+    robot = pgm.OnlineFilter(model, lag=lag)
+    belief = robot.initial()
+    for _ in range(4):
+        belief = robot.update(robot.predict(belief), {fix: [5e6, 5e6]})
+    assert belief.status.digits is None
+
+
 # ---- preparation
 
 

@@ -39,8 +39,9 @@ _COUNTS, _FARTHER = 3e-8, 30.0
 # The part of a deviation that rounding of a mean may be, of a belief that goes on in float64.
 _TOLD = 1e-8
 _EPS = float(np.finfo(np.float64).eps)
-# The square of a mean, in its variance, whose rounding is a part 10⁻⁶ of its deviation.
-FAR = (1e-6 / _EPS) ** 2
+# And of one that an online filter takes a step from; the square of such a mean, in its variance.
+SHARE = 1e-5
+FAR = (SHARE / _EPS) ** 2
 
 
 def is_flat(plan: ChainPlan) -> bool:
@@ -48,11 +49,14 @@ def is_flat(plan: ChainPlan) -> bool:
     return any(np.isinf(link.family.own_noise).any() for link in plan.prior)
 
 
-def is_ordinary(mean: Array, cov: Array) -> bool:
-    """Whether float64 can carry beliefs: covariances (..., n, n), and means beside deviations."""
+def is_ordinary(mean: Array, cov: Array, share: float = _TOLD) -> bool:
+    """Whether float64 can carry beliefs: covariances (..., n, n), and means beside deviations.
+
+    The rounding of a mean may be so large a share of its deviation.
+    """
     if not np.isfinite(cov).all() or not roots.is_regular(cov, 1.0 / MODERATE):
         return False
-    return bool((_TOLD * deviation(cov) >= _EPS * np.abs(mean)).all())
+    return bool((share * deviation(cov) >= _EPS * np.abs(mean)).all())
 
 
 def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:

@@ -191,7 +191,9 @@ def in_digits(belief: OnlineBelief, plan: ChainPlan) -> Belief:
 
 def is_plain(belief: OnlineBelief) -> bool:
     """Whether float64 can carry a belief."""
-    return belief.careful is None or certificate.is_ordinary(belief.mean, belief.cov)
+    if belief.careful is None:
+        return True
+    return certificate.is_ordinary(belief.mean, belief.cov, certificate.SHARE)
 
 
 def is_moderate(found: Moments, before: Moments) -> bool:
