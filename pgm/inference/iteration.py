@@ -204,7 +204,8 @@ def iterate(
         residuals.append(np.where(active, residual, residuals[-1]) if residuals else residual)
         converged = converged | (residual <= schedule.tolerance)
         point = control.step(point, found, active)
-        mean = np.where(active[:, None], control.shown(found.mean, point, active), mean)
+        shown = control.shown(found.mean, point, active)
+        mean = shown if active.all() else np.where(active[:, None], shown, mean)
     return Iterated(solution, mean, residuals, converged)
 
 
