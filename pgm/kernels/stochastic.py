@@ -1,8 +1,8 @@
 """Linear maps of probabilities: dense, sparse, and products of maps of single axes.
 
-A map has the matrix p(child | parent), (parents, children). `forward` sums over the parent, `backward`
-over the child, along one axis of an array; both also of logarithms, in a semiring. A map never forms
-the pairs of parent and child that it sums over, unless it works with logarithms.
+A map has the matrix p(child | parent), (parents, children). `forward` sums over the parent,
+`backward` over the child, along one axis of an array; both also of logarithms, in a semiring. A map
+never forms the pairs of parent and child that it sums over, unless it works with logarithms.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Transition(ABC):
 
     @abstractmethod
     def forward(self, belief: Array, axis: int = 0) -> Array:
-        """Σ_parent p(child | parent) belief(parent): the axis of parents becomes one of children."""
+        """Σ_parent p(child | parent) belief(parent), along the axis of parents."""
 
     @abstractmethod
     def backward(self, message: Array, axis: int = 0) -> Array:
@@ -54,8 +54,8 @@ class Transition(ABC):
         """Children drawn given parents, of the same shape."""
 
     @abstractmethod
-    def parents(self, child: int) -> Array:
-        """The column p(child | parent) of a child, (parents,)."""
+    def parents(self, children: Integers) -> Array:
+        """The columns p(child | parent) of some children, (children, parents)."""
 
     @property
     @abstractmethod
@@ -81,12 +81,14 @@ class Dense(Transition):
 
     @cached_property
     def _turned(self) -> Array:
-        return np.ascontiguousarray(self.matrix.T)
+        turned: Array = np.ascontiguousarray(self.matrix.T)
+        return turned
 
     @cached_property
     def _logarithms(self) -> Array:
         with np.errstate(divide="ignore"):
-            return np.log(self.matrix)
+            logs: Array = np.log(self.matrix)
+        return logs
 
     def forward(self, belief: Array, axis: int = 0) -> Array:
         """As of a `Transition`."""
@@ -131,9 +133,10 @@ class Dense(Transition):
             low, high = np.where(above, low, middle + 1), np.where(above, middle, high)
         return low
 
-    def parents(self, child: int) -> Array:
+    def parents(self, children: Integers) -> Array:
         """As of a `Transition`."""
-        return self._turned[child]
+        found: Array = self._turned[children]
+        return found
 
     @cached_property
     def smallest(self) -> float:
@@ -200,7 +203,8 @@ class Sparse(Transition):
         sums = np.cumsum(own.data)
         before = np.concatenate([[0.0], sums])[own.indptr[:-1]]
         total = np.asarray(own.sum(axis=1)).ravel()
-        return rows + np.minimum((sums - before[rows]) / total[rows], 1.0)
+        levels: Array = rows + np.minimum((sums - before[rows]) / total[rows], 1.0)
+        return levels
 
     def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
         """As of a `Transition`."""
@@ -212,9 +216,9 @@ class Sparse(Transition):
         found: Integers = own.indices[entry].astype(np.intp)
         return found
 
-    def parents(self, child: int) -> Array:
+    def parents(self, children: Integers) -> Array:
         """As of a `Transition`."""
-        found: Array = self._turned[[child]].toarray()[0]
+        found: Array = self._turned[children].toarray()
         return found
 
     @cached_property
@@ -289,11 +293,12 @@ class Product(Transition):
         found: Integers = np.ravel_multi_index(drawn, self.after)
         return found
 
-    def parents(self, child: int) -> Array:
+    def parents(self, children: Integers) -> Array:
         """As of a `Transition`."""
-        found = np.ones(1)
-        for factor, k in zip(self.factors, np.unravel_index(child, self.after), strict=True):
-            found = np.multiply.outer(found, factor.parents(int(k))).ravel()
+        found = np.ones((len(children), 1))
+        for factor, own in zip(self.factors, np.unravel_index(children, self.after), strict=True):
+            pairs = found[:, :, None] * factor.parents(own)[:, None, :]
+            found = pairs.reshape(len(children), -1)
         return found
 
     @cached_property
@@ -308,9 +313,9 @@ class Product(Transition):
 
     def dense(self) -> Array:
         """As of a `Transition`."""
-        found = np.ones((1, 1))
-        for factor in self.factors:
-            found = np.kron(found, factor.dense())
+        found: Array = self.factors[0].dense()
+        for factor in self.factors[1:]:
+            found = np.asarray(np.kron(found, factor.dense()), dtype=np.float64)
         return found
 
 
@@ -322,9 +327,8 @@ def _along(matrix: Any, values: Array, axis: int) -> Array:
     if isinstance(matrix, np.ndarray):
         before, after = values.shape[:axis], values.shape[axis + 1 :]
         stacked = values.reshape(math.prod(before), values.shape[axis], math.prod(after))
-        if axis == 0:
-            return matrix.dot(stacked[0]).reshape(len(matrix), *after)
-        return np.matmul(matrix, stacked).reshape(*before, len(matrix), *after)
+        product = matrix.dot(stacked[0]) if axis == 0 else np.matmul(matrix, stacked)
+        return product.reshape(*before, len(matrix), *after)
     moved = np.moveaxis(values, axis, 0)
     flat = np.ascontiguousarray(moved.reshape(len(moved), -1))
     product = np.asarray(matrix @ flat).reshape(matrix.shape[0], *moved.shape[1:])

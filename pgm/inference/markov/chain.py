@@ -1,4 +1,4 @@
-"""The chain family of finitely many states: beliefs are probabilities, one for each state.
+r"""The chain family of finitely many states: beliefs are probabilities, one for each state.
 
 With weights l_t(x) = p(z_t | x), of the measurements of step t, the forward messages are
 
@@ -8,21 +8,25 @@ normalised at each step, and the backward ones, which `sweep.backward` carries f
 
     β_T = 1,    β_{t−1}(x') ∝ Σ_x p(x | x') l_t(x) β_t(x),
 
-so that p(x_t | all measurements) ∝ α_t β_t. Nothing is divided by a predicted probability.
+so that p(x_t | all measurements) ∝ α_t β_t. Nothing is divided by a predicted probability. In
+another semiring the numbers are logarithms, or the sums are maxima.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn, Protocol
 
 import numpy as np
 
 from pgm.inference import sweep
 from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 
-# Sums of products of numbers above this are found by plain arithmetic: 1e-300 times them is none.
+# Beliefs above this, times factors whose product is, are numbers with all their digits.
 TINY = 1e-150
+# How many entries are looked at in one go.
+_CHUNK = 2**20
 
 
 class Slices(Protocol):
@@ -72,6 +76,8 @@ class StateChain:
     Parameters
     ----------
     slices : Slices
+    semiring : Semiring
+        Of its numbers.
     dtype : numpy type
         Of the beliefs that are kept, float64 or float32.
 
@@ -83,11 +89,14 @@ class StateChain:
         ln p(z_t | z_0..t−1) by step, (runs,) or a number.
     """
 
-    def __init__(self, slices: Slices, dtype: Any = np.float64) -> None:
-        self.slices, self.dtype = slices, dtype
+    def __init__(
+        self, slices: Slices, semiring: Semiring = SUM_PRODUCT, dtype: Any = np.float64
+    ) -> None:
+        self.slices, self.semiring, self.dtype = slices, semiring, dtype
         self.batch = 1 if slices.lead else 0
         self.known: list[Array] = []
         self.log_density: list[Array | float] = []
+        self._room: Array | None = None
 
     def run(self) -> StateChain:
         """The same, its forward sweep done."""
@@ -105,36 +114,104 @@ class StateChain:
     def take(self, step: int, belief: Array) -> tuple[Array, Array | float]:
         """The belief given the measurements of its step, and the logarithm of their density."""
         weights, log_scale = self.slices.likelihood(step)
-        joint = belief if weights is None else belief * weights
-        if not self.batch:
-            total = float(np.add.reduce(joint, None))
-            if not total > 0.0:
-                self.slices.refuse(step, belief, 0)
-            return joint / total, np.log(total) + log_scale
-        totals = joint.reshape(-1, joint.shape[-1]).sum(axis=0)
-        if not (totals > 0.0).all():
-            self.slices.refuse(step, belief, int((totals > 0.0).argmin()))
-        return joint / totals, np.log(totals) + log_scale
+        joint = belief if weights is None else self.semiring.times(belief, weights)
+        totals = self.total(joint)
+        possible = totals > self.semiring.zero
+        if not (possible.all() if self.batch else possible):
+            self.slices.refuse(step, belief, int(np.argmin(possible)))
+        known: Array = self.semiring.over(joint, totals)
+        return known, self.semiring.logs(totals) + log_scale
 
-    def keep(
-        self, step: int, predicted: Array, known: Array, log_density: Array | float
-    ) -> None:
+    def total(self, values: Array) -> Array:
+        """The sum over the states, (*runs)."""
+        return self.semiring.total(values, tuple(range(values.ndim - self.batch)), None)
+
+    def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
         """Keep the belief of a step."""
-        self.known.append(known if known.dtype == self.dtype else known.astype(self.dtype))
+        if not step:
+            self.known.append(known.astype(self.dtype))
+        else:
+            if self._room is None:
+                self._room = np.empty((self.slices.steps, *known.shape), self.dtype)
+            self._room[step - 1] = known
+            self.known.append(self._room[step - 1])
         self.log_density.append(log_density)
 
-    def back(self, step: int, message: Array) -> Array:
+    @property
+    def smallest(self) -> float:
+        """The smallest positive number of the beliefs that are kept."""
+        least = np.inf
+        for part in (self.known[0], self._room):
+            if part is None:
+                continue
+            flat = part.reshape(-1)
+            for at in range(0, flat.size, _CHUNK):
+                piece = flat[at : at + _CHUNK]
+                low = piece.min()
+                if low == 0.0:
+                    low = piece.min(where=piece > 0.0, initial=np.inf)
+                least = min(least, float(low))
+        return least
+
+    def unit(self) -> Array:
+        """The backward message to the last slice, of which nothing is later."""
+        return np.full(self.known[-1].shape, self.semiring.one)
+
+    def message(self, step: int, message: Array) -> Array:
         """The message to the slice of a step from all later measurements, of sum one."""
+        found = self._passed(step, message)
+        return self._scaled(found)
+
+    def _scaled(self, message: Array) -> Array:
+        scaled: Array = self.semiring.over(message, self.total(message))
+        return scaled
+
+    def _passed(self, step: int, message: Array) -> Array:
+        """The message to the slice of a step, from that to the next one and its measurements."""
         weights, _ = self.slices.likelihood(step + 1)
         if weights is not None:
-            message = message * weights
-        found = self.slices.backward(step + 1, message)
-        return found / found.reshape(-1, *found.shape[found.ndim - self.batch :]).sum(axis=0)
+            message = self.semiring.times(message, weights)
+        return self.slices.backward(step + 1, message)
+
+    def back(self, step: int, message: Array) -> Array:
+        """The same, but zero where the filtered belief is, and of sum one elsewhere.
+
+        So scaled it loses but states whose probability given all is too small for a number, however
+        much likelier what comes later would be after an impossible state.
+        """
+        found, zero = self._passed(step, message), self.semiring.zero
+        return self._scaled(np.where(self.known[step] > zero, found, zero))
+
+    def posterior(self, step: int, message: Array) -> Array:
+        """The probabilities of the states at a step, given what its own and a message know."""
+        joint = self.semiring.times(self.known[step], message)
+        return self.numbers(self.semiring.over(joint, self.total(joint)))
+
+    def numbers(self, entries: Array) -> Array:
+        """The probabilities that entries of the semiring are."""
+        if self.semiring.linear:
+            return entries
+        with np.errstate(under="ignore"):
+            values: Array = np.exp(entries)
+        return values
 
     def smoothed(self) -> Iterator[tuple[int, Array]]:
         """The steps from T to 0, and the belief of each given all measurements."""
-        last = np.ones_like(self.known[-1], dtype=np.float64)
-        for step, message in sweep.backward(self, self.slices.steps, last):
-            joint = self.known[step] * message
-            totals = joint.reshape(-1, *joint.shape[joint.ndim - self.batch :]).sum(axis=0)
-            yield step, joint / totals
+        for step, message in sweep.backward(self, self.slices.steps, self.unit()):
+            yield step, self.posterior(step, message)
+
+    def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
+        """The steps from 0 to T, and the belief of each given the measurements a lag later."""
+        for step in range(self.slices.steps + 1):
+            message = np.full(self.known[step].shape, self.semiring.one)
+            last = min(step + lag, self.slices.steps)
+            if last > step:
+                message = np.full(self.known[last].shape, self.semiring.one)
+                for before in range(last - 1, step - 1, -1):
+                    message = self.back(before, message)
+            yield step, self.posterior(step, message)
+
+
+def log_evidence(log_density: Sequence[Array | float], lead: tuple[int, ...]) -> Array:
+    """The sum of the log-densities of steps, with the user's axes of runs."""
+    return np.asarray(np.sum(np.array(log_density), axis=0)).reshape(lead)
