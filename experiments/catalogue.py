@@ -7,6 +7,7 @@ from experiments import (
     belief_propagation,
     cluster_graph,
     differential_drive,
+    freiburg,
     imu_heading,
     iterated,
     kalman,
@@ -22,6 +23,7 @@ from experiments import (
 EXPERIMENTS: dict[str, ModuleType] = {
     "localisation": localisation,
     "plaza": plaza,
+    "freiburg": freiburg,
     "kalman": kalman,
     "cluster_graph": cluster_graph,
     "linearisers": linearisers,
