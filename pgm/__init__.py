@@ -16,7 +16,15 @@ from pgm.compile import (
     WeightedMinFill,
     compile,
 )
-from pgm.cpds import GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD, TableCPD, noise
+from pgm.cpds import (
+    GaussianCPD,
+    Kronecker,
+    LinearGaussianCPD,
+    NonlinearGaussianCPD,
+    TableCPD,
+    noise,
+    shifts,
+)
 from pgm.errors import (
     EvidenceError,
     ExecutorError,
@@ -47,6 +55,7 @@ from pgm.inference import (
     Residual,
     Sequential,
     Smoothing,
+    StatePosterior,
     Status,
     audit,
     filter,
@@ -122,6 +131,7 @@ __all__ = [
     "JunctionTree",
     "KeptPosterior",
     "Kind",
+    "Kronecker",
     "LevenbergMarquardt",
     "LinearGaussianCPD",
     "LinearisationError",
@@ -143,6 +153,7 @@ __all__ = [
     "Sequential",
     "Smoothing",
     "Stamped",
+    "StatePosterior",
     "StatisticalRegression",
     "Status",
     "StochasticMinFill",
@@ -167,6 +178,7 @@ __all__ = [
     "read_uai_evidence",
     "read_xmlbif",
     "records",
+    "shifts",
     "sightings",
     "smooth",
     "soft",

@@ -5,6 +5,7 @@ from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.linear import AffineCPD, GaussianCPD, LinearGaussianCPD
 from pgm.cpds.noise import Noise, noise
 from pgm.cpds.nonlinear import NonlinearGaussianCPD
+from pgm.cpds.structured import Kronecker, shifts
 from pgm.cpds.table import TableCPD
 
 __all__ = [
@@ -12,9 +13,11 @@ __all__ = [
     "AffineCPD",
     "ConditionalGaussian",
     "GaussianCPD",
+    "Kronecker",
     "LinearGaussianCPD",
     "Noise",
     "NonlinearGaussianCPD",
     "TableCPD",
     "noise",
+    "shifts",
 ]

@@ -233,6 +233,9 @@ class CPD(Immutable):
         drawn = self._draw(known, generator, extra)
         return drawn.reshape((*extra, *known.lead, *drawn.shape[len(extra) + 1 :]))
 
+    def require_proper(self, what: str) -> None:
+        """Refuse an infinite variance, which few kinds of CPDs can have."""
+
     def _lead(self) -> tuple[int, ...]:
         """The axes of runs that the CPD itself has."""
         return ()

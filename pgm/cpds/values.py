@@ -70,8 +70,7 @@ def as_parents(cpd: CPD, given: Any) -> Known:
     arrays = {parent: as_values(cpd, parent, found[parent]) for parent in cpd.parents}
     shapes = [(parent, shape_of(parent, array)) for parent, array in arrays.items()]
     lead = common(cpd, [*shapes, ("the CPD itself", cpd._lead())])
-    own = 0 if cpd.discrete else 1
-    values = {v: flat(array, lead, own) for v, array in arrays.items()}
+    values = {v: flat(a, lead, 0 if isinstance(v, Discrete) else 1) for v, a in arrays.items()}
     return Known(values, lead, (math.prod(lead),), cpd.child.step)
 
 

@@ -77,7 +77,7 @@ def bind_discrete(variables: Iterable[Variable], evidence: Mapping[Any, Any]) ->
             if value >= 0:
                 states[variable] = value
         elif isinstance(value, Soft):
-            weighted[variable] = _as_weights(variable, value)
+            weighted[variable] = as_weights(variable, value)
         elif isinstance(value, Sightings | Constant):
             raise _of_dynamic(variable, value)
         else:
@@ -103,7 +103,7 @@ def _of_dynamic(variable: Discrete, value: Sightings | Constant) -> EvidenceErro
     )
 
 
-def _as_weights(variable: Discrete, value: Soft) -> Array:
+def as_weights(variable: Discrete, value: Soft) -> Array:
     """The weights of soft evidence, (..., size)."""
     what = f"soft evidence for {variable!r}"
     states = f"({listed(variable.states)})"

@@ -11,19 +11,22 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import is_whole
-from pgm.cpds import ConditionalGaussian
+from pgm.cpds import CPD
 from pgm.errors import EvidenceError
+from pgm.evidence import states
 from pgm.evidence.arrays import as_rows, as_steps, require_finite, taken_readings, unknown
 from pgm.evidence.values import Constant, Evidence, Sightings
 from pgm.factors.runs import common_runs, flat
 from pgm.factors.scope import listed
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Integers, Mask
 from pgm.sizes import require_memory
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
+# Numbers (..., d), or indices of states (..., 1).
+Rows = npt.NDArray[Any]
 # Values of parents with evidence, (rows, runs or 1, d): a row is a step or a sighting.
-Inputs = Mapping[Variable, Array]
-Kind = TypeVar("Kind", np.float64, np.bool_)
+Inputs = Mapping[Variable, Rows]
+Kind = TypeVar("Kind", bound=np.generic)
 WHOLE = "only a sensor's measurement may be missing, or components of it, as NaN"
 
 
@@ -40,17 +43,18 @@ class Reading:
     order : ndarray of int
         (M,): which row of the user's evidence each one was.
     values : ndarray
-        (M, runs or 1, d); zero where missing.
+        (M, runs or 1, d); zero where missing. Of a discrete sensor the index of its state,
+        (M, runs or 1, 1), or weights of its states, (M, runs or 1, size).
     taken : ndarray of bool
         (M, runs or 1, d): which components were; the others are missing.
     inputs : mapping of Variable to ndarray
         Values of the sensor's observed parents, (M, runs or 1, d).
     """
 
-    cpd: ConditionalGaussian
+    cpd: CPD
     step: Integers
     order: Integers
-    values: Array
+    values: Rows
     taken: Mask
     inputs: Inputs
 
@@ -108,8 +112,8 @@ def reading_by_row(reading: Reading, lead: tuple[int, ...]) -> Reading:
 
 
 def bind(
-    transition: Sequence[ConditionalGaussian],
-    observation: Sequence[ConditionalGaussian],
+    transition: Sequence[CPD],
+    observation: Sequence[CPD],
     evidence: Evidence,
     steps: int | None,
     lead: tuple[int, ...] = (),
@@ -148,8 +152,8 @@ class _Binder:
 
     def __init__(
         self,
-        transition: Sequence[ConditionalGaussian],
-        observation: Sequence[ConditionalGaussian],
+        transition: Sequence[CPD],
+        observation: Sequence[CPD],
         evidence: Evidence,
         steps: int | None,
         lead: tuple[int, ...],
@@ -160,7 +164,7 @@ class _Binder:
         self.sensors = {cpd.child: cpd for cpd in observation}
         self._check_known((*transition, *observation))
         self.arrays = {
-            variable: as_rows(variable, value, "T")
+            variable: _as_rows(variable, value, "T")
             for variable, value in evidence.items()
             if not isinstance(value, (Constant, Sightings))
         }
@@ -171,7 +175,7 @@ class _Binder:
         self.span = np.arange(1, self.steps + 1)
         self.shapes: list[tuple[str, tuple[int, ...]]] = [("the model's priors", lead)]
 
-    def bind(self, transition: Sequence[ConditionalGaussian]) -> BoundEvidence:
+    def bind(self, transition: Sequence[CPD]) -> BoundEvidence:
         self._check_inputs()
         inputs = [self._inputs(cpd, {}, self.span) for cpd in transition]
         readings = [self._reading(z) for z in self.sensors if z in self.evidence or self._drawn(z)]
@@ -183,7 +187,7 @@ class _Binder:
             tuple(reading_by_row(reading, lead) for reading in readings),
         )
 
-    def _check_known(self, cpds: Sequence[ConditionalGaussian]) -> None:
+    def _check_known(self, cpds: Sequence[CPD]) -> None:
         known = {v for cpd in cpds for v in cpd.scope if not v.lag or v.template not in self.hidden}
         for variable in self.evidence:
             if not isinstance(variable, Variable):
@@ -262,9 +266,9 @@ class _Binder:
         cpd, value = self.sensors[sensor], self.evidence.get(sensor)
         if isinstance(value, Sightings):
             given, count = value.given, None
-            rows: Array | None = None
+            rows: Rows | None = None
             if value.values is not None:
-                rows = as_rows(sensor, value.values, "M")
+                rows = _as_rows(sensor, value.values, "M")
                 count = rows.shape[-2]
             step = as_steps(sensor, value.step, count, self.steps)
         else:
@@ -273,6 +277,8 @@ class _Binder:
             rows = self.arrays.get(sensor)
         if self.drawing:
             rows = np.full((step.size, sensor.dimension), np.nan)
+            if isinstance(sensor, Discrete):
+                rows = states.unread(step.size)
         elif rows is None:
             raise EvidenceError(
                 f"sightings of {sensor!r} have no values; only sample() draws them", variable=sensor
@@ -283,16 +289,16 @@ class _Binder:
             order = np.argsort(step, kind="stable")
             step, rows = step[order], rows[..., order, :]
         inputs = self._inputs(cpd, given, step, None if sorted_already else order)
-        taken = taken_readings(sensor, rows, step)
+        taken = _taken(sensor, rows, step)
         if taken is None:
             taken = np.ones(rows.shape[-2:], dtype=bool)
         else:
-            rows = np.where(taken, rows, 0.0)
+            rows = np.where(taken, rows, rows.dtype.type(0))
         return Reading(cpd, step, order, rows, taken, inputs)
 
     def _inputs(
         self,
-        cpd: ConditionalGaussian,
+        cpd: CPD,
         given: Mapping[Variable, Any],
         step: Integers,
         order: Integers | None = None,
@@ -328,7 +334,7 @@ class _Binder:
                 row = _constant_row(variable, value)[..., None, :]
                 rows = np.broadcast_to(row, (*row.shape[:-2], step.size, row.shape[-1]))
             elif variable in given:
-                rows = as_rows(variable, value, "M")
+                rows = _as_rows(variable, value, "M")
                 if rows.shape[-2] != step.size:
                     raise EvidenceError(
                         f"sightings of {cpd.child!r}: {step.size} measurements with "
@@ -338,7 +344,7 @@ class _Binder:
                     )
                 if order is not None:
                     rows = rows[..., order, :]
-                rows = require_finite(variable, rows, step, WHOLE)
+                rows = _complete(variable, rows, step)
             else:
                 if step.size and step[0] == 0:
                     raise EvidenceError(
@@ -348,7 +354,7 @@ class _Binder:
                         cpd=cpd,
                         step=0,
                     )
-                rows = require_finite(variable, self.arrays[variable], self.span, WHOLE)
+                rows = _complete(variable, self.arrays[variable], self.span)
                 if step is not self.span:
                     rows = rows[..., step - 1, :]
             self.shapes.append((repr(variable), rows.shape[:-2]))
@@ -356,6 +362,30 @@ class _Binder:
         return inputs
 
 
-def _constant_row(variable: Variable, value: Constant) -> Array:
+def _constant_row(variable: Variable, value: Constant) -> Rows:
     """A constant's value, (..., d)."""
-    return require_finite(variable, as_rows(variable, value.value, None), advice=WHOLE)
+    return _complete(variable, _as_rows(variable, value.value, None))
+
+
+def _as_rows(variable: Variable, value: Any, axis: str | None) -> Rows:
+    """Evidence as an array (..., rows, d), or (..., d) where there is no axis of rows.
+
+    Of a discrete variable d is one, the index of a state, or as many weights as there are states.
+    """
+    if isinstance(variable, Discrete):
+        return states.as_rows(variable, value, axis)
+    return as_rows(variable, value, axis)
+
+
+def _complete(variable: Variable, rows: Rows, step: Integers | None = None) -> Rows:
+    """Refuse evidence of an input of which something is missing."""
+    if isinstance(variable, Discrete):
+        return states.require_known(variable, rows, step)
+    return require_finite(variable, rows, step, WHOLE)
+
+
+def _taken(variable: Variable, rows: Rows, step: Integers) -> Mask | None:
+    """The mask of what was measured, (..., rows, d); None for all."""
+    if isinstance(variable, Discrete):
+        return states.taken(rows)
+    return taken_readings(variable, rows, step)

@@ -9,6 +9,7 @@ from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
 from pgm.inference.kind import Kind
+from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.filter import OnlineFilter
 from pgm.inference.posterior import Posterior
@@ -45,6 +46,7 @@ __all__ = [
     "Schedule",
     "Sequential",
     "Smoothing",
+    "StatePosterior",
     "Status",
     "audit",
     "filter",

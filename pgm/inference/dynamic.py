@@ -12,9 +12,9 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
 from pgm.inference.damping import Damping
-from pgm.inference.parts.run import run as run_chain
 from pgm.inference.schedule import Filtering, FixedLag, Smoothing
 from pgm.inference.start import Start
+from pgm.inference.temporal import TemporalPosterior, runner
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -64,7 +64,7 @@ def filter(
     damping: Damping = 0.0,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
-) -> ChainPosterior | KeptPosterior:
+) -> TemporalPosterior:
     r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
 
     .. math:: p(x_t \mid \text{measurements up to } t), \quad t = 0, \ldots, T
@@ -87,7 +87,8 @@ def filter(
     -------
     ChainPosterior
         ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
-        `KeptPosterior` with ``keep``.
+        `KeptPosterior` with ``keep``. Of a network of tables a `StatePosterior`, whose
+        ``posterior[x]`` is a `Table` of probabilities (..., T+1, size).
 
     Raises
     ------
@@ -98,7 +99,7 @@ def filter(
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps)
     graph = compile(model, bound.steps)
-    return run_chain(graph, bound, schedule, lineariser, None, keep, executor)
+    return runner(graph.model)(graph, bound, schedule, lineariser, None, keep, executor)
 
 
 @overload
@@ -151,7 +152,7 @@ def smooth(
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
-) -> ChainPosterior | KeptPosterior:
+) -> TemporalPosterior:
     r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
 
     .. math:: p(x_t \mid \text{all measurements}), \quad t = 0, \ldots, T
@@ -188,7 +189,8 @@ def smooth(
     -------
     ChainPosterior
         ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
-        `KeptPosterior` with ``keep``.
+        `KeptPosterior` with ``keep``. Of a network of tables a `StatePosterior`, whose
+        ``posterior[x]`` is a `Table` of probabilities (..., T+1, size).
 
     Raises
     ------
@@ -200,4 +202,4 @@ def smooth(
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps)
     graph = compile(model, bound.steps, method=method)
-    return run_chain(graph, bound, schedule, lineariser, start, keep, executor)
+    return runner(graph.model)(graph, bound, schedule, lineariser, start, keep, executor)

@@ -14,10 +14,10 @@ from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
-from pgm.inference.parts.run import run as run_chain
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule, Smoothing
 from pgm.inference.start import Start
+from pgm.inference.temporal import runner
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.variables import Variable
 
@@ -132,7 +132,8 @@ def infer(
     Returns
     -------
     Posterior
-        A `ChainPosterior` of a dynamic network; a `KeptPosterior` with ``keep``.
+        A `ChainPosterior` of a dynamic network, of tables a `StatePosterior`; a `KeptPosterior`
+        with ``keep``.
 
     Raises
     ------
@@ -165,7 +166,7 @@ def infer(
         if memory is not None:
             raise GraphError(CONTINUOUS)
         bound = bind_chain(graph.model, evidence, graph.steps)
-        return run_chain(graph, bound, schedule, lineariser, start, keep, executor)
+        return runner(graph.model)(graph, bound, schedule, lineariser, start, keep, executor)
     if keep is not None or executor is not None:
         raise GraphError(
             f"keep= and executor= are for the runs of dynamic networks, not for {graph!r}; to hold "

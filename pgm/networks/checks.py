@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from pgm.boundary import as_tuple
-from pgm.cpds import CPD, ConditionalGaussian, GaussianCPD
+from pgm.cpds import CPD, ConditionalGaussian, GaussianCPD, TableCPD
 from pgm.errors import ModelError
 from pgm.factors.runs import clash
 from pgm.factors.scope import MOST, Scope
@@ -111,19 +111,30 @@ def _cycle(before: Sequence[set[int]], left: set[int]) -> list[int]:
     return [at, *reversed(loop)]
 
 
-def as_gaussian(cpds: CPD | Iterable[CPD], where: str) -> tuple[ConditionalGaussian, ...]:
-    """The CPDs of a dynamic network as a tuple; refuses anything but Gaussian ones."""
-    result = []
-    for cpd in as_cpds(cpds, where):
-        if not isinstance(cpd, ConditionalGaussian):
+def of_one_kind(cpds: Sequence[CPD]) -> bool:
+    """Whether the CPDs of a dynamic network are discrete; refuses mixed ones, and other kinds."""
+    for cpd in cpds:
+        if not isinstance(cpd, ConditionalGaussian | TableCPD):
             raise ModelError(
-                f"{where} holds {cpd!r}; dynamic networks are of Gaussian CPDs, and a discrete "
-                "one is a BayesianNetwork",
+                f"{cpd!r}: a dynamic network is of Gaussian CPDs, or of tables",
                 variable=cpd.child,
                 cpd=cpd,
             )
-        result.append(cpd)
-    return tuple(result)
+        if cpd.discrete != cpds[0].discrete:
+            raise ModelError(
+                f"{cpd!r} stands beside {cpds[0]!r}; a dynamic network is of Gaussian CPDs, or of "
+                "tables: keep the discrete and the continuous part in networks of their own",
+                variable=cpd.child,
+                cpd=cpd,
+            )
+    return bool(cpds) and cpds[0].discrete
+
+
+def _carried(cpd: CPD) -> str:
+    """The CPD of a state that is what another was at the step before."""
+    if cpd.discrete:
+        return "TableCPD(older, given=x.previous, table=np.eye(x.size))"
+    return "LinearGaussianCPD(older, given={x.previous: 1.0}, cov=0)"
 
 
 def check_templates(cpds: Iterable[CPD]) -> None:
@@ -140,7 +151,7 @@ def check_templates(cpds: Iterable[CPD]) -> None:
             if variable.lag > 1:
                 raise ModelError(
                     f"{cpd!r}: {variable!r} is more than one step back; carry it along as a "
-                    "state of its own (LinearGaussianCPD(older, given={x.previous: 1.0}, cov=0))",
+                    f"state of its own ({_carried(cpd)})",
                     variable=variable,
                     cpd=cpd,
                 )
@@ -154,7 +165,8 @@ def check_states(
         if cpd.child not in hidden:
             raise ModelError(
                 f"state {cpd.child!r} has a prior but no transition; add a CPD of it given "
-                f"{cpd.child.previous!r} (cov=0 for a static unknown)",
+                f"{cpd.child.previous!r} ({'an identity' if cpd.discrete else 'cov=0'} for a "
+                "static unknown)",
                 variable=cpd.child,
                 cpd=cpd,
             )
@@ -193,7 +205,7 @@ def check_parents(
                     cpd,
                     parent,
                     "cannot be a sensor's parent; carry it along as a state of this step "
-                    "(LinearGaussianCPD(older, given={x.previous: 1.0}, cov=0))",
+                    f"({_carried(cpd)})",
                 )
     for cpd in (*prior, *transition, *observation):
         for parent in cpd.parents:

@@ -9,7 +9,7 @@ import networkx as nx
 import numpy as np
 
 from pgm.boundary import as_generator, as_mapping, is_whole
-from pgm.cpds import CPD, ConditionalGaussian
+from pgm.cpds import CPD
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, one_name_each
@@ -27,7 +27,7 @@ class DynamicBayesianNetwork(Immutable):
     """A prior over the states, a transition from each slice to the next, and sensors.
 
     States are x[0..T]. The prior holds at step 0, transition CPDs at steps 1..T, observation
-    CPDs at 0..T.
+    CPDs at 0..T. All CPDs are Gaussian, or all are tables: of a hidden Markov model.
 
     Parameters
     ----------
@@ -51,12 +51,14 @@ class DynamicBayesianNetwork(Immutable):
         The children of the observation CPDs.
     inputs : tuple of Variable
         Parents that no CPD explains: they must have evidence.
+    discrete : bool
+        Whether it is of tables, and not of Gaussian CPDs.
 
     Raises
     ------
     ModelError
-        If a state lacks its prior or transition, a child has two CPDs, two variables share a
-        name, the CPDs form a cycle, or a parent stands where it cannot.
+        If CPDs are of both kinds, a state lacks its prior or transition, a child has two CPDs, two
+        variables share a name, the CPDs form a cycle, or a parent stands where it cannot.
 
     Examples
     --------
@@ -74,13 +76,14 @@ class DynamicBayesianNetwork(Immutable):
       observation  p(z | x)
     """
 
-    prior: tuple[ConditionalGaussian, ...]
-    transition: tuple[ConditionalGaussian, ...]
-    observation: tuple[ConditionalGaussian, ...]
+    prior: tuple[CPD, ...]
+    transition: tuple[CPD, ...]
+    observation: tuple[CPD, ...]
     states: Scope
     controls: Scope
     sensors: Scope
     inputs: Scope
+    discrete: bool
 
     def __init__(
         self,
@@ -88,10 +91,11 @@ class DynamicBayesianNetwork(Immutable):
         transition: Iterable[CPD],
         observation: Iterable[CPD] = (),
     ) -> None:
-        prior = checks.as_gaussian(prior, "prior")
-        transition = checks.as_gaussian(transition, "transition")
-        observation = checks.as_gaussian(observation, "observation")
+        prior = checks.as_cpds(prior, "prior")
+        transition = checks.as_cpds(transition, "transition")
+        observation = checks.as_cpds(observation, "observation")
         everything = (*prior, *transition, *observation)
+        discrete = checks.of_one_kind(everything)
         checks.check_templates(everything)
         for cpd in (*transition, *observation):
             cpd.require_proper("only the prior of a dynamic network takes flat priors")
@@ -115,6 +119,7 @@ class DynamicBayesianNetwork(Immutable):
             "controls": tuple(cpd.child for cpd in transition if cpd.child not in states),
             "sensors": sensors,
             "inputs": inputs,
+            "discrete": discrete,
         }
         self._set(**values)
 
@@ -146,7 +151,7 @@ class DynamicBayesianNetwork(Immutable):
         return DynamicBayesianNetwork(**(parts | changes))
 
     @property
-    def cpds(self) -> tuple[ConditionalGaussian, ...]:
+    def cpds(self) -> tuple[CPD, ...]:
         """All CPDs: prior, transition, observation."""
         return (*self.prior, *self.transition, *self.observation)
 
@@ -284,7 +289,7 @@ class DynamicBayesianNetwork(Immutable):
             "take fewer steps; pgm.filter and pgm.smooth hold one copy of each",
         )
 
-    def cpds_at(self, step: int) -> tuple[ConditionalGaussian, ...]:
+    def cpds_at(self, step: int) -> tuple[CPD, ...]:
         """The CPDs that hold at a step, as templates.
 
         Parameters
@@ -309,7 +314,7 @@ class DynamicBayesianNetwork(Immutable):
             if found:
                 rows.append((label, ", ".join(v.name for v in found)))
         for label in ("prior", "transition", "observation"):
-            cpds: tuple[ConditionalGaussian, ...] = getattr(self, label)
+            cpds: tuple[CPD, ...] = getattr(self, label)
             if cpds:
                 rows.append((label, "  ".join(map(density, cpds))))
         return "\n".join(

@@ -1,0 +1,74 @@
+"""Evidence of discrete variables of a dynamic network: indices and weights of states, by step."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.errors import EvidenceError
+from pgm.evidence.discrete import as_weights
+from pgm.evidence.values import Soft
+from pgm.factors.indices import MISSING, as_indices
+from pgm.factors.scope import listed
+from pgm.kernels.arrays import Integers, Mask
+from pgm.variables import Discrete
+
+Rows = npt.NDArray[Any]
+
+
+def as_rows(variable: Discrete, value: Any, axis: str | None) -> Rows:
+    """Indices of states as (..., rows, 1), or soft weights as (..., rows, size).
+
+    Without an axis of rows they are (..., 1), or (..., size).
+    """
+    if isinstance(value, Soft):
+        rows: Rows = as_weights(variable, value)
+        due = f"(..., {axis}, {variable.size})"
+    else:
+        rows = as_indices(variable, value)[..., None]
+        due = f"(..., {axis})"
+    if axis == "M" and rows.shape == (0, 1):
+        return rows  # no measurements, written as []
+    if axis is not None and rows.ndim < 2:
+        shape = rows.shape if isinstance(value, Soft) else rows.shape[:-1]
+        raise EvidenceError(
+            f"evidence for {variable!r} has shape {shape}; {due} was due, an entry a row: the "
+            f"index or the name of a state ({listed(variable.states)}), −1 for not measured",
+            variable=variable,
+        )
+    return rows
+
+
+def require_known(variable: Discrete, rows: Rows, step: Integers | None) -> Rows:
+    """Refuse an input that is missing somewhere, or of which there are but weights."""
+    if rows.dtype.kind == "f":
+        raise EvidenceError(
+            f"soft evidence for {variable!r}, an input, whose state must be known; weights are for "
+            "measurements",
+            variable=variable,
+        )
+    missing = rows[..., 0] == MISSING
+    if missing.any():
+        first = None if step is None else int(step[np.nonzero(missing)[-1]].min())
+        where = "" if first is None else f" at step {first}"
+        raise EvidenceError(
+            f"evidence for {variable!r} is missing{where} (−1); only a sensor's measurement may be",
+            variable=variable,
+            step=first,
+        )
+    return rows
+
+
+def taken(rows: Rows) -> Mask | None:
+    """The mask of what was measured, of the rows' shape; None for all."""
+    if rows.dtype.kind == "f":
+        return None
+    missing = rows == MISSING
+    return ~missing if missing.any() else None
+
+
+def unread(count: int) -> Rows:
+    """The indices of measurements that are still to be drawn, (count, 1)."""
+    return np.full((count, 1), MISSING)

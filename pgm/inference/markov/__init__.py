@@ -1,0 +1,1 @@
+"""Chains of slices of finitely many states: messages as probabilities of states."""

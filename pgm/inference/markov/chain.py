@@ -1,0 +1,217 @@
+r"""The chain family of finitely many states: beliefs are probabilities, one for each state.
+
+With weights l_t(x) = p(z_t | x), of the measurements of step t, the forward messages are
+
+    α_0 = p(x_0) l_0,    α_t(x) = l_t(x) Σ_x' p(x | x') α_{t−1}(x'),
+
+normalised at each step, and the backward ones, which `sweep.backward` carries from the last step,
+
+    β_T = 1,    β_{t−1}(x') ∝ Σ_x p(x | x') l_t(x) β_t(x),
+
+so that p(x_t | all measurements) ∝ α_t β_t. Nothing is divided by a predicted probability. In
+another semiring the numbers are logarithms, or the sums are maxima.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NoReturn, Protocol
+
+import numpy as np
+
+from pgm.inference import sweep
+from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
+
+# Beliefs above this, times factors whose product is, are numbers with all their digits.
+TINY = 1e-150
+# How many entries are looked at in one go.
+_CHUNK = 2**20
+
+
+class Slices(Protocol):
+    """A chain of slices of finitely many states: a hidden Markov model, or a grid.
+
+    Beliefs and messages are (*states, *runs), the states of a slice on one axis or on several, the
+    runs flattened to one axis, or none of one run.
+
+    Attributes
+    ----------
+    steps : int
+        T.
+    lead : tuple of int
+        The user's axes of runs.
+    """
+
+    steps: int
+    lead: tuple[int, ...]
+
+    def prior(self) -> Array:
+        """The probabilities at step 0."""
+        ...
+
+    def forward(self, step: int, belief: Array) -> Array:
+        """The belief over the slice of a step, 1 or later, from that of the step before."""
+        ...
+
+    def backward(self, step: int, message: Array) -> Array:
+        """The transpose of `forward`: a message to the slice before a step, from one to its own."""
+        ...
+
+    def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
+        """The weights of a step's measurements and their log-scale; no weights, if there are none.
+
+        The density of the measurements is the weights times the exponential of the scale.
+        """
+        ...
+
+    def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
+        """Raise the error of measurements that are impossible given a predicted belief."""
+        ...
+
+
+class StateChain:
+    """The family of one chain, and its record.
+
+    Parameters
+    ----------
+    slices : Slices
+    semiring : Semiring
+        Of its numbers.
+    dtype : numpy type
+        Of the beliefs that are kept, float64 or float32.
+
+    Attributes
+    ----------
+    known : list of ndarray
+        The filtered beliefs by step, (*states, *runs), each of sum one.
+    log_density : list of ndarray or float
+        ln p(z_t | z_0..t−1) by step, (runs,) or a number.
+    """
+
+    def __init__(
+        self, slices: Slices, semiring: Semiring = SUM_PRODUCT, dtype: Any = np.float64
+    ) -> None:
+        self.slices, self.semiring, self.dtype = slices, semiring, dtype
+        self.batch = 1 if slices.lead else 0
+        self.known: list[Array] = []
+        self.log_density: list[Array | float] = []
+        self._room: Array | None = None
+
+    def run(self) -> StateChain:
+        """The same, its forward sweep done."""
+        sweep.forward(self, self.slices.steps, self)
+        return self
+
+    def start(self) -> Array:
+        """The prior."""
+        return self.slices.prior()
+
+    def predict(self, step: int, belief: Array) -> Array:
+        """The belief over the slice of a step, from that of the step before."""
+        return self.slices.forward(step, belief)
+
+    def take(self, step: int, belief: Array) -> tuple[Array, Array | float]:
+        """The belief given the measurements of its step, and the logarithm of their density."""
+        weights, log_scale = self.slices.likelihood(step)
+        joint = belief if weights is None else self.semiring.times(belief, weights)
+        totals = self.total(joint)
+        possible = totals > self.semiring.zero
+        if not (possible.all() if self.batch else possible):
+            self.slices.refuse(step, belief, int(np.argmin(possible)))
+        known: Array = self.semiring.over(joint, totals)
+        return known, self.semiring.logs(totals) + log_scale
+
+    def total(self, values: Array) -> Array:
+        """The sum over the states, (*runs)."""
+        return self.semiring.total(values, tuple(range(values.ndim - self.batch)), None)
+
+    def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
+        """Keep the belief of a step."""
+        if not step:
+            self.known.append(known.astype(self.dtype))
+        else:
+            if self._room is None:
+                self._room = np.empty((self.slices.steps, *known.shape), self.dtype)
+            self._room[step - 1] = known
+            self.known.append(self._room[step - 1])
+        self.log_density.append(log_density)
+
+    @property
+    def smallest(self) -> float:
+        """The smallest positive number of the beliefs that are kept."""
+        least = np.inf
+        for part in (self.known[0], self._room):
+            if part is None:
+                continue
+            flat = part.reshape(-1)
+            for at in range(0, flat.size, _CHUNK):
+                piece = flat[at : at + _CHUNK]
+                low = piece.min()
+                if low == 0.0:
+                    low = piece.min(where=piece > 0.0, initial=np.inf)
+                least = min(least, float(low))
+        return least
+
+    def unit(self) -> Array:
+        """The backward message to the last slice, of which nothing is later."""
+        return np.full(self.known[-1].shape, self.semiring.one)
+
+    def message(self, step: int, message: Array) -> Array:
+        """The message to the slice of a step from all later measurements, of sum one."""
+        found = self._passed(step, message)
+        return self._scaled(found)
+
+    def _scaled(self, message: Array) -> Array:
+        scaled: Array = self.semiring.over(message, self.total(message))
+        return scaled
+
+    def _passed(self, step: int, message: Array) -> Array:
+        """The message to the slice of a step, from that to the next one and its measurements."""
+        weights, _ = self.slices.likelihood(step + 1)
+        if weights is not None:
+            message = self.semiring.times(message, weights)
+        return self.slices.backward(step + 1, message)
+
+    def back(self, step: int, message: Array) -> Array:
+        """The same, but zero where the filtered belief is, and of sum one elsewhere.
+
+        So scaled it loses but states whose probability given all is too small for a number, however
+        much likelier what comes later would be after an impossible state.
+        """
+        found, zero = self._passed(step, message), self.semiring.zero
+        return self._scaled(np.where(self.known[step] > zero, found, zero))
+
+    def posterior(self, step: int, message: Array) -> Array:
+        """The probabilities of the states at a step, given what its own and a message know."""
+        joint = self.semiring.times(self.known[step], message)
+        return self.numbers(self.semiring.over(joint, self.total(joint)))
+
+    def numbers(self, entries: Array) -> Array:
+        """The probabilities that entries of the semiring are."""
+        if self.semiring.linear:
+            return entries
+        with np.errstate(under="ignore"):
+            values: Array = np.exp(entries)
+        return values
+
+    def smoothed(self) -> Iterator[tuple[int, Array]]:
+        """The steps from T to 0, and the belief of each given all measurements."""
+        for step, message in sweep.backward(self, self.slices.steps, self.unit()):
+            yield step, self.posterior(step, message)
+
+    def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
+        """The steps from 0 to T, and the belief of each given the measurements a lag later."""
+        for step in range(self.slices.steps + 1):
+            message = np.full(self.known[step].shape, self.semiring.one)
+            last = min(step + lag, self.slices.steps)
+            if last > step:
+                message = np.full(self.known[last].shape, self.semiring.one)
+                for before in range(last - 1, step - 1, -1):
+                    message = self.back(before, message)
+            yield step, self.posterior(step, message)
+
+
+def log_evidence(log_density: Sequence[Array | float], lead: tuple[int, ...]) -> Array:
+    """The sum of the log-densities of steps, with the user's axes of runs."""
+    return np.asarray(np.sum(np.array(log_density), axis=0)).reshape(lead)

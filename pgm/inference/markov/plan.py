@@ -1,0 +1,326 @@
+"""The slices of a discrete dynamic network with evidence: tables at their rows, by step."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any, NoReturn, cast
+
+import numpy as np
+
+from pgm.compile import SliceLayout
+from pgm.cpds import TableCPD
+from pgm.errors import EvidenceError
+from pgm.evidence import BoundEvidence
+from pgm.factors.axes import discrete, sizes
+from pgm.factors.runs import in_run
+from pgm.inference.markov.contraction import Contraction, Factor, Label, Move
+from pgm.inference.markov.weights import Weights
+from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
+from pgm.kernels.stochastic import Dense
+from pgm.variables import Discrete, Variable
+
+ADVICE = (
+    "Leave it out; or, if it can happen, replace the zeros that forbid it in the CPDs' tables by "
+    "small probabilities"
+)
+
+
+class SlicePlan:
+    """The variables of a slice and of the one before, and the orders in which tables are summed.
+
+    Found once for a model, whatever the evidence.
+
+    Attributes
+    ----------
+    slice : tuple of Discrete
+        The hidden variables of a step, states and controls: the axes of a belief. Controls have
+        length one at step 0.
+    """
+
+    def __init__(self, layout: SliceLayout) -> None:
+        self.layout, self.model = layout, layout.model
+        self.slice, self.states = discrete(layout.slice), discrete(layout.states)
+        now: dict[Variable, Label] = {v: k for k, v in enumerate(self.slice)}
+        before: dict[Variable, Label] = {
+            v.previous: len(now) + k for k, v in enumerate(self.states)
+        }
+        self.labels = now | before
+        self.sizes = dict(
+            zip(self.labels.values(), sizes(discrete(tuple(self.labels))), strict=True)
+        )
+        self.shape = sizes(self.slice)
+        self.first_shape = tuple(v.size if v in self.states else 1 for v in self.slice)
+
+    def hidden(self, cpd: Any) -> tuple[Label, ...]:
+        """The places of the parents that no evidence gives, and of the child if it is hidden."""
+        return tuple(self.labels[v] for v in (*cpd.given, cpd.child) if v in self.labels)
+
+    @cached_property
+    def _tables(self) -> list[tuple[Label, ...]]:
+        return [self.hidden(cpd) for cpd in self.model.transition]
+
+    @cached_property
+    def _maps(self) -> list[bool]:
+        return [len(labels) == 2 for labels in self._tables]
+
+    @cached_property
+    def onward(self) -> Contraction:
+        """From the states of the step before to the slice."""
+        return Contraction.of(
+            self._before, range(len(self.slice)), self._tables, self.sizes, self._maps
+        )
+
+    @cached_property
+    def back(self) -> Contraction:
+        """From the slice to the states of the step before."""
+        now = range(len(self.slice))
+        return Contraction.of(now, self._before, self._tables, self.sizes, self._maps, back=True)
+
+    @cached_property
+    def pairs(self) -> Contraction:
+        """From the states of the step before to both: a joint of neighbours."""
+        both = (*self._before, *range(len(self.slice)))
+        return Contraction.of(
+            self._before, both, self._tables, self.sizes, [False] * len(self._tables)
+        )
+
+    @cached_property
+    def _before(self) -> tuple[Label, ...]:
+        return tuple(self.labels[v.previous] for v in self.states)
+
+    @cached_property
+    def prior(self) -> Contraction:
+        """From nothing to the states at step 0."""
+        tables = [self.hidden(cpd) for cpd in self.model.prior]
+        states = [self.labels[v] for v in self.states]
+        return Contraction.of((), states, tables, self.sizes, [False] * len(tables))
+
+    @cached_property
+    def controls(self) -> tuple[int, ...]:
+        """The axes of a belief that are not carried on."""
+        return tuple(k for k, v in enumerate(self.slice) if v not in self.states)
+
+
+class RowTables:
+    """A CPD of the transition at its rows: its table or its map for the inputs of each."""
+
+    def __init__(self, plan: SlicePlan, cpd: TableCPD, inputs: Mapping[Variable, Any]) -> None:
+        self.cpd, self.inputs = cpd, inputs
+        self.labels = plan.hidden(cpd)
+        self.observed = tuple(v for v in cpd.given if v not in plan.labels)
+        self.index: dict[tuple[int, ...], Any] = {}
+        self.by_run = any(len(rows) and rows.shape[1] > 1 for rows in inputs.values())
+
+    def factor(self, row: int, semiring: Semiring, *, as_map: bool) -> Factor:
+        """The table of a row in a semiring, or its map."""
+        if self.cpd.function is not None:
+            return self._called(row, semiring, as_map)
+        if not self.by_run:
+            key = tuple(int(self.inputs[v][row, 0, 0]) for v in self.observed)
+            found: Factor = self._factor(key, semiring, as_map)
+            return found
+        states = np.stack(np.broadcast_arrays(*(self.inputs[v][row, :, 0] for v in self.observed)))
+        return self._joined(states, semiring, as_map)
+
+    def _joined(self, states: Any, semiring: Semiring, as_map: bool) -> Factor:
+        """Of runs whose inputs differ."""
+        keys, which = np.unique(states, axis=1, return_inverse=True)
+        parts: list[Any] = [self._factor(tuple(map(int, key)), semiring, as_map) for key in keys.T]
+        which = which.ravel()
+        if not as_map:
+            whole: Array = np.stack(parts, axis=-1)[..., which]
+            return whole
+        return Move(
+            tuple((part.maps[0][0], np.flatnonzero(which == k)) for k, part in enumerate(parts))
+        )
+
+    def _factor(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Any:
+        """The table for states of the observed parents, kept for the next row."""
+        name = (*key, semiring.linear, as_map)
+        found = self.index.get(name)
+        if found is None:
+            found = self.index[name] = self._made(key, semiring, as_map)
+        return found
+
+    def _made(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Factor:
+        if as_map and self.cpd._maps:
+            return Move(((self.cpd._maps[key[0] if key else None], None),))
+        table = self._selected(self.cpd.table, key)
+        return Move(((Dense(table), None),)) if as_map else semiring.entries(table)
+
+    def _selected(self, table: Array, key: tuple[int, ...]) -> Array:
+        """A table with the states of the observed parents put in."""
+        states = dict(zip(self.observed, key, strict=True))
+        found: Array = table[tuple(states.get(v, slice(None)) for v in self.cpd.given)]
+        return found
+
+    def _called(self, row: int, semiring: Semiring, as_map: bool) -> Factor:
+        """The table that the function of inputs returns."""
+        values = {}
+        for v in self.cpd.inputs:
+            rows = self.inputs[v][row]
+            values[v] = rows[:, 0] if isinstance(v, Discrete) else rows
+        runs = max(len(rows) for rows in values.values())
+        values = {v: np.broadcast_to(a, (runs, *a.shape[1:])) for v, a in values.items()}
+        if runs == 1:
+            tables = self.cpd.at_inputs({v: a[0] for v, a in values.items()})[None]
+        else:
+            tables = self.cpd.at_inputs(values, (runs,))
+        keys = [
+            tuple(int(self.inputs[v][row, r % len(self.inputs[v][row]), 0]) for v in self.observed)
+            for r in range(self._runs(row, runs))
+        ]
+        found = [self._selected(tables[r if runs > 1 else 0], key) for r, key in enumerate(keys)]
+        if as_map:
+            if len(found) == 1:
+                return Move(((Dense(found[0]), None),))
+            return Move(tuple((Dense(t), np.array([r])) for r, t in enumerate(found)))
+        whole = found[0] if len(found) == 1 else np.stack(found, axis=-1)
+        return semiring.entries(whole)
+
+    def _runs(self, row: int, runs: int) -> int:
+        return max([runs, *(len(self.inputs[v][row]) for v in self.observed)])
+
+    @property
+    def smallest(self) -> float:
+        """The smallest positive entry of any of its tables; 0 where that is not known before."""
+        if self.cpd.function is not None:
+            return 0.0
+        if self.cpd._maps:
+            return min(each.smallest for each in self.cpd._maps.values())
+        return float(self.cpd.table.min(where=self.cpd.table > 0.0, initial=1.0))
+
+
+class TableSlices:
+    """The slices of a discrete dynamic network: `Slices` whose numbers are tables.
+
+    Parameters
+    ----------
+    plan : SlicePlan
+    bound : BoundEvidence
+    first : int
+        The step of row 0 of the transition; 1, of recorded evidence.
+
+    Attributes
+    ----------
+    semiring : Semiring
+        Of the numbers: `SUM_PRODUCT`, unless made by `within`.
+    """
+
+    def __init__(self, plan: SlicePlan, bound: BoundEvidence, first: int = 1) -> None:
+        self.plan, self.bound, self.first = plan, bound, first
+        self.semiring = SUM_PRODUCT
+        self.steps, self.lead = bound.steps, bound.lead
+        self.rows = [
+            RowTables(plan, cast(TableCPD, cpd), inputs)
+            for cpd, inputs in zip(plan.model.transition, bound.transition, strict=False)
+        ]
+        self.weights = [
+            Weights(plan, reading, bound.runs, bool(bound.lead)) for reading in bound.readings
+        ]
+
+    def within(self, semiring: Semiring) -> TableSlices:
+        """The same slices, with the numbers of another semiring."""
+        other = copy.copy(self)
+        other.semiring = semiring
+        other.__dict__.pop("_fixed", None)
+        return other
+
+    @cached_property
+    def smallest(self) -> float:
+        """The smallest positive factor of a step: of its transition times its measurements."""
+        return math.prod(row.smallest for row in self.rows) * math.prod(
+            weights.smallest for weights in self.weights
+        )
+
+    def prior(self) -> Array:
+        """The probabilities at step 0."""
+        semiring = self.semiring
+        tables = [semiring.entries(cast(TableCPD, cpd).table) for cpd in self.plan.model.prior]
+        found = self.plan.prior.apply(np.full((), semiring.one), tables, semiring)
+        found = found.reshape(self.plan.first_shape)
+        return np.repeat(found[..., None], self.bound.runs, axis=-1) if self.lead else found
+
+    def forward(self, step: int, belief: Array) -> Array:
+        """The belief over the slice of a step, from that of the step before.
+
+        Axes between those of the slice and that of the runs are kept.
+        """
+        if self.plan.controls:
+            belief = self.semiring.total(belief, self.plan.controls, None)
+        return self.plan.onward.apply(belief, self.factors(step, "onward"), self.semiring)
+
+    def backward(self, step: int, message: Array) -> Array:
+        """The transpose of `forward`."""
+        if self.plan.controls:
+            rest = message.shape[len(self.plan.shape) :]
+            message = np.broadcast_to(message, (*self.plan.shape, *rest))
+        found = self.plan.back.apply(message, self.factors(step, "back"), self.semiring)
+        return np.expand_dims(found, self.plan.controls) if self.plan.controls else found
+
+    def factors(self, step: int, way: str) -> Sequence[Factor]:
+        """The tables of the transition into a step, as a contraction of the plan takes them."""
+        fixed = self._fixed.get(way)
+        if fixed is not None:
+            return fixed
+        plan: Contraction = getattr(self.plan, way)
+        along, row = plan.along, step - self.first
+        found = [r.factor(row, self.semiring, as_map=k in along) for k, r in enumerate(self.rows)]
+        if not any(rows.inputs for rows in self.rows):
+            self._fixed[way] = found
+        return found
+
+    @cached_property
+    def _fixed(self) -> dict[str, list[Factor]]:
+        """The tables by contraction, where they are the same at all steps."""
+        return {}
+
+    def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
+        """The weights of a step's measurements, and their log-scale."""
+        found: Array | None = None
+        log_scale: Array | float = 0.0
+        for own in self._weights_at(step):
+            if found is None:
+                found = own
+                continue
+            found = self.semiring.times(found, own)
+            if self.semiring.linear:
+                # So that the product of many small numbers stays above zero.
+                top = found.max(axis=tuple(range(len(self.plan.shape))))
+                top = np.where(top > 0.0, top, 1.0)
+                found, log_scale = found / top, log_scale + np.log(top)
+        return found, log_scale
+
+    def _weights_at(self, step: int) -> Iterator[Array]:
+        for weights in self.weights:
+            for row in weights.at(step):
+                own = weights.row(row, self.semiring)
+                if own is not None:
+                    yield own
+
+    def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
+        """Raise the error of measurements that are impossible given a predicted belief."""
+        left, culprit = belief, None
+        for weights in self.weights:
+            for row in weights.at(step):
+                own = weights.row(row, self.semiring)
+                if own is None or culprit is not None:
+                    continue
+                left = self.semiring.times(left, own)
+                if (left[..., run] if self.lead else left).max() == self.semiring.zero:
+                    culprit = weights.cpd
+        where = ""
+        if self.lead:
+            where = in_run((np.arange(self.bound.runs) == run).reshape(self.lead))
+        variable = None if culprit is None else culprit.child
+        raise EvidenceError(
+            f"the measurement of {variable!r} at step {step} has probability zero given those "
+            f"before it{where}. {ADVICE}",
+            variable=variable,
+            cpd=culprit,
+            step=step,
+        )

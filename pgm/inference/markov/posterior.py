@@ -1,0 +1,295 @@
+"""The results of inference on a chain of tables: beliefs over time, joints, messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pgm.clustergraph import Cluster
+from pgm.compile import DynamicGraph
+from pgm.errors import EvidenceError, GraphError
+from pgm.factors import Table
+from pgm.factors.axes import discrete, sizes
+from pgm.factors.scope import as_scope
+from pgm.inference.chain.marginals import located
+from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
+from pgm.inference.limits import require_runs
+from pgm.inference.markov.chain import StateChain, log_evidence
+from pgm.inference.markov.joints import joint, pair
+from pgm.inference.markov.plan import SlicePlan, TableSlices
+from pgm.inference.posterior import Posterior
+from pgm.inference.status import Status
+from pgm.kernels.arrays import Array, frozen
+from pgm.variables import Variable
+
+# Beliefs over the slice by step, (*states, *runs).
+Beliefs = Sequence[Array]
+
+
+@dataclass(frozen=True, eq=False)
+class StateMarginals:
+    """The marginals of the hidden variables of a discrete chain over all steps, by variable.
+
+    Attributes
+    ----------
+    kind : Kind
+        Which measurements they know.
+    """
+
+    plan: SlicePlan
+    beliefs: Beliefs
+    lead: tuple[int, ...]
+    kind: Kind
+
+    def __getitem__(self, variable: Variable) -> Table:
+        """The marginal of ``x`` at all its steps, stacked; of ``x.at(3)`` at one, (*runs, size).
+
+        Raises
+        ------
+        EvidenceError
+            If the variable is not hidden, or has no such step.
+        """
+        template, first = located(self.plan.layout, variable, len(self.beliefs) - 1)
+        if variable.step is not None:
+            values = self._summed(self.beliefs[variable.step], template)
+            shape = (*self.lead, *values.shape[:1])
+            return Table._plain(discrete((variable,)), frozen(values.T.reshape(shape).copy()))
+        rows = np.stack([self._summed(belief, template) for belief in self.beliefs[first:]])
+        rows = np.moveaxis(rows, -1, 0) if self.lead else rows  # (runs, steps, size)
+        shape = (*self.lead, len(self.beliefs) - first, rows.shape[-1])
+        return Table._plain(discrete((template,)), frozen(rows.reshape(shape)))
+
+    def _summed(self, belief: Array, variable: Variable) -> Array:
+        """The belief over one variable, (size, *runs)."""
+        if len(self.plan.slice) == 1:
+            return belief
+        own = self.plan.labels[variable]
+        found: Array = belief.sum(axis=tuple(k for k in range(len(self.plan.slice)) if k != own))
+        return found
+
+    def __repr__(self) -> str:
+        runs = f", runs {self.lead}" if self.lead else ""
+        return f"Marginals({self.kind}, steps 0..{len(self.beliefs) - 1}{runs})"
+
+
+@dataclass(frozen=True, eq=False)
+class StatePosterior(Posterior):
+    """The beliefs of a chain of tables after a schedule of messages.
+
+    ``posterior[x]`` is a stacked `Table` whose last leading axis is of steps: states at 0..T,
+    hidden controls at 1..T; ``posterior[x.at(3)]`` is that of one step. Leading axes are runs.
+
+    Attributes
+    ----------
+    graph : DynamicGraph
+    status : Status
+        Tables need no iterations.
+    kind : Kind
+        Which measurements the beliefs know: filtered, fixed-lag or smoothed.
+    """
+
+    graph: DynamicGraph
+    status: Status
+    kind: Kind
+    _plan: SlicePlan
+    _chain: StateChain
+
+    @property
+    def _slices(self) -> TableSlices:
+        found: Any = self._chain.slices
+        return found  # type: ignore[no-any-return]
+
+    @property
+    def _lead(self) -> tuple[int, ...]:
+        return self._chain.slices.lead
+
+    def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
+        """The marginal of a hidden variable at all its steps or at one; EvidenceError of others."""
+        return self._marginals(self._beliefs, self.kind)[variable]
+
+    def _marginals(self, beliefs: Beliefs, kind: Kind) -> StateMarginals:
+        return StateMarginals(self._plan, beliefs, self._lead, kind)
+
+    @cached_property
+    def _beliefs(self) -> Beliefs:
+        if self.kind == FILTERED:
+            return self._filtered
+        chain = self._chain
+        if self.kind == SMOOTHED:
+            return [belief for _, belief in chain.smoothed()][::-1]
+        return [belief for _, belief in chain.lagged(int(self.kind.lag))]
+
+    @cached_property
+    def _filtered(self) -> Beliefs:
+        chain = self._chain
+        return chain.known if chain.semiring.linear else [*map(chain.numbers, chain.known)]
+
+    @property
+    def filtered(self) -> StateMarginals:
+        """Marginals given the measurements up to each step."""
+        return self._marginals(self._filtered, FILTERED)
+
+    @cached_property
+    def predicted(self) -> StateMarginals:
+        """Marginals given the measurements before each step."""
+        chain = self._chain
+        found = [chain.start()]
+        found += [chain.predict(k + 1, belief) for k, belief in enumerate(chain.known[:-1])]
+        return self._marginals([*map(chain.numbers, found)], PREDICTED)
+
+    @cached_property
+    def log_evidence(self) -> Array:
+        """The value ln p(measurements), (...)."""
+        return frozen(log_evidence(self._chain.log_density, self._lead))
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """The kind of `log_evidence`: exact."""
+        return "exact"
+
+    def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
+        """The joint of hidden variables at any steps, given the measurements that the latest knows.
+
+        Parameters
+        ----------
+        *variables : Discrete
+            Concrete ones, ``x.at(3)``, in the order of the result.
+
+        Returns
+        -------
+        Table
+            Probabilities (*runs, size of each variable...).
+
+        Raises
+        ------
+        EvidenceError, ModelError
+            If one is not hidden, has no such step or stands twice, or none is given.
+        GraphError
+            If the table, or one on the way, would not fit.
+        """
+        if not variables:
+            raise EvidenceError("joint takes variables at steps, like x.at(3), x.at(4)")
+        scope = discrete(as_scope(variables))
+        for variable in scope:
+            if variable.step is None:
+                raise EvidenceError(
+                    f"a joint is of variables at steps; write {variable.name}.at(3)",
+                    variable=variable,
+                )
+            located(self.graph.layout, variable, self.graph.steps)
+        entries = int(np.prod([float(size) for size in (*sizes(scope), *self._plan.shape)]))
+        require_runs(entries, self._slices.bound.runs, f"the joint of {len(scope)} variables")
+        values = joint(self._chain, self._plan, scope, self.kind)
+        return Table._plain(scope, frozen(self._over_runs(values, len(scope))))
+
+    def _over_runs(self, values: Array, axes: int) -> Array:
+        """Values (sizes..., [runs]) with the user's axes of runs first."""
+        if not self._lead:
+            return values
+        return np.moveaxis(values, -1, 0).reshape(*self._lead, *values.shape[:axes])
+
+    def message(self, source: int | Cluster, target: int | Cluster) -> Table:
+        """The message from one cluster to a neighbour, over their sepset, unnormalised.
+
+        Parameters
+        ----------
+        source, target : int or Cluster
+
+        Returns
+        -------
+        Table
+            Its log-scale carries the evidence that went into it.
+
+        Raises
+        ------
+        GraphError
+            If the clusters are not joined, or the message was not sent: backward messages are
+            those of smoothing alone.
+        """
+        source, target = self.graph.index(source), self.graph.index(target)
+        scope = discrete(self.graph.sepsets[source, target])
+        step = min(source, target)
+        runs = self._slices.bound.runs
+        if source < target:
+            values = self._states(self._filtered[step])
+            weight = self._weight(step)
+            return self._table(scope, values, weight)
+        if self.kind != SMOOTHED:
+            raise GraphError(
+                f"the message from cluster {source} to {target} was not sent, since the posterior "
+                f"is {self.kind}: smoothing sends it; use pgm.smooth, or schedule=pgm.Smoothing()",
+                cluster=source,
+            )
+        message = self._message_back(step)
+        chain = self._chain
+        # Its product with the forward message sums to the evidence.
+        found = chain.total(chain.semiring.times(chain.known[step], message))
+        rest = self._weight(self.graph.steps) - self._weight(step) - chain.semiring.logs(found)
+        top = message.max(axis=tuple(range(message.ndim - chain.batch)))
+        message = chain.numbers(chain.semiring.over(message, top))
+        rest = np.broadcast_to(rest + chain.semiring.logs(top), runs)
+        return self._table(scope, self._states(message, total=False), rest)
+
+    def _message_back(self, step: int) -> Array:
+        """The message to the slice of a step from all measurements that its belief knows."""
+        chain = self._chain
+        last = self.kind.last(step, self.graph.steps)
+        message = np.full(chain.known[last].shape, chain.semiring.one)
+        for before in range(last - 1, step - 1, -1):
+            message = chain.message(before, message)
+        return message
+
+    def _states(self, values: Array, *, total: bool = True) -> Array:
+        """Values over the states alone, summed over the controls."""
+        axes = self._plan.controls
+        if not axes:
+            return values
+        found: Array = values.sum(axis=axes) if total else values.squeeze(axes)
+        return found
+
+    def _weight(self, step: int) -> Array:
+        """The log-evidence of the measurements up to a step, (runs,)."""
+        parts = np.array(self._chain.log_density[: step + 1])
+        return np.asarray(parts.sum(axis=0)).reshape(-1)
+
+    def belief(self, cluster: int | Cluster) -> Table:
+        """The belief of a cluster over its hidden variables, unnormalised.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        Table
+            Its sum is the evidence that its messages know: all of it after smoothing.
+
+        Raises
+        ------
+        GraphError
+            If there is no such cluster, or its table would not fit.
+        """
+        step, plan = self.graph.index(cluster), self._plan
+        weight = self._weight(self.kind.last(step, self.graph.steps))
+        message = self._message_back(step)
+        if not step:
+            values = self._states(self._chain.posterior(0, message))
+            scope = discrete(tuple(v.at(0) for v in plan.states))
+            return self._table(scope, values, weight)
+        entries = int(np.prod([float(size) for size in (*sizes(plan.states), *plan.shape)]))
+        require_runs(entries, self._slices.bound.runs, f"the belief of cluster {step}")
+        values = pair(self._chain, plan, step, message)
+        scope = discrete(tuple(v.at(step) for v in self.graph.layout.pair))
+        return self._table(scope, values, weight)
+
+    def _table(self, scope: Any, values: Array, weight: Array) -> Table:
+        scale = weight.reshape(self._lead) if self._lead else weight.reshape(())
+        return Table._make(scope, self._over_runs(values, len(scope)), scale)
+
+    def __repr__(self) -> str:
+        runs = f", runs {self._lead}" if self._lead else ""
+        return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"

@@ -1,0 +1,70 @@
+"""Running a schedule on a chain of tables."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pgm.compile import BalancedGraph, DynamicGraph
+from pgm.errors import GraphError, ModelError
+from pgm.evidence import BoundEvidence
+from pgm.inference.kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.markov.chain import TINY, StateChain
+from pgm.inference.markov.plan import SlicePlan, TableSlices
+from pgm.inference.markov.posterior import StatePosterior
+from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule
+from pgm.inference.status import Status
+from pgm.kernels.semirings import LOG_SUM_PRODUCT
+from pgm.sizes import require_memory
+
+
+def run(graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None) -> StatePosterior:
+    """Send the messages of a filter, a fixed-lag smoother or a smoother."""
+    kind = kind_of(schedule)
+    if isinstance(graph, BalancedGraph):
+        raise GraphError(
+            f"{graph!r} is of tables, which go along a chain of slices: compile without "
+            "pgm.Balanced()"
+        )
+    plan = SlicePlan(graph.layout)
+    require_beliefs(plan, bound, 1 if kind == FILTERED else 2)
+    chain = solved(TableSlices(plan, bound))
+    status = Status.of([], np.ones(bound.runs, dtype=bool), bound.lead)
+    return StatePosterior(graph, status, kind, plan, chain)
+
+
+def kind_of(schedule: Schedule | None) -> Kind:
+    """Which measurements the beliefs of a schedule know."""
+    if schedule is None or isinstance(schedule, Calibration):
+        return SMOOTHED
+    if isinstance(schedule, Filtering):
+        return FILTERED
+    if isinstance(schedule, FixedLag):
+        return Kind(schedule.lag)
+    raise ModelError(
+        f"a chain of slices takes pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
+        f"{schedule!r}"
+    )
+
+
+def solved(slices: TableSlices) -> StateChain:
+    """The forward sweep, with logarithms where plain numbers may have lost a state."""
+    if slices.smallest >= TINY:
+        chain = StateChain(slices)
+        with np.errstate(under="ignore"):
+            chain.run()
+        if chain.smallest >= TINY:
+            return chain
+    return StateChain(slices.within(LOG_SUM_PRODUCT), LOG_SUM_PRODUCT).run()
+
+
+def require_beliefs(plan: SlicePlan, bound: BoundEvidence, sets: int) -> None:
+    """Refuse beliefs that would not fit."""
+    size = math.prod(plan.shape)
+    require_memory(
+        sets * (bound.steps + 1) * bound.runs * size,
+        f"the beliefs over {size} states at {bound.steps + 1} steps in {bound.runs} runs",
+        "give fewer runs or steps to a call",
+        error=GraphError,
+    )

@@ -1,0 +1,143 @@
+"""Weights of the states by the measurements of a discrete sensor: p(z | x)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pgm.errors import EvidenceError
+from pgm.evidence import Reading
+from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring
+from pgm.variables import Discrete
+
+if TYPE_CHECKING:
+    from pgm.inference.markov.plan import SlicePlan
+
+
+class Weights:
+    """The measurements of one sensor, as weights on the axes of a belief.
+
+    Parameters
+    ----------
+    plan : SlicePlan
+    reading : Reading
+    runs : int
+    batch : bool
+        Whether beliefs have an axis of runs.
+    """
+
+    def __init__(self, plan: SlicePlan, reading: Reading, runs: int, batch: bool) -> None:
+        self.reading, self.runs, self.batch = reading, runs, batch
+        self.cpd: Any = reading.cpd
+        self.observed = tuple(v for v in self.cpd.given if v not in plan.labels)
+        hidden = [v for v in self.cpd.given if v in plan.labels]
+        self.order = [v for v in plan.slice if v in hidden]
+        self.shape = tuple(v.size if v in hidden else 1 for v in plan.slice)
+        late = [v for v in hidden if v not in plan.states]
+        if late and reading.step.size and reading.step[0] == 0:
+            raise EvidenceError(
+                f"a measurement of {self.cpd.child!r} at step 0, but its parent {late[0]!r} is a "
+                "control, which there is from step 1 on",
+                variable=self.cpd.child,
+                cpd=self.cpd,
+                step=0,
+            )
+        self.soft = reading.values.dtype.kind == "f"
+        self.complete = bool(reading.taken.all())
+        self.starts = np.searchsorted(reading.step, np.arange(_last(reading) + 2)).tolist()
+
+    def at(self, step: int) -> range:
+        """The rows of the measurements of a step."""
+        if step + 1 >= len(self.starts):
+            return range(0)
+        return range(self.starts[step], self.starts[step + 1])
+
+    @cached_property
+    def _columns(self) -> Array:
+        """The table, (observed parents..., child, *slice): a measurement selects its weights."""
+        return self._laid(self.cpd.table, 0)
+
+    @cached_property
+    def _log_columns(self) -> Array:
+        with np.errstate(divide="ignore"):
+            logs: Array = np.log(self._columns)
+        return logs
+
+    def _laid(self, table: Array, lead: int) -> Array:
+        """A table (lead..., parents..., child) as (lead..., observed..., child, *slice)."""
+        axes = (*self.cpd.given, self.cpd.child)
+        order = [lead + axes.index(v) for v in (*self.observed, self.cpd.child, *self.order)]
+        turned = np.ascontiguousarray(table.transpose(*range(lead), *order))
+        return turned.reshape(*turned.shape[: turned.ndim - len(self.order)], *self.shape)
+
+    def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
+        """The weights of a measurement, (*slice, [runs]); None where it is missing."""
+        values, taken = self.reading.values[row], self.reading.taken[row]
+        if self.cpd.function is None:
+            columns = self._columns if semiring.linear or self.soft else self._log_columns
+            places = [self.reading.inputs[v][row, :, 0] for v in self.observed]
+        else:
+            columns, places = self._called(row)
+            columns = columns if semiring.linear or self.soft else semiring.entries(columns)
+        if self.soft:
+            found = self._softened(columns, places, values)
+            return found if semiring.linear else semiring.entries(found)
+        states = values[:, 0]
+        if self.runs == 1 or (len(states) == 1 and all(len(p) == 1 for p in places)):
+            if not (self.complete or taken[0, 0]):
+                return None
+            single: Array = columns[(*(p[0] for p in places), states[0])]
+            return self._over_runs(single)
+        found = columns[(*places, states)]  # (runs, *slice)
+        if not self.complete:
+            shape = (-1, *(1,) * len(self.shape))
+            found = np.where(taken[:, 0].reshape(shape), found, semiring.one)
+        return np.moveaxis(found, 0, -1)
+
+    def _softened(self, columns: Array, places: Any, values: Array) -> Array:
+        """Of soft evidence: the weights of the sensor's states, summed over."""
+        runs = max([len(values), *(len(p) for p in places)])
+        own = columns[tuple(places)] if places else columns[None]
+        own = np.broadcast_to(own, (runs, *own.shape[1:]))
+        values = np.broadcast_to(values, (runs, values.shape[1]))
+        found = np.einsum("rk,rk...->r...", values, own)
+        return self._over_runs(found[0]) if runs == 1 else np.moveaxis(found, 0, -1)
+
+    def _over_runs(self, single: Array) -> Array:
+        """Weights that are those of all runs."""
+        return single[..., None] if self.batch else single
+
+    def _called(self, row: int) -> tuple[Array, list[Any]]:
+        """The columns that the function of inputs gives, and where each run's are."""
+        values = {}
+        for v in self.cpd.inputs:
+            rows = self.reading.inputs[v][row]
+            values[v] = rows[:, 0] if isinstance(v, Discrete) else rows
+        runs = max(len(rows) for rows in values.values())
+        values = {v: np.broadcast_to(a, (runs, *a.shape[1:])) for v, a in values.items()}
+        if runs == 1:  # a single value, as the function of one robot takes it
+            tables = self.cpd.at_inputs({v: a[0] for v, a in values.items()})[None]
+        else:
+            tables = self.cpd.at_inputs(values, (runs,))
+        places = [self.reading.inputs[v][row, :, 0] for v in self.observed]
+        return self._laid(tables, 1), [np.arange(runs), *places]
+
+    @property
+    def smallest(self) -> float:
+        """The smallest positive weight of a step's measurements; 0 where it is not known before."""
+        if self.cpd.function is not None:
+            return 0.0
+        least = float(self._columns.min(where=self._columns > 0.0, initial=1.0))
+        if self.soft:
+            values = self.reading.values
+            least *= float(values.min(where=values > 0.0, initial=1.0))
+        counts = np.diff(self.starts)
+        return float(least ** max(counts.max(initial=0), 0))
+
+
+def _last(reading: Reading) -> int:
+    """The last step at which there is a measurement, −1 if there is none."""
+    return int(reading.step[-1]) if reading.step.size else -1

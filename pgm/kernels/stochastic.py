@@ -1,0 +1,335 @@
+"""Linear maps of probabilities: dense, sparse, and products of maps of single axes.
+
+A map has the matrix p(child | parent), (parents, children). `forward` sums over the parent,
+`backward` over the child, along one axis of an array; both also of logarithms, in a semiring. A map
+never forms the pairs of parent and child that it sums over, unless it works with logarithms.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.semirings import Semiring
+
+# Entries that a step with logarithms spreads out at a time.
+_CHUNK = 2**22
+
+
+class Transition(ABC):
+    """The matrix of p(child | parent), as a map along an axis.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Parents, children.
+    """
+
+    shape: tuple[int, int]
+
+    @abstractmethod
+    def forward(self, belief: Array, axis: int = 0) -> Array:
+        """Σ_parent p(child | parent) belief(parent), along the axis of parents."""
+
+    @abstractmethod
+    def backward(self, message: Array, axis: int = 0) -> Array:
+        """Σ_child p(child | parent) message(child): the transpose of `forward`."""
+
+    @abstractmethod
+    def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
+        """The same of logarithms, in a semiring of logarithms."""
+
+    @abstractmethod
+    def entries(self, parent: Integers, child: Integers) -> Array:
+        """The probabilities p(child | parent) of pairs of indices that broadcast."""
+
+    @abstractmethod
+    def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
+        """Children drawn given parents, of the same shape."""
+
+    @abstractmethod
+    def parents(self, children: Integers) -> Array:
+        """The columns p(child | parent) of some children, (children, parents)."""
+
+    @property
+    @abstractmethod
+    def smallest(self) -> float:
+        """The smallest positive entry."""
+
+    @property
+    @abstractmethod
+    def stored(self) -> int:
+        """The numbers that are kept."""
+
+    @abstractmethod
+    def dense(self) -> Array:
+        """The matrix."""
+
+
+class Dense(Transition):
+    """A matrix with all its entries; its transpose is copied once, for products along rows."""
+
+    def __init__(self, matrix: Array) -> None:
+        self.matrix = np.ascontiguousarray(matrix)
+        self.shape = self.matrix.shape
+
+    @cached_property
+    def _turned(self) -> Array:
+        turned: Array = np.ascontiguousarray(self.matrix.T)
+        return turned
+
+    @cached_property
+    def _logarithms(self) -> Array:
+        with np.errstate(divide="ignore"):
+            logs: Array = np.log(self.matrix)
+        return logs
+
+    def forward(self, belief: Array, axis: int = 0) -> Array:
+        """As of a `Transition`."""
+        return _along(self._turned, belief, axis)
+
+    def backward(self, message: Array, axis: int = 0) -> Array:
+        """As of a `Transition`."""
+        return _along(self.matrix, message, axis)
+
+    def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
+        """As of a `Transition`, in pieces that fit the memory."""
+        own = self._logarithms if back else self._logarithms.T
+        moved = np.moveaxis(values, axis, 0)
+        flat = moved.reshape(len(moved), -1)
+        found = np.empty((len(own), flat.shape[1]))
+        size = max(1, _CHUNK // max(flat.size, 1))
+        for at in range(0, len(own), size):
+            pairs = own[at : at + size, :, None] + flat
+            semiring.total(pairs, 1, found[at : at + size])
+        return np.moveaxis(found.reshape(len(own), *moved.shape[1:]), 0, axis)
+
+    def entries(self, parent: Integers, child: Integers) -> Array:
+        """As of a `Transition`."""
+        found: Array = self.matrix[parent, child]
+        return found
+
+    @cached_property
+    def _cumulative(self) -> Array:
+        return np.cumsum(self.matrix, axis=-1)
+
+    def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
+        """As of a `Transition`, by bisection: all draws at once in memory of their number alone."""
+        cumulative = self._cumulative
+        # A uniform below one, times the last sum, stays below it, so that what rounding leaves of
+        # the sum from one goes to no state of its own.
+        level = rng.random(parent.shape) * cumulative[parent, -1]
+        low = np.zeros(parent.shape, dtype=np.intp)
+        high = np.full(parent.shape, self.shape[1] - 1)
+        for _ in range((self.shape[1] - 1).bit_length()):
+            middle = (low + high) // 2
+            above = cumulative[parent, middle] > level
+            low, high = np.where(above, low, middle + 1), np.where(above, middle, high)
+        return low
+
+    def parents(self, children: Integers) -> Array:
+        """As of a `Transition`."""
+        found: Array = self._turned[children]
+        return found
+
+    @cached_property
+    def smallest(self) -> float:
+        """As of a `Transition`."""
+        return float(self.matrix.min(where=self.matrix > 0.0, initial=1.0))
+
+    @property
+    def stored(self) -> int:
+        """As of a `Transition`."""
+        return self.matrix.size
+
+    def dense(self) -> Array:
+        """As of a `Transition`."""
+        return self.matrix
+
+
+class Sparse(Transition):
+    """A sparse matrix of SciPy, whose zeros are not stored."""
+
+    def __init__(self, matrix: Any) -> None:
+        own = matrix.tocsr(copy=True)
+        own.sum_duplicates()
+        own.eliminate_zeros()
+        self.matrix = own
+        self.shape = own.shape
+
+    @cached_property
+    def _turned(self) -> Any:
+        return self.matrix.T.tocsr()
+
+    def forward(self, belief: Array, axis: int = 0) -> Array:
+        """As of a `Transition`."""
+        return _along(self._turned, belief, axis)
+
+    def backward(self, message: Array, axis: int = 0) -> Array:
+        """As of a `Transition`."""
+        return _along(self.matrix, message, axis)
+
+    def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
+        """As of a `Transition`, one entry of a row after another, all rows at once."""
+        own = self.matrix if back else self._turned
+        moved = np.moveaxis(values, axis, 0)
+        flat = moved.reshape(len(moved), -1)
+        found = np.full((own.shape[0], flat.shape[1]), -np.inf)
+        counts = np.diff(own.indptr)
+        for k in range(counts.max(initial=0)):
+            rows = np.flatnonzero(counts > k)
+            entry = own.indptr[rows] + k
+            pair = np.log(own.data[entry])[:, None] + flat[own.indices[entry]]
+            found[rows] = semiring.total(np.stack([found[rows], pair]), 0, None)
+        return np.moveaxis(found.reshape(own.shape[0], *moved.shape[1:]), 0, axis)
+
+    def entries(self, parent: Integers, child: Integers) -> Array:
+        """As of a `Transition`."""
+        parent, child = np.broadcast_arrays(parent, child)
+        found = np.asarray(self.matrix[parent.ravel(), child.ravel()])
+        return found.reshape(parent.shape)
+
+    @cached_property
+    def _levels(self) -> Array:
+        """The row's index plus the cumulative probability within the row, of each entry."""
+        own = self.matrix
+        rows = np.repeat(np.arange(own.shape[0]), np.diff(own.indptr))
+        sums = np.cumsum(own.data)
+        before = np.concatenate([[0.0], sums])[own.indptr[:-1]]
+        total = np.asarray(own.sum(axis=1)).ravel()
+        levels: Array = rows + np.minimum((sums - before[rows]) / total[rows], 1.0)
+        return levels
+
+    def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
+        """As of a `Transition`."""
+        level = parent + rng.random(parent.shape)
+        entry = np.searchsorted(self._levels, level, side="right")
+        own = self.matrix
+        # What rounding leaves of a row's sum from one goes to its last entry.
+        entry = np.clip(entry, own.indptr[parent], own.indptr[parent + 1] - 1)
+        found: Integers = own.indices[entry].astype(np.intp)
+        return found
+
+    def parents(self, children: Integers) -> Array:
+        """As of a `Transition`."""
+        found: Array = self._turned[children].toarray()
+        return found
+
+    @cached_property
+    def smallest(self) -> float:
+        """As of a `Transition`."""
+        return float(self.matrix.data.min(initial=1.0))
+
+    @property
+    def stored(self) -> int:
+        """As of a `Transition`."""
+        return int(self.matrix.nnz)
+
+    def dense(self) -> Array:
+        """As of a `Transition`."""
+        found: Array = self.matrix.toarray()
+        return found
+
+
+class Product(Transition):
+    """The Kronecker product of maps: each moves an axis of the states by itself."""
+
+    def __init__(self, factors: Sequence[Transition]) -> None:
+        self.factors = tuple(factors)
+        self.before = tuple(factor.shape[0] for factor in factors)
+        self.after = tuple(factor.shape[1] for factor in factors)
+        self.shape = math.prod(self.before), math.prod(self.after)
+
+    def forward(self, belief: Array, axis: int = 0) -> Array:
+        """As of a `Transition`, axis by axis."""
+        found = self._split(belief, axis, self.before)
+        for k, factor in enumerate(self.factors):
+            found = factor.forward(found, axis + k)
+        return self._joined(found, belief, axis, self.shape[1])
+
+    def backward(self, message: Array, axis: int = 0) -> Array:
+        """As of a `Transition`, axis by axis."""
+        found = self._split(message, axis, self.after)
+        for k, factor in enumerate(self.factors):
+            found = factor.backward(found, axis + k)
+        return self._joined(found, message, axis, self.shape[0])
+
+    def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
+        """As of a `Transition`, axis by axis, which a product over the axes allows."""
+        found = self._split(values, axis, self.after if back else self.before)
+        for k, factor in enumerate(self.factors):
+            found = factor.logs(found, axis + k, semiring, back=back)
+        return self._joined(found, values, axis, self.shape[0 if back else 1])
+
+    @staticmethod
+    def _split(values: Array, axis: int, sizes: tuple[int, ...]) -> Array:
+        return values.reshape(*values.shape[:axis], *sizes, *values.shape[axis + 1 :])
+
+    @staticmethod
+    def _joined(found: Array, like: Array, axis: int, size: int) -> Array:
+        return found.reshape(*like.shape[:axis], size, *like.shape[axis + 1 :])
+
+    def entries(self, parent: Integers, child: Integers) -> Array:
+        """As of a `Transition`."""
+        parents, children = self._parts(parent, child)
+        found = np.ones(np.broadcast_shapes(np.shape(parent), np.shape(child)))
+        for factor, a, b in zip(self.factors, parents, children, strict=True):
+            found = found * factor.entries(a, b)
+        return found
+
+    def _parts(self, parent: Integers, child: Integers) -> tuple[Any, Any]:
+        return np.unravel_index(parent, self.before), np.unravel_index(child, self.after)
+
+    def draw(self, parent: Integers, rng: np.random.Generator) -> Integers:
+        """As of a `Transition`."""
+        parents = np.unravel_index(parent, self.before)
+        drawn = [f.draw(own, rng) for f, own in zip(self.factors, parents, strict=True)]
+        found: Integers = np.ravel_multi_index(drawn, self.after)
+        return found
+
+    def parents(self, children: Integers) -> Array:
+        """As of a `Transition`."""
+        found = np.ones((len(children), 1))
+        for factor, own in zip(self.factors, np.unravel_index(children, self.after), strict=True):
+            pairs = found[:, :, None] * factor.parents(own)[:, None, :]
+            found = pairs.reshape(len(children), -1)
+        return found
+
+    @cached_property
+    def smallest(self) -> float:
+        """As of a `Transition`."""
+        return math.prod(factor.smallest for factor in self.factors)
+
+    @property
+    def stored(self) -> int:
+        """As of a `Transition`."""
+        return sum(factor.stored for factor in self.factors)
+
+    def dense(self) -> Array:
+        """As of a `Transition`."""
+        found: Array = self.factors[0].dense()
+        for factor in self.factors[1:]:
+            found = np.asarray(np.kron(found, factor.dense()), dtype=np.float64)
+        return found
+
+
+def _along(matrix: Any, values: Array, axis: int) -> Array:
+    """A matrix times an array along one of its axes."""
+    if values.ndim == 1:
+        product: Array = matrix.dot(values)
+        return product
+    if isinstance(matrix, np.ndarray):
+        before, after = values.shape[:axis], values.shape[axis + 1 :]
+        stacked = values.reshape(math.prod(before), values.shape[axis], math.prod(after))
+        product = matrix.dot(stacked[0]) if axis == 0 else np.matmul(matrix, stacked)
+        return product.reshape(*before, len(matrix), *after)
+    moved = np.moveaxis(values, axis, 0)
+    flat = np.ascontiguousarray(moved.reshape(len(moved), -1))
+    product = np.asarray(matrix @ flat).reshape(matrix.shape[0], *moved.shape[1:])
+    return np.moveaxis(product, 0, axis)
