@@ -71,6 +71,30 @@ class Building:
     places: npt.NDArray[np.int_]
     neighbour: npt.NDArray[np.int_]
 
+    def network(self, start: tuple[str, str] | None = None) -> pgm.DynamicBayesianNetwork:
+        """The building as a network of two states and two sensors a slice; actions are an input.
+
+        Parameters
+        ----------
+        start : pair of str, optional
+            Place and heading at step 0; without, nothing is known of them.
+        """
+        x, heading, u = self.place, self.heading, self.action
+        first = [np.full(v.size, 1.0 / v.size) for v in (x, heading)]
+        if start is not None:
+            first = [np.eye(v.size)[v.index(at)] for v, at in zip((x, heading), start, strict=True)]
+        return pgm.DynamicBayesianNetwork(
+            prior=[pgm.TableCPD(x, table=first[0]), pgm.TableCPD(heading, table=first[1])],
+            transition=[
+                pgm.TableCPD(heading, given=(heading.previous, u), table=self.turning),
+                pgm.TableCPD(x, given=(x.previous, heading, u), table=self.going),
+            ],
+            observation=[
+                pgm.TableCPD(self.kind, given=x, table=self.looks),
+                pgm.TableCPD(self.way, given=(x, heading), table=self.ahead),
+            ],
+        )
+
 
 def building(
     plan: Mapping[str, tuple[str, int, int]] = PLAN,

@@ -42,3 +42,12 @@ class World:
     motion: Array
     sensor: Array
     places: npt.NDArray[np.int_]
+
+    def network(self) -> pgm.DynamicBayesianNetwork:
+        """The world as a network; actions are an input, readings may be of any step."""
+        x = self.cell
+        return pgm.DynamicBayesianNetwork(
+            prior=[pgm.TableCPD(x, table=self.prior)],
+            transition=[pgm.TableCPD(x, given=(x.previous, self.action), table=self.motion)],
+            observation=[pgm.TableCPD(self.reading, given=x, table=self.sensor)],
+        )

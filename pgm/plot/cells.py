@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_rgba
 from matplotlib.patches import Rectangle
 
 from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.plot.axes import given_or_new, name_axes
 from pgm.plot.chances import as_index, as_places, chances, name_states
-from pgm.plot.colours import CHANCE, INK, MUTED, readable_on
+from pgm.plot.colours import CHANCE, MUTED, PALETTE, readable_on
 
 # Numbers in more cells than this cannot be read, and lines between more hide the cells.
 _WRITTEN = 30
@@ -90,7 +90,9 @@ def belief_map(
     shape = last - first + 1
     mesh = np.full(shape, np.nan)
     mesh[tuple((at - first).T)] = found.ravel()
-    ruled: dict[str, Any] = {"edgecolors": MUTED, "linewidth": 0.4}
+    # Lines around cells alone: where there is none, nothing is drawn.
+    lines = np.where(np.isnan(mesh).reshape(-1, 1), to_rgba(MUTED, 0.0), to_rgba(MUTED))
+    ruled: dict[str, Any] = {"edgecolors": lines, "linewidth": 0.4}
     rows, columns = (np.arange(f, e + 2) - 0.5 for f, e in zip(first, last, strict=True))
     norm = Normalize(0.0, most, clip=True)
     ax.pcolormesh(
@@ -116,7 +118,7 @@ def belief_map(
         row, column = right.tolist()
         # A frame inside the cell, since a mark in the middle would hide the number.
         frame = Rectangle(
-            (column - 0.45, row - 0.45), 0.9, 0.9, fill=False, ec=INK, lw=2.2, zorder=3.0
+            (column - 0.45, row - 0.45), 0.9, 0.9, fill=False, ec=PALETTE[1], lw=2.2, zorder=3.0
         )
         frame.set_label("truth")
         ax.add_patch(frame)

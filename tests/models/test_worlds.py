@@ -61,19 +61,22 @@ def test_a_step_in_the_grid_world(action, start, due):
 
 
 def test_a_step_in_the_hallway():
-    world = worlds.hallway(5, (1,), steps=(0.1, 0.7, 0.2), seen=0.9, mistaken=0.05)
+    world = worlds.hallway(5, (1,), steps=(0.1, 0.7, 0.2), seen=0.9)
     wait, ahead = world.motion[:, 0], world.motion[:, 1]
     assert_allclose(wait, np.eye(5))
     assert_allclose(ahead[0], [0.1, 0.7, 0.2, 0.0, 0.0])
     assert_allclose(ahead[3], [0.0, 0.0, 0.0, 0.1, 0.9])
     assert_allclose(ahead[4], [0.0, 0.0, 0.0, 0.0, 1.0])
-    assert_allclose(world.sensor[:, 0], [0.05, 0.9, 0.05, 0.05, 0.05])
+    assert_allclose(world.sensor[1], [0.9, 0.05, 0.05])
+    assert_allclose(world.sensor[[0, 2, 3]], np.tile([0.05, 0.9, 0.05], (3, 1)))
+    assert_allclose(world.sensor[4], [0.05, 0.05, 0.9])
     assert world.places.tolist() == [[0, k] for k in range(5)]
 
 
-def test_a_door_beyond_the_hallway_is_refused():
-    with pytest.raises(ValueError, match=r"doors in the cells \[5\]; there are cells 0 to 4"):
-        worlds.hallway(5, (1, 5))
+@pytest.mark.parametrize("door", [-1, 4, 5])
+def test_a_door_beyond_the_hallway_is_refused(door):
+    with pytest.raises(ValueError, match=rf"doors in the cells \[{door}\]; .* cells 0 to 3"):
+        worlds.hallway(5, (1, door))
 
 
 SMALL = ("..#", "#..")
