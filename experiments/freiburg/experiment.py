@@ -4,8 +4,9 @@ The exercise's noise is far wider than the robot's, so that beliefs are wide and
 The reference is a particle filter, as a Gaussian of its moments at each step. In summary.json,
 ``divergence.<alone|stacked>.<lineariser>`` has mean, median and largest KL(particles ‖ filter) over
 the steps, the ranges of a step linearised one by one or as one vector; ``log_evidence`` those of
-the filters and of the particles; ``from_dead_reckoning`` root mean square distances in
-the plane; ``steps_apart`` the steps where the filters are furthest from the particles.
+the filters and of the particles; ``from_dead_reckoning`` root mean square distances in the plane;
+``heading_std`` the mean standard deviation that the filters give their headings; ``steps_apart``
+the steps where the filters are furthest from the particles.
 """
 
 from __future__ import annotations
@@ -78,6 +79,8 @@ def run(
     cloud = particle_filter(log, particles, np.random.default_rng(seed))
     found = {name: divergences(cloud.belief, each) for name, each in posteriors.items()}
     alone, reckoned = posteriors["alone"], dead_reckoning(log)
+    headings = {label: own_deviation(p.filtered[pose]) for label, p in alone.items()}
+    headings["particles"] = own_deviation(cloud.belief)
     evidence = {
         name: {label: float(p.log_evidence) for label, p in each.items()}
         for name, each in posteriors.items()
@@ -106,9 +109,10 @@ def run(
         "filters linearise the ranges of a step as one vector"
     )
     record.table(
-        "RMS distance from dead reckoning [m]",
-        ("lineariser", "filter", "smoother"),
-        [(label, *each.values()) for label, each in away.items()],
+        "RMS distance from dead reckoning [m], and the filters' own heading deviation [rad]",
+        ("lineariser", "filter", "smoother", "heading"),
+        [(label, *each.values(), headings[label]) for label, each in away.items()]
+        + [("particles", "", "", headings["particles"])],
     )
     apart = furthest(cloud.belief, alone)
     record.note(
@@ -139,6 +143,7 @@ def run(
         divergence=found,
         log_evidence=evidence | {"particles": cloud.log_evidence},
         from_dead_reckoning=away,
+        heading_std=headings,
         effective_particles=float(cloud.effective.min()),
         steps_apart=apart,
     )
@@ -198,3 +203,8 @@ def dead_reckoning(log: Log) -> Array:
 def rms(belief: pgm.Gaussian, reckoned: Array) -> float:
     """Root mean square distance of a belief's means from a path in the plane [m]."""
     return consistency.rmse(belief, reckoned, ("east", "north"))
+
+
+def own_deviation(belief: pgm.Gaussian) -> float:
+    """The mean over the steps of the heading's standard deviation [rad]."""
+    return float(belief.std[:, 2].mean())
