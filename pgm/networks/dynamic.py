@@ -9,7 +9,7 @@ import networkx as nx
 import numpy as np
 
 from pgm.boundary import as_generator, as_mapping, is_whole
-from pgm.cpds import CPD
+from pgm.cpds import CPD, TableCPD
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, one_name_each
@@ -18,6 +18,7 @@ from pgm.networks import checks
 from pgm.networks.sampling import Sample, draw_steps
 from pgm.networks.static import BayesianNetwork, density
 from pgm.sizes import require_memory
+from pgm.variables import Discrete
 
 # Numbers of memory that a copy of a CPD at a step takes in a network, at the least.
 _COPY = 100
@@ -211,7 +212,9 @@ class DynamicBayesianNetwork(Immutable):
             p(x[0..T], z[0..T] | u) = p(x[0]) Π p(x[t] | x[t−1], u[t]) Π p(z[t] | x[t])
 
         Each sensor reads once a step, at step 0 too where its parents exist there. The copies of
-        one CPD have it as their `origin`.
+        one CPD have it as their `origin`. Of a discrete network the inputs, which a network of
+        tables without time does not have, get equal probabilities of their states: given their
+        evidence, marginals are the same, and the log-evidence of each step less by their ln(size).
 
         Parameters
         ----------
@@ -244,7 +247,12 @@ class DynamicBayesianNetwork(Immutable):
             )
         self._require_memory(int(steps))
         slices = range(int(steps) + 1)
-        return BayesianNetwork(cpd.at(step) for step in slices for cpd in self.cpds_at(step))
+        placed = [cpd.at(step) for step in slices for cpd in self.cpds_at(step)]
+        if self.discrete:
+            parents = dict.fromkeys(parent for cpd in placed for parent in cpd.parents)
+            inputs = [p for p in parents if p.template in self.inputs and isinstance(p, Discrete)]
+            placed += [TableCPD(p, table=np.full(p.size, 1.0 / p.size)) for p in inputs]
+        return BayesianNetwork(placed)
 
     def to_networkx(self, steps: int = 1) -> nx.DiGraph:
         """The network unrolled to slices 0..steps, for pictures and questions of structure.

@@ -19,9 +19,8 @@ from pgm.evidence.arrays import unknown
 from pgm.factors.scope import listed
 from pgm.factors.unknown_names import unknown_name
 from pgm.immutable import Immutable
-from pgm.kernels.arrays import Array
 from pgm.sizes import require_memory
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
     from pgm.networks.dynamic import DynamicBayesianNetwork
@@ -88,15 +87,16 @@ class Sample(Immutable):
     Attributes
     ----------
     values : mapping of Variable to ndarray
-        States (*runs, T+1, d), controls (*runs, T, d), measurements (*runs, M, d).
+        States (*runs, T+1, d), controls (*runs, T, d), measurements (*runs, M, d); of discrete
+        variables indices of states, without the last axis.
     evidence : mapping
         The inputs and the measurements, ready for `infer`.
     """
 
-    values: Mapping[Variable, Array]
+    values: Mapping[Variable, Values]
     evidence: Evidence
 
-    def __getitem__(self, variable: Variable) -> Array:
+    def __getitem__(self, variable: Variable) -> Values:
         """The values of a variable, of the shape said above.
 
         Raises
@@ -121,33 +121,31 @@ def draw_steps(
 ) -> Sample:
     """Draw states forward in time, then the measurements."""
     hidden = (*model.states, *model.controls)
-    width = sum(variable.dimension for variable in hidden)
+    width = sum(variable.dimension or 1 for variable in hidden)
     shape = _as_shape("runs", as_tuple(runs) or runs, model.lead)
     _require_memory(shape, 1, width)
     bound = bind(model.transition, model.observation, inputs, steps, shape, drawing=True)
     count = bound.runs
     _require_memory(bound.lead, bound.steps + 1, width)
-    path: dict[Variable, Array] = {
-        v: np.full((bound.steps + 1, count, v.dimension), np.nan) for v in hidden
-    }
+    path = {v: _unfilled(v, (bound.steps + 1, count)) for v in hidden}
     for cpd in model.prior:
         now = {v: path[v][0] for v in cpd.given}
         path[cpd.child][0] = cpd._draw(Known(now, bound.lead, (count,), 0), rng)
     for step in range(1, bound.steps + 1):
         for cpd, known in zip(model.transition, bound.transition, strict=True):
-            values = {v: rows[step - 1] for v, rows in known.items()}
+            values = {v: _states(v, rows[step - 1]) for v, rows in known.items()}
             for parent in cpd.given:
                 if parent not in values:
                     values[parent] = path[parent.template][step - parent.lag]
             given = Known(values, bound.lead, (count,), step)
             path[cpd.child][step] = cpd._draw(given, rng)
     evidence: dict[Variable, Any] = dict(inputs)
-    values = {v: _unflat(path[v], bound.lead) for v in model.states}
-    values |= {v: _unflat(path[v][1:], bound.lead) for v in model.controls}
+    values = {v: _unflat(v, path[v], bound.lead) for v in model.states}
+    values |= {v: _unflat(v, path[v][1:], bound.lead) for v in model.controls}
     for reading in bound.readings:
         child = reading.cpd.child
-        rows = _unflat(_draw_reading(reading, path, count, bound.lead, rng), bound.lead)
-        values[child] = rows[..., np.argsort(reading.order), :]
+        rows = _draw_reading(reading, path, count, bound.lead, rng)
+        values[child] = _unflat(child, rows[np.argsort(reading.order)], bound.lead)
         asked = inputs.get(child)
         evidence[child] = (
             sightings(values[child], asked.step, asked.given)
@@ -167,22 +165,35 @@ def _require_memory(runs: tuple[int, ...], steps: int, width: int) -> None:
 
 def _draw_reading(
     reading: Reading,
-    path: Mapping[Variable, Array],
+    path: Mapping[Variable, Values],
     runs: int,
     lead: tuple[int, ...],
     rng: np.random.Generator,
-) -> Array:
-    values = dict(reading.inputs)
+) -> Values:
+    values = {v: _states(v, rows) for v, rows in reading.inputs.items()}
     for parent in reading.cpd.given:
         if parent not in values:
             values[parent] = path[parent][reading.step]
     size = reading.step.size
-    wide = {v: np.broadcast_to(a, (size, runs, a.shape[-1])) for v, a in values.items()}
+    wide = {v: np.broadcast_to(a, (size, runs, *a.shape[2:])) for v, a in values.items()}
     if not size:
-        return np.empty((0, runs, reading.cpd.child.dimension))
+        return _unfilled(reading.cpd.child, (0, runs))
     return reading.cpd._draw(Known(wide, lead, (size, runs), reading.step[:, None]), rng)
 
 
-def _unflat(rows: Array, lead: tuple[int, ...]) -> Array:
-    """(rows, runs, d) as (*lead, rows, d)."""
-    return rows.swapaxes(0, 1).reshape(*lead, rows.shape[0], rows.shape[-1])
+def _unfilled(variable: Variable, lead: tuple[int, ...]) -> Values:
+    """Room for values (*lead, d), or for indices of states (*lead)."""
+    if isinstance(variable, Discrete):
+        return np.zeros(lead, dtype=np.intp)
+    return np.full((*lead, variable.dimension), np.nan)
+
+
+def _states(variable: Variable, rows: Values) -> Values:
+    """Rows of evidence as values: (..., d), or indices of states (...)."""
+    return rows[..., 0] if isinstance(variable, Discrete) else rows
+
+
+def _unflat(variable: Variable, rows: Values, lead: tuple[int, ...]) -> Values:
+    """(rows, runs, d) as (*lead, rows, d); of states (rows, runs) as (*lead, rows)."""
+    own = () if isinstance(variable, Discrete) else (rows.shape[-1],)
+    return rows.swapaxes(0, 1).reshape(*lead, rows.shape[0], *own)

@@ -18,6 +18,7 @@ from pgm.evidence import Evidence
 from pgm.evidence.discrete import BoundStates, bind_discrete
 from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
+from pgm.inference.chain.run import bind_chain
 from pgm.inference.discrete.evidence import Distinct, some_runs, tree_pieces
 from pgm.inference.discrete.impossible import require_possible
 from pgm.inference.discrete.place import steps
@@ -25,6 +26,9 @@ from pgm.inference.discrete.tree_passes import collect, enter
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.inference.executors import Workers
 from pgm.inference.limits import Room, require_runs
+from pgm.inference.markov.path import most_probable_path
+from pgm.inference.markov.plan import SlicePlan, TableSlices
+from pgm.inference.markov.run import require_beliefs, require_chain
 from pgm.inference.posterior import require_variable
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
@@ -45,7 +49,9 @@ class MostProbable(Immutable):
     ----------
     assignment : mapping of Discrete
         The name of each variable's state, those with evidence included; where the evidence has
-        axes of runs, the indices of the states, (...), whose names `states` has.
+        axes of runs, the indices of the states, (...), whose names `states` has. Of a dynamic
+        network the indices of each hidden variable's states by step, (..., T+1), of a control
+        (..., T).
     log_probability : ndarray
         (...): ln p(assignment, evidence), natural logarithms.
     """
@@ -83,6 +89,12 @@ class MostProbable(Immutable):
         lead = self.log_probability.shape
         if lead:
             return f"MostProbable({len(self.assignment)} variables, runs {lead})"
+        if any(not isinstance(state, str) for state in self.assignment.values()):
+            steps = max(np.shape(state)[-1] for state in self.assignment.values())
+            return (
+                f"MostProbable({len(self.assignment)} variables over {steps} steps; "
+                f"ln p {self.log_probability:.6g})"
+            )
         shown = [f"{v!r} {state}" for v, state in list(self.assignment.items())[:LISTED]]
         if len(self.assignment) > LISTED:
             shown.append(f"... {len(self.assignment)} variables")
@@ -100,13 +112,16 @@ def most_probable(
 
     .. math:: \arg\max_x p(x, \text{evidence})
 
+    Of a dynamic network of tables it is the most probable path of the hidden variables through all
+    steps (Viterbi); measurements that were not taken are summed over.
+
     Maxima in place of sums go to the roots of the tree, and their places are traced back. Of
     several equally probable assignments it is always the same one.
 
     Parameters
     ----------
     graph : ClusterGraph
-        Of a discrete network, without loops.
+        Of a discrete network, without loops, or of a dynamic one of tables.
     evidence : mapping of Discrete
         As for `infer`. Weights of `soft` evidence count as factors of the probability.
     memory : number, optional
@@ -128,7 +143,8 @@ def most_probable(
 
     References
     ----------
-    Koller & Friedman, Probabilistic Graphical Models, 2009, section 13.3.
+    Koller & Friedman, Probabilistic Graphical Models, 2009, section 13.3; Viterbi, Error bounds for
+    convolutional codes, 1967.
     """
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
@@ -139,6 +155,8 @@ def most_probable(
             f"evidence maps variables to states; found {type(evidence).__name__}; of a table of "
             "records pgm.records(table, network) makes it"
         )
+    if isinstance(graph, DynamicGraph) and graph.model.discrete:
+        return _most_probable_path(graph, evidence)
     if isinstance(graph, DynamicGraph) or not graph.network.discrete:
         raise GraphError(
             "the network is continuous; the most probable values of Gaussian variables are the "
@@ -165,6 +183,21 @@ def most_probable(
     require_possible(plan, bound, log_tops)
     log_probability = frozen(log_tops.sum(axis=0).reshape(bound.lead))
     return MostProbable(MappingProxyType(_assignment(plan, bound, states)), log_probability)
+
+
+def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable:
+    """The assignment of the hidden variables of a chain, at all steps."""
+    bound = bind_chain(graph.model, evidence, graph.steps)
+    require_chain(graph)
+    plan = SlicePlan(graph.layout)
+    require_beliefs(plan, bound, 1)
+    path, log_probability = most_probable_path(TableSlices(plan, bound))
+    assignment: dict[Discrete, str | Integers] = {}
+    for v, own in zip(plan.slice, path, strict=True):
+        own.flags.writeable = False
+        assignment[v] = own[:, 0 if v in plan.states else 1 :].reshape(*bound.lead, -1)
+    log_probability = np.array(log_probability).reshape(bound.lead)
+    return MostProbable(MappingProxyType(assignment), frozen(log_probability))
 
 
 @dataclass(frozen=True, eq=False)

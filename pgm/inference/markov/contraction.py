@@ -183,19 +183,18 @@ def _multiplied(step: Step, array: Array, table: Array, semiring: Semiring) -> A
         return found
     gone = [x for x in dict.fromkeys((*step.before, *step.labels)) if x not in step.after]
     axes = (*step.after, *gone)
-    by_run = array.ndim > len(step.before), table.ndim > len(step.labels)
-    if by_run == (False, True):
-        array = array[..., None]
-    elif by_run == (True, False):
-        table = table[..., None]
-    joint = _spread(array, step.before, axes) + _spread(table, step.labels, axes)
+    behind = max(array.ndim - len(step.before), table.ndim - len(step.labels))
+    one = _spread(array, step.before, axes, behind)
+    joint = one + _spread(table, step.labels, axes, behind)
     if not gone:
         return joint
     return semiring.total(joint, tuple(range(len(step.after), len(axes))), None)
 
 
-def _spread(array: Array, labels: Sequence[Label], axes: Sequence[Label]) -> Array:
-    """An array with an axis for each of some variables, of length one where it has none."""
+def _spread(array: Array, labels: Sequence[Label], axes: Sequence[Label], behind: int) -> Array:
+    """An array with an axis for each of some variables, and some behind; of one where it has none."""
+    own, rest = array.shape[: len(labels)], array.shape[len(labels) :]
+    array = array.reshape((*own, *(1,) * (behind - len(rest)), *rest))
     present = [x for x in axes if x in labels]
     order = [labels.index(x) for x in present]
     turned = array.transpose(*order, *range(len(labels), array.ndim))

@@ -22,16 +22,21 @@ from pgm.sizes import require_memory
 def run(graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None) -> StatePosterior:
     """Send the messages of a filter, a fixed-lag smoother or a smoother."""
     kind = kind_of(schedule)
-    if isinstance(graph, BalancedGraph):
-        raise GraphError(
-            f"{graph!r} is of tables, which go along a chain of slices: compile without "
-            "pgm.Balanced()"
-        )
+    require_chain(graph)
     plan = SlicePlan(graph.layout)
     require_beliefs(plan, bound, 1 if kind == FILTERED else 2)
     chain = solved(TableSlices(plan, bound))
     status = Status.of([], np.ones(bound.runs, dtype=bool), bound.lead)
     return StatePosterior(graph, status, kind, plan, chain)
+
+
+def require_chain(graph: DynamicGraph) -> None:
+    """Refuse a balanced tree of slices."""
+    if isinstance(graph, BalancedGraph):
+        raise GraphError(
+            f"{graph!r} is of tables, which go along a chain of slices: compile without "
+            "pgm.Balanced()"
+        )
 
 
 def kind_of(schedule: Schedule | None) -> Kind:
