@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.figure import Figure
 
 import pgm
@@ -74,9 +73,7 @@ def rows(belief: pgm.Table) -> Any:
 def _figure(world: worlds.World, found: Located) -> Figure:
     kinds = {"predicted": found.predicted, "filtered": found.filtered, "smoothed": found.smoothed}
     steps = len(READINGS)
-    figure, axes = plt.subplots(
-        len(kinds), steps, figsize=(3.1 * steps, 6.9), layout="constrained"
-    )
+    figure, axes = plt.subplots(len(kinds), steps, figsize=(3.1 * steps, 6.9), layout="constrained")
     for line, (kind, belief) in zip(axes, kinds.items(), strict=True):
         for step, ax in enumerate(line):
             pgm.plot.belief_map(at_step(belief, step), places=world.places, most=1.0, ax=ax)

@@ -76,7 +76,7 @@ def drive(world: worlds.World, steps: int, seed: int) -> tuple[Integers, list[st
     ahead = [world.action.index("ahead")] * steps
     sights = pgm.sightings(step=np.arange(steps + 1))
     sample = model.sample({world.action: ahead, world.reading: sights}, steps=steps, rng=seed)
-    seen = np.ravel(sample[world.reading]).tolist()
+    seen = np.asarray(sample[world.reading], dtype=np.int_).tolist()
     return np.asarray(sample[world.cell]), [world.reading.states[k] for k in seen]
 
 

@@ -68,7 +68,11 @@ def run(
     building = worlds.building()
     drive = driven(building, np.random.default_rng(seed), steps)
     model = building.network()
-    evidence = {building.action: drive.action, building.kind: drive.kind, building.way: drive.way}
+    evidence: dict[pgm.Variable, Any] = {
+        building.action: drive.action,
+        building.kind: drive.kind,
+        building.way: drive.way,
+    }
     posterior = pgm.smooth(model, evidence)
     best = pgm.most_probable(pgm.compile(model, steps=len(drive.action)), evidence)
     states = {"place": building.place, "heading": building.heading}
@@ -95,6 +99,11 @@ def run(
     record.note(
         f"largest difference from the textbook, whose states are pairs of place and heading: "
         f"{apart:.2g}"
+    )
+    record.figure(
+        _network(model),
+        "network",
+        "Two slices of the network: place and heading, what is seen of them, and the action.",
     )
     record.figure(
         _maps(building, drive, beliefs),
@@ -178,9 +187,14 @@ def textbook(building: Building, drive: Drive) -> dict[str, dict[str, Array]]:
     }
 
 
-def _maps(
-    building: Building, drive: Drive, beliefs: dict[str, dict[str, pgm.Table]]
-) -> Figure:
+def _network(model: pgm.DynamicBayesianNetwork) -> Figure:
+    figure, ax = plt.subplots(figsize=(6.0, 4.5), layout="constrained")
+    pgm.plot.network(model, steps=1, ax=ax)
+    plt.close(figure)
+    return figure
+
+
+def _maps(building: Building, drive: Drive, beliefs: dict[str, dict[str, pgm.Table]]) -> Figure:
     shown = np.linspace(0, len(drive.action), SHOWN).round().astype(int).tolist()
     figure, axes = plt.subplots(
         len(beliefs), len(shown), figsize=(3.4 * len(shown), 4.6), layout="constrained"
@@ -195,7 +209,7 @@ def _maps(
                 numbers=False,
                 ax=ax,
             )
-            _name_kinds(ax, building)
+            _name_kinds(ax, building, each["place"].probabilities[step])
         line[0].set_ylabel(kind)
     for ax, step in zip(axes[0], shown, strict=True):
         told = f", after {building.action.states[drive.action[step - 1]]}" if step else ""
@@ -205,11 +219,15 @@ def _maps(
     return figure
 
 
-def _name_kinds(ax: Axes, building: Building) -> None:
-    """Letters of the kinds of places, in a corner of the cells."""
-    for (row, column), looks in zip(building.places.tolist(), building.looks, strict=True):
-        letter = building.kind.states[int(looks.argmax())][0].upper()
-        ax.text(column - 0.42, row - 0.4, letter, fontsize="x-small", va="top", color="#767676")
+def _name_kinds(ax: Axes, building: Building, chances: Array) -> None:
+    """Letters of the kinds of places, in a corner of the cells, and no frame around the map."""
+    kinds = building.looks.argmax(axis=-1)
+    for (row, column), kind, p in zip(building.places.tolist(), kinds, chances, strict=True):
+        letter = building.kind.states[kind][0].upper()
+        colour = "white" if p > 0.5 else "#555555"
+        ax.text(column - 0.36, row - 0.36, letter, fontsize="x-small", va="top", color=colour)
+    rows, columns = building.places.max(axis=0)
+    ax.set(xlim=(-0.55, columns + 0.55), ylim=(rows + 0.55, -0.55))
     for side in ax.spines.values():
         side.set_visible(False)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -55,11 +56,10 @@ def locate(world: World, actions: Sequence[str], readings: Sequence[str | None])
     """
     x, z = world.cell, world.reading
     model = world.network()
-    taken = [step for step, reading in enumerate(readings) if reading is not None]
-    seen = np.array([z.index(readings[step]) for step in taken], dtype=int)
-    evidence = {
+    seen = np.array([-1 if reading is None else z.index(reading) for reading in readings])
+    evidence: dict[pgm.Variable, Any] = {
         world.action: [world.action.index(action) for action in actions],
-        z: pgm.sightings(seen, step=np.array(taken, dtype=int)),
+        z: pgm.sightings(seen, step=np.arange(len(readings))),
     }
     posterior = pgm.smooth(model, evidence)
     best = pgm.most_probable(pgm.compile(model, steps=len(actions)), evidence)
