@@ -37,7 +37,7 @@ def chances(belief: Any, variables: tuple[int, ...], lead: int, due: str) -> Arr
     if len(belief.scope) not in variables or belief.log_scale.ndim != lead:
         raise ModelError(
             f"a table over {names(belief.scope)} with leading axes {belief.log_scale.shape}; "
-            f"{due} was due"
+            f"give {due}"
         )
     return belief.probabilities
 

@@ -77,7 +77,7 @@ def beliefs_over_time(
     >>> ax = beliefs_over_time(filtered[x], label=filtered.kind, truth=truth)  # doctest: +SKIP
     >>> beliefs_over_time(smoothed[x], label=smoothed.kind, ax=ax)  # doctest: +SKIP
     """
-    found = chances(belief, (1,), 1, "beliefs over one variable with one leading axis, of steps,")
+    found = chances(belief, (1,), 1, "beliefs over one variable with one leading axis, of steps")
     (variable,) = belief.scope
     count = len(found)
     chosen = _steps(steps, count)

@@ -228,7 +228,11 @@ def test_of_many_states_some_are_named():
     ("belief", "settings", "told"),
     [
         ([0.5, 0.5], {}, r"a Table, not \[0\.5, 0\.5\]"),
-        (pgm.Table(CELL, entries(6)), {}, r"leading axes \(\); beliefs over one variable with one"),
+        (
+            pgm.Table(CELL, entries(6)),
+            {},
+            r"leading axes \(\); give beliefs over one variable with one",
+        ),
         (pgm.Table(CELL, entries(2, 3, 6), lead=(2, 3)), {}, r"leading axes \(2, 3\)"),
         (pgm.Table((ROW, COLUMN), entries(4, 2, 3), lead=4), {}, "beliefs over one variable"),
         (beliefs(0), {}, "beliefs over no steps"),
