@@ -1,5 +1,6 @@
 """Pictures of networks, cluster graphs and beliefs; those that draw take and return axes."""
 
+from pgm.plot.cells import belief_map
 from pgm.plot.clusters import cluster_graph
 from pgm.plot.consistency import coverage, nees, nis, whiteness
 from pgm.plot.graphviz import dot
@@ -7,8 +8,11 @@ from pgm.plot.networks import network
 from pgm.plot.over_time import errors, kl, rmse
 from pgm.plot.plane import ellipses, trajectory
 from pgm.plot.records import convergence
+from pgm.plot.stacks import beliefs_over_time
 
 __all__ = [
+    "belief_map",
+    "beliefs_over_time",
     "cluster_graph",
     "convergence",
     "coverage",
