@@ -8,7 +8,7 @@ near what float64 holds, the result is not used.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import repeat
 from typing import Any
 
@@ -37,6 +37,7 @@ class DirectChain(StateChain):
 
     slices: TableSlices
     precise = False
+    _latest: tuple[range, tuple[Array, Array]] | None = None
 
     def run(self) -> DirectChain:
         """The same, its forward sweep done."""
@@ -46,13 +47,12 @@ class DirectChain(StateChain):
         least, belief = smallest(known), known
         for part in self._parts:
             place = slice(part.start - 1, part.stop - 1)
-            weights, scales = self.slices.weights_of(part)
+            weights, scales = self._weights(part)
             own = rows[place]
             if self._blocks is not None:
-                before = self._blocks.forward(belief, own)
+                totals, before = self._blocks.forward(belief, own)
             else:
-                before = markov.forward(self._applies(part), weights, belief, own)
-            totals = own.sum(axis=1)
+                totals, before = markov.forward(self._applies(part), weights, belief, own)
             if not totals.min() > TINY:
                 return self
             logs[place] = np.log(totals / before) + scales
@@ -71,7 +71,7 @@ class DirectChain(StateChain):
         each = self._map(1)
         if self.slices.constant is None or not isinstance(each, Dense):
             return None
-        weights, _ = self.slices.weights_of(range(1, steps + 1))
+        weights, _ = self._weights(range(1, steps + 1))
         return markov.Blocks(each.matrix, weights)
 
     @cached_property
@@ -80,6 +80,15 @@ class DirectChain(StateChain):
         steps = self.slices.steps
         size = max(1, ROOM // max(1, self.known[0].size))
         return [range(at, min(at + size, steps + 1)) for at in range(1, steps + 1, size)]
+
+    def _weights(self, part: range) -> tuple[Array, Array]:
+        """The weights of some steps and their log-scales; of the latest that were asked, kept.
+
+        The last part of the sweep forward is the first of that back.
+        """
+        if self._latest is None or self._latest[0] != part:
+            self._latest = part, self.slices.weights_of(part)
+        return self._latest[1]
 
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
         """The product by the transition into each step, or by its transpose."""
@@ -100,13 +109,13 @@ class DirectChain(StateChain):
         else:
             found[-1] = 1.0
             for part in reversed(self._parts):
-                weights, _ = self.slices.weights_of(part)
+                weights, _ = self._weights(part)
                 applies = self._applies(part[::-1], back=True)
                 markov.backward(applies, weights, found[part.start - 1 : part.stop])
-        if not found.sum(axis=1).min() > TINY:
+        if not markov.masses(found).min() > TINY:
             return super().smoothed_beliefs()
         found *= self.known
-        totals = found.sum(axis=1)
+        totals = markov.masses(found)
         if not totals.min() > TINY:
             return super().smoothed_beliefs()
         found /= totals[:, None]
@@ -116,6 +125,8 @@ class DirectChain(StateChain):
 def _apply(transition: Transition, back: bool) -> markov.Apply:
     """The product of a matrix and a vector, into a place."""
     if isinstance(transition, Dense):
-        return partial(np.dot, transition.matrix if back else transition.turned)
+        # BLAS is as fast along columns: no transpose is copied.
+        matrix = transition.matrix if back else transition.matrix.T
+        return matrix.dot
     moved = transition.backward if back else transition.forward
     return lambda vector, out: np.copyto(out, moved(vector))
