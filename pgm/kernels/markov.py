@@ -75,7 +75,7 @@ def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int =
         Steps from one scaling to the next.
     """
     message = rows[-1]
-    product = np.empty(message.shape)
+    product = np.empty_like(message)
     for k, (apply, weight, row) in enumerate(
         zip(applies, weights[::-1], rows[-2::-1], strict=True)
     ):

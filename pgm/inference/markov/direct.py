@@ -74,6 +74,12 @@ class DirectChain(StateChain):
         weights, _ = self._weights(range(1, steps + 1))
         return markov.Blocks(each.matrix, weights)
 
+    def room(self, like: Array) -> Array:
+        """Room for a belief at each step; by runs in memory where products go along rows."""
+        if self.batch and isinstance(self._map(1), Dense):
+            return np.swapaxes(super().room(like.T), 1, 2)
+        return super().room(like)
+
     @cached_property
     def _parts(self) -> list[range]:
         """The steps, in parts whose weights fit the room."""
@@ -93,8 +99,20 @@ class DirectChain(StateChain):
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
         """The product by the transition into each step, or by its transpose."""
         if self.slices.constant is not None:
-            return repeat(_apply(self._map(part[0]), back), len(part))
-        return (_apply(self._map(step), back) for step in part)
+            return repeat(self._apply(part[0], back), len(part))
+        return (self._apply(step, back) for step in part)
+
+    def _apply(self, step: int, back: bool) -> markov.Apply:
+        """The product by the transition into a step, into a place."""
+        transition = self._map(step)
+        if not isinstance(transition, Dense):
+            moved = transition.backward if back else transition.forward
+            return lambda vector, out: np.copyto(out, moved(vector))
+        # BLAS is as fast along columns: no transpose is copied.
+        matrix = transition.matrix.T if back else transition.matrix
+        if self.batch:
+            return lambda vector, out: vector.T.dot(matrix, out.T)
+        return matrix.T.dot
 
     def _map(self, step: int) -> Transition:
         move: Any = self.slices.factors(step, "onward")[0]
@@ -103,7 +121,7 @@ class DirectChain(StateChain):
 
     def smoothed_beliefs(self) -> Array | list[Array]:
         """The beliefs given all measurements, by step."""
-        found = np.empty(np.shape(self.known))
+        found = np.empty_like(self.known)
         if self._blocks is not None:
             self._blocks.backward(found)
         else:
@@ -121,12 +139,3 @@ class DirectChain(StateChain):
         found /= totals[:, None]
         return found
 
-
-def _apply(transition: Transition, back: bool) -> markov.Apply:
-    """The product of a matrix and a vector, into a place."""
-    if isinstance(transition, Dense):
-        # BLAS is as fast along columns: no transpose is copied.
-        matrix = transition.matrix if back else transition.matrix.T
-        return matrix.dot
-    moved = transition.backward if back else transition.forward
-    return lambda vector, out: np.copyto(out, moved(vector))

@@ -292,7 +292,9 @@ class TableSlices:
         """
         axes = tuple(range(1, len(self.plan.shape) + 1))
         runs = (self.bound.runs,) if self.lead else ()
-        found = np.ones((len(part), *self.plan.shape, *runs))
+        found = np.ones((len(part), *runs, *self.plan.shape))
+        if runs:  # by runs in memory, as columns of tables are picked for them
+            found = np.moveaxis(found, 1, -1)
         for weights in self.weights:
             weights.multiply(found, part, self.semiring)
         top = found.max(axis=axes)
