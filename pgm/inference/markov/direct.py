@@ -138,4 +138,3 @@ class DirectChain(StateChain):
             return super().smoothed_beliefs()
         found /= totals[:, None]
         return found
-

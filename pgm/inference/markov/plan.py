@@ -290,17 +290,22 @@ class TableSlices:
 
         The largest of each step and run is one.
         """
+        if len(self.weights) == 1 and self.weights[0].shape == self.plan.shape:
+            picked = self.weights[0].picked(part)
+            if picked is not None:
+                return picked
         axes = tuple(range(1, len(self.plan.shape) + 1))
         runs = (self.bound.runs,) if self.lead else ()
         found = np.ones((len(part), *runs, *self.plan.shape))
         if runs:  # by runs in memory, as columns of tables are picked for them
             found = np.moveaxis(found, 1, -1)
+        logs: Array | float = 0.0
         for weights in self.weights:
-            weights.multiply(found, part, self.semiring)
+            logs = logs + weights.multiply(found, part, self.semiring)
         top = found.max(axis=axes)
         top = np.where(top > 0.0, top, 1.0)
         found /= top.reshape(len(part), *(1,) * len(axes), *runs)
-        return found, np.log(top)
+        return found, logs + np.log(top)
 
     @cached_property
     def _fixed(self) -> dict[str, list[Factor]]:

@@ -97,28 +97,52 @@ class Weights:
             found = np.where(taken[:, 0].reshape(shape), found, semiring.one)
         return np.moveaxis(found, 0, -1)
 
-    def multiply(self, found: Array, part: range, semiring: Semiring) -> None:
-        """Multiply the weights of some steps, (steps, *slice, [runs]), by those of this sensor."""
-        last = len(self.starts) - 1
-        rows = range(self.starts[min(part.start, last)], self.starts[min(part.stop, last)])
+    def picked(self, part: range) -> tuple[Array, Array] | None:
+        """The weights of some steps, (steps, *slice, [runs]), and log-scales, picked in one go.
+
+        The largest of each step and run is one. None where there are several measurements of a
+        step, or where a measurement's weights are no column of one table.
+        """
+        rows = self._rows(part)
         step = self.reading.step[rows.start : rows.stop] - part.start
-        simple = not self.observed and not self.soft and self.cpd.function is None
-        if simple and (np.diff(step) > 0).all():  # each step once: all of them in one go
-            states = self.reading.values[rows.start : rows.stop, :, 0]
-            own = self._columns[states]  # (rows, runs or 1, *slice)
-            if not self.complete:
-                taken = self.reading.taken[rows.start : rows.stop, :, 0]
-                own[~taken] = 1.0
-            own = np.moveaxis(own, 1, -1) if self.batch else own[:, 0]
-            if len(own) == len(found):
-                found *= own
-            else:
-                found[step] *= own
-            return
-        for at, row in zip(step.tolist(), rows, strict=True):
+        if self.observed or self.soft or self.cpd.function is not None or (np.diff(step) < 1).any():
+            return None
+        columns, logs = self._scaled_columns
+        nothing = len(columns) - 1
+        states = self.reading.values[rows.start : rows.stop, :, 0]
+        if not self.complete:
+            states = np.where(self.reading.taken[rows.start : rows.stop, :, 0], states, nothing)
+        chosen = np.full((len(part), self.runs) if self.batch else len(part), nothing)
+        chosen[step] = states if self.batch else states[:, 0]
+        found = columns.take(chosen, axis=0)
+        return (np.moveaxis(found, 1, -1) if self.batch else found), logs[chosen]
+
+    @cached_property
+    def _scaled_columns(self) -> tuple[Array, Array]:
+        """The columns with a largest of one, and logarithms of scales; last, of no measurement."""
+        top = self._columns.max(axis=tuple(range(1, self._columns.ndim)), keepdims=True)
+        top = np.where(top > 0.0, top, 1.0)
+        nothing = np.ones((1, *self._columns.shape[1:]))
+        return np.concatenate([self._columns / top, nothing]), np.append(np.log(top), 0.0)
+
+    def _rows(self, part: range) -> range:
+        """The rows of the measurements of some steps."""
+        last = len(self.starts) - 1
+        return range(self.starts[min(part.start, last)], self.starts[min(part.stop, last)])
+
+    def multiply(self, found: Array, part: range, semiring: Semiring) -> Array | float:
+        """Multiply weights of some steps, (steps, *slice, [runs]), by this sensor's; log-scales."""
+        picked = self.picked(part)
+        if picked is not None:
+            found *= picked[0]
+            return picked[1]
+        rows = self._rows(part)
+        steps = self.reading.step[rows.start : rows.stop] - part.start
+        for step, row in zip(steps.tolist(), rows, strict=True):
             weights = self.row(row, semiring)
             if weights is not None:
-                found[at] *= weights
+                found[step] *= weights
+        return 0.0
 
     def _softened(self, columns: Array, places: Any, values: Array) -> Array:
         """Of soft evidence: the weights of the sensor's states, summed over."""
