@@ -71,6 +71,17 @@ def marginals(library: str, ours: list[Array], theirs: list[Array]) -> None:
         _require(library, "probabilities", other - mine, 1e-12)
 
 
+def beliefs_of_states(library: str, ours: Array, theirs: Array) -> None:
+    """Probabilities of states by step, of our first runs where there are fewer of theirs.
+
+    Raises
+    ------
+    AssertionError
+        Where they differ.
+    """
+    marginals(library, [ours[: len(theirs)]], [theirs])
+
+
 def networks(library: str, ours: pgm.BayesianNetwork, theirs: Any) -> None:
     """Variables, states and parents, and probabilities to the last digit.
 

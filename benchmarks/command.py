@@ -17,7 +17,17 @@ from experiments.record import folder, note, table, versions
 from pgm.io.whole import whole
 
 OUT = Path("results") / "bench"
-PEERS = ("filterpy", "stonesoup", "dynamax", "jax", "cuthbert", "gtsam", "pyagrum", "pgmpy")
+PEERS = (
+    "filterpy",
+    "stonesoup",
+    "dynamax",
+    "jax",
+    "hmmlearn",
+    "cuthbert",
+    "gtsam",
+    "pyagrum",
+    "pgmpy",
+)
 
 
 def main(arguments: list[str] | None = None) -> None:

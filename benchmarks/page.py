@@ -18,7 +18,10 @@ from benchmarks.verdicts import Verdict, verdicts
 PAGE = Path("docs") / "speed.md"
 FULL = "speed_full.md"
 FIRST, LAST = "<!-- measured -->", "<!-- end of what was measured -->"
-COLUMNS = ("pgm", "filterpy", "stonesoup", "dynamax", "cuthbert", "gtsam", "pyagrum", "pgmpy")
+COLUMNS = (
+    *("pgm", "filterpy", "stonesoup", "dynamax", "hmmlearn", "cuthbert"),
+    *("gtsam", "pyagrum", "pgmpy"),
+)
 FAMILIES = ("repository", "sets", "reading")  # rows of many networks
 HEAD = ("row", "unit", *COLUMNS)
 

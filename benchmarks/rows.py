@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from benchmarks import agreement, cliffs
 from benchmarks.row import Prepare, Row, part
-from benchmarks.work import repository, robots, tables, targets
+from benchmarks.timing import least
+from benchmarks.work import chains, repository, robots, tables, targets
 
 SHORT = {"taylor": "ekf", "unscented": "ukf"}
 QUICK = ("asia", "alarm")  # networks of the quick run
@@ -129,6 +130,57 @@ def linear() -> Row:
     )
 
 
+def hidden_markov(states: int, steps: int, quick: int) -> Row:
+    """Smoothing one run of a hidden Markov model, from its symbols to all marginals."""
+    return Row(
+        name=f"markov_{states}",
+        unit="step",
+        work=lambda size: chains.draw(states, size),
+        contenders={
+            "pgm": part("pgm_chains", "smoothing"),
+            "dynamax": part("dynamax_chains", "smoothing", "two_filter"),
+            "dynamax_smoother": part("dynamax_chains", "smoothing", "smoother"),
+            "dynamax_called": part("dynamax_chains", "called"),
+            "hmmlearn": part("hmmlearn_chains", "smoothing"),
+        },
+        check=agreement.beliefs_of_states,
+        size=steps,
+        quick=quick,
+        timed=least,  # a large matrix shares the caches with other processes
+    )
+
+
+def markov_runs() -> Row:
+    """64 runs of a thousand states in one call, and one of them by itself."""
+    return Row(
+        name="markov_runs",
+        unit="run and step",
+        work=lambda size: chains.draw(1_000, size, runs=64),
+        contenders={
+            "pgm": part("pgm_chains", "together"),
+            "pgm_alone": part("pgm_chains", "alone"),
+        },
+        check=agreement.beliefs_of_states,
+        size=300,
+        quick=20,
+        timed=least,
+    )
+
+
+def markov_shifts() -> Row:
+    """A hundred thousand states, cells of a map, of which no matrix is ever formed."""
+    return Row(
+        name="markov_shifts",
+        unit="step",
+        work=lambda size: chains.shifting((400, 250), size),
+        contenders={"pgm": part("pgm_chains", "smoothing")},
+        check=agreement.beliefs_of_states,
+        size=100,
+        quick=20,
+        timed=least,
+    )
+
+
 def discrete(name: str, task: tables.Task) -> Row:
     """New evidence on a compiled discrete network, then all marginals."""
     return Row(
@@ -205,6 +257,11 @@ ROWS = [
     *(make(rule) for make in (one_step, many_robots, smoother, online) for rule in SHORT),
     most_probable(),
     linear(),
+    hidden_markov(1_000, steps=300, quick=100),
+    hidden_markov(100, steps=2_000, quick=500),
+    hidden_markov(10, steps=10_000, quick=10_000),
+    markov_runs(),
+    markov_shifts(),
     *cliffs.ROWS,
     discrete("asia", tables.medical()),
     discrete("random_200", tables.random()),

@@ -29,6 +29,15 @@ CHEAPER = (  # row, peer, how many times our cost may be the peer's
     ("online_taylor", "filterpy", 1.3),
     ("online_unscented", "filterpy", 0.6),
 )
+FASTEST = (  # row, peer, how many times our cost its fastest way must be
+    ("markov_1000", "dynamax", 2.5),
+    ("markov_1000", "hmmlearn", 4.0),
+)
+NEAR = (  # row, peer, how many times the cost of its fastest way ours may be
+    ("markov_100", "dynamax", 1.5),
+    ("markov_10", "dynamax", 1.5),
+    ("markov_runs", "pgm_alone", 0.4),
+)
 WITHIN = (  # row, how many milliseconds it may take
     ("reading_alarm", 20.0),
     ("reading_andes", 150.0),
@@ -79,6 +88,12 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
         times = summary.get(row, {})
         if peer in times:
             yield Verdict(f"{row}: pgm / {peer}", times["pgm"] / times[peer], asked, False)
+    for row, peer, asked in FASTEST:
+        for ratio in _to_fastest(summary, row, peer):
+            yield Verdict(f"{row}: fastest of {peer} / pgm", 1.0 / ratio, asked, True)
+    for row, peer, asked in NEAR:
+        for ratio in _to_fastest(summary, row, peer):
+            yield Verdict(f"{row}: pgm / fastest of {peer}", ratio, asked, False)
     for row, asked in WITHIN:
         if "pgm" in summary.get(row, {}):
             yield Verdict(f"{row}: milliseconds", 1e3 * summary[row]["pgm"], asked, False)
@@ -98,3 +113,11 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
             between = f"{min(chosen):,} to {max(chosen):,} steps"
             ratio = max(chosen.values()) / min(chosen.values())
             yield Verdict(f"{curve}, {between}: dearest / cheapest step", ratio, asked, False)
+
+
+def _to_fastest(summary: Mapping[str, Any], row: str, peer: str) -> Iterator[float]:
+    """How many times the cost of a peer's fastest way ours is, if the peer was run."""
+    times = summary.get(row, {})
+    ways = [value for library, value in times.items() if f"{library}_".startswith(f"{peer}_")]
+    if ways:
+        yield times["pgm"] / min(ways)

@@ -23,9 +23,8 @@ SMOOTHERS = {
 
 
 def smoothing(kind: str, work: Chains) -> Contender:
-    """One run: (T, states)."""
-    first, motion, sensor = (jnp.asarray(each) for each in work.tables)
-    by_symbol = jnp.log(sensor).T
+    """One run: (T, states); tables are constants of what is compiled, which suits it best."""
+    first, motion, by_symbol = _tables(work)
     smoother = SMOOTHERS[kind]
 
     def run(readings: Any) -> Any:
@@ -34,6 +33,24 @@ def smoothing(kind: str, work: Chains) -> Contender:
 
     jitted = jax.jit(run)
     return compiled(lambda: _found(jitted(work.readings[0])), work.steps)
+
+
+def called(work: Chains) -> Contender:
+    """The two-filter smoother given the tables with each call, as the library's own jit is."""
+    tables, smoother = _tables(work), SMOOTHERS["two_filter"]
+
+    def run(first: Any, motion: Any, by_symbol: Any, readings: Any) -> Any:
+        logs = by_symbol[readings]
+        return smoother(first, motion, logs, compute_trans_probs=False).smoothed_probs
+
+    jitted = jax.jit(run)
+    return compiled(lambda: _found(jitted(*tables, work.readings[0])), work.steps)
+
+
+def _tables(work: Chains) -> tuple[Any, Any, Any]:
+    """The first distribution, p(x_t | x_{t−1}), and ln p(z | x) by symbol."""
+    first, motion, sensor = (jnp.asarray(each) for each in work.tables)
+    return first, motion, jnp.log(sensor).T
 
 
 def _found(values: Any) -> Array:

@@ -15,8 +15,7 @@ def smoothing(work: Chains) -> Contender:
 
     def call() -> Array:
         posterior = pgm.infer(graph, {work.symbol: work.readings[0]}, schedule=pgm.Smoothing())
-        found: Array = posterior[work.state].values[1:]
-        return found
+        return _values(posterior, work)[1:]
 
     return Contender(call, work.steps)
 
@@ -27,8 +26,7 @@ def together(work: Chains) -> Contender:
 
     def call() -> Array:
         posterior = pgm.infer(graph, {work.symbol: work.readings}, schedule=pgm.Smoothing())
-        found: Array = posterior[work.state].values[:, 1:]
-        return found
+        return _values(posterior, work)[:, 1:]
 
     return Contender(call, work.runs * work.steps)
 
@@ -37,3 +35,9 @@ def alone(work: Chains) -> Contender:
     """The first of several runs: (1, T, states)."""
     first = smoothing(work)
     return Contender(lambda: np.asarray(first.call())[None], first.units)
+
+
+def _values(posterior: pgm.Posterior, work: Chains) -> Array:
+    belief = posterior[work.state]
+    assert isinstance(belief, pgm.Table)
+    return belief.values

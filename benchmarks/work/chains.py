@@ -38,17 +38,17 @@ class Chains:
     @property
     def steps(self) -> int:
         """T."""
-        return self.readings.shape[1]
+        return int(self.readings.shape[1])
 
     @property
-    def state(self) -> pgm.Variable:
+    def state(self) -> pgm.Discrete:
         """The hidden variable."""
-        return self.network.prior[0].child
+        return _child(self.network.prior[0])
 
     @property
-    def symbol(self) -> pgm.Variable:
+    def symbol(self) -> pgm.Discrete:
         """What is read."""
-        return self.network.observation[0].child
+        return _child(self.network.observation[0])
 
     @property
     def tables(self) -> tuple[Array, Array, Array]:
@@ -88,6 +88,11 @@ def _drawn(
 def _rows(rng: np.random.Generator, count: int, size: int) -> Array:
     """Distributions over a number of states."""
     return rng.dirichlet(np.full(size, CONCENTRATION), count)
+
+
+def _child(cpd: object) -> pgm.Discrete:
+    assert isinstance(cpd, pgm.TableCPD)
+    return cpd.child
 
 
 def _table(cpd: object) -> Array:

@@ -62,17 +62,17 @@ class Robots:
     @property
     def start(self) -> tuple[Array, Array]:
         """Mean and covariance of the first pose."""
-        return np.zeros(3), np.array(self.network.prior[0].cov)
+        return np.zeros(3), _cov(self.network.prior[0])
 
     @property
     def motion_cov(self) -> Array:
         """Covariance of the motion's noise, (3, 3)."""
-        return np.array(self.network.transition[0].cov)
+        return _cov(self.network.transition[0])
 
     @property
     def sensor_cov(self) -> Array:
         """Covariance of a sighting's noise, (2, 2)."""
-        return np.array(self.network.observation[0].cov)
+        return _cov(self.network.observation[0])
 
     def of(self, run: int) -> Array:
         """The controls of a run, (T, 2)."""
@@ -175,6 +175,12 @@ def drive(controls: Array, noise: Array, start: Array | None = None) -> Array:
     east = start[..., None, 0] + _sums(chord * np.cos(course) + noise[..., 0])
     north = start[..., None, 1] + _sums(chord * np.sin(course) + noise[..., 1])
     return np.stack([east, north, heading], axis=-1)
+
+
+def _cov(cpd: pgm.CPD) -> Array:
+    """The covariance of a CPD's noise."""
+    assert isinstance(cpd, pgm.GaussianCPD | pgm.NonlinearGaussianCPD)
+    return np.array(cpd.cov)
 
 
 def _sums(changes: Array) -> Array:
