@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Integers
 
 # Deviations after which tails are cut: exp(−8.5²/2) is the rounding of float64.
 REACH = 8.5
@@ -148,12 +148,12 @@ class Span(NamedTuple):
 
     Attributes
     ----------
-    first, count : int
+    first, length : int
         The first cell, and how many there are.
     """
 
     first: int
-    count: int
+    length: int
 
 
 def reached(low: int, high: int, cells: int, periodic: bool) -> Span:
@@ -183,20 +183,20 @@ def matrices(
     """
     count, own, taps = weights.shape
     low = source.first - target.first
-    if own > 1 or source.count == 1:
-        column = np.arange(source.count)
+    if own > 1 or source.length == 1:
+        column = np.arange(source.length)
         row = low + column[:, None] + first[..., None] + np.arange(taps)
         if periodic:
             row %= cells
-        inside = (row >= 0) & (row < target.count)
-        place = (np.arange(count)[:, None, None] * target.count + row) * source.count
+        inside = (row >= 0) & (row < target.length)
+        place = (np.arange(count)[:, None, None] * target.length + row) * source.length
         place = (place + column[:, None])[inside]
-        size = count * target.count * source.count
-        flat = np.bincount(place, weights=weights[inside], minlength=size)
-        return flat.reshape(count, target.count, source.count)
-    # Along diagonals: row − column runs from 1 − source.count to target.count − 1.
-    length = target.count + source.count - 1
-    diagonal = low + first + np.arange(taps) + source.count - 1
+        size = count * target.length * source.length
+        flat = np.bincount(place, weights=weights[inside], minlength=size).astype(np.float64)
+        return flat.reshape(count, target.length, source.length)
+    # Along diagonals: row − column runs from 1 − source.length to target.length − 1.
+    length = target.length + source.length - 1
+    diagonal = low + first + np.arange(taps) + source.length - 1
     if periodic:
         turns = range(-(-length // cells) + 1)
         diagonal = np.concatenate([diagonal % cells + cells * k for k in turns], axis=-1)
@@ -209,8 +209,8 @@ def matrices(
     line = line.reshape(count, length)
     step = line.strides[1]
     view = np.lib.stride_tricks.as_strided(
-        line[:, source.count - 1 :],
-        (count, target.count, source.count),
+        line[:, source.length - 1 :],
+        (count, target.length, source.length),
         (line.strides[0], step, -step),
         writeable=False,
     )

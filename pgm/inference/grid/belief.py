@@ -228,9 +228,7 @@ class GridBelief(Immutable):
         return GridBelief(self._axes, values, steps)
 
     def __repr__(self) -> str:
-        shape = " × ".join(
-            f"{axis.label} {axis.cells}" for axis in self._axes
-        )
+        shape = " × ".join(f"{axis.label} {axis.cells}" for axis in self._axes)
         lead = f", leading axes {self.lead}" if self.lead else ""
         return f"GridBelief({shape}{lead})"
 
@@ -239,10 +237,7 @@ class GridBelief(Immutable):
         if places not in self._marginals:
             count = len(self.lead)
             others = tuple(count + k for k in range(len(self._axes)) if k not in places)
-            if others:
-                found = self.values.sum(axis=others, dtype=np.float64)
-            else:
-                found = self.values
+            found = self.values.sum(axis=others, dtype=np.float64) if others else self.values
             order = [int(k) for k in np.argsort(np.argsort(places))]
             self._marginals[places] = found.transpose(*range(count), *(count + k for k in order))
         return self._marginals[places]

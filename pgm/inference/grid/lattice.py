@@ -48,12 +48,11 @@ class Axis:
     def offsets(self) -> Array:
         """The centres, (cells,), counted from the reference: map coordinates cost no digits."""
         half = self.cells // 2 if self.angle else 0.5 * (self.cells - 1)
-        found: Array = (np.arange(self.cells) - half) * self.width
-        return found
+        return np.asarray((np.arange(self.cells) - half) * self.width, dtype=np.float64)
 
     @cached_property
     def reference(self) -> float:
-        """The middle of the axis, from which offsets count; of a circle the middle is 0, or near."""
+        """The middle of the axis, from which offsets count; of a circle it is 0, or near."""
         if self.angle:
             return -math.pi + self.cells // 2 * self.width
         return self.low + 0.5 * self.cells * self.width
@@ -67,9 +66,9 @@ class Axis:
 
     def within(self, span: Span) -> slice | Integers:
         """The index of the cells of a span."""
-        if span.first + span.count <= self.cells:
-            return slice(span.first, span.first + span.count)
-        return np.arange(span.first, span.first + span.count) % self.cells
+        if span.first + span.length <= self.cells:
+            return slice(span.first, span.first + span.length)
+        return np.arange(span.first, span.first + span.length) % self.cells
 
 
 # The cells of a lattice that are in use: a span of each axis.
@@ -118,14 +117,14 @@ class Lattice:
     def indices(self, window: Window) -> list[Integers]:
         """The cells of a window along each axis."""
         return [
-            np.arange(span.first, span.first + span.count) % axis.cells
+            np.arange(span.first, span.first + span.length) % axis.cells
             for span, axis in zip(window, self.axes, strict=True)
         ]
 
     def cut(self, array: Array, window: Window) -> Array:
         """The part of an array (*shape) in a window."""
         for k, (span, axis) in enumerate(zip(window, self.axes, strict=True)):
-            if span.count < axis.cells or span.first:
+            if span.length < axis.cells or span.first:
                 array = array[(slice(None),) * k + (axis.within(span),)]
         return array
 

@@ -95,9 +95,7 @@ class Motion:
         def values(before: Array, after: Array) -> Array:
             shape = len(before), spread.size
             each = [
-                group.displacement(
-                    before, after, np.broadcast_to(noise, shape), spread, step, run
-                )
+                group.displacement(before, after, np.broadcast_to(noise, shape), spread, step, run)
                 for noise in noises
             ]
             return np.stack(each, axis=1)
@@ -187,8 +185,12 @@ class _Maker:
         for k in range(size):
             ends = [
                 self.group.displacement(
-                    points, points, sign * np.eye(size)[[k] * len(points)], self.spread,
-                    self.step, self.run,
+                    points,
+                    points,
+                    sign * np.eye(size)[[k] * len(points)],
+                    self.spread,
+                    self.step,
+                    self.run,
                 )
                 for sign in (1.0, -1.0)
             ]
@@ -268,11 +270,19 @@ class _Maker:
             first = np.full((1, 1, 1), -source.first)
             none = np.zeros((1, 1, 1))
             return Move(
-                axis, (), first, whole, none, source, Span(0, cells), cells, lattice.axes[axis].angle
+                axis,
+                (),
+                first,
+                whole,
+                none,
+                source,
+                Span(0, cells),
+                cells,
+                lattice.axes[axis].angle,
             )
         used = [*by, axis] if own else list(by)
         indices = lattice.indices(window)
-        flat = [np.zeros(math.prod(window[a].count for a in used), dtype=np.intp)] * len(window)
+        flat = [np.zeros(math.prod(window[a].length for a in used), dtype=np.intp)] * len(window)
         mesh = np.meshgrid(*(indices[a] for a in used), indexing="ij")
         for a, part in zip(used, mesh, strict=True):
             flat[a] = part.reshape(-1)
@@ -281,7 +291,7 @@ class _Maker:
             shift = shift[:1]  # the same at all nodes
         if variance == 0.0 and not shift.any():
             return None
-        shape = (len(shift), math.prod(window[a].count for a in by), source.count if own else 1)
+        shape = (len(shift), math.prod(window[a].length for a in by), source.length if own else 1)
         return _along(lattice.axes[axis], axis, by, shift.reshape(shape), variance, source)
 
     def _split(self, window: Window) -> tuple[Window, list[Operator]]:
@@ -346,11 +356,11 @@ def _along(
     made = kernels(shift.reshape(-1), variance)
     first, taps = made.first.reshape(shift.shape), made.weights.shape[-1]
     if shift.shape[-1] > 1:
-        start = source.first + first + np.arange(source.count)
+        start = source.first + first + np.arange(source.length)
         low, high = int(start.min()), int(start.max())
     else:
         low = source.first + int(first.min())
-        high = source.first + source.count - 1 + int(first.max())
+        high = source.first + source.length - 1 + int(first.max())
     return Move(
         place,
         by,

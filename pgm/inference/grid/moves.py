@@ -197,23 +197,21 @@ class Split:
     @cached_property
     def _rest(self) -> Integers:
         """The part of the flat target that the axes which are not moved give, (source cells,)."""
-        counts = [span.count for span in self.target]
+        counts = [span.length for span in self.target]
         strides = [int(np.prod(counts[k + 1 :])) for k in range(len(counts))]
         total = np.zeros((1,) * len(counts), dtype=np.intp)
         for k, span in enumerate(self.source):
-            own = np.zeros(span.count) if k in self.axes else np.arange(span.count) * strides[k]
+            own = np.zeros(span.length) if k in self.axes else np.arange(span.length) * strides[k]
             shape = [1] * len(counts)
-            shape[k] = span.count
+            shape[k] = span.length
             total = total + own.astype(np.intp).reshape(shape)
         return total.reshape(-1)
 
     def _taps(self, node: int) -> list[list[tuple[Integers, Array]]]:
         """By moved axis, each of three taps: its part of the flat target, and its weight."""
-        counts = [span.count for span in self.target]
+        counts = [span.length for span in self.target]
         found = []
-        for target, axis, variance in zip(
-            self.place(node), self.axes, self.variance, strict=True
-        ):
+        for target, axis, variance in zip(self.place(node), self.axes, self.variance, strict=True):
             nearest = np.rint(target)
             part = target - nearest
             spread = np.maximum(variance, np.abs(part) * (1.0 - np.abs(part))) + part * part
@@ -228,14 +226,14 @@ class Split:
                     inside = (index >= 0) & (index < self.cells[axis])
                     index = index - span.first
                 # A point of no weight may be next to the window.
-                inside &= (index >= 0) & (index < span.count)
+                inside &= (index >= 0) & (index < span.length)
                 taps.append((np.where(inside, index * stride, 0), np.where(inside, weight, 0.0)))
             found.append(taps)
         return found
 
     def forward(self, array: Array) -> Array:
         """The probabilities after it."""
-        counts = tuple(span.count for span in self.target)
+        counts = tuple(span.length for span in self.target)
         size, values = int(np.prod(counts)), array.reshape(-1)
         total = np.zeros(size)
         for node, share in enumerate(self.nodes):
@@ -256,7 +254,7 @@ class Split:
                 for place, each in taps:
                     index, weight = index + place, weight * each
                 total += weight * values[index]
-        return total.reshape(tuple(span.count for span in self.source))
+        return total.reshape(tuple(span.length for span in self.source))
 
     def added(self, array: Array) -> dict[int, float]:
         """By axis, the variance that the lattice adds to these probabilities, in cells."""

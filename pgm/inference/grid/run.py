@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from pgm.inference.kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.markov.chain import StateChain
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
 from pgm.kernels.arrays import Array
+from pgm.networks import DynamicBayesianNetwork
 from pgm.sizes import NUMBER, gibibytes, require_memory
 
 # Arrays of one belief's size that a step works with.
@@ -40,12 +40,22 @@ def run(
         Smoothing, if not given.
     grid : Grid
     """
-    if not isinstance(grid, Grid):
-        raise ModelError(f"belief= is a pgm.Grid(...), not {grid!r}")
     kind = _kind(graph, schedule)
     found = _refined(graph, bound, kind, grid)
     found.status.warn()
     return found
+
+
+def require_grid(grid: Any, model: DynamicBayesianNetwork) -> Grid:
+    """Refuse a belief that is no grid, and a network that has none."""
+    if not isinstance(grid, Grid):
+        raise ModelError(f"belief= is a pgm.Grid(...), not {grid!r}")
+    if model.discrete:
+        raise ModelError(
+            "a network of tables has the probabilities of its states without a grid: leave "
+            "belief= out"
+        )
+    return grid
 
 
 def _kind(graph: DynamicGraph, schedule: Schedule | None) -> Kind:
@@ -143,10 +153,10 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
         slices = GridSlices(model, k, grid.dtype if smoothing else None)
         chain = _Kept(slices, filtered[k]).run()
         if smoothed is not None:
-            every = chain.smoothed() if kind == SMOOTHED else _lagged(chain, bound.steps, kind)
+            every = chain.smoothed() if kind == SMOOTHED else chain.lagged(int(kind.lag))
             for step, belief in every:
                 smoothed[k, step] = belief
-        log_evidence[k] = float(np.sum(chain.log_density))
+        log_evidence[k] = sum(map(float, chain.log_density))
         outside[k], added[k] = slices.outside, slices.added
         if slices.sharpest.cells > sharpest.cells:
             sharpest = slices.sharpest
@@ -174,23 +184,13 @@ class _Kept(StateChain):
     """A chain whose filtered beliefs are written to an array that is there."""
 
     def __init__(self, slices: GridSlices, room: Any) -> None:
-        super().__init__(slices, room.dtype.type)
+        super().__init__(slices, dtype=room.dtype.type)
         self.known = list(room)
 
     def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
         """Keep the belief of a step."""
         self.known[step][...] = known
         self.log_density.append(log_density)
-
-
-def _lagged(chain: StateChain, steps: int, kind: Kind) -> Iterator[tuple[int, Array]]:
-    """The steps, and the belief of each given the measurements up to a lag after it."""
-    for step in range(steps + 1):
-        message = np.ones_like(chain.known[step], dtype=np.float64)
-        for later in reversed(range(step, kind.last(step, steps))):
-            message = chain.back(later, message)
-        joint = chain.known[step] * message
-        yield step, joint / joint.sum()
 
 
 def require_room(lattice: Lattice, grid: Grid, steps: int, runs: int, sets: int) -> None:

@@ -125,7 +125,9 @@ class GridSensor:
     @property
     def cpd(self) -> ConditionalGaussian:
         """The sensor's CPD."""
-        return self.reading.cpd
+        cpd = self.reading.cpd
+        assert isinstance(cpd, ConditionalGaussian)
+        return cpd
 
     @cached_property
     def angles(self) -> Mask:
@@ -184,19 +186,21 @@ class GridSensor:
         other = None if other is None else other[..., taken]
         if np.array_equal(lower, np.diag(pivots)):
             found: list[Term | Joint] = []
-            for k, scale in enumerate(1.0 / pivots):
+            for k, scale in enumerate((1.0 / pivots).tolist()):
                 part = None if other is None else other[..., k]
                 if part is not None and not part.any():
                     part = None
-                found.append(Term(one[..., k], part, float(scale), bool(angles[k])))
+                found.append(Term(one[..., k], part, scale, bool(angles[k])))
             return found, constant
         residual = one if other is None else one - other
-        for k in np.flatnonzero(angles):
-            residual[..., k] = wrap(residual[..., k])
-        whiten = np.linalg.solve(lower, np.eye(len(lower)))
+        for place in np.flatnonzero(angles):
+            residual[..., place] = wrap(residual[..., place])
+        whiten = np.linalg.solve(lower, np.eye(len(lower))).astype(np.float64)
         return [Joint(residual, whiten)], constant
 
-    def _parts(self, known: Known, step: int, run: int, window: Window) -> tuple[Array, Array | None]:
+    def _parts(
+        self, known: Known, step: int, run: int, window: Window
+    ) -> tuple[Array, Array | None]:
         """The function's values at the centres of a window, as those of axes plus those of circles.
 
         Each broadcasts to the window, with the components last.
@@ -292,7 +296,7 @@ def likelihood(
     sharpest = Sharpness(0.0, None, step)
     if not terms:
         return None, 0.0, sharpest
-    shape = tuple(span.count for span in window)
+    shape = tuple(span.length for span in window)
     exponent = _exponents(terms, shape)
     largest = float(exponent.max())
     place = np.unravel_index(int(exponent.argmax()), shape)
@@ -343,8 +347,8 @@ def _sharpness(sensor: GridSensor, row: int, run: int, cells: list[Integers]) ->
     known = sensor.known(row, run)
     found = sensor.values(centres(lattice, others), known, step, run)
     gap = found[1:] - found[0]
-    for k in np.flatnonzero(sensor.angles):
-        gap[:, k] = wrap(gap[:, k])
+    for place in np.flatnonzero(sensor.angles):
+        gap[:, place] = wrap(gap[:, place])
     lower = root_of(sensor.cpd, covariance_of(sensor.cpd, known, step, run), step)
     white = np.linalg.lstsq(lower, gap.T, rcond=None)[0]
     return float(np.sqrt((white * white).sum(axis=0)).max())

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NoReturn
+from typing import Any, NoReturn, cast
 
 import numpy as np
 
+from pgm.cpds import ConditionalGaussian
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
@@ -39,10 +39,12 @@ class GridModel:
         self, lattice: Lattice, model: DynamicBayesianNetwork, bound: BoundEvidence
     ) -> None:
         self.lattice, self.model, self.bound = lattice, model, bound
-        self.first = groups(lattice, model.prior, [{}] * len(model.prior), prior=True)
+        prior = cast("tuple[ConditionalGaussian, ...]", model.prior)
+        transition = cast("tuple[ConditionalGaussian, ...]", model.transition)
+        self.first = groups(lattice, prior, [{}] * len(prior), prior=True)
         moved: list[Group] = []
         if bound.transition:
-            moved = groups(lattice, model.transition, bound.transition, prior=False)
+            moved = groups(lattice, transition, bound.transition, prior=False)
         self.motion = Motion(lattice, moved)
         self.sensors = [GridSensor(lattice, reading) for reading in bound.readings]
         for sensor in self.sensors:
@@ -72,7 +74,7 @@ class GridSlices:
 
     lead: tuple[int, ...] = ()
 
-    def __init__(self, model: GridModel, run: int, keep: type | None = None) -> None:
+    def __init__(self, model: GridModel, run: int, keep: Any = None) -> None:
         self.model, self.run, self._keep = model, run, keep
         self.lattice, self.steps = model.lattice, model.bound.steps
         self.outside = np.zeros(self.steps + 1)
@@ -134,7 +136,9 @@ class GridSlices:
             if sharpest.cells > self.sharpest.cells:
                 self.sharpest = sharpest
             if self._keep is not None:
-                kept = None if weights is None else weights.astype(self._keep, copy=False)
+                kept: Array | None = None
+                if weights is not None:
+                    kept = weights.astype(self._keep, copy=False)
                 self._weights[step] = kept, scale
         return None if weights is None else self.lattice.put(weights, target), scale
 
@@ -181,6 +185,3 @@ def _span(used: Mask, periodic: bool) -> Span:
     widest = int(gaps.argmax())
     first = int(places[(widest + 1) % len(places)])
     return Span(first, cells - int(gaps[widest]) + 1)
-
-
-Totals = Mapping[str, Array]

@@ -126,8 +126,11 @@ class GridStatus(Immutable):
         most = float(self.outside.max(initial=0.0))
         if most > MUCH:
             runs = int((self.outside > MUCH).sum())
-            step = int(self.outside_by_step.reshape(-1, self.outside_by_step.shape[-1])
-                       .max(axis=0).argmax())
+            step = int(
+                self.outside_by_step.reshape(-1, self.outside_by_step.shape[-1])
+                .max(axis=0)
+                .argmax()
+            )
             message = (
                 f"up to {most:.2g} of the probability has left the bounds of the grid, in {runs} "
                 f"of {self.outside.size} runs, most of it at step {step} (status.outside): widen "

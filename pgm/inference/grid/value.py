@@ -96,7 +96,7 @@ class Grid(Immutable):
             raise ModelError(f"a grid's dtype is np.float64 or np.float32, not {dtype!r}")
         if refine is not None and refine != "log_evidence" and not callable(refine):
             raise ModelError(
-                f"refine= is \"log_evidence\" or a function of the posterior, not {refine!r}"
+                f'refine= is "log_evidence" or a function of the posterior, not {refine!r}'
             )
         self._set(cells=MappingProxyType(found), dtype=np.dtype(dtype).type, refine=refine)
         require_tolerance(self, tolerance)
@@ -163,7 +163,7 @@ def _extent(key: object, value: Any) -> Extent:
     """What a grid is asked for along one axis, checked."""
     if not isinstance(key, str | Variable):
         raise ModelError(
-            f"a grid's axes are components of states, named like \"east\" or \"x.east\", or scalar "
+            f'a grid\'s axes are components of states, named like "east" or "x.east", or scalar '
             f"variables; found {key!r}"
         )
     what = f"the grid's {key if isinstance(key, str) else repr(key)}"

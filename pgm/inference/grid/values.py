@@ -71,14 +71,16 @@ def mean_at(
                 step=step,
                 run=run,
             )
-    return mean - points[less] if less is not None else mean
+    moved: Array = mean if less is None else mean - points[less]
+    return moved
 
 
 def covariance_of(cpd: ConditionalGaussian, known: Known, step: int, run: int) -> Array:
     """The noise covariance of a CPD, (d, d)."""
     if isinstance(cpd.cov, Noise):
         given = {parent: known[parent][None] for parent in cpd.cov.given}
-        return evaluate(cpd, given, (1,), step, run)[0]
+        cov: Array = evaluate(cpd, given, (1,), step, run)[0]
+        return cov
     size = cpd.child.dimension
     every = cpd.cov.reshape(-1, size, size)
     found: Array = every[run if len(every) > 1 else 0]
