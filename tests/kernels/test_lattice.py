@@ -109,7 +109,7 @@ def test_matrices_are_kernels_in_columns(periodic, own, first, count, variance):
     target = reached(int(places.min()), high, cells, periodic)
     (matrix,) = matrices(starts, made.weights[None], Span(first, count), target, cells, periodic)
     found = np.zeros(cells)
-    rows = np.arange(target.first, target.first + target.count) % cells
+    rows = np.arange(target.first, target.first + target.length) % cells
     found[rows] = matrix @ values[first : first + count]
     assert_allclose(found, moved(values, shifts, variance, periodic), rtol=1e-12, atol=1e-16)
 

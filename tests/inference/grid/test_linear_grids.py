@@ -15,7 +15,9 @@ TURN = 0.97 * np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]]
 
 
 def model(
-    matrix=((1.0, 0.4), (0.0, 1.0)), noise=((0.03, 0.0), (0.0, 0.01)), prior=((0.5, 0), (0, 0.04))
+    matrix=((1.0, 0.4), (0.0, 1.0)),
+    noise=((0.03, 0.0), (0.0, 0.01)),
+    prior=((0.5, 0.0), (0.0, 0.04)),
 ):
     return pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(x, [0.03, 0.12], prior)],

@@ -39,9 +39,8 @@ def evidence(model, steps, seed=0, shift=(0.0, 0.0), controls=None):
         controls = np.stack([np.full(steps, 0.25), 0.2 + 0.05 * np.sin(np.arange(steps))], axis=-1)
     step = np.repeat(np.arange(steps + 1), 2)
     seen = LANDMARKS[np.arange(len(step)) % 3] + shift
-    drawn = model.replace(
-        prior=[pgm.GaussianCPD(x, [4.0 + shift[0], 3.0 + shift[1], 0.5], np.zeros((3, 3)))]
-    )
+    start = [4.0 + shift[0], 3.0 + shift[1], 0.5]
+    drawn = model.replace(prior=[pgm.GaussianCPD(x, start, np.zeros((3, 3)))])
     return drawn.sample(
         {u: controls, z: pgm.sightings(step=step, given={m: seen})}, rng=seed
     ).evidence
