@@ -127,7 +127,7 @@ def replaced(model, cpd):
 
 def motions():
     model = robot(cov=KNOWN)
-    noise = np.diag([0.01, 0.01, 0.004])
+    noise = np.diag([0.02, 0.02, 0.01])
     mixed = noise + 0.004 * (np.ones((3, 3)) - np.eye(3)) * [[1, 1, 0], [1, 1, 0], [0, 0, 1]]
     v = pgm.Variable("v", components=("distance", "turn"))
     through = [
