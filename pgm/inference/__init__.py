@@ -9,6 +9,7 @@ from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
 from pgm.inference.grid.belief import GridBelief
+from pgm.inference.grid.online import OnlineGrid, OnlineGridBelief
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
@@ -49,6 +50,8 @@ __all__ = [
     "MostProbable",
     "OnlineBelief",
     "OnlineFilter",
+    "OnlineGrid",
+    "OnlineGridBelief",
     "Posterior",
     "Residual",
     "Schedule",

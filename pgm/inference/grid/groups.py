@@ -50,6 +50,8 @@ class Group:
         By child, the values (rows, runs or 1, d) of its observed parents.
     prior : bool
         Whether this is step 0: displacements are counted from the first cell then.
+    first : int
+        The step before the first row of these values.
     """
 
     lattice: Lattice
@@ -57,6 +59,7 @@ class Group:
     states: tuple[ConditionalGaussian, ...]
     known: Mapping[Variable, Mapping[Variable, Array]]
     prior: bool
+    first: int = 0
 
     @property
     def axes(self) -> tuple[int, ...]:
@@ -77,7 +80,7 @@ class Group:
     def inputs(self, child: Variable, step: int, run: int) -> Known:
         """The values (d,) of a child's observed parents at a step."""
         return {
-            v: values[step - 1, run if values.shape[1] > 1 else 0]
+            v: values[step - 1 - self.first, run if values.shape[1] > 1 else 0]
             for v, values in self.known[child].items()
         }
 
@@ -151,6 +154,7 @@ class Group:
             tuple(cpd for group in every for cpd in group.states),
             {v: values for group in every for v, values in group.known.items()},
             self.prior,
+            self.first,
         )
 
 
@@ -188,6 +192,7 @@ def groups(
     known: Sequence[Mapping[Variable, Array]],
     *,
     prior: bool,
+    first: int = 0,
 ) -> list[Group]:
     """The groups of a prior or transition: states whose CPDs depend on one control are together."""
     values = {cpd.child: given for cpd, given in zip(cpds, known, strict=True)}
@@ -209,5 +214,5 @@ def groups(
     for need, members in alike:
         own = tuple(cpd for cpd in cpds if cpd.child in need)
         family = {cpd.child: values[cpd.child] for cpd in (*own, *members)}
-        found.append(Group(lattice, own, tuple(members), family, prior))
+        found.append(Group(lattice, own, tuple(members), family, prior, first))
     return found

@@ -24,11 +24,12 @@ from pgm.inference.grid.lattice import Axis, Lattice, Window
 from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import REACH, Span, kernels, reached
+from pgm.variables import Variable
 
 # Numbers of the matrices of one move at the most; more are split cell by cell.
 _MATRICES = 1 << 24
 # Nodes of a quadrature at the most.
-_NODES = 20_000
+_NODES = 4096
 # Noise that spreads over no more than this many cells takes the nodes of Gauss and Hermite.
 _NARROW = 1.0
 _HERMITE = 5
@@ -71,11 +72,13 @@ class Motion:
     ----------
     lattice : Lattice
     groups : list of Group
+    known : dict
+        By the states of a group, the axes on which their displacements depend, as far as is known.
     """
 
     lattice: Lattice
     groups: list[Group]
-    _known: dict[tuple[object, ...], Dependence] = field(default_factory=dict)
+    known: dict[tuple[Variable, ...], Dependence] = field(default_factory=dict)
 
     def at(self, step: int, run: int, source: Window) -> Step:
         """The operators of a step, for the probabilities in a window."""
@@ -88,7 +91,7 @@ class Motion:
     def dependence(self, group: Group, spread: Spread, step: int, run: int) -> Dependence:
         """The axes on which the displacements of a group depend, tested at this step."""
         key = tuple(cpd.child for cpd in group.states)
-        found = self._known.setdefault(key, Dependence(self.lattice))
+        found = self.known.setdefault(key, Dependence(self.lattice))
         some = np.random.default_rng(step).standard_normal((2, spread.size))
         noises = [np.zeros(spread.size), *(some if spread.size else ())]
 

@@ -157,7 +157,8 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
             for step, belief in every:
                 smoothed[k, step] = belief
         log_evidence[k] = sum(map(float, chain.log_density))
-        outside[k], added[k] = slices.outside, slices.added
+        outside[k] = [slices.outside[step] for step in range(bound.steps + 1)]
+        added[k] = slices.added
         if slices.sharpest.cells > sharpest.cells:
             sharpest = slices.sharpest
     lead = bound.lead

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -107,20 +107,38 @@ class Sharpness(NamedTuple):
 
 
 @dataclass(eq=False)
+class Shape:
+    """The shape of a sensor's function, as far as it has been tested.
+
+    Attributes
+    ----------
+    depended : Dependence
+        On which axes it depends.
+    turning : frozenset of int or None
+        The circles by which it is a sum of two; None as long as that has not been asked.
+    tested : bool
+        Whether that has been tested at every centre.
+    """
+
+    depended: Dependence
+    turning: frozenset[int] | None = None
+    tested: bool = False
+
+
+@dataclass(eq=False)
 class GridSensor:
-    """A sensor's measurements, and the axes on which it depends.
+    """A sensor's measurements, and the shape of its function.
 
     Attributes
     ----------
     lattice : Lattice
     reading : Reading
+    shape : Shape
     """
 
     lattice: Lattice
     reading: Reading
-    _found: Dependence | None = field(default=None)
-    _turning: frozenset[int] | None = field(default=None)
-    _tested: bool = False
+    shape: Shape
 
     @property
     def cpd(self) -> ConditionalGaussian:
@@ -232,14 +250,12 @@ class GridSensor:
 
     def _depended(self, known: Known, step: int, run: int) -> set[int]:
         """The axes on which any component depends."""
-        if self._found is None:
-            self._found = Dependence(self.lattice)
 
         def values(before: Array, after: Array) -> Array:
             return self.values(before, known, step, run)
 
-        self._found.look(values, self._differ, frozenset(), 5 * step + 2)
-        return set().union(*self._found.before)
+        self.shape.depended.look(values, self._differ, frozenset(), 5 * step + 2)
+        return set().union(*self.shape.depended.before)
 
     def _differ(self, one: Array, other: Array) -> Mask:
         """Whether values (n, d) differ by more than rounding."""
@@ -252,17 +268,18 @@ class GridSensor:
 
     def _turned(self, depended: set[int], known: Known, step: int, run: int) -> frozenset[int]:
         """The circles on which the function depends by a sum of two; none, if it is no such sum."""
-        if self._turning is None:
-            self._turning = frozenset(depended.intersection(self.lattice.angles))
-        if not self._turning or not depended - self._turning:
+        shape = self.shape
+        if shape.turning is None:
+            shape.turning = frozenset(depended.intersection(self.lattice.angles))
+        if not shape.turning or not depended - shape.turning:
             return frozenset()
         some = iter([places(self.lattice, PROBES, 7 * step + 3)])
-        for cells in some if self._tested else blocks(self.lattice):
-            if not self._adds(cells, self._turning, known, step, run):
-                self._turning = frozenset()
+        for cells in some if shape.tested else blocks(self.lattice):
+            if not self._adds(cells, shape.turning, known, step, run):
+                shape.turning = frozenset()
                 break
-        self._tested = True
-        return self._turning
+        shape.tested = True
+        return shape.turning
 
     def _adds(
         self, cells: Integers, turning: frozenset[int], known: Known, step: int, run: int

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NoReturn, cast
+from typing import Any, NamedTuple, NoReturn, cast
 
 import numpy as np
 
@@ -10,19 +10,28 @@ from pgm.cpds import ConditionalGaussian
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
+from pgm.inference.grid.dependence import Dependence
 from pgm.inference.grid.groups import Group, groups
 from pgm.inference.grid.lattice import Lattice, Window
 from pgm.inference.grid.motion import Motion
 from pgm.inference.grid.prior import start
-from pgm.inference.grid.sensors import GridSensor, Sharpness, likelihood
+from pgm.inference.grid.sensors import GridSensor, Shape, Sharpness, likelihood
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import Span
 from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
 
 # The share of a belief, along an axis, that may stand outside the window of active cells.
 _TINY = 1e-15
 # Probabilities below this are none: products of them would be slow, denormal numbers.
 _NONE = 1e-150
+
+
+class Tested(NamedTuple):
+    """The shapes of a model's functions, as far as they have been tested on a lattice."""
+
+    motion: dict[tuple[Variable, ...], Dependence]
+    sensors: dict[Variable, Shape]
 
 
 class GridModel:
@@ -33,20 +42,34 @@ class GridModel:
     lattice : Lattice
     model : DynamicBayesianNetwork
     bound : BoundEvidence
+    tested : Tested, optional
+        Of the same model and lattice, to go on from; it is added to.
+    first : int
+        The step before the first of the evidence for the transition.
     """
 
     def __init__(
-        self, lattice: Lattice, model: DynamicBayesianNetwork, bound: BoundEvidence
+        self,
+        lattice: Lattice,
+        model: DynamicBayesianNetwork,
+        bound: BoundEvidence,
+        tested: Tested | None = None,
+        first: int = 0,
     ) -> None:
+        tested = tested or Tested({}, {})
         self.lattice, self.model, self.bound = lattice, model, bound
         prior = cast("tuple[ConditionalGaussian, ...]", model.prior)
         transition = cast("tuple[ConditionalGaussian, ...]", model.transition)
         self.first = groups(lattice, prior, [{}] * len(prior), prior=True)
         moved: list[Group] = []
         if bound.transition:
-            moved = groups(lattice, transition, bound.transition, prior=False)
-        self.motion = Motion(lattice, moved)
-        self.sensors = [GridSensor(lattice, reading) for reading in bound.readings]
+            moved = groups(lattice, transition, bound.transition, prior=False, first=first)
+        self.motion = Motion(lattice, moved, tested.motion)
+        self.sensors = []
+        for reading in bound.readings:
+            blank = Shape(Dependence(lattice))
+            shape = tested.sensors.setdefault(reading.cpd.child, blank)
+            self.sensors.append(GridSensor(lattice, reading, shape))
         for sensor in self.sensors:
             sensor.require_covered()
 
@@ -64,9 +87,9 @@ class GridSlices:
 
     Attributes
     ----------
-    outside : ndarray
-        (T+1,): the probability that left the bounds at each step, or what the window of active
-        cells has cut off.
+    outside : dict of int to float
+        By step, the probability that left the bounds, or that the window of active cells has cut
+        off.
     added : ndarray
         (axes,): the variance that the lattice has added in all steps, in cells.
     sharpest : Sharpness
@@ -77,11 +100,11 @@ class GridSlices:
     def __init__(self, model: GridModel, run: int, keep: Any = None) -> None:
         self.model, self.run, self._keep = model, run, keep
         self.lattice, self.steps = model.lattice, model.bound.steps
-        self.outside = np.zeros(self.steps + 1)
+        self.outside: dict[int, float] = {}
         self.added = np.zeros(len(self.lattice.axes))
         self.sharpest = Sharpness(0.0, None, 0)
         # By step: the windows before and after its motion, and the weights of its measurements.
-        self._windows: dict[int, tuple[Window, Window]] = {}
+        self.windows: dict[int, tuple[Window, Window]] = {}
         self._weights: dict[int, tuple[Array | None, float]] = {}
 
     def prior(self) -> Array:
@@ -94,7 +117,7 @@ class GridSlices:
                 f"run {self.run}: the prior has {total:.2g} of its probability inside the grid, "
                 f"{self._bounds()}; widen the bounds, or move them to where the states begin"
             )
-        self._windows[0] = (active(self.lattice, found),) * 2
+        self.windows[0] = (active(self.lattice, found),) * 2
         return found
 
     def forward(self, step: int, belief: Array) -> Array:
@@ -116,19 +139,19 @@ class GridSlices:
                 step=step,
                 run=self.run,
             )
-        self._windows[step] = source, made.target
+        self.windows[step] = source, made.target
         return self.lattice.put(part, made.target)
 
     def backward(self, step: int, message: Array) -> Array:
         """The transpose of `forward`."""
-        source, target = self._windows[step]
+        source, target = self.windows[step]
         made = self.model.motion.at(step, self.run, source)
         part = made.backward(self.lattice.cut(message, target))
         return self.lattice.put(part, source)
 
     def likelihood(self, step: int) -> tuple[Array | None, float]:
         """The weights of a step's measurements in the window of its belief, and their log-scale."""
-        target = self._windows[step][1]
+        target = self.windows[step][1]
         if step in self._weights:
             weights, scale = self._weights[step]
         else:

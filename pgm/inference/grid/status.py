@@ -83,17 +83,23 @@ class GridStatus(Immutable):
         refinements: Sequence[Refinement] = (),
         converged: bool = True,
     ) -> None:
+        added = {name: np.asarray(value) for name, value in added.items()}
         outside = np.asarray(1.0 - np.prod(1.0 - outside_by_step, axis=-1))
         for array in (outside, outside_by_step, *added.values()):
             array.flags.writeable = False
         self._set(
             outside=outside,
             outside_by_step=outside_by_step,
-            added=MappingProxyType(dict(added)),
+            added=MappingProxyType(added),
             sharpest=sharpest,
             refinements=tuple(refinements),
             converged=np.bool_(converged),
         )
+
+    @property
+    def much(self) -> bool:
+        """Whether more has left the bounds in a run than goes without a warning."""
+        return bool((self.outside > MUCH).any())
 
     @property
     def sharp(self) -> Variable | None:
@@ -123,8 +129,8 @@ class GridStatus(Immutable):
         GridWarning
             If more than 10⁻³ has left in a run, or refining has not converged.
         """
-        most = float(self.outside.max(initial=0.0))
-        if most > MUCH:
+        if self.much:
+            most = float(self.outside.max())
             runs = int((self.outside > MUCH).sum())
             step = int(
                 self.outside_by_step.reshape(-1, self.outside_by_step.shape[-1])

@@ -105,7 +105,7 @@ def inner(model, given, on, steps=3):
     for step in range(1, steps + 1):
         after = chain.forward(step, belief)
         message = rng.random(after.shape)
-        source, target = chain._windows[step]
+        source, target = chain.windows[step]
         lattice = chain.lattice
         inside = lattice.put(lattice.cut(belief, source), source)
         there = lattice.put(lattice.cut(message, target), target)
@@ -169,7 +169,7 @@ def test_a_step_has_the_mean_and_variance_of_the_model(net):
 def kinds(net):
     chain = slices(net, evidence(robot(), 2), grid())
     belief = chain.prior()
-    made = chain.model.motion.at(1, 0, chain._windows[0][0])
+    made = chain.model.motion.at(1, 0, chain.windows[0][0])
     assert belief.sum() == pytest.approx(1.0)
     return made.operators
 
@@ -216,7 +216,7 @@ def test_a_sensor_with_a_patch_is_not_taken_for_a_sum():
         net = model.replace(observation=[pgm.NonlinearGaussianCPD(z, (x, m), function, sensor.cov)])
         chain = slices(net, given, grid())
         chain.prior()
-        chain._windows[0] = (chain.lattice.whole,) * 2
+        chain.windows[0] = (chain.lattice.whole,) * 2
         found, scale = chain.likelihood(0)
         weights[name] = np.log(np.maximum(found, 1e-300)) + scale
         points = np.stack(
