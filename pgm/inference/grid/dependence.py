@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,6 +33,41 @@ def blocks(lattice: Lattice) -> Iterator[Integers]:
 def centres(lattice: Lattice, cells: Integers) -> Array:
     """The centres (n, axes) of cells (n, axes)."""
     return lattice.points(list(cells.T))
+
+
+class Reduced:
+    """A function's values at all cells along some axes, the others in their middle.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    axes : iterable of int
+    values : callable
+        From points (n, axes) to values (n, ...).
+    """
+
+    def __init__(
+        self, lattice: Lattice, axes: Iterable[int], values: Callable[[Array], Array]
+    ) -> None:
+        self.axes = sorted(axes)
+        self.shape = [lattice.shape[k] for k in self.axes]
+        count, found = math.prod(self.shape), []
+        middle = np.array(lattice.shape) // 2
+        for first in range(0, count, BLOCK):
+            flat = np.arange(first, min(first + BLOCK, count))
+            cells = np.repeat(middle[None], len(flat), axis=0)
+            if self.axes:
+                cells[:, self.axes] = np.stack(np.unravel_index(flat, self.shape), axis=-1)
+            found.append(values(centres(lattice, cells)))
+        self.values = np.concatenate(found)
+
+    def at(self, cells: Integers) -> Array:
+        """The values at cells (n, all axes) of the lattice."""
+        if not self.axes:
+            return self.values[:1]
+        flat = np.ravel_multi_index(tuple(cells[:, self.axes].T), self.shape)
+        found: Array = self.values[flat]
+        return found
 
 
 @dataclass(eq=False)
@@ -136,15 +172,24 @@ class Dependence:
         """Whether at all centres the values are those of the axes depended on alone."""
         lattice = self.lattice
         kinds = {(frozenset(a), frozenset(b)) for a, b in zip(self.before, self.after, strict=True)}
-        for here in blocks(lattice):
+        kinds = {pair for pair in kinds if len(pair[0]) < len(lattice.axes) or pair[1] < later}
+        tables = (
+            {}
+            if later
+            else {
+                before: Reduced(lattice, before, lambda points: values(points, points))
+                for before, _ in kinds
+            }
+        )
+        for here in blocks(lattice) if kinds else ():
             other = places(lattice, len(here), seed + 3) if later else here
             found = values(centres(lattice, here), centres(lattice, other))
             for before, after in kinds:
-                if len(before) == len(lattice.axes) and after >= later:
-                    continue
-                base = centres(lattice, self.reduced(here, set(before)))
-                own = centres(lattice, self.reduced(other, set(after)))
-                few = values(base, own)
+                if before in tables:
+                    few = tables[before].at(here)
+                else:
+                    base = centres(lattice, self.reduced(here, set(before)))
+                    few = values(base, centres(lattice, self.reduced(other, set(after))))
                 of = [
                     (frozenset(a), frozenset(b)) == (before, after)
                     for a, b in zip(self.before, self.after, strict=True)

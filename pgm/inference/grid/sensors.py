@@ -9,7 +9,7 @@ of them with each measurement.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -19,7 +19,7 @@ import numpy as np
 from pgm.cpds import ConditionalGaussian
 from pgm.errors import ModelError
 from pgm.evidence import Reading
-from pgm.inference.grid.dependence import PROBES, Dependence, blocks, centres, places
+from pgm.inference.grid.dependence import PROBES, Dependence, Reduced, blocks, centres, places
 from pgm.inference.grid.lattice import Lattice, Window
 from pgm.inference.grid.values import covariance_of, mean_at, root_of
 from pgm.kernels.angles import TURN, wrap
@@ -177,11 +177,16 @@ class GridSensor:
         inputs = self.reading.inputs
         return {v: a[row, run if a.shape[1] > 1 else 0] for v, a in inputs.items()}
 
+    def taken(self, row: int, run: int) -> Mask:
+        """The components of a measurement that were taken, (d,)."""
+        found: Mask = self.reading.taken[row, run if self.reading.taken.shape[1] > 1 else 0]
+        return found
+
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Term | Joint], float]:
         """The residuals of one measurement, and the log-density where these are zero."""
         step, reading = int(self.reading.step[row]), self.reading
         own = run if reading.values.shape[1] > 1 else 0
-        taken = reading.taken[row, own if reading.taken.shape[1] > 1 else 0]
+        taken = self.taken(row, run)
         if not taken.any():
             return [], 0.0
         known = self.known(row, run)
@@ -273,23 +278,39 @@ class GridSensor:
             shape.turning = frozenset(depended.intersection(self.lattice.angles))
         if not shape.turning or not depended - shape.turning:
             return frozenset()
-        some = iter([places(self.lattice, PROBES, 7 * step + 3)])
-        for cells in some if shape.tested else blocks(self.lattice):
-            if not self._adds(cells, shape.turning, known, step, run):
-                shape.turning = frozenset()
-                break
+
+        def values(points: Array) -> Array:
+            return self.values(points, known, step, run)
+
+        if shape.tested:
+            adds = self._adds(places(self.lattice, PROBES, 7 * step + 3), shape.turning, values)
+        else:
+            adds = self._adds_everywhere(shape.turning, values)
+        shape.turning = shape.turning if adds else frozenset()
         shape.tested = True
         return shape.turning
 
+    def _adds_everywhere(self, turning: frozenset[int], values: Callable[[Array], Array]) -> bool:
+        """Whether at every centre the function is a sum of two."""
+        others = set(range(len(self.lattice.axes))) - turning
+        one, other = (Reduced(self.lattice, axes, values) for axes in (others, turning))
+        middle = values(self._middle())
+        return not any(
+            self._differ(
+                values(centres(self.lattice, cells)) - one.at(cells), other.at(cells) - middle
+            ).any()
+            for cells in blocks(self.lattice)
+        )
+
     def _adds(
-        self, cells: Integers, turning: frozenset[int], known: Known, step: int, run: int
+        self, cells: Integers, turning: frozenset[int], values: Callable[[Array], Array]
     ) -> bool:
         """Whether at some cells the function is a sum of two."""
         middle = np.array(self.lattice.shape) // 2
         turned = np.array([k in turning for k in range(len(middle))])
         each = [cells, np.where(turned, middle, cells), np.where(turned, cells, middle)]
         points = np.concatenate([centres(self.lattice, c) for c in each] + [self._middle()])
-        found = self.values(points, known, step, run)
+        found = values(points)
         count = len(cells)
         whole, one, other = found[:count], found[count : 2 * count], found[2 * count : -1]
         return not self._differ(whole - one, other - found[-1]).any()
@@ -366,6 +387,7 @@ def _sharpness(sensor: GridSensor, row: int, run: int, cells: list[Integers]) ->
     gap = found[1:] - found[0]
     for place in np.flatnonzero(sensor.angles):
         gap[:, place] = wrap(gap[:, place])
-    lower = root_of(sensor.cpd, covariance_of(sensor.cpd, known, step, run), step)
-    white = np.linalg.lstsq(lower, gap.T, rcond=None)[0]
+    taken = sensor.taken(row, run)
+    cov = covariance_of(sensor.cpd, known, step, run)[np.ix_(taken, taken)]
+    white = np.linalg.solve(root_of(sensor.cpd, cov, step), gap[:, taken].T)
     return float(np.sqrt((white * white).sum(axis=0)).max())

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple, NoReturn, cast
 
 import numpy as np
 
-from pgm.cpds import ConditionalGaussian
+from pgm.cpds import CPD, ConditionalGaussian, GaussianCPD
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
@@ -58,8 +59,8 @@ class GridModel:
     ) -> None:
         tested = tested or Tested({}, {})
         self.lattice, self.model, self.bound = lattice, model, bound
-        prior = cast("tuple[ConditionalGaussian, ...]", model.prior)
-        transition = cast("tuple[ConditionalGaussian, ...]", model.transition)
+        prior = [by_run(cpd, bound.lead) for cpd in model.prior]
+        transition = [by_run(cpd, bound.lead) for cpd in model.transition]
         self.first = groups(lattice, prior, [{}] * len(prior), prior=True)
         moved: list[Group] = []
         if bound.transition:
@@ -69,7 +70,8 @@ class GridModel:
         for reading in bound.readings:
             blank = Shape(Dependence(lattice))
             shape = tested.sensors.setdefault(reading.cpd.child, blank)
-            self.sensors.append(GridSensor(lattice, reading, shape))
+            seen = replace(reading, cpd=by_run(reading.cpd, bound.lead))
+            self.sensors.append(GridSensor(lattice, seen, shape))
         for sensor in self.sensors:
             sensor.require_covered()
 
@@ -144,9 +146,9 @@ class GridSlices:
 
     def backward(self, step: int, message: Array) -> Array:
         """The transpose of `forward`."""
-        source, target = self.windows[step]
+        source, _ = self.windows[step]
         made = self.model.motion.at(step, self.run, source)
-        part = made.backward(self.lattice.cut(message, target))
+        part = made.backward(self.lattice.cut(message, made.target))
         return self.lattice.put(part, source)
 
     def likelihood(self, step: int) -> tuple[Array | None, float]:
@@ -183,6 +185,16 @@ class GridSlices:
             for axis in self.lattice.axes
             if not axis.angle
         )
+
+
+def by_run(cpd: CPD, lead: tuple[int, ...]) -> ConditionalGaussian:
+    """A CPD whose own axes of runs, if it has any, are all those of the evidence."""
+    if isinstance(cpd, GaussianCPD) and cpd._lead():
+        assert isinstance(cpd.cov, np.ndarray)
+        size = cpd.child.dimension
+        mean = np.broadcast_to(cpd.mean, (*lead, size))
+        return GaussianCPD(cpd.child, mean, np.broadcast_to(cpd.cov, (*lead, size, size)))
+    return cast("ConditionalGaussian", cpd)
 
 
 def active(lattice: Lattice, belief: Array) -> Window:

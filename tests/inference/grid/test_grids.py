@@ -307,7 +307,7 @@ def test_impossible_evidence_names_sensor_and_step():
 
 
 def test_a_prior_outside_the_bounds():
-    with pytest.raises(ModelError, match="prior has .* inside the grid"):
+    with pytest.raises(ModelError, match=r"prior has .* inside the grid"):
         pgm.filter(line(mean=9.0), {}, steps=1, belief=pgm.Grid({"place": (-6, 6, 60)}))
 
 
@@ -326,7 +326,7 @@ def test_sensors_that_no_grid_takes():
 
     (sensor,) = MODEL.observation
     net = MODEL.replace(observation=[pgm.NonlinearGaussianCPD(z, (x, m), holes, sensor.cov)])
-    with pytest.raises(LinearisationError, match="NaN or infinite at .* centres"):
+    with pytest.raises(LinearisationError, match=r"NaN or infinite at .* centres"):
         pgm.filter(net, GIVEN, belief=grid())
     v, gauge = pgm.Variable("v"), pgm.Variable("gauge")
     net = line().replace(

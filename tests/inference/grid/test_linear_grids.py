@@ -138,6 +138,23 @@ def test_missing_measurements_runs_and_float32():
     np.testing.assert_array_equal(alone[x].values, found[x].values[1, 2])
 
 
+def test_priors_of_their_own_runs():
+    """Axes of runs of a prior's mean alone, and of its covariance alone, beside the evidence's."""
+    place = pgm.Variable("place")
+    cov = np.array([0.2, 0.5]).reshape(2, 1, 1, 1)
+    net = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, [[0.1], [0.4], [-0.9]], cov)],
+        [pgm.LinearGaussianCPD(place, {place.previous: 1.0}, cov=0.1)],
+        [pgm.LinearGaussianCPD(z, {place: 1.0}, cov=0.3)],
+    )
+    given = {z: np.array([[0.2], [0.5]])}
+    exact = pgm.filter(net, given)
+    found = pgm.filter(net, given, belief=pgm.Grid({"place": (-9.0, 9.0, 150)}))
+    assert found.log_evidence.shape == (2, 3)
+    assert_allclose(found.log_evidence, exact.log_evidence, atol=1e-7)
+    assert_allclose(found[place].mean, exact[place].mean, atol=1e-7)
+
+
 def test_a_flat_prior_is_uniform_within_the_bounds():
     place = pgm.Variable("place")
     flat, wide = (

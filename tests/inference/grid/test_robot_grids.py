@@ -10,6 +10,7 @@ from pgm.inference.chain.run import bind_chain
 from pgm.inference.grid.lattice import resolve
 from pgm.inference.grid.moves import Split, Sweep
 from pgm.inference.grid.slices import GridModel, GridSlices
+from pgm.inference.markov.chain import StateChain
 
 KNOWN = np.diag([0.1, 0.1, 0.05])
 
@@ -229,6 +230,23 @@ def test_a_sensor_with_a_patch_is_not_taken_for_a_sum():
         )
         open_ = due > due.max() - 500
         assert_allclose(weights[name][open_], due[open_], rtol=1e-9, atol=1e-9)
+
+
+def test_what_is_found_out_later_changes_nothing():
+    """A robot that stands still at first: that it depends on its heading shows after two steps."""
+    model = robot(cov=KNOWN)
+    controls = np.array([[0.0, 0.0], [0.0, 0.1], [0.3, 0.2], [0.25, 0.0]])
+    given = evidence(model, 4, controls=controls)
+    found = pgm.smooth(model, given, belief=grid())
+    backwards = slices(model, {u: controls[::-1]}, grid())
+    belief = backwards.prior()
+    for step in range(1, 5):  # what it depends on is known from the first step on
+        belief = backwards.forward(step, belief)
+    chain = slices(model, given, grid())
+    chain.model.motion.known.update(backwards.model.motion.known)
+    due = StateChain(chain).run()
+    for step, belief in due.smoothed():
+        assert_allclose(found[x.at(step)].values.transpose(2, 0, 1), belief, rtol=1e-6, atol=1e-12)
 
 
 def test_map_coordinates_cost_no_digits():
