@@ -7,21 +7,27 @@ from experiments import (
     belief_propagation,
     cluster_graph,
     differential_drive,
+    freiburg,
+    grid_world,
+    hallway,
     imu_heading,
     iterated,
     kalman,
     linearisers,
     localisation,
+    maze,
     nonlinear_measurement,
     plaza,
     seven_nodes,
     smoothing,
+    topological,
 )
 
 # In the order in which a newcomer would run them.
 EXPERIMENTS: dict[str, ModuleType] = {
     "localisation": localisation,
     "plaza": plaza,
+    "freiburg": freiburg,
     "kalman": kalman,
     "cluster_graph": cluster_graph,
     "linearisers": linearisers,
@@ -32,6 +38,10 @@ EXPERIMENTS: dict[str, ModuleType] = {
     "differential_drive": differential_drive,
     "seven_nodes": seven_nodes,
     "belief_propagation": belief_propagation,
+    "grid_world": grid_world,
+    "hallway": hallway,
+    "maze": maze,
+    "topological": topological,
 }
 
 

@@ -22,7 +22,7 @@ import pgm
 import pgm.plot
 from experiments.kinds import as_form
 from experiments.record import Out, Record, Seed
-from experiments.textbook import Belief, bayes_filter, extended_kalman_filter, rts_smoother
+from experiments.textbook import Belief, Step, bayes_filter, extended_kalman_filter, rts_smoother
 from models import sensors
 from models.motion import Velocity
 from models.networks import fix, pose, velocity, velocity_position
@@ -138,7 +138,7 @@ def textbook(evidence: Evidence) -> tuple[list[Any], list[Any]]:
     """
     drive = Velocity(dt=DT)
 
-    def one_step(belief: Belief, u: Any, z: Any) -> Any:
+    def one_step(belief: Belief, u: Any, z: Any) -> Step:
         return extended_kalman_filter(
             belief,
             u,

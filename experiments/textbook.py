@@ -1,14 +1,15 @@
-"""The Kalman filters and their smoothers as textbooks print them, in NumPy alone.
+"""The Bayes and Kalman filters and their smoothers as textbooks print them, in NumPy alone.
 
 One run at a time, and nothing of the engine, whose results are compared with these. Names follow
 Thrun, Burgard and Fox (Probabilistic Robotics, 2005, chapters 2 and 3) and the report's Algorithms
-1 to 4, misprints corrected: μ and Σ are the last belief's, μ̄ and Σ̄ the predicted one's.
+1 to 4, misprints corrected: μ and Σ are the last belief's, μ̄ and Σ̄ the predicted one's. Beliefs of
+finitely many states are arrays of probabilities (K,).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -45,17 +46,92 @@ class Step(NamedTuple):
     log_density: float
 
 
+class DiscreteStep(NamedTuple):
+    """What one call of the discrete Bayes filter finds, all given the readings so far.
+
+    Attributes
+    ----------
+    predicted, filtered : ndarray
+        (K,): of x_t, before its reading and after.
+    joint : ndarray
+        (K, K): of x_{t−1} and x_t before the reading, which the smoother needs.
+    log_density : float
+        ln p(z_t | readings before).
+    """
+
+    predicted: Array
+    filtered: Array
+    joint: Array
+    log_density: float
+
+
+Known = TypeVar("Known", Belief, Array)
+Found = TypeVar("Found", Step, DiscreteStep)
+Given = TypeVar("Given")
+
+
 def bayes_filter(
-    one_step: Callable[[Belief, Array, Array], Step],
-    initial: Belief,
-    controls: Iterable[Array],
-    readings: Iterable[Array],
-) -> list[Step]:
+    one_step: Callable[[Known, Given, Given], Found],
+    initial: Known,
+    controls: Iterable[Given],
+    readings: Iterable[Given],
+) -> list[Found]:
     """Algorithm 1: each belief from the one before, the control and the reading."""
-    steps: list[Step] = []
+    steps: list[Found] = []
+    belief: Any = initial
     for u, z in zip(controls, readings, strict=True):
-        steps.append(one_step(steps[-1].filtered if steps else initial, u, z))
+        steps.append(one_step(belief, u, z))
+        belief = steps[-1].filtered
     return steps
+
+
+def discrete_bayes_filter(
+    belief: Array, u: int, z: int, *, motion: Array, sensor: Array
+) -> DiscreteStep:
+    """Algorithm 1 of finitely many states: sum over the state before, weigh, normalise.
+
+        bel⁻(x) = Σ_x' p(x | u, x') bel(x'),    bel(x) = η p(z | x) bel⁻(x)
+
+    Parameters
+    ----------
+    belief : ndarray
+        (K,), of x_{t−1}.
+    u, z : int
+        Numbers of the control and of the reading; a reading of −1 was not taken.
+    motion : ndarray
+        (K, actions, K): p(x_t | x_{t−1}, u), the last axis being x_t.
+    sensor : ndarray
+        (K, readings): p(z | x).
+
+    Raises
+    ------
+    ValueError
+        If the reading is impossible given those before: there is no η.
+    """
+    joint = belief[:, None] * motion[:, u]
+    predicted = joint.sum(axis=0)
+    weighed = predicted * sensor[:, z] if z >= 0 else predicted
+    likelihood = weighed.sum()
+    if likelihood <= 0.0:
+        raise ValueError(f"the reading {z} is impossible given those before")
+    return DiscreteStep(predicted, weighed / likelihood, joint, float(np.log(likelihood)))
+
+
+def discrete_smoother(initial: Array, steps: Sequence[DiscreteStep]) -> list[Array]:
+    """Smooth what the discrete Bayes filter found, from the last step back to the initial belief.
+
+        belˢ(x_{t−1}) = Σ_x p(x_{t−1}, x_t) belˢ(x_t) / bel⁻(x_t)
+
+    The joint is that before the reading of x_t; x_t that cannot be are left out. It is Rauch, Tung
+    and Striebel's recursion with sums for their Gaussians (Särkkä, Bayesian Filtering and
+    Smoothing, 2013, theorem 8.1).
+    """
+    smoothed = [steps[-1].filtered if steps else initial]
+    for step in reversed(steps):
+        possible = step.predicted > 0.0
+        ratio = smoothed[-1][possible] / step.predicted[possible]
+        smoothed.append(step.joint[:, possible] @ ratio)
+    return smoothed[::-1]
 
 
 def kalman_filter(

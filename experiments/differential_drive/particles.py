@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 import pgm
 from experiments.differential_drive.problems import DT, MOTIONS, RADIUS, SCALE, Problem
+from experiments.resampling import resampled
 
 Array = npt.NDArray[np.float64]
 
@@ -23,8 +24,8 @@ def particle_means(
 ) -> Array:
     """The means of a bootstrap particle filter of problem 1, by its equations, network apart.
 
-    Particles are moved by the model, weighed by each reading, and then drawn anew by systematic
-    resampling (Gordon, Salmond & Smith 1993; the resampling is Madow's).
+    Particles are moved by the model, weighed by each reading, and then drawn anew (Gordon, Salmond
+    & Smith 1993).
 
     Parameters
     ----------
@@ -59,18 +60,6 @@ def particle_means(
         means[:, t] = np.einsum("rp,rpn->rn", weight, x)
         x = np.take_along_axis(x, resampled(weight, rng)[..., None], axis=1)
     return means
-
-
-def resampled(weight: Array, rng: np.random.Generator) -> npt.NDArray[np.intp]:
-    """Which particles live on, (runs, count): a comb a run, its first tooth at random."""
-    runs, count = weight.shape
-    row = np.arange(runs)[:, None]
-    comb = row + (rng.random((runs, 1)) + np.arange(count)) / count
-    bins = row + np.cumsum(weight, axis=1)
-    found = np.searchsorted(bins.ravel(), comb.ravel()).reshape(runs, count) - row * count
-    # Rounding can push a tooth past its own run's bins.
-    alive: npt.NDArray[np.intp] = np.clip(found, 0, count - 1)
-    return alive
 
 
 def against_kalman(

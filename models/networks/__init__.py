@@ -1,7 +1,7 @@
 """Declared networks: robots in the plane that localise themselves, and targets to track."""
 
 from models.networks.drives import differential_drive, turn_after_move
-from models.networks.landmarks import range_bearing, range_only
+from models.networks.landmarks import odometry_ranges, range_bearing, range_only
 from models.networks.observations import (
     reads_heading,
     reads_pose,
@@ -20,6 +20,7 @@ from models.networks.variables import (
     fix,
     landmark,
     move,
+    odometry,
     point,
     pose,
     pose_fix,
@@ -45,6 +46,8 @@ __all__ = [
     "linear",
     "linear_velocity",
     "move",
+    "odometry",
+    "odometry_ranges",
     "point",
     "pose",
     "pose_fix",

@@ -11,7 +11,7 @@ from models import motion
 from models.networks.covariances import diagonal
 from models.networks.observations import sees_landmark, sees_range
 from models.networks.poses import driven
-from models.networks.variables import pose, travelled
+from models.networks.variables import odometry, pose, travelled
 
 
 def range_bearing(
@@ -77,4 +77,43 @@ def range_only(
             )
         ],
         observation=[sees_range(sensor_std)],
+    )
+
+
+def odometry_ranges(
+    *,
+    start: Sequence[float] = (0.0, 0.0, 0.0),
+    start_std: Sequence[float],
+    motion_std: Sequence[float],
+    sensor_std: float,
+    grouped: bool = False,
+) -> pgm.DynamicBayesianNetwork:
+    """A robot whose odometry turns, goes straight and turns again, and that hears ranges.
+
+    Parameters
+    ----------
+    start, start_std : sequence of float
+        Mean and standard deviations of the first pose [m, m, rad].
+    motion_std : sequence of float
+        Standard deviations of the motion's noise a step [m, m, rad].
+    sensor_std : float
+        Standard deviation of a range [m].
+    grouped : bool
+        Whether sigma points see the ranges of a step as one vector.
+    """
+    return pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(pose, mean=start, cov=diagonal(start_std))],
+        transition=[
+            pgm.NonlinearGaussianCPD(
+                pose,
+                given=(pose.previous, odometry),
+                function=motion.odometry,
+                cov=diagonal(motion_std),
+                jacobian={
+                    pose.previous: motion.odometry_by_state,
+                    odometry: motion.odometry_by_control,
+                },
+            )
+        ],
+        observation=[sees_range(sensor_std, grouped=grouped)],
     )

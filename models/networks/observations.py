@@ -48,8 +48,16 @@ def reads_heading(std: float) -> pgm.LinearGaussianCPD:
     return pgm.LinearGaussianCPD(compass, given={pose: [[0.0, 0.0, 1.0]]}, cov=variances(std))
 
 
-def sees_range(std: float) -> pgm.NonlinearGaussianCPD:
-    """The distance to a landmark, with a standard deviation [m]."""
+def sees_range(std: float, *, grouped: bool = False) -> pgm.NonlinearGaussianCPD:
+    """The distance to a landmark, with a standard deviation [m].
+
+    Parameters
+    ----------
+    std : float
+        Standard deviation [m].
+    grouped : bool
+        Whether sigma points see the ranges of a step as one vector.
+    """
     return pgm.NonlinearGaussianCPD(
         distance,
         given=(pose, landmark),
@@ -59,6 +67,7 @@ def sees_range(std: float) -> pgm.NonlinearGaussianCPD:
             pose: sensors.range_only_by_state,
             landmark: sensors.range_only_by_landmark,
         },
+        grouped=grouped,
     )
 
 

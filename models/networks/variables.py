@@ -10,6 +10,8 @@ travelled = pgm.Variable("u", components=("distance", "turn", "dt"))
 # Wheel speeds [rad/s], and a move that is followed by a turn [m, rad].
 wheels = pgm.Variable("u", components=("left", "right"))
 move = pgm.Variable("u", components=("distance", "turn"))
+# Odometry that turns, goes straight and turns again [rad, m, rad].
+odometry = pgm.Variable("u", components=("rot1", "trans", "rot2"))
 # A landmark at a known place [m], and readings of it [m, rad].
 landmark = pgm.Variable("m", components=("east", "north"))
 distance = pgm.Variable("z", components=("range",))

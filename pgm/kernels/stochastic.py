@@ -80,7 +80,8 @@ class Dense(Transition):
         self.shape = self.matrix.shape
 
     @cached_property
-    def _turned(self) -> Array:
+    def turned(self) -> Array:
+        """The transpose, row after row."""
         turned: Array = np.ascontiguousarray(self.matrix.T)
         return turned
 
@@ -92,7 +93,7 @@ class Dense(Transition):
 
     def forward(self, belief: Array, axis: int = 0) -> Array:
         """As of a `Transition`."""
-        return _along(self._turned, belief, axis)
+        return _along(self.turned, belief, axis)
 
     def backward(self, message: Array, axis: int = 0) -> Array:
         """As of a `Transition`."""
@@ -135,7 +136,7 @@ class Dense(Transition):
 
     def parents(self, children: Integers) -> Array:
         """As of a `Transition`."""
-        found: Array = self._turned[children]
+        found: Array = self.turned[children]
         return found
 
     @cached_property
@@ -164,12 +165,13 @@ class Sparse(Transition):
         self.shape = own.shape
 
     @cached_property
-    def _turned(self) -> Any:
+    def turned(self) -> Any:
+        """The transpose, row after row."""
         return self.matrix.T.tocsr()
 
     def forward(self, belief: Array, axis: int = 0) -> Array:
         """As of a `Transition`."""
-        return _along(self._turned, belief, axis)
+        return _along(self.turned, belief, axis)
 
     def backward(self, message: Array, axis: int = 0) -> Array:
         """As of a `Transition`."""
@@ -177,7 +179,7 @@ class Sparse(Transition):
 
     def logs(self, values: Array, axis: int, semiring: Semiring, *, back: bool = False) -> Array:
         """As of a `Transition`, one entry of a row after another, all rows at once."""
-        own = self.matrix if back else self._turned
+        own = self.matrix if back else self.turned
         moved = np.moveaxis(values, axis, 0)
         flat = moved.reshape(len(moved), -1)
         found = np.full((own.shape[0], flat.shape[1]), -np.inf)
@@ -218,7 +220,7 @@ class Sparse(Transition):
 
     def parents(self, children: Integers) -> Array:
         """As of a `Transition`."""
-        found: Array = self._turned[children].toarray()
+        found: Array = self.turned[children].toarray()
         return found
 
     @cached_property

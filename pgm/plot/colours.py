@@ -22,6 +22,9 @@ SEPSET = "#FCEBD2"
 # Perceptually uniform, so that it reads in grey too; more is darker.
 SCALE = matplotlib.colormaps["viridis_r"]
 
+# Of probabilities, so that what cannot be is white.
+CHANCE = matplotlib.colormaps["Blues"]
+
 
 def readable_on(colour: tuple[float, float, float, float]) -> str:
     """Black or white, whichever stands out more on a colour (contrast of WCAG 2: 4.5 or more)."""

@@ -14,7 +14,7 @@ from experiments.differential_drive import page
 from experiments.differential_drive.animation import EVERY
 from experiments.differential_drive.errors import about_landmark
 from experiments.differential_drive.figures import drive_figure
-from experiments.differential_drive.particles import particle_means, resampled
+from experiments.differential_drive.particles import particle_means
 from experiments.differential_drive.problems import DT, NOISE, deviations, loop, problems
 from experiments.differential_drive.results import held_noise, solve, spread
 from experiments.record import Record
@@ -125,16 +125,6 @@ def test_particles_tend_to_the_kalman_filter(linear):
         away[count] = np.sqrt(np.mean((means - kalman) ** 2))
     assert away[3000] < 0.01
     assert 3.0 < away[100] / away[3000] < 10.0  # √30 = 5.5
-
-
-def test_resampling_keeps_each_particle_in_proportion():
-    weight = np.array([[0.5, 0.25, 0.25, 0.0], [0.0, 0.0, 0.0, 1.0], [0.1, 0.2, 0.3, 0.4]])
-    picks = np.array([resampled(weight, np.random.default_rng(k)) for k in range(400)])
-    assert picks.shape == (400, 3, 4)
-    count = (picks[..., None] == np.arange(4)).sum(axis=2)  # runs of 4 particles
-    # A comb of 4 teeth takes 4 w of each, rounded up or down, and 4 w on average.
-    assert (np.abs(count - 4 * weight) < 1.0).all()
-    assert_allclose(count.mean(axis=0), 4 * weight, atol=0.1)
 
 
 def test_particles_are_worse_than_the_kalman_filter(done):

@@ -1,6 +1,7 @@
-"""The textbook against dense conditioning, linear models, and numbers worked out by hand."""
+"""The textbook against enumeration, dense conditioning, and numbers worked out by hand."""
 
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from experiments.textbook import (
     Belief,
     bayes_filter,
+    discrete_bayes_filter,
+    discrete_smoother,
     extended_kalman_filter,
     kalman_filter,
     log_normal,
@@ -123,3 +126,51 @@ def test_a_nonlinear_step_differs_by_rule():
 def test_controls_and_readings_go_together():
     with pytest.raises(ValueError, match="shorter"):
         bayes_filter(FILTERS["kalman"], INITIAL, CONTROLS, READINGS[:-1])
+
+
+PRIOR = np.array([0.2, 0.5, 0.0, 0.3])
+MOTION = np.array(
+    [
+        [[0.1, 0.9, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]],
+        [[0.0, 0.2, 0.8, 0.0], [0.5, 0.25, 0.25, 0.0]],
+        [[0.0, 0.0, 1.0, 0.0], [0.1, 0.2, 0.3, 0.4]],
+        [[1e-9, 1.0 - 1e-9, 0.0, 0.0], [0.0, 0.7, 0.0, 0.3]],
+    ]
+)
+SENSOR = np.array([[0.7, 0.2, 0.1], [0.0, 0.5, 0.5], [0.3, 0.3, 0.4], [1.0, 0.0, 0.0]])
+ACTIONS, SEEN = [0, 1, 1, 0, 1], [1, 2, -1, 1, 0]
+
+
+def enumerated(seen):
+    """Beliefs of x_0..x_T given the first readings, of all paths, and the readings' log-density."""
+    beliefs, total = np.zeros((len(ACTIONS) + 1, len(PRIOR))), 0.0
+    for path in product(range(len(PRIOR)), repeat=len(ACTIONS) + 1):
+        p = PRIOR[path[0]]
+        for t, (u, z) in enumerate(zip(ACTIONS, SEEN, strict=True), start=1):
+            p *= MOTION[path[t - 1], u, path[t]]
+            p *= SENSOR[path[t], z] if t <= seen and z >= 0 else 1.0
+        beliefs[range(len(path)), path] += p
+        total += p
+    return beliefs / total, np.log(total)
+
+
+def test_the_discrete_filter_and_smoother_are_enumeration():
+    one_step = partial(discrete_bayes_filter, motion=MOTION, sensor=SENSOR)
+    steps = bayes_filter(one_step, PRIOR, ACTIONS, SEEN)
+    for t, step in enumerate(steps, start=1):
+        np.testing.assert_allclose(step.predicted, enumerated(t - 1)[0][t], atol=1e-14)
+        np.testing.assert_allclose(step.filtered, enumerated(t)[0][t], atol=1e-14)
+    due, log_density = enumerated(len(SEEN))
+    assert sum(step.log_density for step in steps) == pytest.approx(log_density, abs=1e-13)
+    np.testing.assert_allclose(discrete_smoother(PRIOR, steps), due, atol=1e-14)
+
+
+def test_without_steps_the_smoother_knows_the_prior():
+    np.testing.assert_array_equal(discrete_smoother(PRIOR, []), [PRIOR])
+
+
+def test_an_impossible_reading_has_no_normaliser():
+    known = np.array([0.0, 0.0, 0.0, 1.0])
+    stay = np.eye(4)[:, None]
+    with pytest.raises(ValueError, match="the reading 1 is impossible given those before"):
+        discrete_bayes_filter(known, 0, 1, motion=stay, sensor=SENSOR)

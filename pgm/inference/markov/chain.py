@@ -14,7 +14,8 @@ another semiring the numbers are logarithms, or the sums are maxima.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator
 from typing import Any, NoReturn, Protocol
 
 import numpy as np
@@ -83,10 +84,10 @@ class StateChain:
 
     Attributes
     ----------
-    known : list of ndarray
+    known : ndarray or list of ndarray
         The filtered beliefs by step, (*states, *runs), each of sum one.
-    log_density : list of ndarray or float
-        ln p(z_t | z_0..t−1) by step, (runs,) or a number.
+    log_density : ndarray
+        ln p(z_t | z_0..t−1) by step, (steps, *runs).
     """
 
     def __init__(
@@ -94,9 +95,10 @@ class StateChain:
     ) -> None:
         self.slices, self.semiring, self.dtype = slices, semiring, dtype
         self.batch = 1 if slices.lead else 0
-        self.known: list[Array] = []
-        self.log_density: list[Array | float] = []
-        self._room: Array | None = None
+        self.known: Array | list[Array] = []
+        self.log_density: Array = np.empty(
+            (slices.steps + 1, *(math.prod(slices.lead),) * self.batch)
+        )
 
     def run(self) -> StateChain:
         """The same, its forward sweep done."""
@@ -129,29 +131,24 @@ class StateChain:
     def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
         """Keep the belief of a step."""
         if not step:
-            self.known.append(known.astype(self.dtype))
-        else:
-            if self._room is None:
-                self._room = np.empty((self.slices.steps, *known.shape), self.dtype)
-            self._room[step - 1] = known
-            self.known.append(self._room[step - 1])
-        self.log_density.append(log_density)
+            self.known = self.room(known)
+        elif step == 1 and known.shape != self.known[0].shape:  # controls, which begin at step 1
+            rows = np.empty((self.slices.steps, *known.shape), self.dtype)
+            self.known = [self.known[0].copy(), *rows]
+        self.known[step][...] = known
+        self.log_density[step] = log_density
+
+    def room(self, like: Array) -> Array:
+        """Room for a belief at each step."""
+        return np.empty((self.slices.steps + 1, *like.shape), self.dtype)
 
     @property
     def smallest(self) -> float:
         """The smallest positive number of the beliefs that are kept."""
-        least = np.inf
-        for part in (self.known[0], self._room):
-            if part is None:
-                continue
-            flat = part.reshape(-1)
-            for at in range(0, flat.size, _CHUNK):
-                piece = flat[at : at + _CHUNK]
-                low = piece.min()
-                if low == 0.0:
-                    low = piece.min(where=piece > 0.0, initial=np.inf)
-                least = min(least, float(low))
-        return least
+        if isinstance(self.known, list):
+            return min(map(smallest, self.known))
+        flat = self.known.reshape(-1)
+        return min(smallest(flat[at : at + _CHUNK]) for at in range(0, flat.size, _CHUNK))
 
     def unit(self) -> Array:
         """The backward message to the last slice, of which nothing is later."""
@@ -200,6 +197,20 @@ class StateChain:
         for step, message in sweep.backward(self, self.slices.steps, self.unit()):
             yield step, self.posterior(step, message)
 
+    def gathered(self, beliefs: Iterable[tuple[int, Array]]) -> Array | list[Array]:
+        """Beliefs with their steps, in the order of these."""
+        if isinstance(self.known, list):
+            found = dict(beliefs)
+            return [found[step] for step in range(len(found))]
+        rows = np.empty(self.known.shape)
+        for step, belief in beliefs:
+            rows[step] = belief
+        return rows
+
+    def smoothed_beliefs(self) -> Array | list[Array]:
+        """The beliefs given all measurements, by step."""
+        return self.gathered(self.smoothed())
+
     def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
         """The steps from 0 to T, and the belief of each given the measurements a lag later."""
         for step in range(self.slices.steps + 1):
@@ -212,6 +223,9 @@ class StateChain:
             yield step, self.posterior(step, message)
 
 
-def log_evidence(log_density: Sequence[Array | float], lead: tuple[int, ...]) -> Array:
-    """The sum of the log-densities of steps, with the user's axes of runs."""
-    return np.asarray(np.sum(np.array(log_density), axis=0)).reshape(lead)
+def smallest(entries: Array) -> float:
+    """The smallest positive one of some entries."""
+    low = float(entries.min(initial=np.inf))
+    if low == 0.0:
+        low = float(entries.min(where=entries > 0.0, initial=np.inf))
+    return low

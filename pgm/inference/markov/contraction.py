@@ -192,7 +192,7 @@ def _multiplied(step: Step, array: Array, table: Array, semiring: Semiring) -> A
 
 
 def _spread(array: Array, labels: Sequence[Label], axes: Sequence[Label], behind: int) -> Array:
-    """An array with an axis for each of some variables, and some behind; of one where it has none."""
+    """An array with an axis for each of some variables, and some behind, of length one if new."""
     own, rest = array.shape[: len(labels)], array.shape[len(labels) :]
     array = array.reshape((*own, *(1,) * (behind - len(rest)), *rest))
     present = [x for x in axes if x in labels]

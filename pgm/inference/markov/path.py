@@ -48,7 +48,7 @@ def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
         places = _best(scores)
         states = _with_controls(plan, before, places)
         path[:, :, step - 1] = states
-    log_probability = np.array(chain.log_density).reshape(slices.steps + 1, -1).sum(axis=0)
+    log_probability = chain.log_density.reshape(slices.steps + 1, -1).sum(axis=0)
     return list(path), np.broadcast_to(log_probability, runs)
 
 

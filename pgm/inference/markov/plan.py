@@ -275,6 +275,32 @@ class TableSlices:
         return found
 
     @cached_property
+    def single(self) -> bool:
+        """Whether one map moves one state variable, the same for all runs."""
+        only = len(self.plan.slice) == 1 and len(self.plan.states) == 1
+        return only and self.plan.onward.along == {0} and not self.rows[0].by_run
+
+    @property
+    def constant(self) -> Sequence[Factor] | None:
+        """The maps of the transition, where they are the same at all steps."""
+        return None if any(rows.inputs for rows in self.rows) else self.factors(1, "onward")
+
+    def weights_of(self, part: range) -> tuple[Array, Array]:
+        """The weights of the measurements of some steps, (steps, *slice, [runs]), and log-scales.
+
+        The largest of each step and run is one.
+        """
+        axes = tuple(range(1, len(self.plan.shape) + 1))
+        runs = (self.bound.runs,) if self.lead else ()
+        found = np.ones((len(part), *self.plan.shape, *runs))
+        for weights in self.weights:
+            weights.multiply(found, part, self.semiring)
+        top = found.max(axis=axes)
+        top = np.where(top > 0.0, top, 1.0)
+        found /= top.reshape(len(part), *(1,) * len(axes), *runs)
+        return found, np.log(top)
+
+    @cached_property
     def _fixed(self) -> dict[str, list[Factor]]:
         """The tables by contraction, where they are the same at all steps."""
         return {}

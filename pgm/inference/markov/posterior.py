@@ -18,7 +18,7 @@ from pgm.factors.scope import as_scope
 from pgm.inference.chain.marginals import located
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
-from pgm.inference.markov.chain import StateChain, log_evidence
+from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.joints import joint, pair
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
@@ -27,7 +27,7 @@ from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Variable
 
 # Beliefs over the slice by step, (*states, *runs).
-Beliefs = Sequence[Array]
+Beliefs = Sequence[Array] | Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,17 +58,21 @@ class StateMarginals:
             values = self._summed(self.beliefs[variable.step], template)
             shape = (*self.lead, *values.shape[:1])
             return Table._plain(discrete((variable,)), frozen(values.T.reshape(shape).copy()))
-        rows = np.stack([self._summed(belief, template) for belief in self.beliefs[first:]])
+        if isinstance(self.beliefs, np.ndarray):
+            rows = self._summed(self.beliefs[first:], template, 1)
+        else:
+            rows = np.stack([self._summed(belief, template) for belief in self.beliefs[first:]])
         rows = np.moveaxis(rows, -1, 0) if self.lead else rows  # (runs, steps, size)
         shape = (*self.lead, len(self.beliefs) - first, rows.shape[-1])
         return Table._plain(discrete((template,)), frozen(rows.reshape(shape)))
 
-    def _summed(self, belief: Array, variable: Variable) -> Array:
-        """The belief over one variable, (size, *runs)."""
+    def _summed(self, belief: Array, variable: Variable, steps: int = 0) -> Array:
+        """The belief over one variable, (size, *runs), behind an axis of steps if there is one."""
         if len(self.plan.slice) == 1:
             return belief
         own = self.plan.labels[variable]
-        found: Array = belief.sum(axis=tuple(k for k in range(len(self.plan.slice)) if k != own))
+        others = (k + steps for k in range(len(self.plan.slice)) if k != own)
+        found: Array = belief.sum(axis=tuple(others))
         return found
 
     def __repr__(self) -> str:
@@ -120,8 +124,8 @@ class StatePosterior(Posterior):
             return self._filtered
         chain = self._chain
         if self.kind == SMOOTHED:
-            return [belief for _, belief in chain.smoothed()][::-1]
-        return [belief for _, belief in chain.lagged(int(self.kind.lag))]
+            return chain.smoothed_beliefs()
+        return chain.gathered(chain.lagged(int(self.kind.lag)))
 
     @cached_property
     def _filtered(self) -> Beliefs:
@@ -144,7 +148,7 @@ class StatePosterior(Posterior):
     @cached_property
     def log_evidence(self) -> Array:
         """The value ln p(measurements), (...)."""
-        return frozen(log_evidence(self._chain.log_density, self._lead))
+        return frozen(np.asarray(self._chain.log_density.sum(axis=0)).reshape(self._lead))
 
     @property
     def log_evidence_kind(self) -> str:
@@ -253,8 +257,7 @@ class StatePosterior(Posterior):
 
     def _weight(self, step: int) -> Array:
         """The log-evidence of the measurements up to a step, (runs,)."""
-        parts = np.array(self._chain.log_density[: step + 1])
-        return np.asarray(parts.sum(axis=0)).reshape(-1)
+        return np.asarray(self._chain.log_density[: step + 1].sum(axis=0)).reshape(-1)
 
     def belief(self, cluster: int | Cluster) -> Table:
         """The belief of a cluster over its hidden variables, unnormalised.

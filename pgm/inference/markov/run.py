@@ -11,6 +11,7 @@ from pgm.errors import GraphError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference.kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.markov.chain import TINY, StateChain
+from pgm.inference.markov.direct import DirectChain
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule
@@ -56,9 +57,12 @@ def kind_of(schedule: Schedule | None) -> Kind:
 def solved(slices: TableSlices) -> StateChain:
     """The forward sweep, with logarithms where plain numbers may have lost a state."""
     if slices.smallest >= TINY:
-        chain = StateChain(slices)
         with np.errstate(under="ignore"):
-            chain.run()
+            if slices.single and slices.steps:
+                direct = DirectChain(slices).run()
+                if direct.precise:
+                    return direct
+            chain = StateChain(slices).run()
         if chain.smallest >= TINY:
             return chain
     return StateChain(slices.within(LOG_SUM_PRODUCT), LOG_SUM_PRODUCT).run()

@@ -97,6 +97,29 @@ class Weights:
             found = np.where(taken[:, 0].reshape(shape), found, semiring.one)
         return np.moveaxis(found, 0, -1)
 
+    def multiply(self, found: Array, part: range, semiring: Semiring) -> None:
+        """Multiply the weights of some steps, (steps, *slice, [runs]), by those of this sensor."""
+        last = len(self.starts) - 1
+        rows = range(self.starts[min(part.start, last)], self.starts[min(part.stop, last)])
+        step = self.reading.step[rows.start : rows.stop] - part.start
+        simple = not self.observed and not self.soft and self.cpd.function is None
+        if simple and (np.diff(step) > 0).all():  # each step once: all of them in one go
+            states = self.reading.values[rows.start : rows.stop, :, 0]
+            own = self._columns[states]  # (rows, runs or 1, *slice)
+            if not self.complete:
+                taken = self.reading.taken[rows.start : rows.stop, :, 0]
+                own[~taken] = 1.0
+            own = np.moveaxis(own, 1, -1) if self.batch else own[:, 0]
+            if len(own) == len(found):
+                found *= own
+            else:
+                found[step] *= own
+            return
+        for at, row in zip(step.tolist(), rows, strict=True):
+            weights = self.row(row, semiring)
+            if weights is not None:
+                found[at] *= weights
+
     def _softened(self, columns: Array, places: Any, values: Array) -> Array:
         """Of soft evidence: the weights of the sensor's states, summed over."""
         runs = max([len(values), *(len(p) for p in places)])

@@ -22,7 +22,7 @@ _FAINT = 0.02
 _MAP: Colormap = LinearSegmentedColormap.from_list("belief", ["white", PALETTE[0]])
 
 
-def belief_map(
+def grid_map(
     belief: GridBelief,
     *,
     components: tuple[str, str] | None = None,
@@ -73,10 +73,10 @@ def belief_map(
 
     Examples
     --------
-    >>> belief_map(posterior[x.at(3)], landmarks=landmarks)  # doctest: +SKIP
+    >>> grid_map(posterior[x.at(3)], landmarks=landmarks)  # doctest: +SKIP
     """
     if not isinstance(belief, GridBelief):
-        raise ModelError(f"belief_map draws a belief on a grid, not a {type(belief).__name__}")
+        raise ModelError(f"grid_map draws a belief on a grid, not a {type(belief).__name__}")
     if belief.lead:
         raise ModelError(
             f"{belief!r} is of several runs or steps; pick one, with [k] or posterior[x.at(k)]"
@@ -99,7 +99,8 @@ def belief_map(
 
     ax = given_or_new(ax)
     edges = [_edges(centres) for centres in plane.centres]
-    ax.pcolormesh(*edges, plane.values.T, **({"cmap": _MAP, "vmin": 0.0} | style))
+    defaults: dict[str, Any] = {"cmap": _MAP, "vmin": 0.0}
+    ax.pcolormesh(*edges, plane.values.T, **(defaults | style))
     if angle is not None:
         _draw_arrows(ax, angle, arrows)
     if marks is not None:

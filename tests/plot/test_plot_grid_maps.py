@@ -29,7 +29,7 @@ def posterior():
 
 def test_cells_are_the_marginal_and_arrows_point_outwards(posterior):
     belief = posterior[x.at(1)]
-    ax = pgm.plot.belief_map(belief, truth=[3.0, 1.0, 0.0], landmarks=[[0.0, 0.0], [4.0, 3.0]])
+    ax = pgm.plot.grid_map(belief, truth=[3.0, 1.0, 0.0], landmarks=[[0.0, 0.0], [4.0, 3.0]])
     mesh, quiver = ax.collections
     assert_allclose(mesh.get_array().reshape(30, 40), belief.values.sum(axis=2).T)
     corners = mesh.get_coordinates()
@@ -46,10 +46,10 @@ def test_cells_are_the_marginal_and_arrows_point_outwards(posterior):
 
 
 def test_a_map_of_other_components_has_no_arrows(posterior):
-    ax = pgm.plot.belief_map(posterior[x.at(0)], components=("heading", "east"))
+    ax = pgm.plot.grid_map(posterior[x.at(0)], components=("heading", "east"))
     assert len(ax.collections) == 1
     assert ax.get_xlabel() == "heading"
-    assert len(pgm.plot.belief_map(posterior[x.at(0)], arrows=0).collections) == 1
+    assert len(pgm.plot.grid_map(posterior[x.at(0)], arrows=0).collections) == 1
 
 
 def test_what_cannot_be_drawn(posterior):
@@ -66,4 +66,4 @@ def test_what_cannot_be_drawn(posterior):
     ]
     for what, how, match in faults:
         with pytest.raises(ModelError, match=match):
-            pgm.plot.belief_map(what, **how)
+            pgm.plot.grid_map(what, **how)

@@ -1,0 +1,190 @@
+"""Sweeps of a hidden Markov chain over many steps: beliefs that are scaled only now and then.
+
+Rows are (steps, states, [runs]). A forward row is proportional to p(x_t | z up to t), a backward
+one to p(z after t | x_t). Of few states and many steps all blocks of √T steps are worked at
+together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from pgm.kernels.arrays import Array
+
+# One product: (vector, out).
+Apply = Callable[[Array, Array], object]
+# So many steps are made before a belief is scaled.
+EVERY = 8
+
+
+def forward(
+    applies: Iterable[Apply], weights: Array, belief: Array, rows: Array, every: int = EVERY
+) -> Array:
+    """Fill rows with forward messages; the mass that each was made from, (steps, [runs]).
+
+    Parameters
+    ----------
+    applies : iterable of callable
+        The transition into each step.
+    weights : ndarray
+        (steps, states, [runs]): p(z_t | x_t), up to a factor.
+    belief : ndarray
+        (states, [runs]): at the step before, of sum one.
+    rows : ndarray
+        (steps, states, [runs]), to be filled.
+    every : int
+        Steps from one scaling to the next.
+    """
+    before = np.ones((len(rows), *belief.shape[1:]))
+    for k, (apply, weight, row) in enumerate(zip(applies, weights, rows, strict=False)):
+        apply(belief, row)
+        np.multiply(row, weight, row)
+        belief = row
+        if k % every == every - 1:
+            belief = row / np.add.reduce(row, 0)
+    totals = rows.sum(axis=1)
+    held = np.arange(len(rows)) % every != 0
+    before[held] = totals[:-1][held[1:]]
+    return before
+
+
+def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int = EVERY) -> None:
+    """Fill rows, last to first, with the messages to each step; the last row is given.
+
+    Parameters
+    ----------
+    applies : iterable of callable
+        The transposed transition into each step but the first, last to first.
+    weights : ndarray
+        (steps - 1, states, [runs]), of the same steps.
+    rows : ndarray
+        (steps, states, [runs]).
+    every : int
+        Steps from one scaling to the next.
+    """
+    message = rows[-1]
+    product = np.empty(message.shape)
+    for k, (apply, weight, row) in enumerate(
+        zip(applies, weights[::-1], rows[-2::-1], strict=True)
+    ):
+        np.multiply(message, weight, product)
+        apply(product, row)
+        if k % every == every - 1:
+            row /= np.add.reduce(row, 0)
+        message = row
+
+
+class Blocks:
+    """All steps of one run of few states, in blocks of √T steps that are worked at together.
+
+    Each row of a block's transfer matrix, the product of p(x_t | x_{t−1}) p(z_t | x_t) over its
+    steps, has a logarithm of its own as its scale: with one for the whole matrix the row of a
+    likely state would be lost beside that of an unlikely one whose measurements are likelier.
+
+    Parameters
+    ----------
+    matrix : ndarray
+        (states, states), p(x_t | x_{t−1}), rows before.
+    weights : ndarray
+        (steps, states).
+    """
+
+    def __init__(self, matrix: Array, weights: Array) -> None:
+        self.matrix, self.steps = matrix, len(weights)
+        self.size = weights.shape[1]
+        self.length = max(1, math.isqrt(self.steps))
+        self.count = -(-self.steps // self.length)
+        # Steps of the last block that are not padding, which moves nothing.
+        self.last = self.steps - (self.count - 1) * self.length
+        padded = np.ones((self.count * self.length, self.size))
+        padded[: self.steps] = weights
+        by_block = padded.reshape(self.count, self.length, self.size)
+        self.weights = np.ascontiguousarray(by_block.swapaxes(0, 1))
+        self._transfer()
+
+    def _transfer(self) -> None:
+        """Find the transfer matrix of each block, rows of sum one, and the logarithms of scales."""
+        count, size = self.count, self.size
+        found = np.broadcast_to(np.eye(size), (count, size, size)).copy()
+        self.scale = np.zeros((count, size))
+        for k, weight in enumerate(self.weights):
+            moved = found.reshape(-1, size).dot(self.matrix).reshape(count, size, size)
+            moved *= weight[:, None, :]
+            if k >= self.last:
+                moved[-1] = found[-1]
+            if k % EVERY == EVERY - 1 or k == self.length - 1:
+                totals = moved.sum(axis=2)
+                with np.errstate(divide="ignore"):
+                    self.scale += np.log(totals)
+                moved /= np.where(totals > 0.0, totals, 1.0)[:, :, None]
+            found = moved
+        self.transfer = found
+
+    def forward(self, belief: Array, rows: Array) -> Array:
+        """As `forward` of all steps, from the belief at the step before."""
+        held = self._starts(belief)
+        found = np.empty(self.weights.shape)
+        before = np.ones((self.length, self.count))
+        for k, (weight, row) in enumerate(zip(self.weights, found, strict=True)):
+            np.dot(held, self.matrix, out=row)
+            np.multiply(row, weight, row)
+            held = row
+            if k % EVERY == EVERY - 1:
+                held = row / np.add.reduce(row, 1, keepdims=True)
+        totals = found.sum(axis=2)
+        kept = np.arange(1, self.length) % EVERY != 0
+        before[1:][kept] = totals[:-1][kept]
+        rows[...] = found.swapaxes(0, 1).reshape(-1, self.size)[: self.steps]
+        return before.T.reshape(-1)[: self.steps]
+
+    def backward(self, rows: Array) -> None:
+        """Fill rows (steps + 1, states) with the messages to all steps and to the one before."""
+        turned = np.ascontiguousarray(self.matrix.T)
+        ends = self._ends()
+        found = np.empty(self.weights.shape)
+        held, product = ends, np.empty(ends.shape)
+        for k in range(self.length - 1, -1, -1):
+            np.multiply(held, self.weights[k], product)
+            row = found[k]
+            np.dot(product, turned, out=row)
+            if k >= self.last:
+                row[-1] = ends[-1]
+            elif k % EVERY == 0:
+                row /= np.add.reduce(row, 1, keepdims=True)
+            held = row
+        rows[:-1] = found.swapaxes(0, 1).reshape(-1, self.size)[: self.steps]
+        rows[-1] = 1.0 / self.size
+
+    def _starts(self, belief: Array) -> Array:
+        """The belief before each block."""
+        found = np.empty(self.scale.shape)
+        for k, (own, logs) in enumerate(zip(self.transfer, self.scale, strict=True)):
+            found[k] = belief
+            with np.errstate(divide="ignore"):
+                shares = np.log(belief) + logs
+            top = shares.max()
+            if top == -np.inf:  # impossible, as the sweep within the block will find
+                found[k + 1 :] = belief
+                break
+            belief = np.exp(shares - top) @ own
+            belief = belief / belief.sum()
+        return found
+
+    def _ends(self) -> Array:
+        """The message to the last step of each block."""
+        found = np.empty(self.scale.shape)
+        message = np.full(self.size, 1.0 / self.size)
+        for k in range(self.count - 1, -1, -1):
+            found[k] = message
+            with np.errstate(divide="ignore"):
+                shares = np.log(self.transfer[k] @ message) + self.scale[k]
+            top = shares.max()
+            if top == -np.inf:
+                found[:k] = message
+                break
+            message = np.exp(shares - top)
+            message /= message.sum()
+        return found
