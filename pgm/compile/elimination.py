@@ -17,10 +17,8 @@ Adjacency = Sequence[set[int]]
 
 def moral(network: BayesianNetwork) -> list[set[int]]:
     """The moral graph: every family is a clique; vertices are places in `network.variables`."""
-    place = {variable: k for k, variable in enumerate(network.variables)}
-    adjacent: list[set[int]] = [set() for _ in place]
-    for cpd in network.cpds:
-        family = [place[variable] for variable in cpd.scope]
+    adjacent: list[set[int]] = [set() for _ in network.variables]
+    for family in network._families:
         for vertex in family:
             adjacent[vertex].update(family)
     for vertex, near in enumerate(adjacent):

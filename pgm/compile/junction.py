@@ -77,7 +77,7 @@ class JunctionTree:
             If the order is not of the variables of the network, each once.
         """
         tree = clique_tree(moral(network), places(self.order, network))
-        return graph_of(network, tree.cliques, tree.sepsets)
+        return ClusterGraph._tree(network, tree.cliques, tree.sepsets)
 
 
 def graph_of(
