@@ -6,7 +6,7 @@ its neighbours to each other; the edges that this adds are its *fill*.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 
@@ -51,6 +51,13 @@ class Filling:
             if closed not in known:
                 known[closed] = self._apart(closed)
             self.fill.append(known[closed])
+
+    def copy(self) -> Filling:
+        """A copy, to be eliminated while this one stays as it is."""
+        twin = Filling.__new__(Filling)
+        twin.adjacent, twin.weights = [set(near) for near in self.adjacent], self.weights
+        twin._around, twin.fill = list(self._around), list(self.fill)
+        return twin
 
     def _weight(self, vertices: Iterable[int]) -> int:
         return sum(map(self.weights.__getitem__, vertices))
@@ -122,7 +129,7 @@ def min_fill(
 
 
 def fill_order(
-    graph: Filling, stages: Sequence[int], noise: Callable[[], float] | None = None
+    graph: Filling, stages: Sequence[int], noise: Sequence[float] | None = None
 ) -> Iterator[int]:
     """Vertices in the order of `min_fill`, each while its neighbours are still there.
 
@@ -132,13 +139,13 @@ def fill_order(
         It is used up.
     stages : sequence of int
         See `min_fill`.
-    noise : callable, optional
-        Draws what the fill of a vertex is multiplied by, each time that it changes.
+    noise : sequence of float, optional
+        A factor of each vertex, by which its fill is multiplied.
     """
-    draw = noise or (lambda: 1)
+    factors: Sequence[float] = noise or [1] * len(graph.fill)
     queued = list(graph.fill)
     # Entries that a change of fill made out of date stay until they come up.
-    heap = [(stages[vertex], fill * draw(), vertex, fill) for vertex, fill in enumerate(queued)]
+    heap = [(stages[vertex], fill * factors[vertex], vertex, fill) for vertex, fill in enumerate(queued)]
     heapify(heap)
     left = [True] * len(queued)
     while heap:
@@ -151,7 +158,7 @@ def fill_order(
             fill = graph.fill[other]
             if fill != queued[other]:
                 queued[other] = fill
-                heappush(heap, (stages[other], fill * draw(), other, fill))
+                heappush(heap, (stages[other], fill * factors[other], other, fill))
 
 
 @dataclass(frozen=True)
