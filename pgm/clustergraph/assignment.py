@@ -33,16 +33,17 @@ def assign(
     sizes : sequence of int
         Of the clusters.
     """
-    holders: dict[int, list[int]] = defaultdict(list)
+    holders: dict[int, set[int]] = {}
     for k, held in enumerate(members):
         for place in held:
-            holders[place].append(k)
-    sets = list(map(set, members))
-    homes = []
+            if place in holders:
+                holders[place].add(k)
+            else:
+                holders[place] = {k}
+    homes, nowhere = list[int](), set[int]()
     for family in families:
-        rarest = min([holders[place] for place in family], key=len)
-        fits = [k for k in rarest if sets[k].issuperset(family)]
-        homes.append(min(fits, key=sizes.__getitem__, default=-1))
+        fits = set.intersection(*[holders.get(place, nowhere) for place in family])
+        homes.append(min(sorted(fits), key=sizes.__getitem__, default=-1))
     return homes
 
 

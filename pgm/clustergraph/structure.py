@@ -104,9 +104,7 @@ class ClusterGraph(Immutable):
         self._assign(network, scopes)
         if sepsets is None:
             named = spanning_tree([self._named(members) for members in scopes])
-            joined = {
-                edge: tuple(map(place.__getitem__, shared)) for edge, shared in named.items()
-            }
+            joined = {edge: tuple(map(place.__getitem__, shared)) for edge, shared in named.items()}
         else:
             if not isinstance(sepsets, Mapping):
                 raise GraphError(
@@ -242,7 +240,7 @@ class ClusterGraph(Immutable):
 
         The least width of a network's junction trees is its treewidth.
         """
-        return max(len(cluster.scope) for cluster, _ in self._alike) - 1
+        return max(map(len, self._members)) - 1
 
     @cached_property
     def cost(self) -> int:

@@ -6,7 +6,7 @@ its neighbours to each other; the edges that this adds are its *fill*.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 
@@ -42,6 +42,7 @@ class Filling:
     def __init__(self, adjacent: Adjacency, weights: Sequence[int]) -> None:
         self.adjacent = [set(near) for near in adjacent]
         self.weights = weights
+        self._weight: Callable[[Collection[int]], int] = len if set(weights) == {1} else self._sum
         self._around = [self._weight(near) for near in adjacent]
         # Vertices of one closed neighbourhood have one fill: a family of a thousand costs little.
         known: dict[frozenset[int], int] = {}
@@ -56,10 +57,11 @@ class Filling:
         """A copy, to be eliminated while this one stays as it is."""
         twin = Filling.__new__(Filling)
         twin.adjacent, twin.weights = [set(near) for near in self.adjacent], self.weights
+        twin._weight = len if self._weight is len else twin._sum
         twin._around, twin.fill = list(self._around), list(self.fill)
         return twin
 
-    def _weight(self, vertices: Iterable[int]) -> int:
+    def _sum(self, vertices: Iterable[int]) -> int:
         return sum(map(self.weights.__getitem__, vertices))
 
     def _apart(self, vertices: frozenset[int]) -> int:
@@ -67,8 +69,10 @@ class Filling:
         total = self._weight(vertices)
         twice = 0
         for vertex in vertices:
-            joined = self._weight(vertices & self.adjacent[vertex])
-            twice += self.weights[vertex] * (total - self.weights[vertex] - joined)
+            joined = vertices & self.adjacent[vertex]
+            if len(joined) < len(vertices) - 1:
+                weight = self.weights[vertex]
+                twice += weight * (total - weight - self._weight(joined))
         return twice // 2
 
     def eliminate(self, vertex: int) -> set[int]:
@@ -145,7 +149,9 @@ def fill_order(
     factors: Sequence[float] = noise or [1] * len(graph.fill)
     queued = list(graph.fill)
     # Entries that a change of fill made out of date stay until they come up.
-    heap = [(stages[vertex], fill * factors[vertex], vertex, fill) for vertex, fill in enumerate(queued)]
+    heap = [
+        (stages[vertex], fill * factors[vertex], vertex, fill) for vertex, fill in enumerate(queued)
+    ]
     heapify(heap)
     left = [True] * len(queued)
     while heap:
@@ -199,19 +205,22 @@ def clique_tree(adjacent: Adjacency, order: Sequence[int]) -> CliqueTree:
     tree = CliqueTree([], {})
     for vertex in order:
         reach = later[vertex]
-        inside = (child for child in hanging[vertex] if len(later[child]) == len(reach) + 1)
-        child = next(inside, None)
-        if child is None:
-            home[vertex] = len(tree.cliques)
-            tree.cliques.append({vertex} | reach)
-        else:
-            home[vertex] = home[child]
+        own = -1
         for child in hanging[vertex]:
-            if home[child] != home[vertex]:
-                i, j = sorted((home[child], home[vertex]))
-                tree.sepsets[i, j] = later[child]
+            if len(later[child]) == len(reach) + 1:
+                own = home[child]
+                break
+        if own < 0:
+            own = len(tree.cliques)
+            tree.cliques.append({vertex, *reach})
+        home[vertex] = own
+        for child in hanging[vertex]:
+            other = home[child]
+            if other != own:
+                tree.sepsets[(other, own) if other < own else (own, other)] = later[child]
         if reach:
             parent = min(reach, key=position.__getitem__)
             hanging[parent].append(vertex)
-            later[parent] |= reach - {parent}
+            later[parent] |= reach
+            later[parent].discard(parent)
     return tree

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -24,14 +25,8 @@ class Order(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class MinFill:
-    """Next is the variable whose elimination adds the fewest edges, the first of equals.
-
-    References
-    ----------
-    Koller and Friedman (2009), Probabilistic Graphical Models, section 9.4.3.
-    """
+class Rule(ABC):
+    """An order that is found in the moral graph."""
 
     def __call__(self, network: BayesianNetwork) -> Scope:
         """The variables of a network in this order.
@@ -45,11 +40,29 @@ class MinFill:
         tuple of Variable
             Each once, the first to be eliminated first.
         """
-        return _named(network, min_fill(moral(network), [1] * len(network.variables)))
+        found = self._places(network, moral(network))
+        return tuple(network.variables[k] for k in found)
+
+    @abstractmethod
+    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+        """The order as places in `network.variables`, given the moral graph."""
 
 
 @dataclass(frozen=True)
-class WeightedMinFill:
+class MinFill(Rule):
+    """Next is the variable whose elimination adds the fewest edges, the first of equals.
+
+    References
+    ----------
+    Koller and Friedman (2009), Probabilistic Graphical Models, section 9.4.3.
+    """
+
+    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+        return min_fill(adjacent, [1] * len(adjacent))
+
+
+@dataclass(frozen=True)
+class WeightedMinFill(Rule):
     """Next is the variable whose elimination adds edges of the least weight, the first of equals.
 
     An edge weighs the product of its two variables' numbers of states, or of components if they
@@ -60,23 +73,12 @@ class WeightedMinFill:
     Koller and Friedman (2009), Probabilistic Graphical Models, section 9.4.3.
     """
 
-    def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        tuple of Variable
-            Each once, the first to be eliminated first.
-        """
-        return _named(network, min_fill(moral(network), _weights(network)))
+    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+        return min_fill(adjacent, _weights(network))
 
 
 @dataclass(frozen=True)
-class StochasticMinFill:
+class StochasticMinFill(Rule):
     """The order of `MinFill`, or the cheapest of many that are drawn, if that is cheaper.
 
     Of a discrete network whose tables are large, there are tries with other weights, then with
@@ -114,25 +116,14 @@ class StochasticMinFill:
                     f"StochasticMinFill takes a whole number of {name}, 0 or more, not {given!r}"
                 )
 
-    def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        tuple of Variable
-            Each once, the first to be eliminated first.
-        """
+    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
         if not network.discrete:
-            return MinFill()(network)
-        return _named(network, cheapest(moral(network), _weights(network), self.tries, self.seed))
+            return MinFill()._places(network, adjacent)
+        return cheapest(adjacent, _weights(network), self.tries, self.seed)
 
 
 @dataclass(frozen=True)
-class NestedDissection:
+class NestedDissection(Rule):
     """Last is a small set of variables that parts the network into halves; so in each half.
 
     The set is the smallest middle level of a breadth-first search from the edge of the network.
@@ -165,30 +156,29 @@ class NestedDissection:
                 f"1 or more, not {self.small!r}"
             )
 
-    def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        tuple of Variable
-            Each once, the first to be eliminated first.
-        """
-        graph = moral(network)
-        return _named(network, min_fill(graph, _weights(network), dissect(graph, self.small)))
+    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+        return min_fill(adjacent, _weights(network), dissect(adjacent, self.small))
 
 
-def places(order: Order | Iterable[Variable], network: BayesianNetwork) -> list[int]:
+def places(
+    order: Order | Iterable[Variable], network: BayesianNetwork, adjacent: Adjacency
+) -> list[int]:
     """An elimination order as places in `network.variables`.
+
+    Parameters
+    ----------
+    order : Order or iterable of Variable
+    network : BayesianNetwork
+    adjacent : sequence of set of int
+        Its moral graph.
 
     Raises
     ------
     GraphError
         If it is not of the variables of the network, each once.
     """
+    if isinstance(order, Rule):
+        return order._places(network, adjacent)
     given = order(network) if callable(order) else order
     found = None if is_unordered(given) else as_tuple(given)
     if found is None:
@@ -196,7 +186,7 @@ def places(order: Order | Iterable[Variable], network: BayesianNetwork) -> list[
             f"the elimination order {order!r} returned {given!r} where the network's variables "
             "were due, each once"
         )
-    place = {variable: k for k, variable in enumerate(network.variables)}
+    place = network._places
     strangers = [v for v in found if not isinstance(v, Variable) or v not in place]
     if strangers:
         raise GraphError(
@@ -217,12 +207,8 @@ def places(order: Order | Iterable[Variable], network: BayesianNetwork) -> list[
     return order_
 
 
-def _named(network: BayesianNetwork, order: Iterable[int]) -> Scope:
-    return tuple(network.variables[k] for k in order)
-
-
 def _weights(network: BayesianNetwork) -> list[int]:
-    return [extent(variable) for variable in network.variables]
+    return list(map(extent, network.variables))
 
 
 def dissect(adjacent: Adjacency, small: int) -> list[int]:

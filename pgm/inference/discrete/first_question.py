@@ -15,7 +15,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, cast
+from itertools import accumulate, pairwise
+from typing import cast
 
 import numpy as np
 
@@ -28,6 +29,8 @@ from pgm.variables import Discrete
 # Entries of a table, from which on it is summed over one axis after the other: over several at once
 # the loops inside are as short as its last axes.
 LONG = 2**8
+# Of so few variables, whose joint has so few entries, one cluster holds all.
+FEW, TINY = 16, 2**7
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +49,8 @@ class Answer:
     log_evidence: float
 
 
-class _Factor(NamedTuple):
-    """A table: its variables, in the order of its axes, and its values."""
-
-    scope: Sequence[int]
-    values: Array
+# The variables of a table, in the order of its axes, and its values.
+Factor = tuple[Sequence[int], Array]
 
 
 def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
@@ -95,20 +95,25 @@ class _Tree:
         self.sizes = [len(variable.states) for variable in self.variables]
         for place in self.shown:
             self.sizes[place] = 1
-        self._hang(graph)
+        if len(self.sizes) <= FEW and math.prod(self.sizes) <= TINY:
+            everything = range(len(self.sizes))
+            assigned: Sequence[Sequence[int]] = [everything]
+            self._hang([()], [everything])
+        else:
+            assigned = graph._assigned
+            self._hang(graph._neighbours, graph._members)
         cpds = cast(Sequence[TableCPD], network.cpds)
         self.factors = [
             [self._of_cpd(network._families[k], cpds[k].table) for k in numbers]
-            for numbers in graph._assigned
+            for numbers in assigned
         ]
         for variable, weights in evidence.weights.items():
             # A variable's own CPD stands where its family is: a cluster that has it.
-            home = next(k for k, inside in enumerate(graph._assigned) if places[variable] in inside)
+            home = next(k for k, inside in enumerate(assigned) if places[variable] in inside)
             self.factors[home].append(self._of_weights(places[variable], weights[0]))
 
-    def _hang(self, graph: ClusterGraph) -> None:
-        """Hang each tree at a cluster, and order the axes: those of clusters far down stand first."""
-        joined, members = graph._neighbours, graph._members
+    def _hang(self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]) -> None:
+        """Hang each tree at a cluster, and order the axes: those of clusters far down are first."""
         self.order, self.parent = list[int](), [-2] * len(joined)
         self.scopes, self.shared = [list[int]()] * len(joined), [list[int]()] * len(joined)
         self.rank = rank = [0] * len(self.sizes)
@@ -119,7 +124,8 @@ class _Tree:
                 k = waiting.pop()
                 self.order.append(k)
                 before = found
-                for place in members[k]:
+                # Parents before children, as in most tables, which then stay as they are.
+                for place in reversed(members[k]):
                     if not rank[place]:
                         found -= 1
                         rank[place] = found
@@ -132,21 +138,21 @@ class _Tree:
                         self.parent[other] = k
                         waiting.append(other)
 
-    def _of_cpd(self, family: Sequence[int], table: Array) -> _Factor:
+    def _of_cpd(self, family: Sequence[int], table: Array) -> Factor:
         """A CPD, child first, given the states that are observed."""
         given = [*family[1:], family[0]]
-        if self.shown:
+        if not self.shown.keys().isdisjoint(given):
             state = self.shown.get
             index = [ALL if (s := state(place)) is None else slice(s, s + 1) for place in given]
             table = table[tuple(index)]
         scope = sorted(given, key=self.rank.__getitem__)
         if scope != given:
             table = table.transpose([given.index(place) for place in scope])
-        return _Factor(scope, table)
+        return scope, table
 
-    def _of_weights(self, place: int, weights: Array) -> _Factor:
+    def _of_weights(self, place: int, weights: Array) -> Factor:
         state = self.shown.get(place)
-        return _Factor([place], weights if state is None else weights[state : state + 1])
+        return [place], weights if state is None else weights[state : state + 1]
 
     def answer(self) -> Answer:
         """Send the messages to the roots and back.
@@ -156,13 +162,19 @@ class _Tree:
         FloatingPointError
             If a number is lost, or the evidence is impossible.
         """
-        tables, messages, log_evidence = self._collect()
-        return Answer(self._distribute(tables, messages), log_evidence)
+        sizes = self.sizes
+        shapes = [[sizes[place] for place in shared] for shared in self.shared]
+        ends = list(accumulate(map(math.prod, shapes), initial=0))
+        messages = np.empty(ends[-1])
+        self.columns = [messages[start:stop] for start, stop in pairwise(ends)]
+        tables, log_evidence = self._collect(shapes)
+        # 0/0 becomes 0, for the dividend is zero too.
+        messages[messages == 0.0] = 1.0
+        return Answer(self._distribute(tables), log_evidence)
 
-    def _collect(self) -> tuple[list[Array], list[Array], float]:
-        """The tables with the messages from below, the messages to parents, and ln p(evidence)."""
-        sizes, log_evidence = self.sizes, 0.0
-        tables, messages = [NOTHING] * len(self.order), [NOTHING] * len(self.order)
+    def _collect(self, shapes: Sequence[Sequence[int]]) -> tuple[list[Array], float]:
+        """The tables with the messages from below, and ln p(evidence)."""
+        tables, log_evidence = [NOTHING] * len(self.order), 0.0
         for k in reversed(self.order):
             table = self._product(self.scopes[k], self.factors[k])
             if self.parent[k] < 0:
@@ -170,14 +182,13 @@ class _Tree:
                 log_evidence += math.log(total) if total else -math.inf
                 tables[k] = np.divide(table, total)
                 continue
-            shared = self.shared[k]
-            shape = [sizes[place] for place in shared]
-            tables[k] = matrix = table.reshape(-1, math.prod(shape))
-            messages[k] = message = np.add.reduce(matrix, 0)
-            self.factors[self.parent[k]].append(_Factor(shared, message.reshape(shape)))
-        return tables, messages, log_evidence
+            message = self.columns[k]
+            tables[k] = matrix = table.reshape(-1, len(message))
+            np.add.reduce(matrix, 0, None, message)
+            self.factors[self.parent[k]].append((self.shared[k], message.reshape(shapes[k])))
+        return tables, log_evidence
 
-    def _product(self, scope: Sequence[int], factors: Iterable[_Factor]) -> Array:
+    def _product(self, scope: Sequence[int], factors: Iterable[Factor]) -> Array:
         """The product of some factors, with an axis for each variable of a scope."""
         sizes = self.sizes
         table: Array | None = None
@@ -191,64 +202,58 @@ class _Tree:
             return np.broadcast_to(1.0 if table is None else table, full)
         return table
 
-    def _distribute(
-        self, tables: list[Array], messages: Sequence[Array]
-    ) -> dict[Discrete, Array]:
+    def _distribute(self, tables: list[Array]) -> dict[Discrete, Array]:
         """The marginals, each from the smallest table that has the variable."""
         sizes = self.sizes
-        homes = [_Factor((), NOTHING)] * len(sizes)
+        homes: list[Factor] = [((), NOTHING)] * len(sizes)
         least = [math.inf] * len(sizes)
+
+        def offer(scope: Sequence[int], table: Array) -> None:
+            size = table.size
+            for place in scope:
+                if size < least[place]:
+                    least[place], homes[place] = size, (scope, table)
+
         for k in self.order:
             scope, parent = self.scopes[k], self.parent[k]
-            found = [_Factor(scope, tables[k])]
+            table = tables[k]
             if parent >= 0:
-                shared = self.shared[k]
-                sepset = _to(shared, _Factor(self.scopes[parent], tables[parent]))
-                ratio = sepset.ravel() / _divisor(messages[k])
-                matrix = np.multiply(tables[k], ratio)
-                tables[k] = table = matrix.reshape([sizes[place] for place in scope])
-                found = [_Factor(shared, sepset), _Factor(scope, table)]
-            for factor in found:
-                size = factor.values.size
-                for place in factor.scope:
-                    if size < least[place]:
-                        least[place], homes[place] = size, factor
+                sepset = _to(self.shared[k], self.scopes[parent], tables[parent])
+                offer(self.shared[k], sepset)
+                ratio = np.divide(sepset.reshape(-1), self.columns[k])
+                table = np.multiply(table, ratio).reshape([sizes[place] for place in scope])
+                tables[k] = table
+            offer(scope, table)
         hidden = [place for place in range(len(sizes)) if place not in self.shown]
-        return self._normalised(hidden, [_to((place,), homes[place]) for place in hidden])
+        return self._normalised(hidden, [_to((place,), *homes[place]) for place in hidden])
 
-    def _normalised(
-        self, hidden: Sequence[int], sums: Sequence[Array]
-    ) -> dict[Discrete, Array]:
+    def _normalised(self, hidden: Sequence[int], sums: Sequence[Array]) -> dict[Discrete, Array]:
         if not hidden:
             return {}
         widths = [self.sizes[place] for place in hidden]
-        stops = np.cumsum(widths)
+        ends = list(accumulate(widths, initial=0))
         flat = np.concatenate(sums)
         # They sum to one but for rounding, which grows with the depth of a tree.
-        flat /= np.add.reduceat(flat, stops - widths).repeat(widths)
+        flat /= np.add.reduceat(flat, ends[:-1]).repeat(widths)
         flat.flags.writeable = False
         variables = [self.variables[place] for place in hidden]
-        slices = zip(variables, widths, stops.tolist(), strict=True)
-        return {variable: flat[stop - width : stop] for variable, width, stop in slices}
+        return {
+            v: flat[start:stop] for v, (start, stop) in zip(variables, pairwise(ends), strict=True)
+        }
 
 
 ALL = slice(None)
 NOTHING = np.empty(0)
 
 
-def _divisor(message: Array) -> Array:
-    """A message with one for zero: 0/0 becomes 0, for the dividend is zero too."""
-    return message if np.logical_and.reduce(message) else np.where(message, message, 1.0)
-
-
-def _to(scope: Sequence[int], factor: _Factor) -> Array:
+def _to(wanted: Sequence[int], scope: Sequence[int], table: Array) -> Array:
     """The sums of a table to some of its variables, in its order."""
-    if len(scope) == len(factor.scope):
-        return factor.values
-    axes = [axis for axis, place in enumerate(factor.scope) if place not in scope]
-    total = factor.values
-    if total.size < LONG:
-        return cast(Array, np.add.reduce(total, tuple(axes)))
+    if len(wanted) == len(scope):
+        return table
+    axes = [axis for axis, place in enumerate(scope) if place not in wanted]
+    if table.size < LONG:
+        total: Array = np.add.reduce(table, tuple(axes))
+        return total
     for gone, axis in enumerate(axes):
-        total = np.add.reduce(total, axis - gone)
-    return total
+        table = np.add.reduce(table, axis - gone)
+    return table
