@@ -66,7 +66,7 @@ class ClusterGraph(Immutable):
     network: BayesianNetwork
     # Variables by their place in the network, in its order: of clusters, of sepsets.
     _members: Sequence[Places]
-    _joined: Mapping[Edge, Places]
+    _shared: Mapping[Edge, Places]
     # Of each cluster, the places of its CPDs in the network.
     _assigned: Sequence[Sequence[int]]
 
@@ -116,7 +116,7 @@ class ClusterGraph(Immutable):
                 if (i, j) in joined:
                     raise GraphError(f"clusters {i} and {j} are given two sepsets", cluster=i)
                 joined[i, j] = places(members, f"the sepset between clusters {i} and {j}")
-        self._set(_joined=joined)
+        self._set(_shared=joined)
         check_running_intersection([cluster.scope for cluster in self.clusters], self.sepsets)
 
     @classmethod
@@ -136,7 +136,7 @@ class ClusterGraph(Immutable):
         graph = cls.__new__(cls)
         graph._assign(network, [tuple(sorted(held)) for held in members])
         sepsets = {edge: tuple(sorted(shared)) for edge, shared in joined.items()}
-        graph._set(_joined=sepsets, is_tree=True)
+        graph._set(_shared=sepsets, is_tree=True)
         return graph
 
     def _assign(self, network: BayesianNetwork, members: Sequence[Places]) -> None:
@@ -178,8 +178,8 @@ class ClusterGraph(Immutable):
 
     @cached_property
     def _sepsets(self) -> Mapping[Edge, Scope]:
-        edges = sorted(self._joined)
-        return MappingProxyType({edge: self._named(self._joined[edge]) for edge in edges})
+        edges = sorted(self._shared)
+        return MappingProxyType({edge: self._named(self._shared[edge]) for edge in edges})
 
     @property
     def clusters(self) -> Sequence[Cluster]:
@@ -194,7 +194,7 @@ class ClusterGraph(Immutable):
     @cached_property
     def _neighbours(self) -> tuple[tuple[int, ...], ...]:
         lists: list[list[int]] = [[] for _ in self._members]
-        for i, j in self._joined:
+        for i, j in self._shared:
             lists[i].append(j)
             lists[j].append(i)
         return tuple(tuple(sorted(found)) for found in lists)

@@ -38,17 +38,17 @@ class FirstBeliefs:
 
     @classmethod
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> FirstBeliefs | None:
-        """Answer a graph's first question.
+        """Answer a graph's first question, of evidence without leading axes.
 
-        None, if it is not the first, or is of several runs; or where numbers do not do, or the
-        evidence is impossible: then logarithms serve, or tell what contradicts what.
+        None, if it is not the first; or where numbers do not do, or the evidence is impossible:
+        then logarithms serve, or tell what contradicts what.
 
         Raises
         ------
         GraphError
             If its tables are too large.
         """
-        if evidence.lead or graph.derived(_Asked).again():
+        if graph.derived(_Asked).again():
             return None
         require_size(graph, graph.sizes, "tables")
         found = answer(graph, evidence)

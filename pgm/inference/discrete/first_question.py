@@ -174,7 +174,8 @@ class _Tree:
 
     def _collect(self, shapes: Sequence[Sequence[int]]) -> tuple[list[Array], float]:
         """The tables with the messages from below, and ln p(evidence)."""
-        tables, log_evidence = [NOTHING] * len(self.order), 0.0
+        tables: list[Array] = [NOTHING] * len(self.order)
+        log_evidence = 0.0
         for k in reversed(self.order):
             table = self._product(self.scopes[k], self.factors[k])
             if self.parent[k] < 0:
@@ -184,7 +185,7 @@ class _Tree:
                 continue
             message = self.columns[k]
             tables[k] = matrix = table.reshape(-1, len(message))
-            np.add.reduce(matrix, 0, None, message)
+            np.add.reduce(matrix, 0, out=message)
             self.factors[self.parent[k]].append((self.shared[k], message.reshape(shapes[k])))
         return tables, log_evidence
 

@@ -65,7 +65,7 @@ class DiscretePosterior(Posterior):
 
     def _require_hidden(self, variable: Variable) -> Discrete:
         require_variable(variable)
-        if variable not in self.graph.network._places:
+        if variable not in self.graph.network._places or not isinstance(variable, Discrete):
             raise EvidenceError(
                 f"{variable!r} is not in the network; its variables are "
                 f"{list(self.graph.network.variables)}",

@@ -35,15 +35,14 @@ def run(
         messages = TableMessages(graph, bound, schedule.damping)
         status = run_loopy(messages, schedule, bound.lead)
         return DiscretePosterior(graph, status, LoopyBeliefs.of(messages))
-    first = FirstBeliefs.of(graph, bound, Room.of(memory, graph))
-    return of_tree(graph, bound, memory) if first is None else DiscretePosterior(graph, ONCE, first)
+    room = Room.of(memory, graph)
+    first = None if bound.lead else FirstBeliefs.of(graph, bound, room)
+    return of_tree(graph, bound, room) if first is None else DiscretePosterior(graph, ONCE, first)
 
 
-def of_tree(
-    graph: ClusterGraph, bound: BoundStates, memory: float | None = None
-) -> DiscretePosterior:
+def of_tree(graph: ClusterGraph, bound: BoundStates, room: Room) -> DiscretePosterior:
     """The posterior of a graph without loops, of evidence that is bound."""
-    beliefs = TreeBeliefs.of(graph, bound, Room.of(memory, graph))
+    beliefs = TreeBeliefs.of(graph, bound, room)
     return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
 
 
