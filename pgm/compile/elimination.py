@@ -48,6 +48,9 @@ class Filling:
         known: dict[frozenset[int], int] = {}
         self.fill: list[int] = []
         for vertex, near in enumerate(adjacent):
+            if len(near) < 2:
+                self.fill.append(0)
+                continue
             closed = frozenset((vertex, *near))
             if closed not in known:
                 known[closed] = self._apart(closed)

@@ -82,11 +82,11 @@ class StochasticMinFill(Rule):
     """The order of `MinFill`, or the cheapest of many that are drawn, if that is cheaper.
 
     Of a discrete network whose tables are large, there are tries with other weights, then with
-    fills that are multiplied by random numbers near one, and the order whose tables have the
-    fewest entries is taken, the same each time. The search takes no longer than some thirty passes
-    of messages over the tables, and with 200 tries less than a second. Where a try would cost more
-    than it could spare, where nothing would make the tables fit in memory, and of a continuous
-    network there is none.
+    fills of each variable that are multiplied by a random number near one, and the order whose
+    tables have the fewest entries is taken, the same each time. The search takes about as long as
+    two first passes of messages over the tables, and with 200 tries less than a second. Where a try
+    would cost more than it could spare, where nothing would make the tables fit in memory, and of a
+    continuous network there is none.
 
     Parameters
     ----------

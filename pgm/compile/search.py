@@ -17,9 +17,8 @@ from pgm.compile.elimination import Adjacency, Filling, clique_tree, fill_order
 NARROW, WIDE = 0.1, 0.2
 # Tries with the narrow spread, before those with the wide one.
 FEW = 12
-# Table entries of the cheapest order, for each try and vertex that is left to choose. A first pass
-# of messages computes about so many in the time that a try takes for a vertex: the search takes as
-# long as one, or two.
+# Table entries of the cheapest order, for each try and vertex that is left to choose. The search
+# then takes about as long as two first passes of messages over the tables.
 ENTRIES = 300
 # Vertices of a network, above which there are fewer tries, so that all of them take no longer.
 VERTICES = 160

@@ -69,10 +69,14 @@ def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
         None where a number is lost to underflow, or nothing is possible given the evidence.
     """
     try:
-        with np.errstate(all="raise"):
-            return _Tree(graph, evidence).answer()
+        return _answer(graph, evidence)
     except FloatingPointError:
         return None
+
+
+@np.errstate(all="raise")
+def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
+    return _Tree(graph, evidence).answer()
 
 
 class _Tree:
@@ -107,19 +111,25 @@ class _Tree:
             [self._of_cpd(network._families[k], cpds[k].table) for k in numbers]
             for numbers in assigned
         ]
-        for variable, weights in evidence.weights.items():
-            # A variable's own CPD stands where its family is: a cluster that has it.
-            home = next(k for k, inside in enumerate(assigned) if places[variable] in inside)
-            self.factors[home].append(self._of_weights(places[variable], weights[0]))
+        if evidence.weights:
+            # A variable goes where its own CPD does: into a cluster that has it.
+            homes = {number: k for k, numbers in enumerate(assigned) for number in numbers}
+            for variable, weights in evidence.weights.items():
+                place = places[variable]
+                self.factors[homes[place]].append(self._of_weights(place, weights[0]))
 
     def _hang(self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]) -> None:
         """Hang each tree at a cluster, and order the axes: those of clusters far down are first."""
-        self.order, self.parent = list[int](), [-2] * len(joined)
+        self.order = list[int]()
+        self.parent = parent = [UNSEEN] * len(joined)
         self.scopes, self.shared = [list[int]()] * len(joined), [list[int]()] * len(joined)
         self.rank = rank = [0] * len(self.sizes)
         found = 0
         for root in range(len(joined)):
-            waiting = [root] if self.parent[root] == -2 else []
+            if parent[root] != UNSEEN:
+                continue
+            parent[root] = -1
+            waiting = [root]
             while waiting:
                 k = waiting.pop()
                 self.order.append(k)
@@ -131,11 +141,9 @@ class _Tree:
                         rank[place] = found
                 self.scopes[k] = scope = sorted(members[k], key=rank.__getitem__)
                 self.shared[k] = scope[before - found :]
-                above = self.parent[k] if k != root else -1
-                self.parent[k] = above
                 for other in joined[k]:
-                    if other != above:
-                        self.parent[other] = k
+                    if other != parent[k]:
+                        parent[other] = k
                         waiting.append(other)
 
     def _of_cpd(self, family: Sequence[int], table: Array) -> Factor:
@@ -165,11 +173,11 @@ class _Tree:
         sizes = self.sizes
         shapes = [[sizes[place] for place in shared] for shared in self.shared]
         ends = list(accumulate(map(math.prod, shapes), initial=0))
-        messages = np.empty(ends[-1])
+        messages = np.zeros(ends[-1])
         self.columns = [messages[start:stop] for start, stop in pairwise(ends)]
         tables, log_evidence = self._collect(shapes)
         # 0/0 becomes 0, for the dividend is zero too.
-        messages[messages == 0.0] = 1.0
+        np.putmask(messages, messages == 0.0, 1.0)
         return Answer(self._distribute(tables), log_evidence)
 
     def _collect(self, shapes: Sequence[Sequence[int]]) -> tuple[list[Array], float]:
@@ -243,6 +251,7 @@ class _Tree:
         }
 
 
+UNSEEN = -2
 ALL = slice(None)
 NOTHING = np.empty(0)
 
