@@ -89,7 +89,7 @@ def compile(
     if steps is not None:
         raise GraphError(f"{model!r} has no time, so it is not compiled for steps; leave out steps")
     if method is None:
-        method = TREE
+        return TREE(model)
     if isinstance(method, Balanced):
         raise GraphError(
             f"{method!r} dissects the chain of a dynamic network, and {model!r} has no time; give "

@@ -116,7 +116,7 @@ class BayesianNetwork(Immutable):
     def _families(self) -> Sequence[tuple[int, ...]]:
         """The family of each CPD, child first, by place."""
         place = self._places.__getitem__
-        return [tuple(map(place, cpd.scope)) for cpd in self.cpds]
+        return [tuple(map(place, (cpd.child, *cpd.parents))) for cpd in self.cpds]
 
     @property
     def lead(self) -> tuple[int, ...]:

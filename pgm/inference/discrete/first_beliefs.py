@@ -48,7 +48,7 @@ class FirstBeliefs:
         GraphError
             If its tables are too large.
         """
-        if graph.derived(_Asked).again():
+        if not _first(graph):
             return None
         require_size(graph, graph.sizes, "tables")
         found = answer(graph, evidence)
@@ -84,13 +84,14 @@ class FirstBeliefs:
         return self._planned.message(source, target)
 
 
-class _Asked:
-    """A graph's memory of having been asked."""
+def _first(graph: ClusterGraph) -> bool:
+    """Whether nothing was laid out for a graph yet, nor asked of it; from now on it was."""
+    if graph._derived:
+        return False
+    graph.derived(_asked)
+    return True
 
-    def __init__(self, graph: ClusterGraph) -> None:
-        self._before = False
 
-    def again(self) -> bool:
-        """Whether it has been asked before this."""
-        before, self._before = self._before, True
-        return before
+def _asked(graph: ClusterGraph) -> bool:
+    """The mark of a graph that was asked."""
+    return True
