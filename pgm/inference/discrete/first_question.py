@@ -203,8 +203,7 @@ class _Tree:
         table: Array | None = None
         for own, values in factors:
             if len(own) < len(scope):
-                shape = [sizes[place] if place in own else 1 for place in scope]
-                values = values.reshape(shape)
+                values = values.reshape([sizes[place] if place in own else 1 for place in scope])
             table = values if table is None else np.multiply(table, values)
         full = tuple([sizes[place] for place in scope])
         if table is None or table.shape != full:
