@@ -4,11 +4,11 @@ import pickle
 
 import numpy as np
 import pytest
+from markov.test_long import hidden, model
+from markov.worlds import WORLDS, called, several
 from numpy.testing import assert_allclose
 
 import pgm
-from markov.test_long import hidden, model
-from markov.worlds import WORLDS, called, several
 
 EQUAL = {"rtol": 1e-11, "atol": 1e-300}
 
