@@ -164,7 +164,7 @@ class _Binder:
         self.sensors = {cpd.child: cpd for cpd in observation}
         self._check_known((*transition, *observation))
         self.arrays = {
-            variable: _as_rows(variable, value, "T")
+            variable: rows_of(variable, value, "T")
             for variable, value in evidence.items()
             if not isinstance(value, (Constant, Sightings))
         }
@@ -268,7 +268,7 @@ class _Binder:
             given, count = value.given, None
             rows: Rows | None = None
             if value.values is not None:
-                rows = _as_rows(sensor, value.values, "M")
+                rows = rows_of(sensor, value.values, "M")
                 count = rows.shape[-2]
             step = as_steps(sensor, value.step, count, self.steps)
         else:
@@ -334,7 +334,7 @@ class _Binder:
                 row = _constant_row(variable, value)[..., None, :]
                 rows = np.broadcast_to(row, (*row.shape[:-2], step.size, row.shape[-1]))
             elif variable in given:
-                rows = _as_rows(variable, value, "M")
+                rows = rows_of(variable, value, "M")
                 if rows.shape[-2] != step.size:
                     raise EvidenceError(
                         f"sightings of {cpd.child!r}: {step.size} measurements with "
@@ -364,10 +364,10 @@ class _Binder:
 
 def _constant_row(variable: Variable, value: Constant) -> Rows:
     """A constant's value, (..., d)."""
-    return _complete(variable, _as_rows(variable, value.value, None))
+    return _complete(variable, rows_of(variable, value.value, None))
 
 
-def _as_rows(variable: Variable, value: Any, axis: str | None) -> Rows:
+def rows_of(variable: Variable, value: Any, axis: str | None) -> Rows:
     """Evidence as an array (..., rows, d), or (..., d) where there is no axis of rows.
 
     Of a discrete variable d is one, the index of a state, or as many weights as there are states.

@@ -20,6 +20,7 @@ from pgm.inference.chain.readings import Moments
 from pgm.inference.grid.online import OnlineGrid, online_grid
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED
+from pgm.inference.markov.online import online_tables
 from pgm.inference.online import step_evidence
 from pgm.inference.online.beliefs import (
     OnlineBelief,
@@ -57,6 +58,7 @@ class OnlineFilter(Immutable):
     Parameters
     ----------
     model : DynamicBayesianNetwork
+        Of tables it makes an `OnlineTables`, with the same methods, whose ``belief[x]`` are tables.
     lineariser : Lineariser, optional
         For every CPD that has none of its own; `Taylor()` without.
     schedule : Filtering or FixedLag, optional
@@ -106,8 +108,13 @@ class OnlineFilter(Immutable):
     ) -> OnlineGrid: ...
 
     def __new__(cls, *given: Any, belief: Grid | None = None, **named: Any) -> Any:
-        """The filter itself; with a grid one of its own kind, which takes nothing else."""
-        return object.__new__(cls) if belief is None else online_grid(belief, *given, **named)
+        """The filter itself; with a grid, or of tables, one of its own kind."""
+        if belief is not None:
+            return online_grid(belief, *given, **named)
+        model = given[0] if given else named.get("model")
+        if isinstance(model, DynamicBayesianNetwork) and model.discrete:
+            return online_tables(*given, **named)
+        return object.__new__(cls)
 
     def __init__(
         self,
