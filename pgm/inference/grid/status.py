@@ -68,7 +68,7 @@ class GridStatus(Immutable):
     narrowest : Narrowness
         The belief that is the narrowest for the cells: its standard deviation s in cells, which
         component it is of, and at which step. Sums over centres miss those of the density by about
-        e^(−2π²s²): 3·10⁻⁹ of them at one cell, 10⁻⁵ at three quarters, a seventh at .3.
+        e^(−2π²s²): 3·10⁻⁹ of them at one cell, 10⁻⁵ at three quarters, a sixth at .3.
     refinements : tuple of Refinement
         Of each resolution, if the grid was refined.
     converged : ndarray of bool
