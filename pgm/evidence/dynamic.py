@@ -195,8 +195,7 @@ class _Binder:
             if variable.template in self.hidden:
                 raise EvidenceError(
                     f"evidence for {variable!r}, which is hidden since a CPD of the transition "
-                    "has it as its child; declare a sensor of it "
-                    f"(LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, ...))",
+                    f"has it as its child; declare a sensor of it ({_sensor_of(variable)})",
                     variable=variable,
                 )
             if variable.step is not None and variable.template in known:
@@ -360,6 +359,13 @@ class _Binder:
             self.shapes.append((repr(variable), rows.shape[:-2]))
             inputs[variable] = rows
         return inputs
+
+
+def _sensor_of(variable: Variable) -> str:
+    """The CPD of a sensor that reads a variable."""
+    if isinstance(variable, Discrete):
+        return f"TableCPD(reading, given={variable.name}, table=...)"
+    return f"LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, ...)"
 
 
 def _constant_row(variable: Variable, value: Constant) -> Rows:

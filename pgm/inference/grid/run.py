@@ -158,7 +158,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
             every = chain.smoothed() if kind == SMOOTHED else chain.lagged(int(kind.lag))
             for step, belief in every:
                 smoothed[k, step] = belief
-        log_evidence[k] = chain.log_density.sum()
+        log_evidence[k] = float(chain.log_density.sum())
         outside[k] = [slices.outside[step] for step in range(bound.steps + 1)]
         added[k] = slices.added
         sharpest = max(sharpest, slices.sharpest, key=lambda each: each.cells)
@@ -187,14 +187,13 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
 class _Kept(StateChain):
     """A chain whose filtered beliefs are written to an array that is there."""
 
-    def __init__(self, slices: GridSlices, beliefs: Any) -> None:
-        super().__init__(slices, dtype=beliefs.dtype.type)
-        self._beliefs = beliefs
+    def __init__(self, slices: GridSlices, made: Any) -> None:
+        super().__init__(slices, dtype=made.dtype.type)
+        self._made: Array = made
 
     def room(self, like: Array) -> Array:
-        """The array."""
-        room: Array = self._beliefs
-        return room
+        """Room for a belief at each step."""
+        return self._made
 
 
 def require_room(lattice: Lattice, grid: Grid, steps: int, runs: int, sets: int) -> None:
