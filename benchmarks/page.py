@@ -22,7 +22,7 @@ COLUMNS = (
     *("pgm", "filterpy", "stonesoup", "dynamax", "hmmlearn", "cuthbert"),
     *("gtsam", "pyagrum", "pgmpy"),
 )
-FAMILIES = ("repository", "sets", "reading")  # rows of many networks
+FAMILIES = ("repository", "cold", "sets", "reading")  # rows of many networks
 HEAD = ("row", "unit", *COLUMNS)
 
 

@@ -38,6 +38,9 @@ NEAR = (  # row, peer, how many times the cost of its fastest way ours may be
     ("markov_10", "dynamax", 1.5),
     ("markov_runs", "pgm_alone", 0.4),
 )
+COLD = [
+    f"cold_{name}" for name in repository.NAMES
+]  # rows in which no engine of pyAgrum may be faster
 WITHIN = (  # row, how many milliseconds it may take
     ("reading_alarm", 20.0),
     ("reading_andes", 150.0),
@@ -94,6 +97,12 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
     for row, peer, asked in NEAR:
         for ratio in _to_fastest(summary, row, peer):
             yield Verdict(f"{row}: pgm / fastest of {peer}", ratio, asked, False)
+    for row in COLD:
+        times = summary.get(row, {})
+        engines = [value for library, value in times.items() if library.startswith("pyagrum")]
+        if engines:
+            ratio = times["pgm"] / min(engines)
+            yield Verdict(f"{row}: pgm / pyagrum's faster engine", ratio, 1.0, False)
     for row, asked in WITHIN:
         if "pgm" in summary.get(row, {}):
             yield Verdict(f"{row}: milliseconds", 1e3 * summary[row]["pgm"], asked, False)

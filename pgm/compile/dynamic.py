@@ -61,6 +61,11 @@ class DynamicGraph(ClusterGraph, ABC):
         """Whether it has no loops: it has none."""
         return True
 
+    @property
+    def width(self) -> int:
+        """The largest number of variables in a cluster, less one."""
+        return max(len(cluster.scope) for cluster, _ in self._alike) - 1
+
     def cluster(self, index: int) -> Cluster:
         """The `Cluster` of an index from 0 to ``len(graph) - 1``, which is not checked."""
         cpds = self.model.cpds_at(index)
