@@ -63,6 +63,29 @@ def test_a_linear_grid_is_the_kalman_filter(net, on, step, kl):
     assert not any(value.any() for value in found.status.added.values())
 
 
+@pytest.mark.parametrize(("motion", "sensor"), [(1.0, 2.0), (2.0, 1.0), (1.5, 1.5)])
+def test_beliefs_of_a_cell_and_more(motion, sensor):
+    """Deviations of one cell and more, of the beliefs' too, off the centres of cells."""
+    place, width = pgm.Variable("place"), 0.1
+    net = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, 0.013, 0.09)],
+        [
+            pgm.LinearGaussianCPD(
+                place, {place.previous: 1.0}, offset=0.037, cov=(motion * width) ** 2
+            )
+        ],
+        [pgm.LinearGaussianCPD(z, {place: 1.0}, cov=(sensor * width) ** 2)],
+    )
+    drawn = net.sample({}, steps=30, rng=1)
+    on = pgm.Grid({"place": (-6.0, 8.0, 140)})
+    exact, found = (pgm.smooth(net, drawn.evidence, **how) for how in ({}, {"belief": on}))
+    assert abs(found.log_evidence - exact.log_evidence) / 31 <= 1e-6
+    one, other = exact[place], found[place]
+    ratio = one.cov[:, 0, 0] / other.cov[:, 0, 0]
+    gap = (one.mean - other.mean)[:, 0] ** 2 / other.cov[:, 0, 0]
+    assert (0.5 * (ratio - 1 - np.log(ratio) + gap)).max() <= 1e-5
+
+
 def test_a_step_without_measurements_has_exact_moments():
     """A mean to 1e-12 and a variance, from point masses far inside the bounds."""
     net = model(matrix=np.eye(2), noise=[[0.03, 0.0], [0.0, 0.01]], prior=np.diag([0.05, 0.02]))
