@@ -5,7 +5,7 @@ from __future__ import annotations
 from benchmarks import agreement, cliffs
 from benchmarks.row import Prepare, Row, part
 from benchmarks.timing import least
-from benchmarks.work import chains, repository, robots, tables, targets
+from benchmarks.work import chains, repository, robots, rooms, tables, targets
 
 SHORT = {"taylor": "ekf", "unscented": "ukf"}
 QUICK = ("asia", "alarm")  # networks of the quick run
@@ -181,6 +181,23 @@ def markov_shifts() -> Row:
     )
 
 
+def on_grid(schedule: str) -> Row:
+    """A robot's pose as probabilities of half a million cells, two sightings a step."""
+    peers = {"stonesoup": part("stonesoup_rooms", "filtering")} if schedule == "filter" else {}
+    return Row(
+        name=f"grid_{schedule}",
+        unit="cell and step",
+        work=rooms.draw,
+        contenders={"pgm": part("pgm_rooms", "on_grid", schedule), **peers},
+        check=agreement.beliefs_of_states,
+        size=40,
+        quick=10,
+        most={"stonesoup": 3},
+        unchecked=frozenset({"stonesoup"}),
+        timed=least,
+    )
+
+
 def discrete(name: str, task: tables.Task) -> Row:
     """New evidence on a compiled discrete network, then all marginals."""
     return Row(
@@ -280,6 +297,8 @@ ROWS = [
     hidden_markov(10, steps=10_000, quick=10_000),
     markov_runs(),
     markov_shifts(),
+    on_grid("filter"),
+    on_grid("smoother"),
     *cliffs.ROWS,
     discrete("asia", tables.medical()),
     discrete("random_200", tables.random()),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from benchmarks import cliffs
-from benchmarks.work import repository
+from benchmarks.work import repository, rooms
 
 FASTER = (  # row, peer, how many times the peer's cost must be ours
     ("ekf_one_step", "dynamax", 1.3),
@@ -28,6 +29,7 @@ CHEAPER = (  # row, peer, how many times our cost may be the peer's
     ("rts_unscented", "filterpy", 0.5),
     ("online_taylor", "filterpy", 1.3),
     ("online_unscented", "filterpy", 0.6),
+    ("grid_filter", "stonesoup", 0.4),
 )
 FASTEST = (  # row, peer, how many times our cost its fastest way must be
     ("markov_1000", "dynamax", 2.5),
@@ -45,6 +47,10 @@ WITHIN = (  # row, how many milliseconds it may take
     ("reading_alarm", 20.0),
     ("reading_andes", 150.0),
 )
+RATES = (  # row whose unit is a cell and step, how many steps a second it must make
+    ("grid_filter", 25.0),
+    ("grid_smoother", 15.0),
+)
 LEVEL = (  # curve, from which length on, how many times its highest cost a step may be its lowest
     ("filter", 1_000, 1.2),
     ("smoother", 1_000, 1.2),
@@ -61,7 +67,7 @@ class Verdict:
     ----------
     what : str
     measured, asked : float
-        Ratios, or milliseconds.
+        Ratios, milliseconds, or steps a second.
     least : bool
         Whether what is asked is the least; else it is the most.
     """
@@ -106,6 +112,10 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
     for row, asked in WITHIN:
         if "pgm" in summary.get(row, {}):
             yield Verdict(f"{row}: milliseconds", 1e3 * summary[row]["pgm"], asked, False)
+    for row, asked in RATES:
+        if "pgm" in summary.get(row, {}):
+            rate = 1.0 / (summary[row]["pgm"] * math.prod(rooms.CELLS))
+            yield Verdict(f"{row}: steps a second", rate, asked, True)
     for name, peaks in summary.get("memory", {}).items():
         if "pyagrum" in peaks:
             ratio = peaks["pyagrum"] / peaks["pgm"]
