@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 EDGES = ("slide", "stay", "wrap")
+# A place moved farther may be no 64-bit number.
+FARTHEST = 2**62
 
 
 class Kronecker(Immutable):
@@ -111,7 +113,9 @@ def shifts(
 
     sizes = _sizes(shape)
     edges = _edges(edge, len(sizes))
-    steps = {_move(move, len(sizes)): _probability(move, p) for move, p in _items(moves)}
+    steps = {_move(move, sizes): _probability(move, p) for move, p in _items(moves)}
+    if len(steps) < len(moves):
+        raise ModelError(f"moves has one shift twice, as a number and in a tuple: {moves!r}")
     total = math.fsum(steps.values())
     if abs(total - 1.0) > 1e-9:
         raise ModelError(f"the probabilities of the shifts sum to {total:.9g}; they must to one")
@@ -161,12 +165,15 @@ def _items(moves: Any) -> list[tuple[Any, Any]]:
     return list(moves.items())
 
 
-def _move(move: Any, axes: int) -> tuple[int, ...]:
+def _move(move: Any, sizes: tuple[int, ...]) -> tuple[int, ...]:
     found = (move,) if is_whole(move) else as_tuple(move)
-    if found is None or len(found) != axes or not all(map(is_whole, found)):
+    if found is None or len(found) != len(sizes) or not all(map(is_whole, found)):
         raise ModelError(
-            f"a shift is a whole number of cells along each of {axes} axes, not {move!r}"
+            f"a shift is a whole number of cells along each of {len(sizes)} axes, not {move!r}"
         )
+    for cells in found:
+        if abs(int(cells)) > FARTHEST:
+            raise ModelError(f"the shift {move!r} is of more than {FARTHEST} cells")
     return tuple(map(int, found))
 
 

@@ -118,7 +118,7 @@ class TableCPD(CPD):
     def _structured(self, table: Any) -> dict[int | None, Transition]:
         """The matrices of a structured table, checked."""
         what = f"{self!r}: the table"
-        if not isinstance(table, Mapping):
+        if is_structured(table):  # a sparse matrix that is a dictionary of its entries too
             if len(self.given) != 1:
                 raise ModelError(
                     f"{what} is a matrix, of one parent, where there are {len(self.given)}; of a "
@@ -134,6 +134,13 @@ class TableCPD(CPD):
             )
         second = self.given[1]
         found = {second.index(state): matrix for state, matrix in table.items()}
+        if len(found) < len(table):
+            raise ModelError(
+                f"{what} maps states of {second!r} to matrices, {listed(table)}, one of them by "
+                "its name and its index; give each once",
+                variable=second,
+                cpd=self,
+            )
         missing = [state for k, state in enumerate(second.states) if k not in found]
         if missing:
             raise ModelError(
@@ -244,7 +251,8 @@ class TableCPD(CPD):
                 f"{self!r}: the function of the table failed: {type(error).__name__}: {error}",
                 cpd=self,
             ) from error
-        array = as_floats(found, f"{self!r}: the table", cpd=self, verb="return")
+        what = f"{self!r}: the function of the table"
+        array = as_floats(found, what, cpd=self, verb="return")
         if array.ndim == len(self.given) + 1 and lead:  # one table for all
             self._require_shape(array.shape)
             axes = tuple(v.size for v in (*self.given, self.child))

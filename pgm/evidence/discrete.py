@@ -14,7 +14,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence.arrays import unknown
 from pgm.evidence.values import Constant, Sightings, Soft
 from pgm.factors.indices import as_indices
-from pgm.factors.runs import common_runs, flat, in_run
+from pgm.factors.runs import Place, common_runs, flat, in_run
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Discrete, Variable
@@ -103,8 +103,8 @@ def _of_dynamic(variable: Discrete, value: Sightings | Constant) -> EvidenceErro
     )
 
 
-def as_weights(variable: Discrete, value: Soft) -> Array:
-    """The weights of soft evidence, (..., size)."""
+def as_weights(variable: Discrete, value: Soft, where: Place = in_run) -> Array:
+    """The weights of soft evidence, (..., size); a message has where the first bad ones are."""
     what = f"soft evidence for {variable!r}"
     states = f"({listed(variable.states)})"
     if isinstance(value.weights, Mapping):
@@ -129,13 +129,13 @@ def as_weights(variable: Discrete, value: Soft) -> Array:
     bad = ~np.isfinite(array) | (array < 0.0)
     if bad.any():
         raise EvidenceError(
-            f"{what}: weights that are negative, NaN or infinite{in_run(bad.any(axis=-1))}",
+            f"{what}: weights that are negative, NaN or infinite{where(bad.any(axis=-1))}",
             variable=variable,
         )
     empty = ~array.any(axis=-1)
     if empty.any():
         raise EvidenceError(
-            f"{what}: the weights are all zero{in_run(empty)}; a state that is possible needs a "
+            f"{what}: the weights are all zero{where(empty)}; a state that is possible needs a "
             "positive one, and equal ones say nothing",
             variable=variable,
         )

@@ -201,8 +201,8 @@ class _Binder:
             if variable.step is not None and variable.template in known:
                 raise EvidenceError(
                     f"evidence for the single step {variable!r}; give {variable.template!r} an "
-                    "array (..., T, d) of steps 1..T or, where it is a sensor's measurement, "
-                    "sightings with step=",
+                    f"array {states.due(variable)} of steps 1..T or, where it is a sensor's "
+                    "measurement, sightings with step=",
                     variable=variable,
                     step=variable.step,
                 )
@@ -234,7 +234,7 @@ class _Binder:
             return int(next(iter(lengths.values())))
         require_memory(
             int(steps) * sum(variable.dimension for variable in self.hidden),
-            f"the means at {steps} steps",
+            f"the hidden variables at {steps} steps",
             "take fewer steps",
             error=EvidenceError,
         )
@@ -245,7 +245,7 @@ class _Binder:
             if isinstance(value, Sightings) and variable not in self.sensors:
                 raise EvidenceError(
                     f"sightings of {variable!r}, which is no sensor's measurement; give its values "
-                    "as an array (..., T, d), a constant, or in the sightings' given=",
+                    f"as an array {states.due(variable)}, a constant, or in the sightings' given=",
                     variable=variable,
                 )
             if isinstance(value, Constant) and variable in self.sensors:

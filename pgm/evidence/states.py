@@ -11,9 +11,10 @@ from pgm.errors import EvidenceError
 from pgm.evidence.discrete import as_weights
 from pgm.evidence.values import Soft
 from pgm.factors.indices import MISSING, as_indices
+from pgm.factors.runs import in_row, in_run
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers, Mask
-from pgm.variables import Discrete
+from pgm.variables import Discrete, Variable
 
 Rows = npt.NDArray[Any]
 
@@ -23,11 +24,12 @@ def as_rows(variable: Discrete, value: Any, axis: str | None) -> Rows:
 
     Without an axis of rows they are (..., 1), or (..., size).
     """
+    where = in_run if axis is None else in_row
     if isinstance(value, Soft):
-        rows: Rows = as_weights(variable, value)
+        rows: Rows = as_weights(variable, value, where)
         due = f"(..., {axis}, {variable.size})"
     else:
-        rows = as_indices(variable, value)[..., None]
+        rows = as_indices(variable, value, where)[..., None]
         due = f"(..., {axis})"
     if axis == "M" and rows.shape == (0, 1):
         return rows  # no measurements, written as []
@@ -39,6 +41,11 @@ def as_rows(variable: Discrete, value: Any, axis: str | None) -> Rows:
             variable=variable,
         )
     return rows
+
+
+def due(variable: Variable) -> str:
+    """The shape of plain evidence, for messages."""
+    return "(..., T)" if isinstance(variable, Discrete) else "(..., T, d)"
 
 
 def require_known(variable: Discrete, rows: Rows, step: Integers | None) -> Rows:

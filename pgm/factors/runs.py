@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import combinations
 from typing import Any
 
@@ -14,6 +14,8 @@ from pgm.errors import EvidenceError
 from pgm.kernels.arrays import Mask, frozen
 
 Shape = tuple[int, ...]
+# The place of the first bad one, for messages.
+Place = Callable[[Mask | np.bool_], str]
 
 
 def common_runs(shapes: Iterable[tuple[object, Shape]]) -> Shape:
@@ -70,6 +72,15 @@ def unflat(array: npt.NDArray[Any], lead: Shape, own: int) -> npt.NDArray[Any]:
     """An array (runs or 1, own axes) with its axes of runs."""
     rest = array.shape[array.ndim - own :]
     return np.broadcast_to(array, (math.prod(lead), *rest)).reshape((*lead, *rest))
+
+
+def in_row(bad: Mask | np.bool_) -> str:
+    """The place of the first bad one of rows, whose axis is the last, behind those of runs."""
+    *runs, row = map(int, np.argwhere(bad)[0]) if np.ndim(bad) else (None,)
+    if row is None:
+        return ""
+    of = f" of run {runs[0] if len(runs) == 1 else tuple(runs)}" if runs else ""
+    return f" (first in row {row}{of})"
 
 
 def in_run(bad: Mask | np.bool_) -> str:

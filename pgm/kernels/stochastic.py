@@ -194,6 +194,8 @@ class Sparse(Transition):
     def entries(self, parent: Integers, child: Integers) -> Array:
         """As of a `Transition`."""
         parent, child = np.broadcast_arrays(parent, child)
+        if not parent.size:  # of which SciPy makes an array of another shape
+            return np.zeros(parent.shape)
         found = np.asarray(self.matrix[parent.ravel(), child.ravel()])
         return found.reshape(parent.shape)
 

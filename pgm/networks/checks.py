@@ -216,6 +216,15 @@ def check_parents(
                     "is a sensor's measurement, which cannot be a parent; add a "
                     "state that both depend on",
                 )
+        if isinstance(cpd, TableCPD):
+            for parent in cpd.inputs:
+                if parent.template in hidden:
+                    refuse(
+                        cpd,
+                        parent,
+                        "is hidden, so no table can be a function of it; give it an axis of the "
+                        "table, in given=",
+                    )
         for parent in cpd.noise_given:
             if parent.template in hidden:
                 refuse(

@@ -156,6 +156,11 @@ def most_probable(
             "records pgm.records(table, network) makes it"
         )
     if isinstance(graph, DynamicGraph) and graph.model.discrete:
+        if memory is not None or executor is not None:
+            raise GraphError(
+                "memory= and executor= are for networks without time; of a dynamic one give fewer "
+                "runs to a call"
+            )
         return _most_probable_path(graph, evidence)
     if isinstance(graph, DynamicGraph) or not graph.network.discrete:
         raise GraphError(

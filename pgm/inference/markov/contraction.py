@@ -68,16 +68,22 @@ class Contraction(NamedTuple):
     steps : tuple of Step
     summed : tuple of int
         Axes of the first array that no table has, summed out before.
+    spread : tuple of int
+        Lengths of axes that no table has, along which the last array is constant.
     order : tuple of int
-        The axes of the last array, in the order wanted.
+        The axes of the last array, those it is spread along behind the others, in the order wanted.
     back : bool
         Whether maps go from the child to the parent.
+    largest : int
+        Entries of the largest array on the way.
     """
 
     steps: tuple[Step, ...]
     summed: tuple[int, ...]
+    spread: tuple[int, ...]
     order: tuple[int, ...]
     back: bool
+    largest: int
 
     @property
     def along(self) -> frozenset[int]:
@@ -119,7 +125,11 @@ class Contraction(NamedTuple):
             steps.append(best)
             array = best.after
             del waiting[best.factor]
-        return cls(tuple(steps), summed, tuple(array.index(x) for x in last), back)
+        new = tuple(x for x in last if x not in array)
+        order = tuple((*array, *new).index(x) for x in last)
+        spread = tuple(sizes[x] for x in new)
+        largest = max((math.prod(sizes[x] for x in step.after) for step in steps), default=1)
+        return cls(tuple(steps), summed, spread, order, back, largest)
 
     @staticmethod
     def _step(
@@ -151,6 +161,11 @@ class Contraction(NamedTuple):
                 array = moved(factor, array, step.axis, semiring, back=self.back)
             else:
                 array = _multiplied(step, array, factor, semiring)
+        if self.spread:
+            own = len(self.order) - len(self.spread)
+            before, behind = array.shape[:own], array.shape[own:]
+            wide = array.reshape(*before, *(1,) * len(self.spread), *behind)
+            array = np.broadcast_to(wide, (*before, *self.spread, *behind))
         if self.order != tuple(range(len(self.order))):
             array = array.transpose(*self.order, *range(len(self.order), array.ndim))
         return array

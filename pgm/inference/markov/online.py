@@ -270,9 +270,10 @@ class OnlineTables(Immutable):
         OnlineStates
         """
         slices = TableSlices(self._plan, BoundEvidence(0, (), (), ()))
-        chain = StateChain(slices)
+        semiring = SUM_PRODUCT if slices.smallest >= TINY else LOG_SUM_PRODUCT
+        chain = StateChain(slices.within(semiring), semiring)
         prior = chain.start()
-        held = Held(prior / chain.total(prior), None, linear=True)
+        held = Held(semiring.over(prior, chain.total(prior)), None, semiring.linear)
         return OnlineStates(self._plan, 0, PREDICTED, held, np.zeros(()), self.lag)
 
     def predict(
@@ -381,6 +382,10 @@ class OnlineTables(Immutable):
                     continue
                 own = slices.within(semiring)
                 own.refuse(slices.first, known.within(semiring).entries, int(np.argmin(totals)))
+            if weights is not None:  # of the states that are possible the largest one is one
+                weights = np.where(entries > semiring.zero, weights, semiring.zero)
+                top = weights.max(axis=tuple(range(len(self._plan.slice))))
+                weights = semiring.over(weights, top)
             held = Held(semiring.over(entries, totals), weights, semiring.linear)
             if not held.loses:
                 break
@@ -415,8 +420,8 @@ class OnlineTables(Immutable):
         mine = isinstance(belief, OnlineStates) and belief._plan.model is self.model
         if not mine or belief.kind.lag > 0 or belief._lag != self.lag:
             raise ModelError(
-                f"{belief!r} is no belief to go on from with {self!r}: begin with initial(), and "
-                "go on from the newest belief"
+                f"{belief!r} is no belief to go on from with {self!r}: begin with its initial(), "
+                "and go on from the newest belief; copy or pickle a filter and its beliefs together"
             )
 
 

@@ -147,7 +147,7 @@ class RowTables:
         return found
 
     def _made(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Factor:
-        if as_map and self.cpd._maps:
+        if as_map and self.cpd._maps and self.observed == self.cpd.given[1:]:
             return Move(((self.cpd._maps[key[0] if key else None], None),))
         table = self._selected(self.cpd.table, key)
         return Move(((Dense(table), None),)) if as_map else semiring.entries(table)
@@ -192,7 +192,12 @@ class RowTables:
             return 0.0
         if self.cpd._maps:
             return min(each.smallest for each in self.cpd._maps.values())
-        return float(self.cpd.table.min(where=self.cpd.table > 0.0, initial=1.0))
+        return _smallest(self.cpd.table)
+
+
+def _smallest(table: Array) -> float:
+    """The smallest positive entry of a table."""
+    return float(table.min(where=table > 0.0, initial=1.0))
 
 
 class TableSlices:
@@ -232,15 +237,19 @@ class TableSlices:
 
     @cached_property
     def smallest(self) -> float:
-        """The smallest positive factor of a step: of its transition times its measurements."""
-        return math.prod(row.smallest for row in self.rows) * math.prod(
-            weights.smallest for weights in self.weights
-        )
+        """The smallest positive factor of a step: of prior or transition times measurements."""
+        first = math.prod(_smallest(cpd.table) for cpd in self._prior_cpds)
+        onward = math.prod(row.smallest for row in self.rows)
+        return min(first, onward) * math.prod(weights.smallest for weights in self.weights)
+
+    @property
+    def _prior_cpds(self) -> tuple[TableCPD, ...]:
+        return cast(tuple[TableCPD, ...], self.plan.model.prior)
 
     def prior(self) -> Array:
         """The probabilities at step 0."""
         semiring = self.semiring
-        tables = [semiring.entries(cast(TableCPD, cpd).table) for cpd in self.plan.model.prior]
+        tables = [semiring.entries(cpd.table) for cpd in self._prior_cpds]
         found = self.plan.prior.apply(np.full((), semiring.one), tables, semiring)
         found = found.reshape(self.plan.first_shape)
         return np.repeat(found[..., None], self.bound.runs, axis=-1) if self.lead else found
@@ -299,13 +308,13 @@ class TableSlices:
         found = np.ones((len(part), *runs, *self.plan.shape))
         if runs:  # by runs in memory, as columns of tables are picked for them
             found = np.moveaxis(found, 1, -1)
-        logs: Array | float = 0.0
+        scales = np.zeros((len(part), *runs))
         for weights in self.weights:
-            logs = logs + weights.multiply(found, part, self.semiring)
+            weights.multiply(found, scales, part)
         top = found.max(axis=axes)
         top = np.where(top > 0.0, top, 1.0)
         found /= top.reshape(len(part), *(1,) * len(axes), *runs)
-        return found, logs + np.log(top)
+        return found, scales + np.log(top)
 
     @cached_property
     def _fixed(self) -> dict[str, list[Factor]]:
@@ -316,7 +325,8 @@ class TableSlices:
         """The weights of a step's measurements, and their log-scale."""
         found: Array | None = None
         log_scale: Array | float = 0.0
-        for own in self._weights_at(step):
+        for own, scale in self._weights_at(step):
+            log_scale = log_scale + scale
             if found is None:
                 found = own
                 continue
@@ -328,12 +338,12 @@ class TableSlices:
                 found, log_scale = found / top, log_scale + np.log(top)
         return found, log_scale
 
-    def _weights_at(self, step: int) -> Iterator[Array]:
+    def _weights_at(self, step: int) -> Iterator[tuple[Array, Array | float]]:
         for weights in self.weights:
             for row in weights.at(step):
                 own = weights.row(row, self.semiring)
                 if own is not None:
-                    yield own
+                    yield own, weights.log_scale(row) if self.semiring.linear else 0.0
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
         """Raise the error of measurements that are impossible given a predicted belief."""

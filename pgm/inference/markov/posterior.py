@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,7 +19,7 @@ from pgm.factors.scope import as_scope
 from pgm.inference.chain.marginals import located
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
-from pgm.inference.markov.chain import StateChain
+from pgm.inference.markov.chain import TINY, StateChain
 from pgm.inference.markov.joints import joint, pair
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
@@ -210,7 +210,9 @@ class StatePosterior(Posterior):
         Returns
         -------
         Table
-            Its log-scale carries the evidence that went into it.
+            Its log-scale carries the evidence that went into it. A backward one has zeros for
+            states that are impossible given what was before, where later measurements speak for
+            these so much that the others would be too small for numbers.
 
         Raises
         ------
@@ -232,23 +234,29 @@ class StatePosterior(Posterior):
                 f"is {self.kind}: smoothing sends it; use pgm.smooth, or schedule=pgm.Smoothing()",
                 cluster=source,
             )
-        message = self._message_back(step)
         chain = self._chain
-        # Its product with the forward message sums to the evidence.
-        found = chain.total(chain.semiring.times(chain.known[step], message))
+        with np.errstate(invalid="ignore"):  # 0/0, where numbers hold none of the states
+            message, found, top = self._sized(step, self._message_back(step, chain.message))
+        if not (chain.numbers(chain.semiring.over(found, top)) > TINY).all():
+            message, found, top = self._sized(step, self._message_back(step, chain.back))
         rest = self._weight(self.graph.steps) - self._weight(step) - chain.semiring.logs(found)
-        top = message.max(axis=tuple(range(message.ndim - chain.batch)))
         message = chain.numbers(chain.semiring.over(message, top))
         rest = np.broadcast_to(rest + chain.semiring.logs(top), runs)
         return self._table(scope, self._states(message, total=False), rest)
 
-    def _message_back(self, step: int) -> Array:
+    def _sized(self, step: int, message: Array) -> tuple[Array, Array, Array]:
+        """A message to a slice, the sum of its product with the belief there, and its largest."""
+        chain = self._chain
+        found = chain.total(chain.semiring.times(chain.known[step], message))
+        return message, found, message.max(axis=tuple(range(message.ndim - chain.batch)))
+
+    def _message_back(self, step: int, passed: Callable[[int, Array], Array]) -> Array:
         """The message to the slice of a step from all measurements that its belief knows."""
         chain = self._chain
         last = self.kind.last(step, self.graph.steps)
         message = np.full(chain.known[last].shape, chain.semiring.one)
         for before in range(last - 1, step - 1, -1):
-            message = chain.message(before, message)
+            message = passed(before, message)
         return message
 
     def _states(self, values: Array, *, total: bool = True) -> Array:
@@ -282,7 +290,7 @@ class StatePosterior(Posterior):
         """
         step, plan = self.graph.index(cluster), self._plan
         weight = self._weight(self.kind.last(step, self.graph.steps))
-        message = self._message_back(step)
+        message = self._message_back(step, self._chain.back)
         if not step:
             values = self._states(self._chain.posterior(0, message))
             scope = discrete(tuple(v.at(0) for v in plan.states))

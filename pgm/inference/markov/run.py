@@ -69,8 +69,14 @@ def solved(slices: TableSlices) -> StateChain:
 
 
 def require_beliefs(plan: SlicePlan, bound: BoundEvidence, sets: int) -> None:
-    """Refuse beliefs that would not fit."""
+    """Refuse beliefs that would not fit, or tables on the way from one to the next."""
     size = math.prod(plan.shape)
+    require_memory(
+        plan.onward.largest * bound.runs,
+        f"the largest table on the way from a step to the next, in {bound.runs} runs,",
+        "give each state fewer parents, or fewer runs to a call",
+        error=GraphError,
+    )
     require_memory(
         sets * (bound.steps + 1) * bound.runs * size,
         f"the beliefs over {size} states at {bound.steps + 1} steps in {bound.runs} runs",

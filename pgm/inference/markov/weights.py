@@ -10,7 +10,7 @@ import numpy as np
 from pgm.errors import EvidenceError
 from pgm.evidence import Reading
 from pgm.kernels.arrays import Array
-from pgm.kernels.semirings import SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import SUM_PRODUCT, Semiring, log_sum
 from pgm.variables import Discrete
 
 if TYPE_CHECKING:
@@ -46,6 +46,9 @@ class Weights:
                 step=0,
             )
         self.soft = reading.values.dtype.kind == "f"
+        if self.soft:  # of any size; as numbers they are used with their largest one
+            self._tops = reading.values.max(axis=-1)
+            self._scaled = reading.values / self._tops[:, :, None]
         self.complete = bool(reading.taken.all())
         self.starts = np.searchsorted(reading.step, np.arange(_last(reading) + 2)).tolist()
 
@@ -74,7 +77,10 @@ class Weights:
         return turned.reshape(*turned.shape[: turned.ndim - len(self.order)], *self.shape)
 
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | None:
-        """The weights of a measurement, (*slice, [runs]); None where it is missing."""
+        """The weights of a measurement, (*slice, [runs]); None where it is missing.
+
+        Of soft evidence numbers have a `log_scale`.
+        """
         values, taken = self.reading.values[row], self.reading.taken[row]
         if self.cpd.function is None:
             columns = self._columns if semiring.linear or self.soft else self._log_columns
@@ -83,15 +89,14 @@ class Weights:
             columns, places = self._called(row)
             columns = columns if semiring.linear or self.soft else semiring.entries(columns)
         if self.soft:
-            found = self._softened(columns, places, values)
-            return found if semiring.linear else semiring.entries(found)
+            return self._softened(row, columns, places, semiring)
         states = values[:, 0]
         if self.runs == 1 or (len(states) == 1 and all(len(p) == 1 for p in places)):
             if not (self.complete or taken[0, 0]):
                 return None
             single: Array = columns[(*(p[0] for p in places), states[0])]
             return self._over_runs(single)
-        found = columns[(*places, states)]  # (runs, *slice)
+        found: Array = columns[(*places, states)]  # (runs, *slice)
         if not self.complete:
             shape = (-1, *(1,) * len(self.shape))
             found = np.where(taken[:, 0].reshape(shape), found, semiring.one)
@@ -130,27 +135,44 @@ class Weights:
         last = len(self.starts) - 1
         return range(self.starts[min(part.start, last)], self.starts[min(part.stop, last)])
 
-    def multiply(self, found: Array, part: range, semiring: Semiring) -> Array | float:
-        """Multiply weights of some steps, (steps, *slice, [runs]), by this sensor's; log-scales."""
+    def multiply(self, found: Array, scales: Array, part: range) -> None:
+        """Multiply the weights of some steps, (steps, *slice, [runs]), by those of this sensor.
+
+        Their log-scales, (steps, [runs]), get what these lack.
+        """
         picked = self.picked(part)
         if picked is not None:
             found *= picked[0]
-            return picked[1]
+            scales += picked[1]
+            return
         rows = self._rows(part)
         steps = self.reading.step[rows.start : rows.stop] - part.start
         for step, row in zip(steps.tolist(), rows, strict=True):
-            weights = self.row(row, semiring)
+            weights = self.row(row)
             if weights is not None:
                 found[step] *= weights
-        return 0.0
+                scales[step] += self.log_scale(row)
 
-    def _softened(self, columns: Array, places: Any, values: Array) -> Array:
+    def log_scale(self, row: int) -> Array | float:
+        """The logarithm of the factor that the weights of a measurement, as numbers, lack."""
+        if not self.soft:
+            return 0.0
+        logs: Array = np.log(self._tops[row])
+        return logs if self.batch else float(logs[0])
+
+    def _softened(self, row: int, columns: Array, places: Any, semiring: Semiring) -> Array:
         """Of soft evidence: the weights of the sensor's states, summed over."""
+        values = (self._scaled if semiring.linear else self.reading.values)[row]
         runs = max([len(values), *(len(p) for p in places)])
         own = columns[tuple(places)] if places else columns[None]
         own = np.broadcast_to(own, (runs, *own.shape[1:]))
         values = np.broadcast_to(values, (runs, values.shape[1]))
-        found = np.einsum("rk,rk...->r...", values, own)
+        if semiring.linear:
+            found: Array = np.einsum("rk,rk...->r...", values, own)
+        else:
+            with np.errstate(divide="ignore"):
+                logs = np.log(values).reshape(*values.shape, *(1,) * len(self.shape))
+                found = log_sum(logs + np.log(own), 1)
         return self._over_runs(found[0]) if runs == 1 else np.moveaxis(found, 0, -1)
 
     def _over_runs(self, single: Array) -> Array:
@@ -179,8 +201,7 @@ class Weights:
             return 0.0
         least = float(self._columns.min(where=self._columns > 0.0, initial=1.0))
         if self.soft:
-            values = self.reading.values
-            least *= float(values.min(where=values > 0.0, initial=1.0))
+            least *= float(self._scaled.min(where=self.reading.values > 0.0, initial=1.0))
         counts = np.diff(self.starts)
         return float(least ** max(counts.max(initial=0), 0))
 
