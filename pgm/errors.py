@@ -108,3 +108,7 @@ class ExecutorError(PgmError, RuntimeError):
 
 class PrecisionWarning(UserWarning):
     """An answer of which rounding leaves few digits; ``status.digits`` says how many."""
+
+
+class GridWarning(UserWarning):
+    """A grid's answer that is not what the model says; the status says by how much."""

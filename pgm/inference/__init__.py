@@ -8,6 +8,11 @@ from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
+from pgm.inference.grid.belief import GridBelief
+from pgm.inference.grid.online import OnlineGrid, OnlineGridBelief
+from pgm.inference.grid.posterior import GridPosterior
+from pgm.inference.grid.status import GridStatus
+from pgm.inference.grid.value import Grid
 from pgm.inference.kind import Kind
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
@@ -33,6 +38,10 @@ __all__ = [
     "Filtering",
     "FixedLag",
     "Flooding",
+    "Grid",
+    "GridBelief",
+    "GridPosterior",
+    "GridStatus",
     "Innovations",
     "KeptPosterior",
     "Kind",
@@ -41,6 +50,8 @@ __all__ = [
     "MostProbable",
     "OnlineBelief",
     "OnlineFilter",
+    "OnlineGrid",
+    "OnlineGridBelief",
     "Posterior",
     "Residual",
     "Schedule",

@@ -12,6 +12,8 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
 from pgm.inference.damping import Damping
+from pgm.inference.grid.posterior import GridPosterior
+from pgm.inference.grid.value import Grid
 from pgm.inference.schedule import Filtering, FixedLag, Smoothing
 from pgm.inference.start import Start
 from pgm.inference.temporal import TemporalPosterior, runner
@@ -35,6 +37,7 @@ def filter(
     damping: Damping = 0.0,
     keep: None = None,
     executor: Executor | None = None,
+    belief: None = None,
 ) -> ChainPosterior: ...
 
 
@@ -50,7 +53,24 @@ def filter(
     damping: Damping = 0.0,
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
+    belief: None = None,
 ) -> KeptPosterior: ...
+
+
+@overload
+def filter(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence,
+    *,
+    lineariser: Lineariser = TAYLOR,
+    steps: int | None = None,
+    iterations: int = 1,
+    tolerance: float = 1e-9,
+    damping: Damping = 0.0,
+    keep: None = None,
+    executor: None = None,
+    belief: Grid,
+) -> GridPosterior: ...
 
 
 def filter(
@@ -64,6 +84,7 @@ def filter(
     damping: Damping = 0.0,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
+    belief: Grid | None = None,
 ) -> TemporalPosterior:
     r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
 
@@ -82,13 +103,16 @@ def filter(
         Of `Filtering`.
     keep, executor : optional
         As for `infer`.
+    belief : Grid, optional
+        As for `infer`.
 
     Returns
     -------
     ChainPosterior
         ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
         `KeptPosterior` with ``keep``. Of a network of tables a `StatePosterior`, whose
-        ``posterior[x]`` is a `Table` of probabilities (..., T+1, size).
+        ``posterior[x]`` is a `Table` of probabilities (..., T+1, size). With ``belief`` a
+        `GridPosterior`, whose ``posterior[x]`` is a `GridBelief`.
 
     Raises
     ------
@@ -99,7 +123,7 @@ def filter(
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps)
     graph = compile(model, bound.steps)
-    return runner(graph.model)(graph, bound, schedule, lineariser, None, keep, executor)
+    return runner(graph.model, belief)(graph, bound, schedule, lineariser, None, keep, executor)
 
 
 @overload
@@ -117,6 +141,7 @@ def smooth(
     method: Balanced | None = None,
     keep: None = None,
     executor: Executor | None = None,
+    belief: None = None,
 ) -> ChainPosterior: ...
 
 
@@ -135,7 +160,27 @@ def smooth(
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
+    belief: None = None,
 ) -> KeptPosterior: ...
+
+
+@overload
+def smooth(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence,
+    *,
+    lineariser: Lineariser = TAYLOR,
+    steps: int | None = None,
+    start: Start | None = None,
+    lag: int | None = None,
+    iterations: int = 1,
+    tolerance: float = 1e-9,
+    damping: Damping = 0.0,
+    method: Balanced | None = None,
+    keep: None = None,
+    executor: None = None,
+    belief: Grid,
+) -> GridPosterior: ...
 
 
 def smooth(
@@ -152,6 +197,7 @@ def smooth(
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
+    belief: Grid | None = None,
 ) -> TemporalPosterior:
     r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
 
@@ -184,13 +230,16 @@ def smooth(
         `Balanced()` saves the filter's sweep, and starts from dead reckoning.
     keep, executor : optional
         As for `infer`.
+    belief : Grid, optional
+        As for `infer`.
 
     Returns
     -------
     ChainPosterior
         ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
         `KeptPosterior` with ``keep``. Of a network of tables a `StatePosterior`, whose
-        ``posterior[x]`` is a `Table` of probabilities (..., T+1, size).
+        ``posterior[x]`` is a `Table` of probabilities (..., T+1, size). With ``belief`` a
+        `GridPosterior`, whose ``posterior[x]`` is a `GridBelief`.
 
     Raises
     ------
@@ -202,4 +251,4 @@ def smooth(
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps)
     graph = compile(model, bound.steps, method=method)
-    return runner(graph.model)(graph, bound, schedule, lineariser, start, keep, executor)
+    return runner(graph.model, belief)(graph, bound, schedule, lineariser, start, keep, executor)

@@ -14,6 +14,8 @@ from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
+from pgm.inference.grid.posterior import GridPosterior
+from pgm.inference.grid.value import Grid
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule, Smoothing
 from pgm.inference.start import Start
@@ -39,8 +41,24 @@ def infer(
     lineariser: Lineariser = TAYLOR,
     start: Start | None = None,
     keep: None = None,
+    executor: None = None,
+    memory: None = None,
+    belief: Grid,
+) -> GridPosterior: ...
+
+
+@overload
+def infer(
+    graph: DynamicGraph,
+    evidence: Evidence,
+    *,
+    schedule: Schedule | None = None,
+    lineariser: Lineariser = TAYLOR,
+    start: Start | None = None,
+    keep: None = None,
     executor: Executor | None = None,
     memory: float | None = None,
+    belief: None = None,
 ) -> ChainPosterior: ...
 
 
@@ -55,6 +73,7 @@ def infer(
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
     memory: float | None = None,
+    belief: None = None,
 ) -> KeptPosterior: ...
 
 
@@ -69,6 +88,7 @@ def infer(
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
     memory: float | None = None,
+    belief: None = None,
 ) -> Posterior: ...
 
 
@@ -82,7 +102,8 @@ def infer(
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
     memory: float | None = None,
-) -> Posterior:
+    belief: Grid | None = None,
+) -> Posterior | GridPosterior:
     """Send the messages of a schedule on a cluster graph.
 
     Parameters
@@ -128,12 +149,15 @@ def infer(
         take, besides what the compiled graph takes, the evidence, and what is asked for; 2²⁸
         (256 MiB), if not given. The runs are worked through in parts that fit; the results are the
         same.
+    belief : Grid, optional
+        Of a dynamic network of Gaussian CPDs: its beliefs as probabilities of the cells of a grid,
+        in place of Gaussians. Nothing is linearised then. Runs are worked through one at a time.
 
     Returns
     -------
     Posterior
         A `ChainPosterior` of a dynamic network, of tables a `StatePosterior`; a `KeptPosterior`
-        with ``keep``.
+        with ``keep``, a `GridPosterior` with ``belief``.
 
     Raises
     ------
@@ -166,7 +190,13 @@ def infer(
         if memory is not None:
             raise GraphError(CONTINUOUS)
         bound = bind_chain(graph.model, evidence, graph.steps)
-        return runner(graph.model)(graph, bound, schedule, lineariser, start, keep, executor)
+        return runner(graph.model, belief)(
+            graph, bound, schedule, lineariser, start, keep, executor
+        )
+    if belief is not None:
+        raise GraphError(
+            f"belief= is for dynamic networks, whose states a grid covers, not for {graph!r}"
+        )
     if keep is not None or executor is not None:
         raise GraphError(
             f"keep= and executor= are for the runs of dynamic networks, not for {graph!r}; to hold "

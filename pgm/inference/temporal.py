@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 from pgm.compile import DynamicGraph
@@ -10,24 +11,54 @@ from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.grid.posterior import GridPosterior
+from pgm.inference.grid.run import require_grid
+from pgm.inference.grid.run import run as run_grid
+from pgm.inference.grid.value import Grid
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.markov.run import run as run_tables
 from pgm.inference.parts.run import Keep
 from pgm.inference.parts.run import run as run_moments
 from pgm.inference.schedule import Schedule
 from pgm.inference.start import Start
-from pgm.linearisers import Lineariser
+from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-TemporalPosterior = ChainPosterior | KeptPosterior | StatePosterior
+TemporalPosterior = ChainPosterior | KeptPosterior | StatePosterior | GridPosterior
 
 
-def runner(model: DynamicBayesianNetwork) -> Callable[..., TemporalPosterior]:
-    """The function that sends the messages: moments of Gaussians, or tables of discrete states."""
+def runner(
+    model: DynamicBayesianNetwork, belief: Grid | None = None
+) -> Callable[..., TemporalPosterior]:
+    """The function that sends the messages: of Gaussians' moments, tables of states, or grids."""
+    if belief is not None:
+        return partial(_run_grid, require_grid(belief, model))
     return _run_tables if model.discrete else run_moments
+
+
+def _run_grid(
+    grid: Grid,
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    schedule: Schedule | None,
+    lineariser: Lineariser,
+    start: Start | None,
+    keep: Keep | None,
+    executor: Executor | None,
+) -> GridPosterior:
+    given = {"start": start, "keep": keep, "executor": executor}
+    named = [name for name, value in given.items() if value is not None]
+    if lineariser is not TAYLOR and lineariser != TAYLOR:
+        named.append("lineariser")
+    if named:
+        raise ModelError(
+            f"{named[0]}= is for beliefs that are Gaussian; a grid linearises nothing and works "
+            "one run after another: leave it out"
+        )
+    return run_grid(graph, bound, schedule, grid)
 
 
 def _run_tables(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Self, overload
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
+from pgm.inference.grid.online import OnlineGrid, online_grid
+from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED
 from pgm.inference.online import step_evidence
 from pgm.inference.online.beliefs import (
@@ -64,6 +66,9 @@ class OnlineFilter(Immutable):
         measurements of the step together, as `infer` does on recorded ones.
     lag : int, optional
         In place of a schedule, as ``schedule=FixedLag(lag)``.
+    belief : Grid, optional
+        Beliefs are then probabilities of the cells of a grid: the filter is an `OnlineGrid`, with
+        the same methods, and takes neither lineariser nor schedule, of which it has no use.
 
     Raises
     ------
@@ -84,12 +89,34 @@ class OnlineFilter(Immutable):
     lineariser: Lineariser
     schedule: Filtering | FixedLag
 
+    @overload
+    def __new__(
+        cls,
+        model: DynamicBayesianNetwork,
+        lineariser: Lineariser = TAYLOR,
+        schedule: Filtering | FixedLag | None = None,
+        lag: int | None = None,
+        *,
+        belief: None = None,
+    ) -> Self: ...
+
+    @overload
+    def __new__(  # type: ignore[misc]
+        cls, model: DynamicBayesianNetwork, *, belief: Grid
+    ) -> OnlineGrid: ...
+
+    def __new__(cls, *given: Any, belief: Grid | None = None, **named: Any) -> Any:
+        """The filter itself; with a grid one of its own kind, which takes nothing else."""
+        return object.__new__(cls) if belief is None else online_grid(belief, *given, **named)
+
     def __init__(
         self,
         model: DynamicBayesianNetwork,
         lineariser: Lineariser = TAYLOR,
         schedule: Filtering | FixedLag | None = None,
         lag: int | None = None,
+        *,
+        belief: None = None,
     ) -> None:
         if not isinstance(model, DynamicBayesianNetwork):
             raise ModelError(f"a dynamic network was due, not {model!r}")

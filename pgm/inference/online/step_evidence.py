@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -31,6 +31,25 @@ from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
 
+class Place(Protocol):
+    """The place of a belief of any family: its step, its runs, and the window behind it."""
+
+    @property
+    def step(self) -> int:
+        """The step."""
+        ...
+
+    @property
+    def lead(self) -> tuple[int, ...]:
+        """The axes of runs."""
+        ...
+
+    @property
+    def behind(self) -> object:
+        """The steps behind it."""
+        ...
+
+
 def mapping(value: Any, method: str, what: str) -> Mapping[Variable, Any]:
     """Refuse what is no mapping."""
     if not isinstance(value, Mapping):
@@ -39,7 +58,7 @@ def mapping(value: Any, method: str, what: str) -> Mapping[Variable, Any]:
 
 
 def inputs(
-    model: DynamicBayesianNetwork, belief: OnlineBelief, values: Mapping[Variable, Any]
+    model: DynamicBayesianNetwork, belief: Place, values: Mapping[Variable, Any]
 ) -> BoundEvidence:
     """The inputs of a prediction."""
     needed = {v for cpd in model.transition for v in cpd.parents}
@@ -56,7 +75,7 @@ def inputs(
 
 
 def readings(
-    model: DynamicBayesianNetwork, belief: OnlineBelief, values: Mapping[Variable, Any]
+    model: DynamicBayesianNetwork, belief: Place, values: Mapping[Variable, Any]
 ) -> BoundEvidence:
     """The measurements of an update."""
     evidence = {v: _reading(model, v, value) for v, value in values.items()}
@@ -64,7 +83,7 @@ def readings(
     return _same_runs(belief, bind(*parts, transition_inputs=False))
 
 
-def _same_runs(belief: OnlineBelief, bound: BoundEvidence) -> BoundEvidence:
+def _same_runs(belief: Place, bound: BoundEvidence) -> BoundEvidence:
     """Refuse a change of the number of runs within a window, but from one run to many."""
     lead = belief.lead
     if isinstance(belief.behind, Sliding) and lead and lead != bound.lead:

@@ -1,0 +1,1 @@
+"""Grids: beliefs as probabilities of cells, on the same declared networks."""

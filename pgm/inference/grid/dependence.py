@@ -1,0 +1,199 @@
+"""On which axes of a lattice functions depend: tested at every centre, not assumed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pgm.inference.grid.lattice import Lattice
+from pgm.kernels.arrays import Array, Integers, Mask
+
+# Places at which every call is tested; all centres are, when something is first depended on.
+PROBES = 128
+# Centres that a user's function is handed at a time where all are tested.
+BLOCK = 1 << 16
+_TRIES = 3
+
+
+def places(lattice: Lattice, count: int, seed: int) -> Integers:
+    """Some cells of a lattice, (count, axes)."""
+    return np.random.default_rng(seed).integers(0, lattice.shape, (count, len(lattice.axes)))
+
+
+def blocks(lattice: Lattice) -> Iterator[Integers]:
+    """All cells of a lattice, (n, axes), some at a time."""
+    for first in range(0, lattice.size, BLOCK):
+        flat = np.arange(first, min(first + BLOCK, lattice.size))
+        yield np.stack(np.unravel_index(flat, lattice.shape), axis=-1)
+
+
+def centres(lattice: Lattice, cells: Integers) -> Array:
+    """The centres (n, axes) of cells (n, axes)."""
+    return lattice.points(list(cells.T))
+
+
+class Reduced:
+    """A function's values at all cells along some axes, the others in their middle.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    axes : iterable of int
+    values : callable
+        From points (n, axes) to values (n, ...).
+    """
+
+    def __init__(
+        self, lattice: Lattice, axes: Iterable[int], values: Callable[[Array], Array]
+    ) -> None:
+        self.axes = sorted(axes)
+        self.shape = [lattice.shape[k] for k in self.axes]
+        count, found = math.prod(self.shape), []
+        middle = np.array(lattice.shape) // 2
+        for first in range(0, count, BLOCK):
+            flat = np.arange(first, min(first + BLOCK, count))
+            cells = np.repeat(middle[None], len(flat), axis=0)
+            if self.axes:
+                cells[:, self.axes] = np.stack(np.unravel_index(flat, self.shape), axis=-1)
+            found.append(values(centres(lattice, cells)))
+        self.values = np.concatenate(found)
+
+    def at(self, cells: Integers) -> Array:
+        """The values at cells (n, all axes) of the lattice."""
+        if not self.axes:
+            return self.values[:1]
+        flat = np.ravel_multi_index(tuple(cells[:, self.axes].T), self.shape)
+        found: Array = self.values[flat]
+        return found
+
+
+@dataclass(eq=False)
+class Dependence:
+    """The axes on which each of some values at the centres of a lattice depends.
+
+    It only grows: what was found at one step is taken to hold at all, and every step is probed.
+
+    Attributes
+    ----------
+    lattice : Lattice
+    before, after : list of set of int
+        By value: the axes of the step before on which it depends, and those of its own step.
+    """
+
+    lattice: Lattice
+    before: list[set[int]] = field(default_factory=list)
+    after: list[set[int]] = field(default_factory=list)
+    _sure: bool = False
+
+    def look(
+        self,
+        values: Callable[[Array, Array], Array],
+        differ: Callable[[Array, Array], Mask],
+        later: frozenset[int],
+        seed: int,
+    ) -> None:
+        """Probe a function at a step, and test it everywhere where that shows something new.
+
+        Parameters
+        ----------
+        values : callable
+            From points (n, axes) of the step before and of its own to values (n, ..., m).
+        differ : callable
+            Whether two (n, ..., m) of values differ.
+        later : frozenset of int
+            The axes of its own step on which it may depend at all.
+        seed : int
+        """
+        if self._probed(values, differ, later, seed) or not self._sure:
+            tries = 0
+            while not self._holds(values, differ, later, seed):
+                tries += 1
+                if tries < _TRIES:
+                    self._probed(values, differ, later, seed + tries, everywhere=True)
+                else:  # differences that add up
+                    self.before = [set(range(len(self.lattice.axes))) for _ in self.before]
+                    self.after = [set(later) for _ in self.after]
+            self._sure = True
+
+    def reduced(self, cells: Integers, depended: set[int]) -> Integers:
+        """Cells whose places along all other axes are those of the middle."""
+        middle = np.array(self.lattice.shape) // 2
+        keep = np.array([k in depended for k in range(len(middle))])
+        return np.where(keep, cells, middle)
+
+    def _probed(
+        self,
+        values: Callable[[Array, Array], Array],
+        differ: Callable[[Array, Array], Mask],
+        later: frozenset[int],
+        seed: int,
+        everywhere: bool = False,
+    ) -> bool:
+        """Whether probes show that something is depended on that was not known of."""
+        lattice, grown = self.lattice, False
+        sets = blocks(lattice) if everywhere else iter([places(lattice, PROBES, seed)])
+        for here in sets:
+            there = places(lattice, len(here), seed + 1)
+            other = places(lattice, len(here), seed + 2)
+            base, own = centres(lattice, here), centres(lattice, other)
+            pairs = [(base, own)]
+            for k in range(len(lattice.axes)):
+                moved = base.copy()
+                moved[:, k] = lattice.axes[k].centres[there[:, k]]
+                pairs.append((moved, own))
+            for k in sorted(later):
+                moved = own.copy()
+                moved[:, k] = lattice.axes[k].centres[there[:, k]]
+                pairs.append((base, moved))
+            found = values(*(np.concatenate(each) for each in zip(*pairs, strict=True)))
+            first, *rest = np.split(found, len(pairs))
+            if not self.before:
+                self.before = [set() for _ in range(found.shape[-1])]
+                self.after = [set() for _ in range(found.shape[-1])]
+            owners = [(self.before, k) for k in range(len(lattice.axes))]
+            owners += [(self.after, k) for k in sorted(later)]
+            for (owner, k), changed in zip(owners, rest, strict=True):
+                different = differ(changed, first).reshape(-1, first.shape[-1])
+                for m in np.flatnonzero(different.any(axis=0)):
+                    grown = grown or k not in owner[m]
+                    owner[m].add(k)
+        return grown
+
+    def _holds(
+        self,
+        values: Callable[[Array, Array], Array],
+        differ: Callable[[Array, Array], Mask],
+        later: frozenset[int],
+        seed: int,
+    ) -> bool:
+        """Whether at all centres the values are those of the axes depended on alone."""
+        lattice = self.lattice
+        kinds = {(frozenset(a), frozenset(b)) for a, b in zip(self.before, self.after, strict=True)}
+        kinds = {pair for pair in kinds if len(pair[0]) < len(lattice.axes) or pair[1] < later}
+        tables = (
+            {}
+            if later
+            else {
+                before: Reduced(lattice, before, lambda points: values(points, points))
+                for before, _ in kinds
+            }
+        )
+        for here in blocks(lattice) if kinds else ():
+            other = places(lattice, len(here), seed + 3) if later else here
+            found = values(centres(lattice, here), centres(lattice, other))
+            for before, after in kinds:
+                if before in tables:
+                    few = tables[before].at(here)
+                else:
+                    base = centres(lattice, self.reduced(here, set(before)))
+                    few = values(base, centres(lattice, self.reduced(other, set(after))))
+                of = [
+                    (frozenset(a), frozenset(b)) == (before, after)
+                    for a, b in zip(self.before, self.after, strict=True)
+                ]
+                if differ(few, found)[..., of].any():
+                    return False
+        return True

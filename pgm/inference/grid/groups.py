@@ -1,0 +1,218 @@
+"""Displacements of states that move together, since they share the noise of a control."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.cpds import ConditionalGaussian
+from pgm.inference.grid.lattice import Lattice
+from pgm.inference.grid.values import Known, covariance_of, mean_at, root_of
+from pgm.kernels.arrays import Array
+from pgm.variables import Variable
+
+# A correlation below this is rounding.
+_UNCORRELATED = 1e-14
+
+
+class Spread(NamedTuple):
+    """The noise of a group at a step.
+
+    Attributes
+    ----------
+    variance : ndarray
+        (axes,): what each axis has of its own, in cells; infinite where nothing is known.
+    roots : mapping of Variable to ndarray
+        Of each hidden control, and of each state whose noise is correlated: (d, r), by which white
+        noise of its own enters.
+    size : int
+        How many numbers of white noise there are.
+    """
+
+    variance: Array
+    roots: Mapping[Variable, Array]
+    size: int
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """CPDs of states, and of the hidden controls that they share.
+
+    Attributes
+    ----------
+    lattice : Lattice
+    controls, states : tuple of CPD
+        Parents before children.
+    known : mapping of Variable to mapping
+        By child, the values (rows, runs or 1, d) of its observed parents.
+    prior : bool
+        Whether this is step 0: displacements are counted from the first cell then.
+    first : int
+        The step before the first row of these values.
+    """
+
+    lattice: Lattice
+    controls: tuple[ConditionalGaussian, ...]
+    states: tuple[ConditionalGaussian, ...]
+    known: Mapping[Variable, Mapping[Variable, Array]]
+    prior: bool
+    first: int = 0
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """The axes that are moved, in the order of the displacements."""
+        return tuple(k for cpd in self.states for k in self.lattice.of[cpd.child])
+
+    @property
+    def later(self) -> frozenset[int]:
+        """The axes of parents at the same step."""
+        given = {v for cpd in (*self.controls, *self.states) for v in cpd.given if not v.lag}
+        return frozenset(k for v in given if v in self.lattice.of for k in self.lattice.of[v])
+
+    @property
+    def widths(self) -> Array:
+        """The widths of cells along these axes."""
+        return np.array([self.lattice.axes[k].width for k in self.axes])
+
+    def inputs(self, child: Variable, step: int, run: int) -> Known:
+        """The values (d,) of a child's observed parents at a step."""
+        return {
+            v: values[step - 1 - self.first, run if values.shape[1] > 1 else 0]
+            for v, values in self.known[child].items()
+        }
+
+    def spread(self, step: int, run: int) -> Spread:
+        """The noise at a step."""
+        variances, found = [], {}
+        for cpd in self.controls:
+            cov = covariance_of(cpd, self.inputs(cpd.child, step, run), step, run)
+            lower = root_of(cpd, cov, step)
+            found[cpd.child] = lower[:, lower.any(axis=0)]
+        for cpd in self.states:
+            cov = covariance_of(cpd, self.inputs(cpd.child, step, run), step, run)
+            own, shared = parted(cpd, cov, step)
+            variances.append(own)
+            if shared.size:
+                found[cpd.child] = shared
+        size = sum(root.shape[1] for root in found.values())
+        return Spread(np.concatenate(variances) / self.widths**2, found, size)
+
+    def displacement(
+        self, before: Array, after: Array, noise: Array, spread: Spread, step: int, run: int
+    ) -> Array:
+        """The displacements (n, axes), in cells, at points of the step before and of this one.
+
+        Parameters
+        ----------
+        before, after : ndarray
+            (n, axes of the lattice).
+        noise : ndarray
+            (n, size): values of the white noise.
+        spread : Spread
+        step, run : int
+        """
+        points = dict(self.lattice.values(after))
+        if not self.prior:
+            points |= {v.previous: a for v, a in self.lattice.values(before).items()}
+        entered, first = {}, 0
+        for variable, root in spread.roots.items():
+            entered[variable] = noise[:, first : first + root.shape[1]] @ root.T
+            first += root.shape[1]
+        for cpd in self.controls:
+            known = self.inputs(cpd.child, step, run)
+            given = {v: points[v] for v in cpd.given if v in points} or {cpd.child: before}
+            points[cpd.child] = mean_at(cpd, given, known, step, run) + entered[cpd.child]
+        found = []
+        for cpd in self.states:
+            child, known = cpd.child, self.inputs(cpd.child, step, run)
+            if self.prior:
+                origin = before[:, list(self.lattice.of[child])]
+                moved = mean_at(cpd, points, known, step, run) - origin
+            else:
+                moved = mean_at(cpd, points, known, step, run, less=child.previous)
+            found.append(moved + entered[child] if child in entered else moved)
+        cells: Array = np.concatenate(found, axis=1) / self.widths
+        return self.wrapped(cells)
+
+    def wrapped(self, cells: Array) -> Array:
+        """Displacements (n, axes), those of angles within half a circle."""
+        for k, axis in enumerate(self.axes):
+            if self.lattice.axes[axis].angle:
+                count = self.lattice.axes[axis].cells
+                cells[..., k] -= count * np.rint(cells[..., k] / count)
+        return cells
+
+    def joined(self, others: Sequence[Group]) -> Group:
+        """One group of this one and others."""
+        every = (self, *others)
+        return Group(
+            self.lattice,
+            tuple(dict.fromkeys(cpd for group in every for cpd in group.controls)),
+            tuple(cpd for group in every for cpd in group.states),
+            {v: values for group in every for v, values in group.known.items()},
+            self.prior,
+            self.first,
+        )
+
+
+def parted(cpd: ConditionalGaussian, cov: Array, step: int) -> tuple[Array, Array]:
+    """Noise as variances (d,) of the components alone, and the root (d, r) of the rest.
+
+    As large a share of all variances as the correlations leave is the components' own: the least
+    eigenvalue of their correlation matrix.
+    """
+    own = np.diagonal(cov).copy()
+    finite = np.isfinite(own) & (own > 0.0)
+    block = cov[np.ix_(finite, finite)]
+    deviation = np.sqrt(own[finite])
+    correlation = block / np.multiply.outer(deviation, deviation)
+    np.fill_diagonal(correlation, 1.0)
+    mixed = (np.abs(correlation) > _UNCORRELATED).sum(axis=1) > 1
+    places = np.flatnonzero(finite)[mixed]
+    if not places.size:
+        return own, np.zeros((len(own), 0))
+    root_of(cpd, cov[np.ix_(places, places)], step)  # refused, if it is none
+    values, vectors = np.linalg.eigh(correlation[np.ix_(mixed, mixed)])
+    share = max(float(values[0]), 0.0)
+    rest = np.maximum(values - share, 0.0)
+    keep = rest > 1e-12 * values[-1]
+    root = np.zeros((len(own), int(keep.sum())))
+    root[places] = deviation[mixed][:, None] * vectors[:, keep] * np.sqrt(rest[keep])
+    # What the two leave exactly, so that variances add up to those asked for.
+    own[places] -= (root[places] ** 2).sum(axis=1)
+    return np.maximum(own, 0.0), root
+
+
+def groups(
+    lattice: Lattice,
+    cpds: Sequence[ConditionalGaussian],
+    known: Sequence[Mapping[Variable, Array]],
+    *,
+    prior: bool,
+    first: int = 0,
+) -> list[Group]:
+    """The groups of a prior or transition: states whose CPDs depend on one control are together."""
+    values = {cpd.child: given for cpd, given in zip(cpds, known, strict=True)}
+    states = [cpd for cpd in cpds if cpd.child in lattice.of]
+    controls = {cpd.child: cpd for cpd in cpds if cpd.child not in lattice.of}
+
+    def needed(cpd: ConditionalGaussian) -> set[Variable]:
+        found = {v for v in cpd.given if v in controls}
+        return found.union(*(needed(controls[v]) for v in found))
+
+    alike: list[tuple[set[Variable], list[ConditionalGaussian]]] = []
+    for cpd in states:
+        need, members = needed(cpd), [cpd]
+        for other in [pair for pair in alike if pair[0] & need]:
+            alike.remove(other)
+            need, members = need | other[0], other[1] + members
+        alike.append((need, members))
+    found = []
+    for need, members in alike:
+        own = tuple(cpd for cpd in cpds if cpd.child in need)
+        family = {cpd.child: values[cpd.child] for cpd in (*own, *members)}
+        found.append(Group(lattice, own, tuple(members), family, prior, first))
+    return found

@@ -1,0 +1,226 @@
+"""The lattice of a grid: its axes, matched with the components of a model's states."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgm.errors import ModelError
+from pgm.factors.scope import Scope, listed
+from pgm.inference.grid.value import Extent, Grid
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.lattice import Span
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """One axis: a component of a state.
+
+    Attributes
+    ----------
+    variable : Variable
+    component : int
+        Its place in the variable.
+    label : str
+        The name of the component, with that of the variable where states share it.
+    low, width : float
+        Where the cells begin, and how wide each is.
+    cells : int
+    angle : bool
+        Whether it is a circle, from −π on; its first centre is there.
+    """
+
+    variable: Variable
+    component: int
+    label: str
+    low: float
+    width: float
+    cells: int
+    angle: bool
+
+    @cached_property
+    def offsets(self) -> Array:
+        """The centres, (cells,), counted from the reference: map coordinates cost no digits."""
+        half = self.cells // 2 if self.angle else 0.5 * (self.cells - 1)
+        return np.asarray((np.arange(self.cells) - half) * self.width, dtype=np.float64)
+
+    @cached_property
+    def reference(self) -> float:
+        """The middle of the axis, from which offsets count; of a circle it is 0, or near."""
+        if self.angle:
+            return -math.pi + self.cells // 2 * self.width
+        return self.low + 0.5 * self.cells * self.width
+
+    @cached_property
+    def centres(self) -> Array:
+        """The centres of the cells, (cells,)."""
+        found = self.reference + self.offsets
+        found.flags.writeable = False
+        return found
+
+    def within(self, span: Span) -> slice | Integers:
+        """The index of the cells of a span."""
+        if span.first + span.length <= self.cells:
+            return slice(span.first, span.first + span.length)
+        return np.arange(span.first, span.first + span.length) % self.cells
+
+
+# The cells of a lattice that are in use: a span of each axis.
+Window = tuple[Span, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """The axes of a grid, those of angles first.
+
+    Attributes
+    ----------
+    states : tuple of Variable
+    axes : tuple of Axis
+    """
+
+    states: Scope
+    axes: tuple[Axis, ...]
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """The number of cells along each axis."""
+        return tuple(axis.cells for axis in self.axes)
+
+    @cached_property
+    def size(self) -> int:
+        """The number of cells."""
+        return math.prod(self.shape)
+
+    @cached_property
+    def whole(self) -> Window:
+        """All cells."""
+        return tuple(Span(0, axis.cells) for axis in self.axes)
+
+    @cached_property
+    def of(self) -> Mapping[Variable, tuple[int, ...]]:
+        """The axes of each state, in the order of its components."""
+        places = {(axis.variable, axis.component): k for k, axis in enumerate(self.axes)}
+        return {v: tuple(places[v, k] for k in range(v.dimension)) for v in self.states}
+
+    @cached_property
+    def angles(self) -> tuple[int, ...]:
+        """The axes that are circles."""
+        return tuple(k for k, axis in enumerate(self.axes) if axis.angle)
+
+    def indices(self, window: Window) -> list[Integers]:
+        """The cells of a window along each axis."""
+        return [
+            np.arange(span.first, span.first + span.length) % axis.cells
+            for span, axis in zip(window, self.axes, strict=True)
+        ]
+
+    def cut(self, array: Array, window: Window) -> Array:
+        """The part of an array (*shape) in a window."""
+        for k, (span, axis) in enumerate(zip(window, self.axes, strict=True)):
+            if span.length < axis.cells or span.first:
+                array = array[(slice(None),) * k + (axis.within(span),)]
+        return array
+
+    def put(self, part: Array, window: Window) -> Array:
+        """An array (*shape) that has a part in a window, and is zero elsewhere."""
+        if all(span == (0, axis.cells) for span, axis in zip(window, self.axes, strict=True)):
+            return np.ascontiguousarray(part)
+        whole = np.zeros(self.shape)
+        index = [axis.within(span) for span, axis in zip(window, self.axes, strict=True)]
+        if all(isinstance(each, slice) for each in index):
+            whole[tuple(index)] = part
+        else:
+            whole[np.ix_(*self.indices(window))] = part
+        return whole
+
+    def points(self, places: Sequence[Integers]) -> Array:
+        """The centres (n, axes) of cells, given by their places (n,) along each axis."""
+        return np.stack(
+            [axis.centres[place] for axis, place in zip(self.axes, places, strict=True)], axis=-1
+        )
+
+    def values(self, points: Array) -> dict[Variable, Array]:
+        """The values (n, d) of each state at points (n, axes)."""
+        return {v: points[..., list(places)] for v, places in self.of.items()}
+
+
+def resolve(grid: Grid, states: Scope) -> Lattice:
+    """The lattice of a grid for some states: each of their components is to be covered once."""
+    components = [(v, k) for v in states for k in range(v.dimension)]
+    names = [v.components[k] for v, k in components]
+    found: dict[tuple[Variable, int], Axis] = {}
+    for key, extent in grid.cells.items():
+        variable, place = _component(key, states, components, names)
+        if (variable, place) in found:
+            raise ModelError(
+                f"the grid has {key!r} twice: as {found[variable, place].label!r} too",
+                variable=variable,
+            )
+        name = variable.components[place]
+        label = name if names.count(name) == 1 else f"{variable.name}.{name}"
+        found[variable, place] = _axis(variable, place, label, extent)
+    missing = [f"{v.name}.{v.components[k]}" for v, k in components if (v, k) not in found]
+    if missing:
+        raise ModelError(
+            f"the grid lacks {listed(missing)}: it must cover every component of the states "
+            f"{listed(states)}; what is known is given as evidence of an input"
+        )
+    axes = [found[each] for each in components]
+    return Lattice(states, tuple(sorted(axes, key=lambda axis: not axis.angle)))
+
+
+def _component(
+    key: str | Variable,
+    states: Scope,
+    components: Sequence[tuple[Variable, int]],
+    names: Sequence[str],
+) -> tuple[Variable, int]:
+    """The state, and the place in it, that a key of a grid names."""
+    if isinstance(key, Variable):
+        if key not in states:
+            raise ModelError(
+                f"the grid has {key!r}, which is no state of the network; those are "
+                f"{listed(states)}",
+                variable=key,
+            )
+        if key.dimension != 1:
+            raise ModelError(
+                f"the grid has {key!r}, which has {key.dimension} components; name each of them, "
+                f"like {key.name + '.' + key.components[0]!r}",
+                variable=key,
+            )
+        return key, 0
+    at = [k for k, name in enumerate(names) if name == key]
+    dotted = [k for k, (v, i) in enumerate(components) if f"{v.name}.{v.components[i]}" == key]
+    scalar = [k for k, (v, _) in enumerate(components) if v.dimension == 1 and v.name == key]
+    every = sorted({*at, *dotted, *scalar})
+    if len(every) == 1:
+        return components[every[0]]
+    choices = [f"{components[k][0].name}.{names[k]}" for k in every or range(len(names))]
+    if every:
+        raise ModelError(f"the grid's {key!r} may be {listed(choices)}; name it so")
+    raise ModelError(
+        f"the grid has {key!r}, which is no component of the states; those are {listed(choices)}"
+    )
+
+
+def _axis(variable: Variable, place: int, label: str, extent: Extent) -> Axis:
+    angle = variable.components[place] in variable.angles
+    if angle != isinstance(extent, int):
+        due = (
+            "an angle, which takes a number of cells, of its full circle"
+            if angle
+            else "no angle; it takes (lo, hi, cells)"
+        )
+        raise ModelError(f"the grid's {label!r} has {extent!r}, but is {due}", variable=variable)
+    if isinstance(extent, int):
+        return Axis(variable, place, label, -math.pi, TURN / extent, extent, True)
+    low, high, cells = extent
+    return Axis(variable, place, label, low, (high - low) / cells, cells, False)

@@ -1,0 +1,391 @@
+"""The motion of a grid: the transition of a step as operators along the axes.
+
+Of each axis the displacement is found at the centres, and with it the axes on which it depends.
+Where they can be put in an order, each axis being moved before those on which it depends, a step is
+products of matrices along one axis after another: of one matrix, where the displacement is the same
+everywhere; of one a heading, where it depends on the heading alone. Else every cell is split on its
+neighbours, and blurred by what is left of the variance. Noise that enters through hidden controls,
+and correlated noise, is summed over the nodes of a quadrature.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import networkx as nx
+import numpy as np
+
+from pgm.errors import ModelError
+from pgm.inference.grid.dependence import Dependence, places
+from pgm.inference.grid.groups import Group, Spread
+from pgm.inference.grid.lattice import Axis, Lattice, Window
+from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.lattice import REACH, Span, kernels, reached
+from pgm.variables import Variable
+
+# Numbers of the matrices of one move at the most; more are split cell by cell.
+_MATRICES = 1 << 24
+# Nodes of a quadrature at the most.
+_NODES = 4096
+# Noise that spreads over no more than this many cells takes the nodes of Gauss and Hermite.
+_NARROW = 1.0
+_HERMITE = 5
+# Weights of nodes below this are left out.
+_SLIGHT = 1e-14
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """The operators of one step, from one window to another.
+
+    Attributes
+    ----------
+    source, target : Window
+    operators : sequence of Operator
+    """
+
+    source: Window
+    target: Window
+    operators: Sequence[Operator]
+
+    def forward(self, array: Array) -> Array:
+        """The probabilities in the target window from those in the source."""
+        for operator in self.operators:
+            array = operator.forward(array)
+        return array
+
+    def backward(self, array: Array) -> Array:
+        """The transpose."""
+        for operator in reversed(self.operators):
+            array = operator.backward(array)
+        return array
+
+
+@dataclass(eq=False)
+class Motion:
+    """The groups of a prior or transition, moved one after another.
+
+    Attributes
+    ----------
+    lattice : Lattice
+    groups : list of Group
+    known : dict
+        By the states of a group, the axes on which their displacements depend, as far as is known.
+    """
+
+    lattice: Lattice
+    groups: list[Group]
+    known: dict[tuple[Variable, ...], Dependence] = field(default_factory=dict)
+
+    def at(self, step: int, run: int, source: Window) -> Step:
+        """The operators of a step, for the probabilities in a window."""
+        window, operators = source, list[Operator]()
+        for group in self._ordered(step, run):
+            window, made = _Maker(self, group, step, run).operators(window)
+            operators += made
+        return Step(source, window, operators)
+
+    def dependence(self, group: Group, spread: Spread, step: int, run: int) -> Dependence:
+        """The axes on which the displacements of a group depend, tested at this step."""
+        key = tuple(cpd.child for cpd in group.states)
+        found = self.known.setdefault(key, Dependence(self.lattice))
+        some = np.random.default_rng(step).standard_normal((2, spread.size))
+        noises = [np.zeros(spread.size), *(some if spread.size else ())]
+
+        def values(before: Array, after: Array) -> Array:
+            shape = len(before), spread.size
+            each = [
+                group.displacement(before, after, np.broadcast_to(noise, shape), spread, step, run)
+                for noise in noises
+            ]
+            return np.stack(each, axis=1)
+
+        slack = _slack(self.lattice, group)
+
+        def differ(one: Array, other: Array) -> Mask:
+            different: Mask = np.abs(group.wrapped(one - other)) > slack
+            return different
+
+        found.look(values, differ, group.later, 3 * step + 1)
+        return found
+
+    def _ordered(self, step: int, run: int) -> list[Group]:
+        """The groups in an order in which each finds the axes that it depends on as it needs them.
+
+        Groups that have no order among themselves are joined.
+        """
+        if len(self.groups) == 1:
+            return self.groups
+        while True:
+            graph = nx.DiGraph()
+            graph.add_nodes_from(range(len(self.groups)))
+            mover = {axis: k for k, group in enumerate(self.groups) for axis in group.axes}
+            for k, group in enumerate(self.groups):
+                found = self.dependence(group, group.spread(step, run), step, run)
+                for before, after in zip(found.before, found.after, strict=True):
+                    graph.add_edges_from((k, mover[a]) for a in before if mover[a] != k)
+                    graph.add_edges_from((mover[a], k) for a in after if mover[a] != k)
+            parts = [sorted(part) for part in nx.strongly_connected_components(graph)]
+            if all(len(part) == 1 for part in parts):
+                order = nx.lexicographical_topological_sort(graph)
+                return [self.groups[k] for k in order]
+            self.groups = [
+                self.groups[part[0]].joined([self.groups[k] for k in part[1:]])
+                for part in sorted(parts)
+            ]
+            if len(self.groups) == 1:
+                return self.groups
+
+
+def _slack(lattice: Lattice, group: Group) -> Array:
+    """Differences of displacements that are rounding, in cells, (axes,)."""
+    largest = [
+        max(abs(lattice.axes[k].low), lattice.axes[k].width * lattice.axes[k].cells)
+        for k in group.axes
+    ]
+    return 1e-9 + 256.0 * np.finfo(np.float64).eps * np.array(largest) / group.widths
+
+
+class _Maker:
+    """The operators of one group at one step."""
+
+    def __init__(
+        self,
+        motion: Motion,
+        group: Group,
+        step: int,
+        run: int,
+    ) -> None:
+        self.lattice, self.group, self.step, self.run = motion.lattice, group, step, run
+        self.spread = group.spread(step, run)
+        self.dependence = motion.dependence(group, self.spread, step, run)
+        self.noise, self.nodes = self._quadrature()
+
+    def operators(self, window: Window) -> tuple[Window, list[Operator]]:
+        """The target window, and the operators that lead there."""
+        order = self._order()
+        if order is None:
+            return self._split(window)
+        moves, spans = [], list(window)
+        for k in order:
+            move = self._move(k, tuple(spans))
+            if move is not None:
+                spans[move.axis] = move.target
+                moves.append(move)
+        return tuple(spans), [Sweep(moves, self.nodes)] if moves else []
+
+    def _quadrature(self) -> tuple[Array, Array]:
+        """Nodes of the white noise, (nodes, size), and their weights."""
+        size = self.spread.size
+        if not size:
+            return np.zeros((1, 0)), np.ones(1)
+        here = places(self.lattice, 64, self.step)
+        points = self.lattice.points(list(here.T))
+        each = []
+        for k in range(size):
+            ends = [
+                self.group.displacement(
+                    points,
+                    points,
+                    sign * np.eye(size)[[k] * len(points)],
+                    self.spread,
+                    self.step,
+                    self.run,
+                )
+                for sign in (1.0, -1.0)
+            ]
+            extent = 0.5 * float(np.abs(self.group.wrapped(ends[0] - ends[1])).max())
+            each.append(_nodes(extent))
+        count = math.prod(len(nodes) for nodes, _ in each)
+        if count > _NODES:
+            cpds = [*self.group.controls, *self.group.states]
+            raise ModelError(
+                f"the noise of {cpds} at step {self.step}, of controls or correlated, spreads over "
+                f"so many cells that {count} displacements of the grid would be summed; make its "
+                "cells wider, or the noise a covariance that is diagonal",
+                cpd=cpds[0],
+                step=self.step,
+            )
+        mesh = np.meshgrid(*(nodes for nodes, _ in each), indexing="ij")
+        weights = np.ones(())
+        for _, own in each:
+            weights = np.multiply.outer(weights, own)
+        return np.stack([m.reshape(-1) for m in mesh], axis=-1), weights.reshape(-1)
+
+    def _order(self) -> list[int] | None:
+        """The places of the group's axes in the order in which they are moved, if there is one."""
+        group, found = self.group, self.dependence
+        place = {axis: k for k, axis in enumerate(group.axes)}
+        graph = nx.DiGraph()
+        graph.add_nodes_from(range(len(place)))
+        after = False
+        for k, axis in enumerate(group.axes):
+            graph.add_edges_from((k, place[a]) for a in found.before[k] if a in place and a != axis)
+            graph.add_edges_from((place[a], k) for a in found.after[k] if a in place)
+            after = after or any(a in place for a in found.after[k])
+            others = (found.before[k] | found.after[k]) - {axis}
+            size = math.prod(self.lattice.shape[a] for a in others)
+            if size * self.lattice.shape[axis] ** 2 > _MATRICES:
+                graph.add_edge(k, k)
+        if nx.is_directed_acyclic_graph(graph):
+            return list(nx.lexicographical_topological_sort(graph))
+        if after:
+            children = [cpd.child for cpd in group.states]
+            raise ModelError(
+                f"the transition of {children} cannot be moved on a grid: they depend on one "
+                "another at the same step and at the step before, so that no order of their axes "
+                "serves; let them depend on the step before (.previous) alone",
+                variable=children[0],
+                step=self.step,
+            )
+        return None
+
+    def _values(self, cells: Sequence[Integers], before: set[int], after: set[int]) -> Array:
+        """The displacements (nodes, n, axes) at cells given along each axis, (n,)."""
+        here = np.stack(cells, axis=-1)
+        reduced = self.dependence.reduced
+        base = self.lattice.points(list(reduced(here, before).T))
+        own = self.lattice.points(list(reduced(here, after).T))
+        nodes, count = len(self.nodes), len(here)
+        found = self.group.displacement(
+            np.tile(base, (nodes, 1)),
+            np.tile(own, (nodes, 1)),
+            np.repeat(self.noise, count, axis=0),
+            self.spread,
+            self.step,
+            self.run,
+        )
+        return found.reshape(nodes, count, -1)
+
+    def _move(self, k: int, window: Window) -> Move | None:
+        """The move along one axis of the group; None where nothing moves."""
+        axis, lattice = self.group.axes[k], self.lattice
+        before, after = self.dependence.before[k], self.dependence.after[k]
+        by = tuple(sorted((before | after) - {axis}))
+        own = axis in before
+        variance = float(self.spread.variance[k])
+        source, cells = window[axis], lattice.axes[axis].cells
+        if np.isinf(variance):
+            whole = np.full((1, 1, 1, cells), 1.0 / cells)
+            first = np.full((1, 1, 1), -source.first)
+            none = np.zeros((1, 1, 1))
+            return Move(
+                axis,
+                (),
+                first,
+                whole,
+                none,
+                source,
+                Span(0, cells),
+                cells,
+                lattice.axes[axis].angle,
+            )
+        used = [*by, axis] if own else list(by)
+        indices = lattice.indices(window)
+        flat = [np.zeros(math.prod(window[a].length for a in used), dtype=np.intp)] * len(window)
+        mesh = np.meshgrid(*(indices[a] for a in used), indexing="ij")
+        for a, part in zip(used, mesh, strict=True):
+            flat[a] = part.reshape(-1)
+        shift = self._values(flat, before, after)[..., k]
+        if len(shift) > 1 and float(np.ptp(shift, axis=0).max()) <= 1e-12:
+            shift = shift[:1]  # the same at all nodes
+        if variance == 0.0 and not shift.any():
+            return None
+        shape = (len(shift), math.prod(window[a].length for a in by), source.length if own else 1)
+        return _along(lattice.axes[axis], axis, by, shift.reshape(shape), variance, source)
+
+    def _split(self, window: Window) -> tuple[Window, list[Operator]]:
+        """Each cell on its neighbours, then a blur by what is left of the variance."""
+        group, lattice = self.group, self.lattice
+        indices = lattice.indices(window)
+        mesh = np.meshgrid(*indices, indexing="ij")
+        cells = [part.reshape(-1) for part in mesh]
+        noise = self.noise
+
+        def place(node: int) -> Array:
+            base = lattice.points(cells)
+            white = np.broadcast_to(noise[node], (len(base), noise.shape[1]))
+            shift = group.displacement(base, base, white, self.spread, self.step, self.run)
+            return shift.T + np.stack([cells[a] for a in group.axes])
+
+        spans = list(window)
+        low = np.full(len(group.axes), np.inf)
+        high = -low
+        for node in range(len(self.nodes)):
+            target = place(node)
+            low = np.minimum(low, np.rint(target.min(axis=1)) - 1.0)
+            high = np.maximum(high, np.rint(target.max(axis=1)) + 1.0)
+        for axis, first, last in zip(group.axes, low, high, strict=True):
+            count = lattice.axes[axis].cells
+            if lattice.axes[axis].angle:
+                length = int(last - first) + 1
+                whole = length >= count
+                spans[axis] = Span(0, count) if whole else Span(int(first) % count, length)
+            else:
+                start = int(np.clip(first, 0, count - 1))
+                stop = int(np.clip(last + 1.0, 1, count))
+                spans[axis] = Span(start, max(stop - start, 1))
+        split = Split(
+            group.axes,
+            place,
+            np.minimum(self.spread.variance, SPLIT),
+            self.nodes,
+            window,
+            tuple(spans),
+            lattice.shape,
+            tuple(axis.angle for axis in lattice.axes),
+        )
+        moves = []
+        for axis, variance in zip(group.axes, self.spread.variance, strict=True):
+            if variance > SPLIT:
+                still, rest = np.zeros((1, 1, 1)), float(variance - SPLIT)
+                move = _along(lattice.axes[axis], axis, (), still, rest, spans[axis])
+                spans[axis] = move.target
+                moves.append(move)
+        return tuple(spans), [split, *([Sweep(moves, np.ones(1))] if moves else [])]
+
+
+def _along(
+    axis: Axis, place: int, by: tuple[int, ...], shift: Array, variance: float, source: Span
+) -> Move:
+    """The move of displacements (nodes, cells of `by`, source cells or 1), in cells."""
+    cells = axis.cells
+    if not axis.angle:  # from further away nothing comes back
+        most = 2.0 * cells + 2.0 * REACH * math.sqrt(variance)
+        shift = np.clip(shift, -most, most)
+    made = kernels(shift.reshape(-1), variance)
+    first, taps = made.first.reshape(shift.shape), made.weights.shape[-1]
+    if shift.shape[-1] > 1:
+        start = source.first + first + np.arange(source.length)
+        low, high = int(start.min()), int(start.max())
+    else:
+        low = source.first + int(first.min())
+        high = source.first + source.length - 1 + int(first.max())
+    return Move(
+        place,
+        by,
+        first,
+        made.weights.reshape(*shift.shape, taps),
+        made.added.reshape(shift.shape),
+        source,
+        reached(low, high + taps, cells, axis.angle),
+        cells,
+        axis.angle,
+    )
+
+
+def _nodes(extent: float) -> tuple[Array, Array]:
+    """Nodes and weights for white noise that spreads over so many cells at one deviation."""
+    if extent < 1e-9:
+        return np.zeros(1), np.ones(1)
+    if extent <= _NARROW:
+        nodes, weights = np.polynomial.hermite_e.hermegauss(_HERMITE)
+        return nodes, weights / weights.sum()
+    # Nodes a cell apart, whose variance is one.
+    made = kernels(np.zeros(1), extent**2)
+    kept = made.weights[0] > _SLIGHT
+    nodes = (int(made.first[0]) + np.arange(made.weights.shape[1])) / extent
+    return nodes[kept], made.weights[0][kept] / made.weights[0][kept].sum()

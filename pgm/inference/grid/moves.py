@@ -1,0 +1,268 @@
+"""Operators that move probabilities on a lattice, and their exact transposes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.lattice import Span, along, matrices
+
+# The variance, in cells, of the three points on which a displacement is split: that of any f.
+SPLIT = 0.25
+
+
+class Operator(Protocol):
+    """A linear map of the probabilities in one window to those in another."""
+
+    def forward(self, array: Array) -> Array:
+        """The probabilities after it."""
+        ...
+
+    def backward(self, array: Array) -> Array:
+        """The transpose."""
+        ...
+
+    def added(self, array: Array) -> dict[int, float]:
+        """By axis, the variance that the lattice adds to these probabilities, in cells."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """Kernels along one axis, one for each cell of the axes on which the displacement depends.
+
+    Attributes
+    ----------
+    axis : int
+    by : tuple of int
+        The other axes on which it depends, ascending; G is the number of their cells.
+    first : ndarray of int
+        (nodes or 1, G, 1), of the kernels at each node of a quadrature; (nodes or 1, G, source
+        cells) where it depends on the place along the axis too.
+    weights : ndarray
+        (*first.shape, taps).
+    added : ndarray
+        (nodes or 1, G, ...): the variance that the lattice adds, in cells.
+    source, target : Span
+    cells : int
+    periodic : bool
+    """
+
+    axis: int
+    by: tuple[int, ...]
+    first: Integers
+    weights: Array
+    added: Array
+    source: Span
+    target: Span
+    cells: int
+    periodic: bool
+
+    @property
+    def varies(self) -> bool:
+        """Whether it differs from node to node."""
+        return len(self.first) > 1
+
+    def matrix(self, node: int) -> Array:
+        """The matrices (G, target, source) at a node."""
+        return self._only if not self.varies else self._at(node)
+
+    @cached_property
+    def _only(self) -> Array:
+        return self._at(0)
+
+    def _at(self, node: int) -> Array:
+        return matrices(
+            self.first[node],
+            self.weights[node],
+            self.source,
+            self.target,
+            self.cells,
+            self.periodic,
+        )
+
+    def mean_added(self, array: Array, nodes: Array) -> float:
+        """The variance that the lattice adds, averaged over nodes and probabilities."""
+        if not self.added.any():
+            return 0.0
+        each = np.einsum("ngk,n->gk", self.added, nodes if self.varies else np.ones(1))
+        kept = self.by + ((self.axis,) if each.shape[1] > 1 else ())
+        others = tuple(k for k in range(array.ndim) if k not in kept)
+        marginal = array.sum(axis=others).transpose(np.argsort(np.argsort(kept)))
+        if marginal.size != each.size:  # the window has changed by an earlier move
+            return float(each.mean())
+        return float((each * marginal.reshape(each.shape)).sum() / max(marginal.sum(), 1e-300))
+
+    def forward(self, array: Array, node: int = 0) -> Array:
+        """The probabilities after it."""
+        return along(self.matrix(node), array, self.axis, self.by)
+
+    def backward(self, array: Array, node: int = 0) -> Array:
+        """The transpose."""
+        return along(self.matrix(node).swapaxes(-1, -2), array, self.axis, self.by)
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Moves along one axis after another, summed over the nodes of a quadrature.
+
+    Attributes
+    ----------
+    moves : sequence of Move
+    nodes : ndarray
+        Weights of the nodes.
+    """
+
+    moves: Sequence[Move]
+    nodes: Array
+
+    def forward(self, array: Array) -> Array:
+        """The probabilities after it."""
+        return self._run(array, self.moves, lambda move, node, part: move.forward(part, node))
+
+    def backward(self, array: Array) -> Array:
+        """The transpose."""
+        last_first = self.moves[::-1]
+        return self._run(array, last_first, lambda move, node, part: move.backward(part, node))
+
+    def added(self, array: Array) -> dict[int, float]:
+        """By axis, the variance that the lattice adds to these probabilities, in cells."""
+        return {move.axis: move.mean_added(array, self.nodes) for move in self.moves}
+
+    def _run(
+        self, array: Array, moves: Sequence[Move], apply: Callable[[Move, int, Array], Array]
+    ) -> Array:
+        # Moves that are the same at all nodes are made once, before those that differ, or after.
+        differ = [k for k, move in enumerate(moves) if move.varies]
+        start, end = (differ[0], differ[-1] + 1) if differ else (len(moves), len(moves))
+        for move in moves[:start]:
+            array = apply(move, 0, array)
+        if differ:
+            total: Array | None = None
+            for node, weight in enumerate(self.nodes):
+                part = array
+                for move in moves[start:end]:
+                    part = apply(move, node, part)
+                total = weight * part if total is None else total + weight * part
+            assert total is not None
+            array = total
+        for move in moves[end:]:
+            array = apply(move, 0, array)
+        return array
+
+
+class Split:
+    """Displacements of each cell on its own: on the three nearest cells along each axis.
+
+    Three points have any mean between −½ and ½, and the variance s² = ¼, or f(1 − f) of a smaller
+    s², exactly; of larger ones the rest is a blur that is the same everywhere.
+
+    Parameters
+    ----------
+    axes : tuple of int
+        Those that are moved.
+    place : callable
+        The targets of the source cells at a node, (axes, source cells), in cells of each axis.
+    variance : ndarray
+        (axes,): in cells, ¼ at the most.
+    nodes : ndarray
+        Weights of the nodes.
+    source, target : tuple of Span
+        The windows.
+    cells : tuple of int
+        Of each axis of the lattice.
+    periodic : tuple of bool
+    """
+
+    def __init__(
+        self,
+        axes: tuple[int, ...],
+        place: Callable[[int], Array],
+        variance: Array,
+        nodes: Array,
+        source: tuple[Span, ...],
+        target: tuple[Span, ...],
+        cells: tuple[int, ...],
+        periodic: tuple[bool, ...],
+    ) -> None:
+        self.axes, self.place, self.variance, self.nodes = axes, place, variance, nodes
+        self.source, self.target, self.cells, self.periodic = source, target, cells, periodic
+
+    @cached_property
+    def _rest(self) -> Integers:
+        """The part of the flat target that the axes which are not moved give, (source cells,)."""
+        counts = [span.length for span in self.target]
+        strides = [int(np.prod(counts[k + 1 :])) for k in range(len(counts))]
+        total = np.zeros((1,) * len(counts), dtype=np.intp)
+        for k, span in enumerate(self.source):
+            own = np.zeros(span.length) if k in self.axes else np.arange(span.length) * strides[k]
+            shape = [1] * len(counts)
+            shape[k] = span.length
+            total = total + own.astype(np.intp).reshape(shape)
+        return total.reshape(-1)
+
+    def _taps(self, node: int) -> list[list[tuple[Integers, Array]]]:
+        """By moved axis, each of three taps: its part of the flat target, and its weight."""
+        counts = [span.length for span in self.target]
+        found = []
+        for target, axis, variance in zip(self.place(node), self.axes, self.variance, strict=True):
+            nearest = np.rint(target)
+            part = target - nearest
+            spread = np.maximum(variance, np.abs(part) * (1.0 - np.abs(part))) + part * part
+            weights = (0.5 * (spread - part), 1.0 - spread, 0.5 * (spread + part))
+            span, stride = self.target[axis], int(np.prod(counts[axis + 1 :]))
+            taps = []
+            for offset, weight in zip((-1, 0, 1), weights, strict=True):
+                index = nearest.astype(np.intp) + offset
+                if self.periodic[axis]:
+                    inside, index = index == index, (index - span.first) % self.cells[axis]
+                else:
+                    inside = (index >= 0) & (index < self.cells[axis])
+                    index = index - span.first
+                # A point of no weight may be next to the window.
+                inside &= (index >= 0) & (index < span.length)
+                taps.append((np.where(inside, index * stride, 0), np.where(inside, weight, 0.0)))
+            found.append(taps)
+        return found
+
+    def forward(self, array: Array) -> Array:
+        """The probabilities after it."""
+        counts = tuple(span.length for span in self.target)
+        size, values = int(np.prod(counts)), array.reshape(-1)
+        total = np.zeros(size)
+        for node, share in enumerate(self.nodes):
+            for taps in itertools.product(*self._taps(node)):
+                index, weight = self._rest, share * values
+                for place, each in taps:
+                    index, weight = index + place, weight * each
+                total += np.bincount(index, weights=weight, minlength=size)
+        return total.reshape(counts)
+
+    def backward(self, array: Array) -> Array:
+        """The transpose."""
+        values = np.ascontiguousarray(array).reshape(-1)
+        total = np.zeros(self._rest.size)
+        for node, share in enumerate(self.nodes):
+            for taps in itertools.product(*self._taps(node)):
+                index, weight = self._rest, np.full(total.size, share)
+                for place, each in taps:
+                    index, weight = index + place, weight * each
+                total += weight * values[index]
+        return total.reshape(tuple(span.length for span in self.source))
+
+    def added(self, array: Array) -> dict[int, float]:
+        """By axis, the variance that the lattice adds to these probabilities, in cells."""
+        values, found = array.reshape(-1), dict.fromkeys(self.axes, 0.0)
+        for node, share in enumerate(self.nodes):
+            target = self.place(node)
+            part = np.abs(target - np.rint(target))
+            more = np.maximum(part * (1.0 - part) - self.variance[:, None], 0.0)
+            for axis, mean in zip(self.axes, more @ values, strict=True):
+                found[axis] += share * float(mean) / max(float(values.sum()), 1e-300)
+        return found

@@ -1,0 +1,333 @@
+"""Filtering on a grid in a robot's loop, one step at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.boundary import as_mapping
+from pgm.errors import EvidenceError, ModelError
+from pgm.evidence import BoundEvidence
+from pgm.immutable import Immutable
+from pgm.inference.grid.belief import GridBelief, scope_axes
+from pgm.inference.grid.lattice import Lattice, resolve
+from pgm.inference.grid.run import require_grid, require_room
+from pgm.inference.grid.sensors import Sharpness
+from pgm.inference.grid.slices import GridModel, GridSlices, Tested, active
+from pgm.inference.grid.status import GridStatus
+from pgm.inference.grid.value import Grid
+from pgm.inference.kind import FILTERED, PREDICTED, Kind
+from pgm.inference.online import step_evidence
+from pgm.inference.posterior import require_variable
+from pgm.inference.schedule import ONCE
+from pgm.kernels.arrays import Array
+from pgm.linearisers import TAYLOR
+from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
+
+
+class OnlineGridBelief(Immutable):
+    """The belief of an online filter at one step, on a grid.
+
+    Attributes
+    ----------
+    step : int
+    log_evidence : ndarray
+        (*runs): ln p of all measurements so far.
+    status : GridStatus
+    kind : Kind
+        Filtered after an update, predicted before.
+    lead : tuple of int
+        The axes of runs.
+    """
+
+    step: int
+    log_evidence: Array
+    status: GridStatus
+    kind: Kind
+    lead: tuple[int, ...]
+    # A window of steps behind it, which a grid has none of.
+    behind: None
+    _lattice: Lattice
+    _model: DynamicBayesianNetwork
+    _values: npt.NDArray[Any]
+
+    def __init__(
+        self,
+        model: DynamicBayesianNetwork,
+        lattice: Lattice,
+        step: int,
+        kind: Kind,
+        values: npt.NDArray[Any],
+        log_evidence: Array,
+        status: GridStatus,
+    ) -> None:
+        values.flags.writeable = log_evidence.flags.writeable = False
+        self._set(
+            step=step,
+            log_evidence=log_evidence,
+            status=status,
+            kind=kind,
+            lead=log_evidence.shape,
+            behind=None,
+            _lattice=lattice,
+            _model=model,
+            _values=values,
+        )
+
+    def __getitem__(self, variable: Variable) -> GridBelief:
+        """The marginal of a state at the belief's step.
+
+        Parameters
+        ----------
+        variable : Variable
+
+        Returns
+        -------
+        GridBelief
+            Leading axes are runs.
+
+        Raises
+        ------
+        EvidenceError
+            If it is no state of the network, or of another step.
+        """
+        lattice, template = self._lattice, require_variable(variable).template
+        if template not in lattice.states or variable.step not in (None, self.step):
+            raise EvidenceError(
+                f"the belief at step {self.step} is over {list(lattice.states)}, not {variable!r}",
+                variable=variable,
+                step=self.step,
+            )
+        places = scope_axes(lattice.axes, lattice.states)
+        whole = GridBelief(
+            [lattice.axes[k] for k in places],
+            self._values.transpose(*range(len(self.lead)), *(len(self.lead) + k for k in places)),
+        )
+        own = [lattice.axes[k].label for k in scope_axes(lattice.axes, (template,))]
+        return whole if len(own) == len(places) else whole.marginal(*own)
+
+    def __repr__(self) -> str:
+        runs = f", runs {self.lead}" if self.lead else ""
+        return (
+            f"OnlineGridBelief({self.kind}, step {self.step}, {self._lattice.size:,} cells{runs})"
+        )
+
+
+class OnlineGrid(Immutable):
+    """A filter on a grid for one step at a time; made by ``OnlineFilter(model, belief=grid)``.
+
+    It is immutable, and so are its beliefs. Runs are worked through one at a time.
+
+    Parameters
+    ----------
+    model : DynamicBayesianNetwork
+        Of Gaussian CPDs.
+    belief : Grid
+        Without `refine`, which takes recorded evidence.
+
+    Raises
+    ------
+    ModelError
+        If they do not fit, or the grid would not fit memory.
+    """
+
+    model: DynamicBayesianNetwork
+    belief: Grid
+
+    def __init__(self, model: DynamicBayesianNetwork, belief: Grid) -> None:
+        if belief.refine is not None:
+            raise ModelError(
+                f"{belief!r} asks for refine=, which runs again over recorded evidence: find the "
+                "resolution with pgm.filter, and give the grid without it online"
+            )
+        self._set(model=model, belief=belief)
+        require_room(self._lattice, belief, 1, int(np.prod(model.lead)), 1)
+
+    @cached_property
+    def _lattice(self) -> Lattice:
+        return resolve(self.belief, self.model.states)
+
+    @cached_property
+    def _tested(self) -> Tested:
+        return Tested({}, {})
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What was tested is not part of the value.
+        return {"model": self.model, "belief": self.belief}
+
+    def __repr__(self) -> str:
+        return f"OnlineFilter(over {list(self.model.states)}, belief={self.belief!r})"
+
+    def initial(self) -> OnlineGridBelief:
+        """The prior, at step 0; runs are those of the model.
+
+        Returns
+        -------
+        OnlineGridBelief
+        """
+        lead = self.model.lead
+        bound = BoundEvidence(0, lead, (), ())
+        found = self._each(bound, 0, None, lambda slices, _: (slices.prior(), 0.0))
+        return self._belief(0, PREDICTED, bound, None, found)
+
+    def predict(
+        self, belief: OnlineGridBelief, inputs: Mapping[Variable, Any] | None = None
+    ) -> OnlineGridBelief:
+        """The belief one step later.
+
+        Parameters
+        ----------
+        belief : OnlineGridBelief
+        inputs : mapping of Variable to array_like
+            Values (..., d) of the transition's inputs.
+
+        Returns
+        -------
+        OnlineGridBelief
+
+        Raises
+        ------
+        EvidenceError
+            If an input is missing or of a wrong shape, or something is no input.
+        ModelError
+            If the belief is not this filter's, or a function returns a wrong shape.
+        LinearisationError, NumericalError
+            If a function has no value at a centre, or all probability has left the bounds.
+        """
+        self._check(belief)
+        given = as_mapping(inputs, "the inputs of predict")
+        bound = step_evidence.inputs(self.model, belief, given)
+        step = belief.step + 1
+        found = self._each(
+            bound, belief.step, belief, lambda slices, values: (slices.forward(step, values), 0.0)
+        )
+        return self._belief(step, PREDICTED, bound, belief, found)
+
+    def update(
+        self, belief: OnlineGridBelief, readings: Mapping[Variable, Any]
+    ) -> OnlineGridBelief:
+        """The belief given measurements of its step; a further update goes on from the first.
+
+        Parameters
+        ----------
+        belief : OnlineGridBelief
+        readings : mapping of Variable
+            For a sensor ``pgm.sightings(values, given=...)`` without steps, any number, or one
+            measurement (..., d); for inputs that the sensors need, values (..., d).
+
+        Returns
+        -------
+        OnlineGridBelief
+
+        Raises
+        ------
+        EvidenceError
+            If a measurement does not fit its sensor, or is impossible.
+        ModelError, LinearisationError
+            As of `predict`.
+        """
+        self._check(belief)
+        given = step_evidence.mapping(readings, "update", "sensors to measurements")
+        bound = step_evidence.readings(self.model, belief, given)
+        step = belief.step
+        bound = replace(
+            bound, readings=tuple(replace(r, step=r.step + step) for r in bound.readings)
+        )
+
+        def taken(slices: GridSlices, values: Array) -> tuple[Array, float]:
+            slices.windows[step] = (active(self._lattice, values),) * 2
+            weights, scale = slices.likelihood(step)
+            return (values if weights is None else values * weights), scale
+
+        return self._belief(step, FILTERED, bound, belief, self._each(bound, step, belief, taken))
+
+    def _check(self, belief: OnlineGridBelief) -> None:
+        if (
+            not isinstance(belief, OnlineGridBelief)
+            or belief._model is not self.model
+            or belief._lattice.shape != self._lattice.shape
+        ):
+            raise ModelError(
+                f"{belief!r} is no belief of this filter's model and grid; begin with initial()"
+            )
+
+    def _each(
+        self,
+        bound: BoundEvidence,
+        first: int,
+        before: OnlineGridBelief | None,
+        work: Callable[[GridSlices, Array], tuple[Array, float]],
+    ) -> list[tuple[GridSlices, Array, float]]:
+        """What becomes of the belief of each run: its slices, its belief, and a log-density."""
+        model = GridModel(self._lattice, self.model, bound, self._tested, first)
+        shape = self._lattice.shape
+        values = np.zeros((bound.runs, 0))
+        if before is not None:
+            wide = np.broadcast_to(before._values, (*bound.lead, *shape))
+            values = wide.reshape(bound.runs, *shape)
+        found = []
+        for run in range(bound.runs):
+            slices = GridSlices(model, run)
+            joint, scale = work(slices, np.asarray(values[run], dtype=np.float64))
+            total = float(joint.sum())
+            if not total > 0.0:
+                slices.refuse(first, joint, run)
+            found.append((slices, joint / total, float(np.log(total)) + scale))
+        return found
+
+    def _belief(
+        self,
+        step: int,
+        kind: Kind,
+        bound: BoundEvidence,
+        before: OnlineGridBelief | None,
+        found: list[tuple[GridSlices, Array, float]],
+    ) -> OnlineGridBelief:
+        """The belief that runs have come to."""
+        lead, lattice = bound.lead, self._lattice
+        values = np.array([belief for _, belief, _ in found], dtype=self.belief.dtype)
+        log_density = np.array([density for *_, density in found]).reshape(lead)
+        outside = np.array([s.outside.get(step, 0.0) for s, *_ in found]).reshape(*lead, 1)
+        sharpest = max((s.sharpest for s, *_ in found), key=lambda each: each.cells)
+        added = {
+            axis.label: np.array([s.added[k] * axis.width**2 for s, *_ in found]).reshape(lead)
+            for k, axis in enumerate(lattice.axes)
+        }
+        if before is not None:
+            log_density = log_density + before.log_evidence
+            added = {name: value + before.status.added[name] for name, value in added.items()}
+            past = before.status.outside_by_step
+            past = np.broadcast_to(past, (*lead, past.shape[-1]))
+            outside = past.copy() if kind == FILTERED else np.concatenate([past, outside], axis=-1)
+            sharpest = max(sharpest, before.status.sharpest, key=lambda each: each.cells)
+        status = GridStatus(outside, added, sharpest or Sharpness(0.0, None, 0))
+        if before is None or (status.much and not before.status.much):
+            status.warn()
+        values = values.reshape(*lead, *lattice.shape)
+        return OnlineGridBelief(
+            self.model, lattice, step, kind, values, np.asarray(log_density), status
+        )
+
+
+def online_grid(
+    belief: Grid,
+    model: Any,
+    lineariser: Any = TAYLOR,
+    schedule: Any = None,
+    lag: int | None = None,
+) -> OnlineGrid:
+    """The filter on a grid, where nothing is asked for that it has no use of."""
+    if not isinstance(model, DynamicBayesianNetwork):
+        raise ModelError(f"a dynamic network was due, not {model!r}")
+    if lineariser != TAYLOR or lag is not None or schedule not in (None, ONCE):
+        raise ModelError(
+            "an online filter on a grid linearises nothing and has no lag: give it belief= alone; "
+            "pgm.smooth(..., lag=, belief=) takes recorded evidence"
+        )
+    return OnlineGrid(model, require_grid(belief, model))

@@ -1,0 +1,173 @@
+"""What a schedule of messages leaves on a grid."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.compile import DynamicGraph
+from pgm.errors import EvidenceError
+from pgm.factors.scope import Scope, as_scope, listed
+from pgm.immutable import Immutable
+from pgm.inference.grid.belief import GridBelief, require_step, scope_axes
+from pgm.inference.grid.lattice import Lattice
+from pgm.inference.grid.status import GridStatus
+from pgm.inference.grid.value import Grid
+from pgm.inference.kind import FILTERED, Kind
+from pgm.inference.posterior import require_variable
+from pgm.kernels.arrays import Array
+from pgm.variables import Variable
+
+
+class GridPosterior(Immutable):
+    """The beliefs of a dynamic network's states on a grid.
+
+    Attributes
+    ----------
+    graph : DynamicGraph
+    grid : Grid
+        At the resolution that was used.
+    kind : Kind
+        Filtered, fixed-lag or smoothed.
+    log_evidence : ndarray
+        (*runs): ln p(measurements), of the point masses; what has left the bounds is missing.
+    status : GridStatus
+    filtered : GridPosterior
+        The beliefs of the forward sweep; itself, of a filter.
+    """
+
+    graph: DynamicGraph
+    grid: Grid
+    kind: Kind
+    log_evidence: Array
+    status: GridStatus
+    _lattice: Lattice
+    _values: npt.NDArray[Any]
+    _filtered: npt.NDArray[Any] | None
+
+    # Python would else iterate by asking for the variables 0, 1, ...
+    __iter__: ClassVar[None] = None
+
+    def __init__(
+        self,
+        graph: DynamicGraph,
+        grid: Grid,
+        kind: Kind,
+        log_evidence: Array,
+        status: GridStatus,
+        lattice: Lattice,
+        values: npt.NDArray[Any],
+        filtered: npt.NDArray[Any] | None = None,
+    ) -> None:
+        log_evidence.flags.writeable = False
+        self._set(
+            graph=graph,
+            grid=grid,
+            kind=kind,
+            log_evidence=log_evidence,
+            status=status,
+            _lattice=lattice,
+            _values=values,
+            _filtered=filtered,
+        )
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """``grid``: neither exact nor linearised."""
+        return "grid"
+
+    @property
+    def filtered(self) -> GridPosterior:
+        """The beliefs of the forward sweep."""
+        if self._filtered is None:
+            return self
+        return GridPosterior(
+            self.graph,
+            self.grid,
+            FILTERED,
+            self.log_evidence,
+            self.status,
+            self._lattice,
+            self._filtered,
+        )
+
+    def __getitem__(self, variable: Variable) -> GridBelief:
+        """The marginal of a state.
+
+        Parameters
+        ----------
+        variable : Variable
+            ``x``, of all steps, or ``x.at(3)``.
+
+        Returns
+        -------
+        GridBelief
+            Leading axes (*runs, T+1) of a state over time, (*runs) at a step.
+
+        Raises
+        ------
+        EvidenceError
+            If it is no state of the network.
+        ModelError
+            If it stands after the last step.
+        """
+        return self.joint(require_variable(variable))
+
+    def joint(self, *variables: Variable) -> GridBelief:
+        """The joint of some states of one slice.
+
+        Parameters
+        ----------
+        *variables : Variable
+            ``x, m``, or both at a step, ``x.at(3), m.at(3)``.
+
+        Returns
+        -------
+        GridBelief
+            In the order given.
+
+        Raises
+        ------
+        EvidenceError
+            If one is no state of the network, or they are of several steps.
+        ModelError
+            If one stands after the last step, or is named twice.
+        """
+        scope = as_scope(variables, "a joint")
+        states = tuple(v.template for v in scope)
+        for variable in scope:
+            if variable.template not in self._lattice.states or variable.lag:
+                raise EvidenceError(
+                    f"{variable!r} is no state that the grid covers; those are "
+                    f"{listed(self._lattice.states)}",
+                    variable=variable,
+                )
+        if len({v.step for v in scope}) != 1:
+            raise EvidenceError(
+                f"a grid has joints of states of one step, not of {listed(scope)}",
+                variable=scope[0],
+            )
+        step = require_step(scope[0], self.graph.steps)
+        every, lattice = self._values, self._lattice
+        places = scope_axes(lattice.axes, states)
+        count = every.ndim - len(lattice.axes)
+        steps = None if step is not None else np.arange(every.shape[count - 1])
+        if step is not None:
+            every, count = every[(slice(None),) * (count - 1) + (step,)], count - 1
+        others = tuple(count + k for k in range(len(lattice.axes)) if k not in places)
+        if others:
+            every = every.sum(axis=others, dtype=np.float64)
+        order = np.argsort(np.argsort(places)).tolist()
+        every = every.transpose(*range(count), *(count + k for k in order))
+        return GridBelief([lattice.axes[k] for k in places], every, steps)
+
+    def __repr__(self) -> str:
+        over: Scope = self._lattice.states
+        runs = self.log_evidence.shape
+        which = f", runs {runs}" if runs else ""
+        return (
+            f"GridPosterior({self.kind}, over {list(over)}, {self._lattice.size:,} cells, "
+            f"{self.graph.steps + 1} steps{which})"
+        )

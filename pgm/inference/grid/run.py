@@ -1,0 +1,209 @@
+"""Running a schedule on a grid: run after run, and again on finer cells where that is asked for."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from pgm.compile import BalancedGraph, DynamicGraph
+from pgm.errors import GraphError, ModelError
+from pgm.evidence import BoundEvidence
+from pgm.inference.grid.lattice import Lattice, resolve
+from pgm.inference.grid.posterior import GridPosterior
+from pgm.inference.grid.sensors import Sharpness
+from pgm.inference.grid.slices import GridModel, GridSlices
+from pgm.inference.grid.status import GridStatus, Refinement
+from pgm.inference.grid.value import Grid
+from pgm.inference.kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.markov.chain import StateChain
+from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
+from pgm.kernels.arrays import Array
+from pgm.networks import DynamicBayesianNetwork
+from pgm.sizes import NUMBER, gibibytes, require_memory
+
+# Arrays of one belief's size that a step works with.
+_WORK = 12
+
+
+def run(
+    graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, grid: Grid
+) -> GridPosterior:
+    """Send the messages of a schedule on a grid, and warn of what its status tells.
+
+    Parameters
+    ----------
+    graph : DynamicGraph
+    bound : BoundEvidence
+    schedule : Filtering, FixedLag, Smoothing or None
+        Smoothing, if not given.
+    grid : Grid
+    """
+    kind = _kind(graph, schedule)
+    found = _refined(graph, bound, kind, grid)
+    found.status.warn()
+    return found
+
+
+def require_grid(grid: Any, model: DynamicBayesianNetwork) -> Grid:
+    """Refuse a belief that is no grid, and a network that has none."""
+    if not isinstance(grid, Grid):
+        raise ModelError(f"belief= is a pgm.Grid(...), not {grid!r}")
+    if model.discrete:
+        raise ModelError(
+            "a network of tables has the probabilities of its states without a grid: leave "
+            "belief= out"
+        )
+    return grid
+
+
+def _kind(graph: DynamicGraph, schedule: Schedule | None) -> Kind:
+    """The kind of beliefs that a schedule leaves."""
+    if isinstance(graph, BalancedGraph):
+        raise GraphError(
+            "a grid's messages go from slice to slice: leave method= out of pgm.compile or "
+            "pgm.smooth"
+        )
+    if not isinstance(schedule, Filtering | FixedLag | Smoothing | Calibration | None):
+        raise ModelError(
+            f"a grid takes pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not {schedule!r}"
+        )
+    if getattr(schedule, "iterations", 1) != 1 or getattr(schedule, "damping", 0.0):
+        raise ModelError(
+            f"{schedule!r}: nothing is linearised on a grid, so that there is nothing to iterate "
+            "or damp; leave iterations and damping out"
+        )
+    if isinstance(schedule, Filtering):
+        return FILTERED
+    if isinstance(schedule, FixedLag):
+        return Kind(schedule.lag)
+    return SMOOTHED
+
+
+def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
+    """The posterior at the first resolution at which the figure stays."""
+    if grid.refine is None:
+        return _at(graph, bound, kind, grid)
+    record = list[Refinement]()
+    used = grid
+    for doubling in range(grid.doublings + 1):
+        began = time.perf_counter()
+        found = _at(graph, bound, kind, used)
+        seconds = time.perf_counter() - began
+        figure = _figure(grid, found)
+        change = np.nan
+        if record:
+            if figure.shape != record[-1].figure.shape:
+                raise ModelError(
+                    f"the figure of refine= has shape {figure.shape} at {found._lattice.shape} "
+                    f"cells, {record[-1].figure.shape} before; give one that does not depend on "
+                    "the number of cells, such as a mean"
+                )
+            change = float(np.abs(figure - record[-1].figure).max(initial=0.0))
+        cells = tuple(axis.cells for axis in found._lattice.axes)
+        record.append(Refinement(cells, figure, change, seconds))
+        settled = change <= grid.tolerance
+        if settled or doubling == grid.doublings:
+            break
+        used = used.finer()
+    status = found.status.refined(record, settled)
+    return GridPosterior(
+        graph,
+        used,
+        found.kind,
+        found.log_evidence,
+        status,
+        found._lattice,
+        found._values,
+        found._filtered,
+    )
+
+
+def _figure(grid: Grid, found: GridPosterior) -> Array:
+    """The figure that the user has named, of a posterior."""
+    if not callable(grid.refine):
+        return found.log_evidence
+    try:
+        figure = np.asarray(grid.refine(found), dtype=np.float64)
+    except Exception as error:
+        raise ModelError(
+            f"the function of refine= failed on {found!r}: {type(error).__name__}: {error}"
+        ) from error
+    if not np.isfinite(figure).all():
+        raise ModelError(
+            "the function of refine= has values that are NaN or infinite; give a figure that can "
+            "settle"
+        )
+    return figure
+
+
+def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
+    """The posterior at one resolution."""
+    lattice = resolve(grid, graph.model.states)
+    smoothing = kind.lag > 0
+    require_room(lattice, grid, bound.steps + 1, bound.runs, 3 if smoothing else 1)
+    model = GridModel(lattice, graph.model, bound)
+    shape = (bound.runs, bound.steps + 1, *lattice.shape)
+    filtered = np.zeros(shape, dtype=grid.dtype)
+    smoothed = np.zeros(shape, dtype=grid.dtype) if smoothing else None
+    log_evidence, outside = np.zeros(bound.runs), np.zeros((bound.runs, bound.steps + 1))
+    added, sharpest = np.zeros((bound.runs, len(lattice.axes))), Sharpness(0.0, None, 0)
+    for k in range(bound.runs):
+        slices = GridSlices(model, k, grid.dtype if smoothing else None)
+        chain = _Kept(slices, filtered[k]).run()
+        if smoothed is not None:
+            every = chain.smoothed() if kind == SMOOTHED else chain.lagged(int(kind.lag))
+            for step, belief in every:
+                smoothed[k, step] = belief
+        log_evidence[k] = sum(map(float, chain.log_density))
+        outside[k] = [slices.outside[step] for step in range(bound.steps + 1)]
+        added[k] = slices.added
+        if slices.sharpest.cells > sharpest.cells:
+            sharpest = slices.sharpest
+    lead = bound.lead
+    status = GridStatus(
+        outside.reshape(*lead, -1),
+        {
+            axis.label: (added[:, k] * axis.width**2).reshape(lead)
+            for k, axis in enumerate(lattice.axes)
+        },
+        sharpest,
+    )
+    filtered = filtered.reshape(*lead, *shape[1:])
+    if smoothed is None:
+        return GridPosterior(
+            graph, grid, kind, log_evidence.reshape(lead), status, lattice, filtered
+        )
+    smoothed = smoothed.reshape(*lead, *shape[1:])
+    return GridPosterior(
+        graph, grid, kind, log_evidence.reshape(lead), status, lattice, smoothed, filtered
+    )
+
+
+class _Kept(StateChain):
+    """A chain whose filtered beliefs are written to an array that is there."""
+
+    def __init__(self, slices: GridSlices, room: Any) -> None:
+        super().__init__(slices, dtype=room.dtype.type)
+        self.known = list(room)
+
+    def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
+        """Keep the belief of a step."""
+        self.known[step][...] = known
+        self.log_density.append(log_density)
+
+
+def require_room(lattice: Lattice, grid: Grid, steps: int, runs: int, sets: int) -> None:
+    """Refuse a grid whose beliefs would not fit memory, before any is made."""
+    share = np.dtype(grid.dtype).itemsize / NUMBER
+    kept = int(sets * steps * runs * lattice.size * share)
+    cells = " × ".join(str(axis.cells) for axis in lattice.axes)
+    over = f"{steps} steps" + (f" of {runs} runs" if runs > 1 else "")
+    narrower = "" if grid.dtype == np.float32 else ", or dtype=np.float32"
+    require_memory(
+        kept + _WORK * lattice.size,
+        f"the beliefs of {cells} = {lattice.size:,} cells ({gibibytes(lattice.size)} each) at "
+        f"{over}",
+        f"take wider cells or closer bounds, fewer steps or runs to a call{narrower}",
+    )

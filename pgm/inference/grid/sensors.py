@@ -1,0 +1,393 @@
+"""Densities of measurements at the centres of a grid.
+
+A sensor's function is called with the centres that tell: along axes on which it does not depend
+with one of them. Where it is a function of the other axes plus one of those that are circles, as a
+bearing less a heading is, with those of either, which is tested at every centre once, and at some
+of them with each measurement.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.cpds import ConditionalGaussian
+from pgm.errors import ModelError
+from pgm.evidence import Reading
+from pgm.inference.grid.dependence import PROBES, Dependence, Reduced, blocks, centres, places
+from pgm.inference.grid.lattice import Lattice, Window
+from pgm.inference.grid.values import covariance_of, mean_at, root_of
+from pgm.kernels.angles import TURN, wrap
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
+from pgm.variables import Variable
+
+# Values (d,) of a sensor's observed parents.
+Known = Mapping[Variable, Array]
+# Numbers of a block of cells, which fit the cache.
+_BLOCK = 1 << 15
+# Exponents below this are none: products of such numbers would be slow, denormal ones.
+_LEAST = -600.0
+
+
+class Term(NamedTuple):
+    """A component's residual in deviations: (one − other) / deviation, wrapped if it is an angle.
+
+    Attributes
+    ----------
+    one : ndarray
+        Its value less the part of circles, broadcasting to the window.
+    other : ndarray or None
+        The part of circles, broadcasting to the window.
+    scale : float
+        One over the deviation.
+    angle : bool
+    """
+
+    one: Array
+    other: Array | None
+    scale: float
+    angle: bool
+
+    def squared(self, first: slice) -> Array:
+        """Half the squares of the residuals, of some of the places along the first axis."""
+        found = _some(self.one, first)
+        if self.other is not None:
+            found = found - _some(self.other, first)
+        if self.angle:
+            found = found - TURN * np.rint(found / TURN)
+        found = found * (self.scale * math.sqrt(0.5))
+        found *= found
+        return found
+
+
+class Joint(NamedTuple):
+    """Residuals of components whose noise is correlated, broadcasting to the window, (..., d).
+
+    Attributes
+    ----------
+    residual : ndarray
+    whiten : ndarray
+        (d, d): the inverse of the root of their covariance.
+    """
+
+    residual: Array
+    whiten: Array
+
+    def squared(self, first: slice) -> Array:
+        """Half the squares of the whitened residuals, of some places along the first axis."""
+        white = _some(self.residual, first) @ self.whiten.T
+        found: Array = 0.5 * np.einsum("...i,...i->...", white, white)
+        return found
+
+
+def _some(array: Array, first: slice) -> Array:
+    return array if len(array) == 1 else array[first]
+
+
+class Sharpness(NamedTuple):
+    """The sensor that is the sharpest for the cells.
+
+    Attributes
+    ----------
+    cells : float
+        By how many of its deviations a measurement differs from one cell to the next, where it is
+        the likeliest.
+    variable : Variable or None
+    step : int
+    """
+
+    cells: float
+    variable: Variable | None
+    step: int
+
+
+@dataclass(eq=False)
+class Shape:
+    """The shape of a sensor's function, as far as it has been tested.
+
+    Attributes
+    ----------
+    depended : Dependence
+        On which axes it depends.
+    turning : frozenset of int or None
+        The circles by which it is a sum of two; None as long as that has not been asked.
+    tested : bool
+        Whether that has been tested at every centre.
+    """
+
+    depended: Dependence
+    turning: frozenset[int] | None = None
+    tested: bool = False
+
+
+@dataclass(eq=False)
+class GridSensor:
+    """A sensor's measurements, and the shape of its function.
+
+    Attributes
+    ----------
+    lattice : Lattice
+    reading : Reading
+    shape : Shape
+    """
+
+    lattice: Lattice
+    reading: Reading
+    shape: Shape
+
+    @property
+    def cpd(self) -> ConditionalGaussian:
+        """The sensor's CPD."""
+        cpd = self.reading.cpd
+        assert isinstance(cpd, ConditionalGaussian)
+        return cpd
+
+    @cached_property
+    def angles(self) -> Mask:
+        """The components that are angles."""
+        return self.cpd.child.angle_mask
+
+    def require_covered(self) -> None:
+        """Refuse a sensor of what the grid has not."""
+        for parent in self.cpd.given:
+            if parent not in self.lattice.of and parent not in self.reading.inputs:
+                raise ModelError(
+                    f"{self.cpd!r} measures {parent!r}, a hidden control, which no grid covers; "
+                    "make it a state, with a prior",
+                    variable=self.cpd.child,
+                    cpd=self.cpd,
+                )
+
+    def rows(self, step: int) -> range:
+        """The rows of the measurements of a step."""
+        low, high = np.searchsorted(self.reading.step, [step, step + 1])
+        return range(int(low), int(high))
+
+    def values(self, points: Array, known: Known, step: int, run: int) -> Array:
+        """The sensor's function at points (n, axes) of the lattice, (n, d)."""
+        return mean_at(self.cpd, self.lattice.values(points), known, step, run)
+
+    def known(self, row: int, run: int) -> Known:
+        """The values of its observed parents."""
+        inputs = self.reading.inputs
+        return {v: a[row, run if a.shape[1] > 1 else 0] for v, a in inputs.items()}
+
+    def taken(self, row: int, run: int) -> Mask:
+        """The components of a measurement that were taken, (d,)."""
+        found: Mask = self.reading.taken[row, run if self.reading.taken.shape[1] > 1 else 0]
+        return found
+
+    def terms(self, row: int, run: int, window: Window) -> tuple[list[Term | Joint], float]:
+        """The residuals of one measurement, and the log-density where these are zero."""
+        step, reading = int(self.reading.step[row]), self.reading
+        own = run if reading.values.shape[1] > 1 else 0
+        taken = self.taken(row, run)
+        if not taken.any():
+            return [], 0.0
+        known = self.known(row, run)
+        cov = covariance_of(self.cpd, {**known}, step, run)[np.ix_(taken, taken)]
+        lower = root_of(self.cpd, cov, step)
+        pivots = np.diagonal(lower)
+        if not (pivots > 0.0).all():
+            raise ModelError(
+                f"{self.cpd!r} has no noise in a component, or two that are one, at step {step}: "
+                "no centre of a grid need agree with its measurement; give it the noise of half a "
+                "cell, or more",
+                variable=self.cpd.child,
+                cpd=self.cpd,
+                step=step,
+            )
+        constant = -float(np.log(pivots).sum()) - 0.5 * LOG_2PI * len(pivots)
+        one, other = self._parts(known, step, run, window)
+        one = reading.values[row, own] - one
+        one, angles = one[..., taken], self.angles[taken]
+        other = None if other is None else other[..., taken]
+        if np.array_equal(lower, np.diag(pivots)):
+            found: list[Term | Joint] = []
+            for k, scale in enumerate((1.0 / pivots).tolist()):
+                part = None if other is None else other[..., k]
+                if part is not None and not part.any():
+                    part = None
+                found.append(Term(one[..., k], part, scale, bool(angles[k])))
+            return found, constant
+        residual = one if other is None else one - other
+        for place in np.flatnonzero(angles):
+            residual[..., place] = wrap(residual[..., place])
+        whiten = np.linalg.solve(lower, np.eye(len(lower))).astype(np.float64)
+        return [Joint(residual, whiten)], constant
+
+    def _parts(
+        self, known: Known, step: int, run: int, window: Window
+    ) -> tuple[Array, Array | None]:
+        """The function's values at the centres of a window, as those of axes plus those of circles.
+
+        Each broadcasts to the window, with the components last.
+        """
+        depended = self._depended(known, step, run)
+        turning = self._turned(depended, known, step, run)
+        one = self._on(depended - turning, window, known, step, run)
+        if not turning:
+            return one, None
+        middle = self.values(self._middle(), known, step, run)[0]
+        other = self._on(set(turning), window, known, step, run) - middle
+        for k in np.flatnonzero(self.angles):
+            other[..., k] = wrap(other[..., k])
+        return one, other
+
+    def _on(self, axes: set[int], window: Window, known: Known, step: int, run: int) -> Array:
+        """The values on some axes of a window, the others at the middle of the lattice."""
+        indices = self.lattice.indices(window)
+        middle = np.array(self.lattice.shape) // 2
+        each = [indices[k] if k in axes else middle[k : k + 1] for k in range(len(indices))]
+        mesh = np.meshgrid(*each, indexing="ij")
+        found = self.values(
+            self.lattice.points([part.reshape(-1) for part in mesh]), known, step, run
+        )
+        return found.reshape(*mesh[0].shape, -1)
+
+    def _middle(self) -> Array:
+        return self.lattice.points([np.array([cells // 2]) for cells in self.lattice.shape])
+
+    def _depended(self, known: Known, step: int, run: int) -> set[int]:
+        """The axes on which any component depends."""
+
+        def values(before: Array, after: Array) -> Array:
+            return self.values(before, known, step, run)
+
+        self.shape.depended.look(values, self._differ, frozenset(), 5 * step + 2)
+        return set().union(*self.shape.depended.before)
+
+    def _differ(self, one: Array, other: Array) -> Mask:
+        """Whether values (n, d) differ by more than rounding."""
+        gap = one - other
+        for k in np.flatnonzero(self.angles):
+            gap[:, k] = wrap(gap[:, k])
+        size = np.maximum(np.abs(one).max(axis=0, initial=0.0), 1.0)
+        different: Mask = np.abs(gap) > 1e-10 * size
+        return different
+
+    def _turned(self, depended: set[int], known: Known, step: int, run: int) -> frozenset[int]:
+        """The circles on which the function depends by a sum of two; none, if it is no such sum."""
+        shape = self.shape
+        if shape.turning is None:
+            shape.turning = frozenset(depended.intersection(self.lattice.angles))
+        if not shape.turning or not depended - shape.turning:
+            return frozenset()
+
+        def values(points: Array) -> Array:
+            return self.values(points, known, step, run)
+
+        if shape.tested:
+            adds = self._adds(places(self.lattice, PROBES, 7 * step + 3), shape.turning, values)
+        else:
+            adds = self._adds_everywhere(shape.turning, values)
+        shape.turning = shape.turning if adds else frozenset()
+        shape.tested = True
+        return shape.turning
+
+    def _adds_everywhere(self, turning: frozenset[int], values: Callable[[Array], Array]) -> bool:
+        """Whether at every centre the function is a sum of two."""
+        others = set(range(len(self.lattice.axes))) - turning
+        one, other = (Reduced(self.lattice, axes, values) for axes in (others, turning))
+        middle = values(self._middle())
+        return not any(
+            self._differ(
+                values(centres(self.lattice, cells)) - one.at(cells), other.at(cells) - middle
+            ).any()
+            for cells in blocks(self.lattice)
+        )
+
+    def _adds(
+        self, cells: Integers, turning: frozenset[int], values: Callable[[Array], Array]
+    ) -> bool:
+        """Whether at some cells the function is a sum of two."""
+        middle = np.array(self.lattice.shape) // 2
+        turned = np.array([k in turning for k in range(len(middle))])
+        each = [cells, np.where(turned, middle, cells), np.where(turned, cells, middle)]
+        points = np.concatenate([centres(self.lattice, c) for c in each] + [self._middle()])
+        found = values(points)
+        count = len(cells)
+        whole, one, other = found[:count], found[count : 2 * count], found[2 * count : -1]
+        return not self._differ(whole - one, other - found[-1]).any()
+
+
+def likelihood(
+    sensors: list[GridSensor], step: int, run: int, window: Window
+) -> tuple[Array | None, float, Sharpness]:
+    """The weights of a step's measurements in a window, their log-scale, and the sharpest sensor.
+
+    The weights are None where nothing was measured.
+    """
+    terms, scale, read = list[Term | Joint](), 0.0, list[tuple[GridSensor, int]]()
+    for sensor in sensors:
+        for row in sensor.rows(step):
+            found, constant = sensor.terms(row, run, window)
+            if found:
+                terms += found
+                scale += constant
+                read.append((sensor, row))
+    sharpest = Sharpness(0.0, None, step)
+    if not terms:
+        return None, 0.0, sharpest
+    shape = tuple(span.length for span in window)
+    exponent = _exponents(terms, shape)
+    largest = float(exponent.max())
+    place = np.unravel_index(int(exponent.argmax()), shape)
+    length = max(_BLOCK * shape[0] // max(exponent.size, 1), 1)
+    for first in range(0, shape[0], length):
+        part = exponent[first : first + length]
+        part -= largest
+        low = part < _LEAST
+        np.exp(part, out=part)
+        if low.any():
+            part[low] = 0.0
+    for sensor, row in read:
+        cells = [index[p] for index, p in zip(sensor.lattice.indices(window), place, strict=True)]
+        sharp = _sharpness(sensor, row, run, cells)
+        if sharp > sharpest.cells:
+            sharpest = Sharpness(sharp, sensor.cpd.child, step)
+    return exponent, scale + largest, sharpest
+
+
+def _exponents(terms: list[Term | Joint], shape: tuple[int, ...]) -> Array:
+    """The sum of the terms' exponents, over a window of a shape."""
+    found = np.empty(shape)
+    length = max(_BLOCK * shape[0] // max(found.size, 1), 1)
+    for first in range(0, shape[0], length):
+        rows = slice(first, min(first + length, shape[0]))
+        few: Array | None = None
+        part = found[rows]
+        part[...] = 0.0
+        for term in terms:
+            squared = term.squared(rows)
+            if squared.size < part.size:
+                few = squared if few is None else few + squared
+            else:
+                part -= squared
+        if few is not None:
+            part -= few
+    return found
+
+
+def _sharpness(sensor: GridSensor, row: int, run: int, cells: list[Integers]) -> float:
+    """By how many deviations a measurement differs from a cell to the next, along any axis."""
+    lattice, step = sensor.lattice, int(sensor.reading.step[row])
+    here = np.array(cells, dtype=np.intp)
+    others = np.repeat(here[None], len(here) + 1, axis=0)
+    for k, axis in enumerate(lattice.axes):
+        others[k + 1, k] += 1 if axis.angle or here[k] + 1 < axis.cells else -1
+        others[k + 1, k] %= axis.cells
+    known = sensor.known(row, run)
+    found = sensor.values(centres(lattice, others), known, step, run)
+    gap = found[1:] - found[0]
+    for place in np.flatnonzero(sensor.angles):
+        gap[:, place] = wrap(gap[:, place])
+    taken = sensor.taken(row, run)
+    cov = covariance_of(sensor.cpd, known, step, run)[np.ix_(taken, taken)]
+    white = np.linalg.solve(root_of(sensor.cpd, cov, step), gap[:, taken].T)
+    return float(np.sqrt((white * white).sum(axis=0)).max())

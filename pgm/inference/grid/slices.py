@@ -1,0 +1,222 @@
+"""The slices of one run on a grid, as the chain of finitely many states asks for them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple, NoReturn, cast
+
+import numpy as np
+
+from pgm.cpds import CPD, ConditionalGaussian, GaussianCPD
+from pgm.errors import EvidenceError, ModelError, NumericalError
+from pgm.evidence import BoundEvidence
+from pgm.factors.scope import listed
+from pgm.inference.grid.dependence import Dependence
+from pgm.inference.grid.groups import Group, groups
+from pgm.inference.grid.lattice import Lattice, Window
+from pgm.inference.grid.motion import Motion
+from pgm.inference.grid.prior import start
+from pgm.inference.grid.sensors import GridSensor, Shape, Sharpness, likelihood
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.lattice import Span
+from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
+
+# The share of a belief, along an axis, that may stand outside the window of active cells.
+_TINY = 1e-15
+# Probabilities below this are none: products of them would be slow, denormal numbers.
+_NONE = 1e-150
+
+
+class Tested(NamedTuple):
+    """The shapes of a model's functions, as far as they have been tested on a lattice."""
+
+    motion: dict[tuple[Variable, ...], Dependence]
+    sensors: dict[Variable, Shape]
+
+
+class GridModel:
+    """A model with its evidence on a lattice.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    model : DynamicBayesianNetwork
+    bound : BoundEvidence
+    tested : Tested, optional
+        Of the same model and lattice, to go on from; it is added to.
+    first : int
+        The step before the first of the evidence for the transition.
+    """
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        model: DynamicBayesianNetwork,
+        bound: BoundEvidence,
+        tested: Tested | None = None,
+        first: int = 0,
+    ) -> None:
+        tested = tested or Tested({}, {})
+        self.lattice, self.model, self.bound = lattice, model, bound
+        prior = [by_run(cpd, bound.lead) for cpd in model.prior]
+        transition = [by_run(cpd, bound.lead) for cpd in model.transition]
+        self.first = groups(lattice, prior, [{}] * len(prior), prior=True)
+        moved: list[Group] = []
+        if bound.transition:
+            moved = groups(lattice, transition, bound.transition, prior=False, first=first)
+        self.motion = Motion(lattice, moved, tested.motion)
+        self.sensors = []
+        for reading in bound.readings:
+            blank = Shape(Dependence(lattice))
+            shape = tested.sensors.setdefault(reading.cpd.child, blank)
+            seen = replace(reading, cpd=by_run(reading.cpd, bound.lead))
+            self.sensors.append(GridSensor(lattice, seen, shape))
+        for sensor in self.sensors:
+            sensor.require_covered()
+
+
+class GridSlices:
+    """One run's slices: beliefs are (*cells), the chain having no axes of runs.
+
+    Parameters
+    ----------
+    model : GridModel
+    run : int
+        Its number.
+    keep : numpy type or None
+        In which weights are kept for the way back; None where there is none.
+
+    Attributes
+    ----------
+    outside : dict of int to float
+        By step, the probability that left the bounds, or that the window of active cells has cut
+        off.
+    added : ndarray
+        (axes,): the variance that the lattice has added in all steps, in cells.
+    sharpest : Sharpness
+    """
+
+    lead: tuple[int, ...] = ()
+
+    def __init__(self, model: GridModel, run: int, keep: Any = None) -> None:
+        self.model, self.run, self._keep = model, run, keep
+        self.lattice, self.steps = model.lattice, model.bound.steps
+        self.outside: dict[int, float] = {}
+        self.added = np.zeros(len(self.lattice.axes))
+        self.sharpest = Sharpness(0.0, None, 0)
+        # By step: the windows before and after its motion, and the weights of its measurements.
+        self.windows: dict[int, tuple[Window, Window]] = {}
+        self._weights: dict[int, tuple[Array | None, float]] = {}
+
+    def prior(self) -> Array:
+        """The probabilities at step 0."""
+        found = start(self.lattice, self.model.first, self.run)
+        total = float(found.sum())
+        self.outside[0] = max(1.0 - total, 0.0)
+        if not total >= 0.5:
+            raise ModelError(
+                f"run {self.run}: the prior has {total:.2g} of its probability inside the grid, "
+                f"{self._bounds()}; widen the bounds, or move them to where the states begin"
+            )
+        self.windows[0] = (active(self.lattice, found),) * 2
+        return found
+
+    def forward(self, step: int, belief: Array) -> Array:
+        """The belief over the slice of a step, from that of the step before."""
+        source = active(self.lattice, belief)
+        made = self.model.motion.at(step, self.run, source)
+        part = self.lattice.cut(belief, source)
+        for operator in made.operators:
+            for axis, variance in operator.added(part).items():
+                self.added[axis] += variance
+            part = operator.forward(part)
+        part[part < _NONE] = 0.0
+        left = float(part.sum())
+        self.outside[step] = max(1.0 - left, 0.0)
+        if not left > 0.0:
+            raise NumericalError(
+                f"all probability has left the grid at step {step}, run {self.run}: it covers "
+                f"{self._bounds()}; widen its bounds",
+                step=step,
+                run=self.run,
+            )
+        self.windows[step] = source, made.target
+        return self.lattice.put(part, made.target)
+
+    def backward(self, step: int, message: Array) -> Array:
+        """The transpose of `forward`."""
+        source, _ = self.windows[step]
+        made = self.model.motion.at(step, self.run, source)
+        part = made.backward(self.lattice.cut(message, made.target))
+        return self.lattice.put(part, source)
+
+    def likelihood(self, step: int) -> tuple[Array | None, float]:
+        """The weights of a step's measurements in the window of its belief, and their log-scale."""
+        target = self.windows[step][1]
+        if step in self._weights:
+            weights, scale = self._weights[step]
+        else:
+            weights, scale, sharpest = likelihood(self.model.sensors, step, self.run, target)
+            if sharpest.cells > self.sharpest.cells:
+                self.sharpest = sharpest
+            if self._keep is not None:
+                kept: Array | None = None
+                if weights is not None:
+                    kept = weights.astype(self._keep, copy=False)
+                self._weights[step] = kept, scale
+        return None if weights is None else self.lattice.put(weights, target), scale
+
+    def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
+        """Raise the error of measurements that no cell explains."""
+        read = [s.cpd.child for s in self.model.sensors if len(s.rows(step))]
+        raise EvidenceError(
+            f"the measurements of {listed(read)} at step {step}, run {self.run}, are impossible: "
+            "no cell that the belief has left explains them in float64; look for a mistaken "
+            "measurement, a noise that is too small, or a state that has left the grid",
+            variable=read[0] if read else None,
+            step=step,
+            run=self.run,
+        )
+
+    def _bounds(self) -> str:
+        return ", ".join(
+            f"{axis.label} {axis.low:.6g} to {axis.low + axis.cells * axis.width:.6g}"
+            for axis in self.lattice.axes
+            if not axis.angle
+        )
+
+
+def by_run(cpd: CPD, lead: tuple[int, ...]) -> ConditionalGaussian:
+    """A CPD whose own axes of runs, if it has any, are all those of the evidence."""
+    if isinstance(cpd, GaussianCPD) and cpd._lead():
+        assert isinstance(cpd.cov, np.ndarray)
+        size = cpd.child.dimension
+        mean = np.broadcast_to(cpd.mean, (*lead, size))
+        return GaussianCPD(cpd.child, mean, np.broadcast_to(cpd.cov, (*lead, size, size)))
+    return cast("ConditionalGaussian", cpd)
+
+
+def active(lattice: Lattice, belief: Array) -> Window:
+    """The smallest window that holds a belief, up to a share of 10⁻¹⁵ along each axis."""
+    found = []
+    for k, axis in enumerate(lattice.axes):
+        others = tuple(j for j in range(belief.ndim) if j != k)
+        marginal = belief.sum(axis=others) if others else belief
+        used = marginal > _TINY / axis.cells * marginal.sum()
+        found.append(_span(used, axis.angle))
+    return tuple(found)
+
+
+def _span(used: Mask, periodic: bool) -> Span:
+    """The shortest span that has all cells in use."""
+    cells = len(used)
+    places: Integers = np.flatnonzero(used)
+    if not places.size:
+        return Span(0, cells)
+    if not periodic:
+        return Span(int(places[0]), int(places[-1] - places[0]) + 1)
+    gaps = np.diff(np.append(places, places[0] + cells))
+    widest = int(gaps.argmax())
+    first = int(places[(widest + 1) % len(places)])
+    return Span(first, cells - int(gaps[widest]) + 1)

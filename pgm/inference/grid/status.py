@@ -1,0 +1,170 @@
+"""The status of a grid: what its bounds, its cells and its sensors cost."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.errors import GridWarning
+from pgm.immutable import Immutable
+from pgm.inference.grid.sensors import Sharpness
+from pgm.inference.status import _levels_to_user
+from pgm.kernels.arrays import Array
+from pgm.variables import Variable
+
+# The probability outside the bounds above which the user is warned.
+MUCH = 1e-3
+# From this many deviations between neighbouring centres on a sensor is sharper than half a cell.
+SHARP = 2.0
+
+
+class Refinement(NamedTuple):
+    """One resolution of a grid that was refined.
+
+    Attributes
+    ----------
+    cells : tuple of int
+        Along each axis.
+    figure : ndarray
+        Of this resolution.
+    change : float
+        Its largest change from the resolution before; NaN of the first.
+    seconds : float
+        The time that it took.
+    """
+
+    cells: tuple[int, ...]
+    figure: Array
+    change: float
+    seconds: float
+
+
+class GridStatus(Immutable):
+    """The status of a grid's answer.
+
+    Attributes
+    ----------
+    outside : ndarray
+        (*runs): the probability that the bounds have left out in all, at the prior and at each
+        step; what the window of active cells cuts off, below 10⁻¹⁴ a step, is counted too. Above
+        10⁻³ a `GridWarning` has said so. It is missing from the evidence's probability.
+    outside_by_step : ndarray
+        (*runs, T+1): the share of each step's belief.
+    added : mapping of str to ndarray
+        By component, (*runs): the variance that the lattice has added over all steps, in squared
+        units of the component, beyond that of the transition and of the prior: where a displacement
+        has a variance of less than f(1 − f)h².
+    sharpest : Sharpness
+        The sensor that is the sharpest for the cells: by how many of its deviations its measurement
+        differs from one cell to the next, where it is the likeliest. Above two it is sharper than
+        half a cell, and the density at centres may miss it: narrower cells, or more noise, help.
+    refinements : tuple of Refinement
+        Of each resolution, if the grid was refined.
+    converged : ndarray of bool
+        (): whether the figure of the refinement has settled; True where none was asked for.
+    """
+
+    outside: Array
+    outside_by_step: Array
+    added: Mapping[str, Array]
+    sharpest: Sharpness
+    refinements: tuple[Refinement, ...]
+    converged: np.bool_
+
+    def __init__(
+        self,
+        outside_by_step: Array,
+        added: Mapping[str, Array],
+        sharpest: Sharpness,
+        refinements: Sequence[Refinement] = (),
+        converged: bool = True,
+    ) -> None:
+        added = {name: np.asarray(value) for name, value in added.items()}
+        outside = np.asarray(1.0 - np.prod(1.0 - outside_by_step, axis=-1))
+        for array in (outside, outside_by_step, *added.values()):
+            array.flags.writeable = False
+        self._set(
+            outside=outside,
+            outside_by_step=outside_by_step,
+            added=MappingProxyType(added),
+            sharpest=sharpest,
+            refinements=tuple(refinements),
+            converged=np.bool_(converged),
+        )
+
+    @property
+    def much(self) -> bool:
+        """Whether more has left the bounds in a run than goes without a warning."""
+        return bool((self.outside > MUCH).any())
+
+    @property
+    def sharp(self) -> Variable | None:
+        """The sensor that is sharper than half a cell; None if none is."""
+        return self.sharpest.variable if self.sharpest.cells > SHARP else None
+
+    def refined(self, refinements: Sequence[Refinement], converged: bool) -> GridStatus:
+        """The same status with the resolutions that led there.
+
+        Parameters
+        ----------
+        refinements : sequence of Refinement
+        converged : bool
+
+        Returns
+        -------
+        GridStatus
+        """
+        by_step, added = self.outside_by_step, self.added
+        return GridStatus(by_step, added, self.sharpest, refinements, converged)
+
+    def warn(self) -> None:
+        """Tell the user of what has left the bounds, and of a figure that has not settled.
+
+        Warns
+        -----
+        GridWarning
+            If more than 10⁻³ has left in a run, or refining has not converged.
+        """
+        if self.much:
+            most = float(self.outside.max())
+            runs = int((self.outside > MUCH).sum())
+            step = int(
+                self.outside_by_step.reshape(-1, self.outside_by_step.shape[-1])
+                .max(axis=0)
+                .argmax()
+            )
+            message = (
+                f"up to {most:.2g} of the probability has left the bounds of the grid, in {runs} "
+                f"of {self.outside.size} runs, most of it at step {step} (status.outside): widen "
+                "the bounds"
+            )
+            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
+        if not self.converged:
+            last = self.refinements[-1]
+            message = (
+                f"the figure of refine= still changes by {last.change:.2g} at {last.cells} cells "
+                "(status.refinements): allow more doublings, or a larger tolerance"
+            )
+            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
+
+    def __repr__(self) -> str:
+        parts = [f"outside {float(self.outside.max(initial=0.0)):.2g}"]
+        parts += [
+            f"variance added to {name} {float(value.max()):.2g}"
+            for name, value in self.added.items()
+            if value.size and value.max() > 0.0
+        ]
+        if self.sharp is not None:
+            parts.append(
+                f"{self.sharp!r} at step {self.sharpest.step} is sharper than half a cell: "
+                f"{self.sharpest.cells:.2g} deviations from a cell to the next"
+            )
+        if self.refinements:
+            cells = " × ".join(map(str, self.refinements[-1].cells))
+            settled = "settled" if self.converged else "not settled"
+            parts.append(f"refined {len(self.refinements) - 1} times to {cells} cells, {settled}")
+        return f"GridStatus({'; '.join(parts)})"
