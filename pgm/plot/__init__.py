@@ -4,6 +4,7 @@ from pgm.plot.cells import belief_map
 from pgm.plot.clusters import cluster_graph
 from pgm.plot.consistency import coverage, nees, nis, whiteness
 from pgm.plot.graphviz import dot
+from pgm.plot.grid_map import grid_map
 from pgm.plot.networks import network
 from pgm.plot.over_time import errors, kl, rmse
 from pgm.plot.plane import ellipses, trajectory
@@ -19,6 +20,7 @@ __all__ = [
     "dot",
     "ellipses",
     "errors",
+    "grid_map",
     "kl",
     "nees",
     "network",

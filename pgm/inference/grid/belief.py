@@ -67,6 +67,11 @@ class GridBelief(Immutable):
         )
 
     @property
+    def angles(self) -> tuple[str, ...]:
+        """The components that are angles."""
+        return tuple(axis.label for axis in self._axes if axis.angle)
+
+    @property
     def lead(self) -> tuple[int, ...]:
         """The leading axes: runs and steps."""
         return self.values.shape[: self.values.ndim - len(self._axes)]

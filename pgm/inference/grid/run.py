@@ -156,7 +156,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
             every = chain.smoothed() if kind == SMOOTHED else chain.lagged(int(kind.lag))
             for step, belief in every:
                 smoothed[k, step] = belief
-        log_evidence[k] = sum(map(float, chain.log_density))
+        log_evidence[k] = float(chain.log_density.sum())
         outside[k] = [slices.outside[step] for step in range(bound.steps + 1)]
         added[k] = slices.added
         if slices.sharpest.cells > sharpest.cells:
@@ -184,14 +184,13 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
 class _Kept(StateChain):
     """A chain whose filtered beliefs are written to an array that is there."""
 
-    def __init__(self, slices: GridSlices, room: Any) -> None:
-        super().__init__(slices, dtype=room.dtype.type)
-        self.known = list(room)
+    def __init__(self, slices: GridSlices, made: Any) -> None:
+        super().__init__(slices, dtype=made.dtype.type)
+        self._made: Array = made
 
-    def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
-        """Keep the belief of a step."""
-        self.known[step][...] = known
-        self.log_density.append(log_density)
+    def room(self, like: Array) -> Array:
+        """Room for a belief at each step."""
+        return self._made
 
 
 def require_room(lattice: Lattice, grid: Grid, steps: int, runs: int, sets: int) -> None:

@@ -1,0 +1,170 @@
+"""Maps of beliefs on grids: two components as cells, an angle as arrows."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.colors import Colormap, LinearSegmentedColormap
+
+from pgm.errors import ModelError
+from pgm.inference import GridBelief
+from pgm.kernels.arrays import Array
+from pgm.plot.axes import equal_aspect, given_or_new, name_axes
+from pgm.plot.colours import INK, PALETTE
+
+# A cell whose arrow would stand for less than this share of the likeliest has none.
+_FAINT = 0.02
+# From white, of a probability of zero, to the first colour of the palette.
+_MAP: Colormap = LinearSegmentedColormap.from_list("belief", ["white", PALETTE[0]])
+
+
+def grid_map(
+    belief: GridBelief,
+    *,
+    components: tuple[str, str] | None = None,
+    heading: str | None = None,
+    arrows: int = 16,
+    truth: npt.ArrayLike | None = None,
+    landmarks: npt.ArrayLike | None = None,
+    ax: Axes | None = None,
+    **style: Any,
+) -> Axes:
+    r"""Draw a belief on a grid: the probabilities of two components, and an angle's as arrows.
+
+    An arrow stands for a block of cells: its direction is the circular mean of the angle there,
+
+    .. math:: R e^{iθ} = \sum_k p_k e^{iθ_k} / \sum_k p_k,
+
+    and its length R, which is 1 where the angle is known and 0 where nothing is known of it.
+
+    Parameters
+    ----------
+    belief : GridBelief
+        Of one run at one step, as ``posterior[x.at(3)]``.
+    components : pair of str, optional
+        Which components are the plane's, by name; the first two that are no angles without.
+    heading : str, optional
+        The angle that is drawn as arrows, counted from the first component to the second; without,
+        the belief's only angle, or none where there are several.
+    arrows : int
+        How many along the longer side of the map at the most; 0 for none.
+    truth : array_like, optional
+        (n,), in the order of the belief's components; its place is marked by a cross.
+    landmarks : array_like, optional
+        (L, 2), in the two components drawn.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's without.
+    **style
+        Properties of `matplotlib.axes.Axes.pcolormesh`, which win over the defaults.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ModelError
+        If it is no belief on a grid, of several runs or steps, or lacks the components; or an
+        argument does not fit.
+
+    Examples
+    --------
+    >>> grid_map(posterior[x.at(3)], landmarks=landmarks)  # doctest: +SKIP
+    """
+    if not isinstance(belief, GridBelief):
+        raise ModelError(f"grid_map draws a belief on a grid, not a {type(belief).__name__}")
+    if belief.lead:
+        raise ModelError(
+            f"{belief!r} is of several runs or steps; pick one, with [k] or posterior[x.at(k)]"
+        )
+    if not isinstance(arrows, int) or arrows < 0:
+        raise ModelError(f"arrows are a whole number, 0 or more, not {arrows!r}")
+    straight = tuple(name for name in belief.components if name not in belief.angles)
+    pair = straight[:2] if components is None else tuple(components)
+    if len(pair) != 2:
+        raise ModelError(f"a map is of two components, not {pair}; {belief!r}")
+    plane = belief.marginal(*pair)
+    if heading is None:
+        turning = [name for name in belief.angles if name not in pair]
+        heading = turning[0] if len(turning) == 1 else None
+    angle = None if heading is None or not arrows else belief.marginal(*pair, heading)
+    mark = None if truth is None else _as_truth(belief, truth, pair)
+    marks = None if landmarks is None else np.asarray(landmarks, dtype=float)
+    if marks is not None and (marks.ndim != 2 or marks.shape[1] != 2):
+        raise ModelError(f"landmarks have shape {marks.shape}; (L, 2) was due, one a row")
+
+    ax = given_or_new(ax)
+    edges = [_edges(centres) for centres in plane.centres]
+    defaults: dict[str, Any] = {"cmap": _MAP, "vmin": 0.0}
+    ax.pcolormesh(*edges, plane.values.T, **(defaults | style))
+    if angle is not None:
+        _draw_arrows(ax, angle, arrows)
+    if marks is not None:
+        ax.plot(*marks.T, "^", color=INK, markersize=6, label="landmarks")
+    if mark is not None:
+        ax.plot(*mark, "x", color=INK, markersize=8, markeredgewidth=1.8, label="truth")
+    name_axes(ax, *pair)
+    equal_aspect(ax)
+    return ax
+
+
+def _edges(centres: Array) -> Array:
+    """The edges of cells, (cells + 1,)."""
+    half = 0.5 * (centres[1] - centres[0])
+    found: Array = np.append(centres - half, centres[-1] + half)
+    return found
+
+
+def _draw_arrows(ax: Axes, belief: GridBelief, count: int) -> None:
+    """Arrows of the third component, one for each block of cells of the first two."""
+    block = max(1, math.ceil(max(belief.values.shape[:2]) / count))
+    turn = np.exp(1j * belief.centres[2])
+    weight = _summed(belief.values.sum(axis=2), block)
+    total = _summed(belief.values @ turn, block)
+    seen = weight > _FAINT * weight.max()
+    mean = total[seen] / weight[seen]
+    east, north = (_middles(centres, block) for centres in belief.centres[:2])
+    places = np.nonzero(seen)
+    reach = 0.9 * block * (belief.centres[0][1] - belief.centres[0][0])
+    ax.quiver(
+        east[places[0]],
+        north[places[1]],
+        reach * mean.real,
+        reach * mean.imag,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        pivot="mid",
+        color=INK,
+        width=0.0035,
+    )
+
+
+def _summed(array: npt.NDArray[Any], block: int) -> npt.NDArray[Any]:
+    """Sums over blocks of cells along both axes; the last ones may be smaller."""
+    rows = np.add.reduceat(array, np.arange(0, array.shape[0], block), axis=0)
+    found: npt.NDArray[Any] = np.add.reduceat(rows, np.arange(0, array.shape[1], block), axis=1)
+    return found
+
+
+def _middles(centres: Array, block: int) -> Array:
+    """The middles of blocks of cells."""
+    first = np.arange(0, len(centres), block)
+    last = np.minimum(first + block, len(centres)) - 1
+    found: Array = 0.5 * (centres[first] + centres[last])
+    return found
+
+
+def _as_truth(belief: GridBelief, truth: npt.ArrayLike, pair: tuple[str, ...]) -> Array:
+    """The two components drawn of a truth."""
+    array = np.asarray(truth, dtype=float)
+    if array.shape != (len(belief.components),):
+        raise ModelError(
+            f"the truth has shape {array.shape}; one number for each of {list(belief.components)} "
+            "was due"
+        )
+    return array[[belief.components.index(name) for name in pair]]
