@@ -2,6 +2,7 @@
 
 from pgm.plot.cells import belief_map
 from pgm.plot.clusters import cluster_graph
+from pgm.plot.compared import comparison
 from pgm.plot.consistency import coverage, nees, nis, whiteness
 from pgm.plot.graphviz import dot
 from pgm.plot.grid_map import grid_map
@@ -15,6 +16,7 @@ __all__ = [
     "belief_map",
     "beliefs_over_time",
     "cluster_graph",
+    "comparison",
     "convergence",
     "coverage",
     "dot",
