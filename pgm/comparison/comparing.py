@@ -139,7 +139,8 @@ def compare(
         for state in chosen
     ]
     title = "" if oracle is None else _described(oracle)
-    return Comparison(rows, own, bound.steps, bound.lead, title)
+    status = "; ".join(dict.fromkeys(each.status for each in found.values() if each.status))
+    return Comparison(rows, own, bound.steps, bound.lead, title, status)
 
 
 def _run(

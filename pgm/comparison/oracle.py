@@ -62,6 +62,8 @@ class Reference(NamedTuple):
     log_evidence : float
         The mean over runs; NaN if the oracle has none.
     log_evidence_kind : str
+    status : str
+        Of a grid, in words.
     """
 
     gaussian: Gaussian
@@ -69,6 +71,7 @@ class Reference(NamedTuple):
     seconds: float
     log_evidence: float
     log_evidence_kind: str
+    status: str
 
 
 class Compared(NamedTuple):
@@ -125,9 +128,10 @@ def references(oracle: Grid | Oracle, compared: Compared) -> dict[tuple[Kind, Va
         evidence = getattr(posterior, "log_evidence", None)
         mean = np.nan if evidence is None else float(np.mean(evidence))
         name = str(getattr(posterior, "log_evidence_kind", ""))
+        status = repr(posterior.status) if isinstance(posterior, GridPosterior) else ""
         for state in compared.states:
             gaussian, apart = _gaussian(posterior[state], state, compared)
-            found[kind, state] = Reference(gaussian, apart, seconds, mean, name)
+            found[kind, state] = Reference(gaussian, apart, seconds, mean, name, status)
     return found
 
 
@@ -198,8 +202,9 @@ def non_gaussianity(belief: GridBelief) -> Array:
     - p_k / V: the density in a cell of volume V;
     - P: the covariance.
 
-    NaN where the covariance is singular. It is right where the density is smooth over a cell;
-    angles count as if their line had no ends.
+    NaN where the covariance is singular. It is right where the density is smooth over a cell; one
+    that is negative tells that cells are too wide for the belief. Angles count as if their line
+    had no ends.
 
     Parameters
     ----------

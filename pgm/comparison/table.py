@@ -36,6 +36,8 @@ class Comparison(Immutable):
         The axes of runs that were averaged.
     oracle : str
         The oracle in words; empty without one.
+    oracle_status : str
+        The status of an oracle that is a grid, in words: what its bounds and cells cost.
     """
 
     rows: tuple[Row, ...]
@@ -43,6 +45,7 @@ class Comparison(Immutable):
     steps: int
     runs: tuple[int, ...]
     oracle: str
+    oracle_status: str
 
     def __init__(
         self,
@@ -51,9 +54,15 @@ class Comparison(Immutable):
         steps: int,
         runs: tuple[int, ...],
         oracle: str,
+        oracle_status: str = "",
     ) -> None:
         self._set(
-            rows=tuple(rows), oracle_rows=tuple(oracle_rows), steps=steps, runs=runs, oracle=oracle
+            rows=tuple(rows),
+            oracle_rows=tuple(oracle_rows),
+            steps=steps,
+            runs=runs,
+            oracle=oracle,
+            oracle_status=oracle_status,
         )
 
     @property
@@ -148,6 +157,8 @@ class Comparison(Immutable):
             )
         if self.oracle_rows:
             lines.append("KL of the oracle's rows: from its own Gaussian, KL(p ‖ N_p)")
+        if self.oracle_status:
+            lines.append(f"the oracle's status: {self.oracle_status}")
         return "\n".join(lines)
 
     def _columns(self) -> list[list[str]]:

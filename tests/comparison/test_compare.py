@@ -109,6 +109,8 @@ def test_a_smoothed_grid_stands_for_filters_by_its_forward_sweep():
         assert_allclose(row.kl_by_step, due.kl_by_step)
         assert row.log_evidence == due.log_evidence
     assert "Grid(a: 320 of 0.05)" in repr(given)
+    assert given.oracle_status == repr(posterior.status)
+    assert given.oracle_status in repr(given)
 
 
 def test_the_gaussian_s_own_distance_is_zero_of_a_gaussian():
