@@ -15,7 +15,7 @@ from models.simulation import Drive
 from pgm.plot.colours import MUTED, PALETTE
 
 # What the maps show of the plane [m].
-SHOWN = (-3.0, 13.0)
+SHOWN = (-6.5, 12.5)
 COLOURS = dict(
     zip(("unknown", "right", "wrong"), (PALETTE[4], PALETTE[2], PALETTE[1]), strict=True)
 )
@@ -37,7 +37,7 @@ def maps(
     figure, axes = plt.subplots(
         2,
         len(steps),
-        figsize=(2.9 * len(steps), 6.6),
+        figsize=(2.9 * len(steps), 6.9),
         sharex=True,
         sharey=True,
         squeeze=False,

@@ -23,7 +23,7 @@ MOTION_STD, SENSOR_STD = (0.15, 0.15, 0.06), (0.3, 0.12)
 STARTS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "unknown": ((4.0, 3.0, 0.0), (3.0, 3.0, np.pi)),
     "right": (TRUE_START, (0.2, 0.2, 0.1)),
-    "wrong": ((-0.02, -0.10, 1.89), (0.2, 0.2, 0.1)),
+    "wrong": ((-0.01, -0.11, 1.89), (0.2, 0.2, 0.1)),
 }
 LINEARISERS: dict[str, pgm.Lineariser] = {
     "Taylor": pgm.Taylor(),
