@@ -19,7 +19,7 @@ PAGE = Path("docs") / "speed.md"
 FULL = "speed_full.md"
 FIRST, LAST = "<!-- measured -->", "<!-- end of what was measured -->"
 COLUMNS = ("pgm", "filterpy", "stonesoup", "dynamax", "cuthbert", "gtsam", "pyagrum", "pgmpy")
-FAMILIES = ("repository", "sets", "reading")  # rows of many networks
+FAMILIES = ("repository", "cold", "sets", "reading")  # rows of many networks
 HEAD = ("row", "unit", *COLUMNS)
 
 

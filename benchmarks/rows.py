@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from benchmarks import agreement, cliffs
 from benchmarks.row import Prepare, Row, part
+from benchmarks.timing import least
 from benchmarks.work import repository, robots, tables, targets
 
 SHORT = {"taylor": "ekf", "unscented": "ukf"}
@@ -163,6 +164,24 @@ def new_evidence(name: str) -> Row:
     )
 
 
+def cold_start(name: str) -> Row:
+    """A network just read: compiled, asked for the first time, all marginals."""
+    return Row(
+        name=f"cold_{name}",
+        unit="network",
+        work=lambda size: repository.several(name, 1)[0],
+        contenders={
+            "pgm": part("pgm_cold", "marginals"),
+            "pyagrum": part("pyagrum_cold", "marginals", "lazy_propagation"),
+            "pyagrum_shafer_shenoy": part("pyagrum_cold", "marginals", "shafer_shenoy"),
+        },
+        check=agreement.marginals,
+        size=1,
+        quick=int(name in (*QUICK, "andes")),
+        timed=least,
+    )
+
+
 def many_sets(name: str) -> Row:
     """A thousand sets of evidence at once, other leaves in each, and all marginals."""
     return Row(
@@ -208,6 +227,6 @@ ROWS = [
     *cliffs.ROWS,
     discrete("asia", tables.medical()),
     discrete("random_200", tables.random()),
-    *(make(name) for make in (new_evidence, many_sets) for name in repository.NAMES),
+    *(make(name) for make in (new_evidence, cold_start, many_sets) for name in repository.NAMES),
     *(reading(name) for name in (*repository.NAMES, *repository.LARGE)),
 ]

@@ -29,11 +29,15 @@ class Contender:
         How many units of work a call does.
     compiling : float
         Seconds that the first call took longer than the next, where something is compiled.
+    fresh : callable, optional
+        Makes anew what each timed call is handed, and that nothing may have been kept of; its own
+        time does not count.
     """
 
-    call: Callable[[], Any]
+    call: Callable[..., Any]
     units: int
     compiling: float | None = None
+    fresh: Callable[[], Any] | None = None
 
 
 def compiled(call: Callable[[], Any], units: int) -> Contender:
@@ -42,15 +46,18 @@ def compiled(call: Callable[[], Any], units: int) -> Contender:
     return Contender(call, units, first - later)
 
 
-def seconds(call: Callable[[], object], times: int = 1) -> float:
-    """Time of a call, the mean of several.
+def seconds(
+    call: Callable[..., object], times: int = 1, fresh: Callable[[], Any] | None = None
+) -> float:
+    """Time of a call, the mean of several, each with what `fresh` makes for it.
 
     It is that of the processor, of all threads of this process: with one thread on an idle machine
     it is the time on the wall, and on a busy one it leaves out what other processes take.
     """
+    given = [(fresh(),) if fresh else () for _ in range(times)]
     begin = time.process_time()
-    for _ in range(times):
-        call()
+    for arguments in given:
+        call(*arguments)
     return (time.process_time() - begin) / times
 
 
@@ -72,10 +79,11 @@ def turns(contenders: Mapping[Key, Contender], repeats: int) -> dict[Key, list[f
     gc.freeze()  # what one library leaves about is not searched on another's account
     for _ in range(repeats):
         for key, contender in contenders.items():
-            times[key].append(seconds(contender.call, calls[key]) / contender.units)
+            spent = seconds(contender.call, calls[key], contender.fresh)
+            times[key].append(spent / contender.units)
     gc.unfreeze()
     return times
 
 
 def _calls(contender: Contender) -> int:
-    return max(1, math.ceil(SHORTEST / max(seconds(contender.call), 1e-6)))
+    return max(1, math.ceil(SHORTEST / max(seconds(contender.call, 1, contender.fresh), 1e-6)))

@@ -29,6 +29,9 @@ CHEAPER = (  # row, peer, how many times our cost may be the peer's
     ("online_taylor", "filterpy", 1.3),
     ("online_unscented", "filterpy", 0.6),
 )
+COLD = [
+    f"cold_{name}" for name in repository.NAMES
+]  # rows in which no engine of pyAgrum may be faster
 WITHIN = (  # row, how many milliseconds it may take
     ("reading_alarm", 20.0),
     ("reading_andes", 150.0),
@@ -79,6 +82,12 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
         times = summary.get(row, {})
         if peer in times:
             yield Verdict(f"{row}: pgm / {peer}", times["pgm"] / times[peer], asked, False)
+    for row in COLD:
+        times = summary.get(row, {})
+        engines = [value for library, value in times.items() if library.startswith("pyagrum")]
+        if engines:
+            ratio = times["pgm"] / min(engines)
+            yield Verdict(f"{row}: pgm / pyagrum's faster engine", ratio, 1.0, False)
     for row, asked in WITHIN:
         if "pgm" in summary.get(row, {}):
             yield Verdict(f"{row}: milliseconds", 1e3 * summary[row]["pgm"], asked, False)

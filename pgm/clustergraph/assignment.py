@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from heapq import heappop, heappush
 
 from pgm.clustergraph.checks import Edge
-from pgm.clustergraph.size import size
-from pgm.cpds import CPD
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope, listed
+from pgm.factors.scope import Scope
 from pgm.variables import Variable
 
 
@@ -23,31 +21,30 @@ def holding(scopes: Sequence[Scope]) -> dict[Variable, list[int]]:
     return holders
 
 
-def assign(cpds: Iterable[CPD], scopes: Sequence[Scope]) -> list[tuple[CPD, ...]]:
-    """Each CPD to the smallest cluster that holds its family, the first of equals.
+def assign(
+    families: Sequence[tuple[int, ...]], members: Sequence[tuple[int, ...]], sizes: Sequence[int]
+) -> list[int]:
+    """The smallest cluster that holds each family, the first of equals; −1, where none does.
 
-    Raises
-    ------
-    GraphError
-        If no cluster does, naming the CPD.
+    Parameters
+    ----------
+    families, members : sequence of tuple of int
+        Variables of each family and of each cluster, by place.
+    sizes : sequence of int
+        Of the clusters.
     """
-    holders = holding(scopes)
-    sizes = [size(scope) for scope in scopes]
-    members = [set(scope) for scope in scopes]
-    inside: list[list[CPD]] = [[] for _ in scopes]
-    for cpd in cpds:
-        family = cpd.scope
-        rarest = min((holders[variable] for variable in family), key=len)
-        fits = [k for k in rarest if members[k].issuperset(family)]
-        if not fits:
-            raise GraphError(
-                f"family preservation fails: no cluster holds the family ({listed(family)}) of "
-                f"the CPD of {cpd.child!r}; add a cluster that does",
-                variable=cpd.child,
-                cpd=cpd,
-            )
-        inside[min(fits, key=lambda k: (sizes[k], k))].append(cpd)
-    return [tuple(found) for found in inside]
+    holders: dict[int, set[int]] = {}
+    for k, held in enumerate(members):
+        for place in held:
+            if place in holders:
+                holders[place].add(k)
+            else:
+                holders[place] = {k}
+    homes, nowhere = list[int](), set[int]()
+    for family in families:
+        fits = set.intersection(*[holders.get(place, nowhere) for place in family])
+        homes.append(min(sorted(fits), key=sizes.__getitem__, default=-1))
+    return homes
 
 
 def spanning_tree(scopes: Sequence[Scope]) -> dict[Edge, Scope]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain, repeat
@@ -19,14 +20,15 @@ from pgm.clustergraph.checks import (
     is_forest,
 )
 from pgm.clustergraph.cluster import Cluster
-from pgm.clustergraph.size import amount, is_discrete, work
+from pgm.clustergraph.size import amount, extent, is_discrete, work
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope, as_scope
+from pgm.factors.scope import Scope, as_scope, listed
 from pgm.immutable import Immutable
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
 T = TypeVar("T")
+Places = tuple[int, ...]
 
 # Plans that a graph keeps: one for each set of observed variables that is asked about in turn.
 PLANS_KEPT = 32
@@ -62,8 +64,11 @@ class ClusterGraph(Immutable):
     """
 
     network: BayesianNetwork
-    _clusters: tuple[Cluster, ...]
-    _sepsets: Mapping[Edge, Scope]
+    # Variables by their place in the network, in its order: of clusters, of sepsets.
+    _members: Sequence[Places]
+    _shared: Mapping[Edge, Places]
+    # Of each cluster, the places of its CPDs in the network.
+    _assigned: Sequence[Sequence[int]]
 
     def __init__(
         self,
@@ -73,9 +78,9 @@ class ClusterGraph(Immutable):
     ) -> None:
         if not isinstance(network, BayesianNetwork):
             raise GraphError(f"a cluster graph is of a BayesianNetwork, not of {network!r}")
-        place = {variable: k for k, variable in enumerate(network.variables)}
+        place = network._places
 
-        def scope(members: Iterable[Variable], where: str) -> Scope:
+        def places(members: Iterable[Variable], where: str) -> Places:
             """In the network's order, since sets have none of their own."""
             items = (members,) if isinstance(members, Variable | str) else as_tuple(members)
             if items is None:
@@ -87,18 +92,19 @@ class ClusterGraph(Immutable):
                         f"{where} holds {variable!r}, which the network does not have",
                         variable=variable,
                     )
-            return tuple(sorted(found, key=place.__getitem__))
+            return tuple(sorted(map(place.__getitem__, found)))
 
         given = as_tuple(clusters)
         if given is None:
             raise GraphError(f"clusters is a sequence of sets of variables, not {clusters!r}")
-        scopes = [scope(members, f"cluster {k}") for k, members in enumerate(given)]
+        scopes = [places(members, f"cluster {k}") for k, members in enumerate(given)]
         if () in scopes:
             empty = scopes.index(())
             raise GraphError(f"cluster {empty} is empty; leave it out", cluster=empty)
-        cpds = assign(network.cpds, scopes)
+        self._assign(network, scopes)
         if sepsets is None:
-            joined = spanning_tree(scopes)
+            named = spanning_tree([self._named(members) for members in scopes])
+            joined = {edge: tuple(map(place.__getitem__, shared)) for edge, shared in named.items()}
         else:
             if not isinstance(sepsets, Mapping):
                 raise GraphError(
@@ -109,14 +115,71 @@ class ClusterGraph(Immutable):
                 i, j = _edge(edge, len(scopes))
                 if (i, j) in joined:
                     raise GraphError(f"clusters {i} and {j} are given two sepsets", cluster=i)
-                joined[i, j] = scope(members, f"the sepset between clusters {i} and {j}")
-        check_running_intersection(scopes, joined)
-        made = (
-            Cluster(k, members, inside, tuple(cpd.scope for cpd in inside))
-            for k, (members, inside) in enumerate(zip(scopes, cpds, strict=True))
-        )
-        ordered = {edge: joined[edge] for edge in sorted(joined)}
-        self._set(network=network, _clusters=tuple(made), _sepsets=MappingProxyType(ordered))
+                joined[i, j] = places(members, f"the sepset between clusters {i} and {j}")
+        self._set(_shared=joined)
+        check_running_intersection([cluster.scope for cluster in self.clusters], self.sepsets)
+
+    @classmethod
+    def _tree(
+        cls, network: BayesianNetwork, members: Iterable[set[int]], joined: Mapping[Edge, set[int]]
+    ) -> ClusterGraph:
+        """A graph without loops that has running intersection by its making: it is not checked.
+
+        Parameters
+        ----------
+        network : BayesianNetwork
+        members : iterable of set of int
+            The variables of each cluster, by place.
+        joined : mapping of (int, int) to set of int
+            Sepsets.
+        """
+        graph = cls.__new__(cls)
+        graph._assign(network, [tuple(sorted(held)) for held in members])
+        sepsets = {edge: tuple(sorted(shared)) for edge, shared in joined.items()}
+        graph._set(_shared=sepsets, is_tree=True)
+        return graph
+
+    def _assign(self, network: BayesianNetwork, members: Sequence[Places]) -> None:
+        """Set the clusters, each CPD in the smallest that holds its family.
+
+        Raises
+        ------
+        GraphError
+            If none does.
+        """
+        extents = list(map(extent, network.variables))
+        combine = math.prod if network.discrete else sum
+        sizes = tuple([combine([extents[place] for place in held]) for held in members])
+        assigned: list[list[int]] = [[] for _ in members]
+        for number, home in enumerate(assign(network._families, members, sizes)):
+            if home < 0:
+                cpd = network.cpds[number]
+                raise GraphError(
+                    f"family preservation fails: no cluster holds the family "
+                    f"({listed(cpd.scope)}) of the CPD of {cpd.child!r}; add a cluster that does",
+                    variable=cpd.child,
+                    cpd=cpd,
+                )
+            assigned[home].append(number)
+        self._set(network=network, _members=members, _assigned=assigned, sizes=sizes)
+
+    def _named(self, places: Places) -> Scope:
+        return tuple([self.network.variables[place] for place in places])
+
+    # Made on request: nothing of the numbers' work needs them.
+    @cached_property
+    def _clusters(self) -> tuple[Cluster, ...]:
+        found = []
+        for index, (members, numbers) in enumerate(zip(self._members, self._assigned, strict=True)):
+            inside = tuple(self.network.cpds[number] for number in numbers)
+            families = tuple(self._named(self.network._families[number]) for number in numbers)
+            found.append(Cluster(index, self._named(members), inside, families))
+        return tuple(found)
+
+    @cached_property
+    def _sepsets(self) -> Mapping[Edge, Scope]:
+        edges = sorted(self._shared)
+        return MappingProxyType({edge: self._named(self._shared[edge]) for edge in edges})
 
     @property
     def clusters(self) -> Sequence[Cluster]:
@@ -130,8 +193,8 @@ class ClusterGraph(Immutable):
 
     @cached_property
     def _neighbours(self) -> tuple[tuple[int, ...], ...]:
-        lists: list[list[int]] = [[] for _ in self._clusters]
-        for i, j in self._sepsets:
+        lists: list[list[int]] = [[] for _ in self._members]
+        for i, j in self._shared:
             lists[i].append(j)
             lists[j].append(i)
         return tuple(tuple(sorted(found)) for found in lists)
@@ -177,7 +240,7 @@ class ClusterGraph(Immutable):
 
         The least width of a network's junction trees is its treewidth.
         """
-        return max(len(cluster.scope) for cluster, _ in self._alike) - 1
+        return max(map(len, self._members)) - 1
 
     @cached_property
     def cost(self) -> int:
@@ -207,9 +270,9 @@ class ClusterGraph(Immutable):
             If there is none of the index, or the cluster is another graph's.
         """
         found = cluster.index if isinstance(cluster, Cluster) else cluster
-        if not is_whole(found) or not 0 <= found < len(self.clusters):
+        if not is_whole(found) or not 0 <= found < self._count:
             raise GraphError(
-                f"there is no cluster {cluster!r}; clusters are 0..{len(self.clusters) - 1}",
+                f"there is no cluster {cluster!r}; clusters are 0..{self._count - 1}",
                 cluster=cluster,
             )
         if isinstance(cluster, Cluster) and (own := self.clusters[found]) != cluster:
@@ -283,8 +346,12 @@ class ClusterGraph(Immutable):
     def __iter__(self) -> Iterator[Cluster]:
         return iter(self.clusters)
 
+    @property
+    def _count(self) -> int:
+        return len(self._members)
+
     def __len__(self) -> int:
-        return len(self.clusters)
+        return self._count
 
     def __repr__(self) -> str:
         unit = "table entries" if is_discrete(self._clusters[0].scope) else "components"

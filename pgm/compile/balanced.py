@@ -116,7 +116,8 @@ class BalancedGraph(DynamicGraph):
         return (0, *below) if index == self.root and self.steps else below
 
     def cluster(self, index: int) -> Cluster:
-        """The `Cluster` of an index from 0 to ``len(graph) - 1``, which is not checked."""
+        """The `Cluster` of an index from 0 to ``len(graph) - 1``; GraphError of others."""
+        index = self.index(index)
         if index <= self.steps:
             return super().cluster(index)
         first, last = self._segment(index)

@@ -13,6 +13,8 @@ from pgm.errors import GraphError, ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.sizes import require_memory
 
+TREE = JunctionTree()
+
 
 class Method(Protocol):
     """A method that makes a cluster graph of a network without time."""
@@ -87,7 +89,7 @@ def compile(
     if steps is not None:
         raise GraphError(f"{model!r} has no time, so it is not compiled for steps; leave out steps")
     if method is None:
-        method = JunctionTree()
+        return TREE(model)
     if isinstance(method, Balanced):
         raise GraphError(
             f"{method!r} dissects the chain of a dynamic network, and {model!r} has no time; give "

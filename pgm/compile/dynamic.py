@@ -61,8 +61,14 @@ class DynamicGraph(ClusterGraph, ABC):
         """Whether it has no loops: it has none."""
         return True
 
+    @property
+    def width(self) -> int:
+        """The largest number of variables in a cluster, less one."""
+        return max(len(cluster.scope) for cluster, _ in self._alike) - 1
+
     def cluster(self, index: int) -> Cluster:
-        """The `Cluster` of an index from 0 to ``len(graph) - 1``, which is not checked."""
+        """The `Cluster` of an index from 0 to ``len(graph) - 1``; GraphError of others."""
+        index = self.index(index)
         cpds = self.model.cpds_at(index)
         families = tuple(tuple(v.at(index) for v in cpd.scope) for cpd in cpds)
         hidden = self.layout.pair if index else self.layout.states

@@ -6,7 +6,7 @@ its neighbours to each other; the edges that this adds are its *fill*.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 
@@ -17,10 +17,8 @@ Adjacency = Sequence[set[int]]
 
 def moral(network: BayesianNetwork) -> list[set[int]]:
     """The moral graph: every family is a clique; vertices are places in `network.variables`."""
-    place = {variable: k for k, variable in enumerate(network.variables)}
-    adjacent: list[set[int]] = [set() for _ in place]
-    for cpd in network.cpds:
-        family = [place[variable] for variable in cpd.scope]
+    adjacent: list[set[int]] = [set() for _ in network.variables]
+    for family in network._families:
         for vertex in family:
             adjacent[vertex].update(family)
     for vertex, near in enumerate(adjacent):
@@ -44,17 +42,29 @@ class Filling:
     def __init__(self, adjacent: Adjacency, weights: Sequence[int]) -> None:
         self.adjacent = [set(near) for near in adjacent]
         self.weights = weights
+        self._weight: Callable[[Collection[int]], int] = len if set(weights) == {1} else self._sum
         self._around = [self._weight(near) for near in adjacent]
         # Vertices of one closed neighbourhood have one fill: a family of a thousand costs little.
         known: dict[frozenset[int], int] = {}
         self.fill: list[int] = []
         for vertex, near in enumerate(adjacent):
+            if len(near) < 2:
+                self.fill.append(0)
+                continue
             closed = frozenset((vertex, *near))
             if closed not in known:
                 known[closed] = self._apart(closed)
             self.fill.append(known[closed])
 
-    def _weight(self, vertices: Iterable[int]) -> int:
+    def copy(self) -> Filling:
+        """A copy, to be eliminated while this one stays as it is."""
+        twin = Filling.__new__(Filling)
+        twin.adjacent, twin.weights = [set(near) for near in self.adjacent], self.weights
+        twin._weight = len if self._weight is len else twin._sum
+        twin._around, twin.fill = list(self._around), list(self.fill)
+        return twin
+
+    def _sum(self, vertices: Iterable[int]) -> int:
         return sum(map(self.weights.__getitem__, vertices))
 
     def _apart(self, vertices: frozenset[int]) -> int:
@@ -62,8 +72,10 @@ class Filling:
         total = self._weight(vertices)
         twice = 0
         for vertex in vertices:
-            joined = self._weight(vertices & self.adjacent[vertex])
-            twice += self.weights[vertex] * (total - self.weights[vertex] - joined)
+            joined = vertices & self.adjacent[vertex]
+            if len(joined) < len(vertices) - 1:
+                weight = self.weights[vertex]
+                twice += weight * (total - weight - self._weight(joined))
         return twice // 2
 
     def eliminate(self, vertex: int) -> set[int]:
@@ -124,7 +136,7 @@ def min_fill(
 
 
 def fill_order(
-    graph: Filling, stages: Sequence[int], noise: Callable[[], float] | None = None
+    graph: Filling, stages: Sequence[int], noise: Sequence[float] | None = None
 ) -> Iterator[int]:
     """Vertices in the order of `min_fill`, each while its neighbours are still there.
 
@@ -134,13 +146,15 @@ def fill_order(
         It is used up.
     stages : sequence of int
         See `min_fill`.
-    noise : callable, optional
-        Draws what the fill of a vertex is multiplied by, each time that it changes.
+    noise : sequence of float, optional
+        A factor of each vertex, by which its fill is multiplied.
     """
-    draw = noise or (lambda: 1)
+    factors: Sequence[float] = noise or [1] * len(graph.fill)
     queued = list(graph.fill)
     # Entries that a change of fill made out of date stay until they come up.
-    heap = [(stages[vertex], fill * draw(), vertex, fill) for vertex, fill in enumerate(queued)]
+    heap = [
+        (stages[vertex], fill * factors[vertex], vertex, fill) for vertex, fill in enumerate(queued)
+    ]
     heapify(heap)
     left = [True] * len(queued)
     while heap:
@@ -153,7 +167,7 @@ def fill_order(
             fill = graph.fill[other]
             if fill != queued[other]:
                 queued[other] = fill
-                heappush(heap, (stages[other], fill * draw(), other, fill))
+                heappush(heap, (stages[other], fill * factors[other], other, fill))
 
 
 @dataclass(frozen=True)
@@ -194,19 +208,22 @@ def clique_tree(adjacent: Adjacency, order: Sequence[int]) -> CliqueTree:
     tree = CliqueTree([], {})
     for vertex in order:
         reach = later[vertex]
-        inside = (child for child in hanging[vertex] if len(later[child]) == len(reach) + 1)
-        child = next(inside, None)
-        if child is None:
-            home[vertex] = len(tree.cliques)
-            tree.cliques.append({vertex} | reach)
-        else:
-            home[vertex] = home[child]
+        own = -1
         for child in hanging[vertex]:
-            if home[child] != home[vertex]:
-                i, j = sorted((home[child], home[vertex]))
-                tree.sepsets[i, j] = later[child]
+            if len(later[child]) == len(reach) + 1:
+                own = home[child]
+                break
+        if own < 0:
+            own = len(tree.cliques)
+            tree.cliques.append({vertex, *reach})
+        home[vertex] = own
+        for child in hanging[vertex]:
+            other = home[child]
+            if other != own:
+                tree.sepsets[(other, own) if other < own else (own, other)] = later[child]
         if reach:
             parent = min(reach, key=position.__getitem__)
             hanging[parent].append(vertex)
-            later[parent] |= reach - {parent}
+            later[parent] |= reach
+            later[parent].discard(parent)
     return tree

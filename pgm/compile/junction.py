@@ -76,8 +76,9 @@ class JunctionTree:
         GraphError
             If the order is not of the variables of the network, each once.
         """
-        tree = clique_tree(moral(network), places(self.order, network))
-        return graph_of(network, tree.cliques, tree.sepsets)
+        adjacent = moral(network)
+        tree = clique_tree(adjacent, places(self.order, network, adjacent))
+        return ClusterGraph._tree(network, tree.cliques, tree.sepsets)
 
 
 def graph_of(
@@ -169,9 +170,8 @@ class JoinGraph:
                 cpd=largest,
             )
         variables = network.variables
-        order = places(self.order, network)
-        place = {variable: k for k, variable in enumerate(variables)}
-        families = [{place[variable] for variable in cpd.scope} for cpd in network.cpds]
+        order = places(self.order, network, moral(network))
+        families = list(map(set, network._families))
 
         def fits(members: set[int]) -> bool:
             return size(tuple(variables[k] for k in members)) <= self.max_size

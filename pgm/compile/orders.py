@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-import math
-import random
-from collections.abc import Callable, Iterable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import chain, cycle, islice
 from typing import Protocol
 
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph.size import extent
-from pgm.compile.elimination import Adjacency, Filling, clique_tree, fill_order, min_fill, moral
+from pgm.compile.elimination import Adjacency, min_fill, moral
+from pgm.compile.search import cheapest
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
-
-# A fill is multiplied by E**SPREAD, where E is exponential with mean one: so a vertex is the next
-# with a probability in proportion to its fill to the power of −1/SPREAD.
-SPREAD = 0.2
-# Table entries of the cheapest order, for each try and vertex. A pass of messages computes about a
-# thousand in the time that a try takes for a vertex: the search takes as long as some thirty.
-ENTRIES = 30
-# Vertices of a network, above which there are fewer tries, so that all of them take no longer.
-VERTICES = 160
-# Table entries that no search brings down to what fits in memory.
-HOPELESS = 2**33
 
 
 class Order(Protocol):
@@ -37,14 +25,8 @@ class Order(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class MinFill:
-    """Next is the variable whose elimination adds the fewest edges, the first of equals.
-
-    References
-    ----------
-    Koller and Friedman (2009), Probabilistic Graphical Models, section 9.4.3.
-    """
+class Rule(ABC):
+    """An order that is found in the moral graph."""
 
     def __call__(self, network: BayesianNetwork) -> Scope:
         """The variables of a network in this order.
@@ -58,11 +40,29 @@ class MinFill:
         tuple of Variable
             Each once, the first to be eliminated first.
         """
-        return _named(network, min_fill(moral(network), [1] * len(network.variables)))
+        found = self._places(network, moral(network))
+        return tuple(network.variables[k] for k in found)
+
+    @abstractmethod
+    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+        """The order as places in `network.variables`, given the moral graph."""
 
 
 @dataclass(frozen=True)
-class WeightedMinFill:
+class MinFill(Rule):
+    """Next is the variable whose elimination adds the fewest edges, the first of equals.
+
+    References
+    ----------
+    Koller and Friedman (2009), Probabilistic Graphical Models, section 9.4.3.
+    """
+
+    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+        return min_fill(adjacent, [1] * len(adjacent))
+
+
+@dataclass(frozen=True)
+class WeightedMinFill(Rule):
     """Next is the variable whose elimination adds edges of the least weight, the first of equals.
 
     An edge weighs the product of its two variables' numbers of states, or of components if they
@@ -73,31 +73,20 @@ class WeightedMinFill:
     Koller and Friedman (2009), Probabilistic Graphical Models, section 9.4.3.
     """
 
-    def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        tuple of Variable
-            Each once, the first to be eliminated first.
-        """
-        return _named(network, min_fill(moral(network), _weights(network)))
+    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+        return min_fill(adjacent, _weights(network))
 
 
 @dataclass(frozen=True)
-class StochasticMinFill:
+class StochasticMinFill(Rule):
     """The order of `MinFill`, or the cheapest of many that are drawn, if that is cheaper.
 
     Of a discrete network whose tables are large, there are tries with other weights, then with
-    fills that are multiplied by random numbers near one, and the order whose tables have the
-    fewest entries is taken, the same each time. The search takes no longer than some thirty passes
-    of messages over the tables, and with 200 tries less than a second. Where a try would cost more
-    than it could spare, where nothing would make the tables fit in memory, and of a continuous
-    network there is none.
+    fills of each variable that are multiplied by a random number near one, and the order whose
+    tables have the fewest entries is taken, the same each time. The search takes about as long as
+    two first passes of messages over the tables, and with 200 tries less than a second. Where a try
+    would cost more than it could spare, where nothing would make the tables fit in memory, and of a
+    continuous network there is none.
 
     Parameters
     ----------
@@ -127,25 +116,14 @@ class StochasticMinFill:
                     f"StochasticMinFill takes a whole number of {name}, 0 or more, not {given!r}"
                 )
 
-    def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        tuple of Variable
-            Each once, the first to be eliminated first.
-        """
+    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
         if not network.discrete:
-            return MinFill()(network)
-        return _named(network, cheapest(moral(network), _weights(network), self.tries, self.seed))
+            return MinFill()._places(network, adjacent)
+        return cheapest(adjacent, _weights(network), self.tries, self.seed)
 
 
 @dataclass(frozen=True)
-class NestedDissection:
+class NestedDissection(Rule):
     """Last is a small set of variables that parts the network into halves; so in each half.
 
     The set is the smallest middle level of a breadth-first search from the edge of the network.
@@ -178,30 +156,29 @@ class NestedDissection:
                 f"1 or more, not {self.small!r}"
             )
 
-    def __call__(self, network: BayesianNetwork) -> Scope:
-        """The variables of a network in this order.
-
-        Parameters
-        ----------
-        network : BayesianNetwork
-
-        Returns
-        -------
-        tuple of Variable
-            Each once, the first to be eliminated first.
-        """
-        graph = moral(network)
-        return _named(network, min_fill(graph, _weights(network), dissect(graph, self.small)))
+    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+        return min_fill(adjacent, _weights(network), dissect(adjacent, self.small))
 
 
-def places(order: Order | Iterable[Variable], network: BayesianNetwork) -> list[int]:
+def places(
+    order: Order | Iterable[Variable], network: BayesianNetwork, adjacent: Adjacency
+) -> list[int]:
     """An elimination order as places in `network.variables`.
+
+    Parameters
+    ----------
+    order : Order or iterable of Variable
+    network : BayesianNetwork
+    adjacent : sequence of set of int
+        Its moral graph.
 
     Raises
     ------
     GraphError
         If it is not of the variables of the network, each once.
     """
+    if isinstance(order, Rule):
+        return order._places(network, adjacent)
     given = order(network) if callable(order) else order
     found = None if is_unordered(given) else as_tuple(given)
     if found is None:
@@ -209,7 +186,7 @@ def places(order: Order | Iterable[Variable], network: BayesianNetwork) -> list[
             f"the elimination order {order!r} returned {given!r} where the network's variables "
             "were due, each once"
         )
-    place = {variable: k for k, variable in enumerate(network.variables)}
+    place = network._places
     strangers = [v for v in found if not isinstance(v, Variable) or v not in place]
     if strangers:
         raise GraphError(
@@ -230,76 +207,8 @@ def places(order: Order | Iterable[Variable], network: BayesianNetwork) -> list[
     return order_
 
 
-def _named(network: BayesianNetwork, order: Iterable[int]) -> Scope:
-    return tuple(network.variables[k] for k in order)
-
-
 def _weights(network: BayesianNetwork) -> list[int]:
-    return [extent(variable) for variable in network.variables]
-
-
-def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -> list[int]:
-    """The order of min-fill, or one that was drawn and whose cliques have fewer entries.
-
-    There is a try for each `ENTRIES` entries and vertex of the cheapest order so far, but no more
-    than `tries`, of large networks fewer, and none without hope.
-
-    Parameters
-    ----------
-    adjacent : sequence of set of int
-    sizes : sequence of int
-        Numbers of states.
-    tries, seed : int
-    """
-    weightings = [1] * len(sizes), sizes, [round(8 * math.log(size)) for size in sizes]
-    draw = random.Random(seed)
-
-    def noise() -> float:
-        return math.pow(draw.expovariate(1.0), SPREAD)
-
-    best = min_fill(adjacent, weightings[0])
-    least = _entries(adjacent, best, sizes)
-    if least > HOPELESS:
-        return best
-    tries = min(tries, tries * VERTICES // len(sizes))
-    plain = ((weights, None) for weights in weightings[1:])
-    drawn = ((weights, noise) for weights in cycle(weightings))
-    for count, (weights, chance) in enumerate(islice(chain(plain, drawn), tries)):
-        if (count + 1) * ENTRIES * len(sizes) > least:
-            break
-        found = _try(adjacent, sizes, weights, chance, 2 * least)
-        if found and (entries := _entries(adjacent, found, sizes)) < least:
-            best, least = found, entries
-    return best
-
-
-def _try(
-    adjacent: Adjacency,
-    sizes: Sequence[int],
-    weights: Sequence[int],
-    noise: Callable[[], float] | None,
-    bound: int,
-) -> list[int]:
-    """An order, or none as soon as it is seen to be dearer.
-
-    Cliques that lie inside another are counted too, each with at most half the entries of one that
-    it lies in: all have twice those of the maximal ones at the most.
-    """
-    graph = Filling(adjacent, weights)
-    order = []
-    entries = 0
-    for vertex in fill_order(graph, [0] * len(sizes), noise):
-        entries += math.prod(map(sizes.__getitem__, (vertex, *graph.adjacent[vertex])))
-        if entries > bound:
-            return []
-        order.append(vertex)
-    return order
-
-
-def _entries(adjacent: Adjacency, order: Sequence[int], sizes: Sequence[int]) -> int:
-    """The table entries of the maximal cliques."""
-    cliques = clique_tree(adjacent, order).cliques
-    return sum(math.prod(map(sizes.__getitem__, clique)) for clique in cliques)
+    return list(map(extent, network.variables))
 
 
 def dissect(adjacent: Adjacency, small: int) -> list[int]:

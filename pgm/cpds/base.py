@@ -81,7 +81,8 @@ class CPD(Immutable):
     @property
     def parents(self) -> Scope:
         """All parents: those of the mean, then those of the noise alone."""
-        return self.given + tuple(v for v in self.noise_given if v not in self.given)
+        noise = self.noise_given
+        return self.given + tuple(v for v in noise if v not in self.given) if noise else self.given
 
     @property
     def scope(self) -> Scope:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,7 +51,7 @@ def bind_discrete(variables: Iterable[Variable], evidence: Mapping[Any, Any]) ->
     Parameters
     ----------
     variables : iterable of Discrete
-        Those of the network; a frozenset spares making one.
+        Those of the network; a set spares making one.
     evidence : mapping of Discrete
         The name or index of a state, an array of names or indices (...), with −1 for "not
         observed in this run", or `soft` weights (..., size). Leading axes are runs.
@@ -62,7 +62,7 @@ def bind_discrete(variables: Iterable[Variable], evidence: Mapping[Any, Any]) ->
         If a variable or a state is unknown, an index is no whole number, weights are negative,
         not finite or all zero, or the runs do not broadcast or are none.
     """
-    known = variables if isinstance(variables, frozenset) else frozenset(variables)
+    known = variables if isinstance(variables, Set) else frozenset(variables)
     states: dict[Discrete, int | Integers] = {}
     stacked: dict[Discrete, Integers] = {}
     weighted: dict[Discrete, Array] = {}

@@ -164,7 +164,7 @@ class _Binder:
         self.sensors = {cpd.child: cpd for cpd in observation}
         self._check_known((*transition, *observation))
         self.arrays = {
-            variable: _as_rows(variable, value, "T")
+            variable: rows_of(variable, value, "T")
             for variable, value in evidence.items()
             if not isinstance(value, (Constant, Sightings))
         }
@@ -195,8 +195,7 @@ class _Binder:
             if variable.template in self.hidden:
                 raise EvidenceError(
                     f"evidence for {variable!r}, which is hidden since a CPD of the transition "
-                    "has it as its child; declare a sensor of it "
-                    f"(LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, ...))",
+                    f"has it as its child; declare a sensor of it ({_sensor_of(variable)})",
                     variable=variable,
                 )
             if variable.step is not None and variable.template in known:
@@ -268,7 +267,7 @@ class _Binder:
             given, count = value.given, None
             rows: Rows | None = None
             if value.values is not None:
-                rows = _as_rows(sensor, value.values, "M")
+                rows = rows_of(sensor, value.values, "M")
                 count = rows.shape[-2]
             step = as_steps(sensor, value.step, count, self.steps)
         else:
@@ -334,7 +333,7 @@ class _Binder:
                 row = _constant_row(variable, value)[..., None, :]
                 rows = np.broadcast_to(row, (*row.shape[:-2], step.size, row.shape[-1]))
             elif variable in given:
-                rows = _as_rows(variable, value, "M")
+                rows = rows_of(variable, value, "M")
                 if rows.shape[-2] != step.size:
                     raise EvidenceError(
                         f"sightings of {cpd.child!r}: {step.size} measurements with "
@@ -362,12 +361,19 @@ class _Binder:
         return inputs
 
 
+def _sensor_of(variable: Variable) -> str:
+    """The CPD of a sensor that reads a variable."""
+    if isinstance(variable, Discrete):
+        return f"TableCPD(reading, given={variable.name}, table=...)"
+    return f"LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, ...)"
+
+
 def _constant_row(variable: Variable, value: Constant) -> Rows:
     """A constant's value, (..., d)."""
-    return _complete(variable, _as_rows(variable, value.value, None))
+    return _complete(variable, rows_of(variable, value.value, None))
 
 
-def _as_rows(variable: Variable, value: Any, axis: str | None) -> Rows:
+def rows_of(variable: Variable, value: Any, axis: str | None) -> Rows:
     """Evidence as an array (..., rows, d), or (..., d) where there is no axis of rows.
 
     Of a discrete variable d is one, the index of a state, or as many weights as there are states.

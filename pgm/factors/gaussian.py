@@ -216,7 +216,8 @@ class Gaussian(Immutable):
         Raises
         ------
         ModelError
-            If an index is no whole number, or there are more of them than axes of runs.
+            If an index is no whole number, there is no such run, or there are more indices than
+            axes of runs.
         """
         lead = self.mean.ndim - 1 - (self.steps is not None)
         if not all(map(is_whole, index)):
@@ -226,6 +227,9 @@ class Gaussian(Immutable):
             )
         if len(index) > lead:
             raise ModelError(f"{self!r} has {lead} axes of runs, not {len(index)}")
+        shape = self.mean.shape[: len(index)]
+        if not all(-size <= place < size for place, size in zip(index, shape, strict=True)):
+            raise ModelError(f"{self!r} has no run {index}; its axes of runs are {shape}")
         return self._make(self.scope, self.mean[index], self.cov[index], self.steps)
 
     def wrapped(self) -> Gaussian:

@@ -182,7 +182,7 @@ def infer(
             "records pgm.records(table, network) makes it"
         )
     require_lineariser(lineariser)
-    if type(schedule) is Loopy or not isinstance(schedule, Schedule | None):
+    if schedule is not None and (type(schedule) is Loopy or not isinstance(schedule, Schedule)):
         raise ModelError(
             f"{schedule!r} is no schedule; give one like pgm.Smoothing() or pgm.Flooding()"
         )
@@ -202,7 +202,7 @@ def infer(
             f"keep= and executor= are for the runs of dynamic networks, not for {graph!r}; to hold "
             "less at a time, give fewer runs to a call"
         )
-    if isinstance(schedule, Filtering | FixedLag):
+    if schedule is not None and isinstance(schedule, Filtering | FixedLag):
         raise GraphError(
             f"only a dynamic network is filtered, or smoothed by a lag; {graph!r} has no time, for "
             f"which {schedule!r} is: leave the schedule out for a tree, and on a graph with loops "

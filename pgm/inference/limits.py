@@ -114,7 +114,7 @@ def _advice(graph: ClusterGraph) -> str:
 
 def _require_axes(graph: ClusterGraph) -> None:
     # Of two states each, so many variables would be refused above: most of them have one.
-    if graph.width < AXES:
+    if len(graph.network.variables) <= AXES or graph.width < AXES:
         return
     for cluster in graph.clusters:
         scope = [v for v in cluster.scope if isinstance(v, Discrete)]

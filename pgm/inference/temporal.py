@@ -72,7 +72,10 @@ def _run_tables(
 ) -> StatePosterior:
     if start is not None:
         raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
-    if keep is not None or executor is not None:
-        name = "keep" if keep is not None else "executor"
-        raise ModelError(f"{name}= is for networks of Gaussian CPDs, and this one is of tables")
+    given = {"keep": keep, "executor": executor}
+    named = [name for name, value in given.items() if value is not None]
+    if lineariser != TAYLOR:
+        named.append("lineariser")
+    if named:
+        raise ModelError(f"{named[0]}= is for networks of Gaussian CPDs, and this one is of tables")
     return run_tables(graph, bound, schedule)

@@ -54,6 +54,8 @@ class Unscented(StatisticalRegression):
                 raise LinearisationError(
                     f"Unscented({name}={value!r}): {name} must be a finite number"
                 )
+        if self.alpha is not None and self.alpha < 0.0:
+            raise LinearisationError(f"Unscented(alpha={self.alpha!r}): alpha must be positive")
         if self.alpha is None and self.kappa != 0.0:
             raise LinearisationError(
                 f"Unscented(alpha=None, kappa={self.kappa}): without alpha λ is n − 1, and kappa "

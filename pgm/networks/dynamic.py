@@ -241,11 +241,7 @@ class DynamicBayesianNetwork(Immutable):
         >>> model.unroll(2)
         BayesianNetwork(p(x[0])  p(x[1] | x[0])  p(x[2] | x[1]))
         """
-        if not is_whole(steps) or steps < 0:
-            raise ModelError(
-                f"a dynamic network is unrolled to slices 0..T; give T, 0 or more, not {steps!r}"
-            )
-        self._require_memory(int(steps))
+        self._require_steps(steps)
         slices = range(int(steps) + 1)
         placed = [cpd.at(step) for step in slices for cpd in self.cpds_at(step)]
         if self.discrete:
@@ -271,7 +267,7 @@ class DynamicBayesianNetwork(Immutable):
         Raises
         ------
         ModelError
-            If the network would not fit into memory.
+            If the number of steps is no such number, or the network would not fit into memory.
         """
         kinds = {
             **dict.fromkeys(self.states, "state"),
@@ -279,7 +275,7 @@ class DynamicBayesianNetwork(Immutable):
             **dict.fromkeys(self.sensors, "sensor"),
             **dict.fromkeys(self.inputs, "input"),
         }
-        self._require_memory(int(steps))
+        self._require_steps(steps)
         graph = nx.DiGraph()
         for step in range(steps + 1):
             for cpd in self.cpds_at(step):
@@ -289,10 +285,14 @@ class DynamicBayesianNetwork(Immutable):
                 graph.add_edges_from((p.at(step), cpd.child.at(step)) for p in cpd.parents)
         return graph
 
-    def _require_memory(self, steps: int) -> None:
-        """Refuse more copies of the CPDs than memory holds."""
+    def _require_steps(self, steps: int) -> None:
+        """Refuse what is no last step, and more copies of the CPDs than memory holds."""
+        if not is_whole(steps) or steps < 0:
+            raise ModelError(
+                f"a dynamic network is unrolled to slices 0..T; give T, 0 or more, not {steps!r}"
+            )
         require_memory(
-            steps * len((*self.transition, *self.observation)) * _COPY,
+            int(steps) * len((*self.transition, *self.observation)) * _COPY,
             f"the CPDs of the slices 0..{steps}",
             "take fewer steps; pgm.filter and pgm.smooth hold one copy of each",
         )
@@ -309,7 +309,14 @@ class DynamicBayesianNetwork(Immutable):
         tuple of CPD
             At step 0 the prior and the sensors whose parents exist there; later the transition
             and all sensors.
+
+        Raises
+        ------
+        ModelError
+            If it is no whole number from 0.
         """
+        if not is_whole(step) or step < 0:
+            raise ModelError(f"steps are counted from 0 on; there is no step {step!r}")
         if step == 0:
             possible = set(self.states) | set(self.inputs)
             first = tuple(cpd for cpd in self.observation if set(cpd.parents) <= possible)

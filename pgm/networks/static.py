@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from itertools import combinations
 from types import MappingProxyType
 
@@ -104,6 +105,18 @@ class BayesianNetwork(Immutable):
             discrete=discrete,
             _by_child=MappingProxyType(by_child),
         )
+
+    # Graphs of the network are made and used by place: numbers are compared sooner than variables.
+    @cached_property
+    def _places(self) -> dict[Variable, int]:
+        """The place of each variable in `variables`, which is that of its CPD in `cpds`."""
+        return {variable: k for k, variable in enumerate(self.variables)}
+
+    @cached_property
+    def _families(self) -> Sequence[tuple[int, ...]]:
+        """The family of each CPD, child first, by place."""
+        place = self._places.__getitem__
+        return [tuple(map(place, (cpd.child, *cpd.parents))) for cpd in self.cpds]
 
     @property
     def lead(self) -> tuple[int, ...]:

@@ -13,12 +13,20 @@ from benchmarks.work import robots
 
 TINY = {"linear": 4, "map": 100, "online_taylor": 100}
 COMPILED = ("dynamax", "dynamax_sequential", "cuthbert")  # for seconds each
-QUICK = ("repository_asia", "repository_sachs", "sets_asia", "sets_alarm", "reading_asia")
+QUICK = (
+    "repository_asia",
+    "repository_sachs",
+    "cold_asia",
+    "cold_cancer",
+    "sets_asia",
+    "sets_alarm",
+    "reading_asia",
+)
 
 
 def slow(row, library):
     """Whether a row takes seconds: of networks, all but a few do, or are large."""
-    network = row.name.startswith(("repository_", "sets_", "reading_"))
+    network = row.name.startswith(("repository_", "cold_", "sets_", "reading_"))
     return library in COMPILED or (network and row.name not in QUICK)
 
 

@@ -2,18 +2,19 @@
 
 import itertools
 import math
+import random
 
 import networkx as nx
 import numpy as np
 import pytest
-from dags import chain, continuous, discrete, grid, networks, star, tree
+from dags import chain, continuous, discrete, grid, networks, random_parents, star, tree
 from hypothesis import given
 
 import pgm
 from pgm.compile import StochasticMinFill
-from pgm.compile import orders as module
-from pgm.compile.elimination import moral
+from pgm.compile.elimination import Filling, clique_tree, moral
 from pgm.compile.orders import dissect
+from pgm.compile.search import Core, Search, cheapest
 
 ORDERS = {
     "min-fill": pgm.MinFill(),
@@ -114,14 +115,57 @@ def test_a_search_finds_cheaper_orders_of_large_networks():
 
 def test_large_networks_are_searched_in_proportion_to_what_is_asked(monkeypatch):
     made = []
-    monkeypatch.setattr(module, "_try", lambda *given: made.append(given) or [])
+    monkeypatch.setattr(Search, "_try", lambda *given: made.append(given) or [])
     network = discrete(grid(14))
     counts = []
-    for tries in (20, 200, 2000):
+    for tries in (20, 100, 200):
         made.clear()
         StochasticMinFill(tries=tries)(network)
         counts.append(len(made))
-    assert counts == [20 * 160 // 196, 200 * 160 // 196, 2000 * 160 // 196]
+    assert counts == [20 * 160 // 196, 100 * 160 // 196, 200 * 160 // 196]
+
+
+def entries(adjacent, order, sizes):
+    """The table entries of the maximal cliques, by networkx."""
+    filled = nx.Graph((v, u) for v, near in enumerate(adjacent) for u in near)
+    filled.add_nodes_from(range(len(adjacent)))
+    left = filled.copy()
+    for vertex in order:
+        fill = list(itertools.combinations(list(left[vertex]), 2))
+        filled.add_edges_from(fill)
+        left.add_edges_from(fill)
+        left.remove_node(vertex)
+    return sum(math.prod(sizes[v] for v in clique) for clique in nx.find_cliques(filled))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_try_ends_where_its_maximal_cliques_have_more_entries_than_its_bound(seed):
+    rng = np.random.default_rng(seed)
+    adjacent = moral(continuous(random_parents(rng, 25)))
+    sizes = rng.integers(2, 4, 25).tolist()
+    core = Core.of(Filling(adjacent, [1] * 25), [], sizes)
+    for number in range(4):
+        tries = Search(core, random.Random(number)).tries()
+        order = next(tries)(10**12)
+        assert sorted(order) == list(range(25))
+        due = entries(adjacent, order, sizes)
+        assert next(Search(core, random.Random(number)).tries())(due) == order
+        assert next(Search(core, random.Random(number)).tries())(due - 1) == []
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_search_never_finds_a_dearer_order(seed):
+    rng = np.random.default_rng(seed)
+    network = discrete(random_parents(rng, 60, most=4), rng.integers(2, 5, 60).tolist())
+    adjacent = moral(network)
+    sizes = [v.size for v in network.variables]
+    order = cheapest(adjacent, sizes, 50, seed)
+    assert sorted(order) == list(range(60))
+    plain = entries(adjacent, cheapest(adjacent, sizes, 0, seed), sizes)
+    found = entries(adjacent, order, sizes)
+    assert found <= plain
+    cliques = clique_tree(adjacent, order).cliques
+    assert found == sum(math.prod(sizes[v] for v in clique) for clique in cliques)
 
 
 @pytest.mark.parametrize("network", [discrete(grid(6)), discrete(grid(24)), continuous(grid(14))])

@@ -178,3 +178,19 @@ def test_repr_tells_the_chain():
     graph = pgm.compile(MODELS["localisation"], steps=3)
     assert "0..3" in repr(graph)
     assert "x" in repr(graph)
+
+
+@pytest.mark.parametrize("method", [None, pgm.Balanced()])
+@pytest.mark.parametrize("index", [-1, 99, 1.5])
+def test_a_cluster_that_is_not_there(index, method):
+    x = pgm.Variable("x")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+        transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    )
+    with pytest.raises(pgm.GraphError, match="there is no cluster"):
+        pgm.compile(model, 4, method=method).cluster(index)
+    with pytest.raises(pgm.ModelError, match="unrolled to slices"):
+        model.to_networkx(1.5)
+    with pytest.raises(pgm.ModelError, match="there is no step -1"):
+        model.cpds_at(-1)

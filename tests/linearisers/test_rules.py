@@ -84,6 +84,8 @@ def test_a_tiny_alpha_keeps_its_digits():
 def test_points_without_spread_are_refused(rule):
     with pytest.raises(pgm.LinearisationError, match="must be positive"):
         rule.points(3, "y", None)
+    with pytest.raises(pgm.LinearisationError, match="must be positive"):
+        pgm.Unscented(-1.0)
 
 
 @pytest.mark.parametrize("n", [1, 3, 6])

@@ -119,6 +119,8 @@ class AnyGraph(ClusterGraph):
 
     def __init__(self, scopes, edges):
         self._set(
+            _members=scopes,
+            _shared=dict.fromkeys(edges),
             _clusters=[Cluster(k, tuple(scope), (), ()) for k, scope in enumerate(scopes)],
             _sepsets={(i, j): tuple(v for v in scopes[i] if v in scopes[j]) for i, j in edges},
         )

@@ -79,10 +79,10 @@ def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variabl
             f"{variable!r} is observed: its value is its evidence", variable=variable
         )
     if template in layout.model.sensors:
-        raise EvidenceError(
-            f"{variable!r} is observed; see posterior.innovations[{variable.name}]",
-            variable=variable,
-        )
+        where = "its value is its evidence"
+        if not layout.model.discrete:
+            where = f"see posterior.innovations[{variable.name}]"
+        raise EvidenceError(f"{variable!r} is observed; {where}", variable=variable)
     if variable.lag or template not in layout.slice:
         raise EvidenceError(
             f"{variable!r} is not among the hidden variables, {list(layout.slice)}",

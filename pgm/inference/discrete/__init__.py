@@ -1,7 +1,7 @@
 """Discrete networks: messages as tables.
 
-The files, in the order of the computation. What is laid out is laid out once for a graph; numbers
-come with the evidence.
+The files, in the order of the computation. What is laid out is laid out once for a graph, when it
+is asked for the second time; numbers come with the evidence.
 
 Where tables stand:
 
@@ -15,6 +15,8 @@ Where tables stand:
 
 Graphs without loops:
 
+- ``first_question``: the answer to a first question, of one run, cluster by cluster;
+- ``first_beliefs``: whether it is the first, and the beliefs that it makes;
 - ``tree_plan``: lays out the passes, clusters of one shape as the columns of one matrix;
 - ``tree_passes``: messages to the roots and back, with numbers or with logarithms, and the tables
   with which they begin, so that messages to the roots are sent from evidence alone;

@@ -15,6 +15,7 @@ from pgm.factors.axes import States, sizes
 from pgm.factors.scope import as_scope, names
 from pgm.inference import limits
 from pgm.inference.discrete.evidence import axes_left, put_in
+from pgm.inference.discrete.first_beliefs import FirstBeliefs
 from pgm.inference.discrete.joints import holder, joint
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs
 from pgm.inference.discrete.storage import sepset_between
@@ -49,7 +50,7 @@ class DiscretePosterior(Posterior):
 
     graph: ClusterGraph
     status: Status
-    _beliefs: TreeBeliefs | LoopyBeliefs
+    _beliefs: TreeBeliefs | FirstBeliefs | LoopyBeliefs
 
     def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
         """The marginal of a variable that is not observed in all runs, (*runs, size).
@@ -64,7 +65,7 @@ class DiscretePosterior(Posterior):
 
     def _require_hidden(self, variable: Variable) -> Discrete:
         require_variable(variable)
-        if variable not in self._beliefs.storage.homes:
+        if variable not in self.graph.network._places or not isinstance(variable, Discrete):
             raise EvidenceError(
                 f"{variable!r} is not in the network; its variables are "
                 f"{list(self.graph.network.variables)}",

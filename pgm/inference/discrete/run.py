@@ -8,6 +8,7 @@ from pgm.clustergraph import ClusterGraph
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.discrete import BoundStates, bind_discrete
+from pgm.inference.discrete.first_beliefs import FirstBeliefs
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs, TableMessages
 from pgm.inference.discrete.posterior import DiscretePosterior
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
@@ -15,7 +16,6 @@ from pgm.inference.limits import Room
 from pgm.inference.loopy import run_loopy
 from pgm.inference.schedule import Loopy, Schedule
 from pgm.inference.status import Status
-from pgm.variables import Variable
 
 
 def run(
@@ -25,7 +25,7 @@ def run(
     memory: float | None = None,
 ) -> DiscretePosterior:
     """Send the messages of a schedule; see `pgm.infer`."""
-    bound = bind_discrete(graph.derived(_variables), evidence)
+    bound = bind_discrete(graph.network._places.keys(), evidence)
     if isinstance(schedule, Loopy):
         if memory is not None:
             raise GraphError(
@@ -35,14 +35,14 @@ def run(
         messages = TableMessages(graph, bound, schedule.damping)
         status = run_loopy(messages, schedule, bound.lead)
         return DiscretePosterior(graph, status, LoopyBeliefs.of(messages))
-    return of_tree(graph, bound, memory)
+    room = Room.of(memory, graph)
+    first = None if bound.lead else FirstBeliefs.of(graph, bound, room)
+    return of_tree(graph, bound, room) if first is None else DiscretePosterior(graph, ONCE, first)
 
 
-def of_tree(
-    graph: ClusterGraph, bound: BoundStates, memory: float | None = None
-) -> DiscretePosterior:
+def of_tree(graph: ClusterGraph, bound: BoundStates, room: Room) -> DiscretePosterior:
     """The posterior of a graph without loops, of evidence that is bound."""
-    beliefs = TreeBeliefs.of(graph, bound, Room.of(memory, graph))
+    beliefs = TreeBeliefs.of(graph, bound, room)
     return DiscretePosterior(graph, _calibrated(bound.lead) if bound.lead else ONCE, beliefs)
 
 
@@ -51,7 +51,3 @@ def _calibrated(lead: tuple[int, ...]) -> Status:
 
 
 ONCE = _calibrated(())
-
-
-def _variables(graph: ClusterGraph) -> frozenset[Variable]:
-    return frozenset(graph.network.variables)

@@ -17,7 +17,6 @@ from pgm.immutable import Immutable
 from pgm.inference.grid.belief import GridBelief, scope_axes
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.run import require_grid, require_room
-from pgm.inference.grid.sensors import Sharpness
 from pgm.inference.grid.slices import GridModel, GridSlices, Tested, active
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
@@ -241,9 +240,11 @@ class OnlineGrid(Immutable):
         )
 
         def taken(slices: GridSlices, values: Array) -> tuple[Array, float]:
-            slices.windows[step] = (active(self._lattice, values),) * 2
+            slices.windows[step] = (active(self._lattice, values)[0],) * 2
             weights, scale = slices.likelihood(step)
-            return (values if weights is None else values * weights), scale
+            joint = values if weights is None else values * weights
+            slices.look(step, joint)
+            return joint, scale
 
         return self._belief(step, FILTERED, bound, belief, self._each(bound, step, belief, taken))
 
@@ -295,6 +296,7 @@ class OnlineGrid(Immutable):
         log_density = np.array([density for *_, density in found]).reshape(lead)
         outside = np.array([s.outside.get(step, 0.0) for s, *_ in found]).reshape(*lead, 1)
         sharpest = max((s.sharpest for s, *_ in found), key=lambda each: each.cells)
+        narrowest = min((s.narrowest for s, *_ in found), key=lambda each: each.cells)
         added = {
             axis.label: np.array([s.added[k] * axis.width**2 for s, *_ in found]).reshape(lead)
             for k, axis in enumerate(lattice.axes)
@@ -306,7 +308,8 @@ class OnlineGrid(Immutable):
             past = np.broadcast_to(past, (*lead, past.shape[-1]))
             outside = past.copy() if kind == FILTERED else np.concatenate([past, outside], axis=-1)
             sharpest = max(sharpest, before.status.sharpest, key=lambda each: each.cells)
-        status = GridStatus(outside, added, sharpest or Sharpness(0.0, None, 0))
+            narrowest = min(narrowest, before.status.narrowest, key=lambda each: each.cells)
+        status = GridStatus(outside, added, sharpest, narrowest)
         if before is None or (status.much and not before.status.much):
             status.warn()
         values = values.reshape(*lead, *lattice.shape)

@@ -13,7 +13,7 @@ from pgm.evidence import BoundEvidence
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.sensors import Sharpness
-from pgm.inference.grid.slices import GridModel, GridSlices
+from pgm.inference.grid.slices import GridModel, GridSlices, Narrowness
 from pgm.inference.grid.status import GridStatus, Refinement
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, SMOOTHED, Kind
@@ -149,9 +149,11 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
     smoothed = np.zeros(shape, dtype=grid.dtype) if smoothing else None
     log_evidence, outside = np.zeros(bound.runs), np.zeros((bound.runs, bound.steps + 1))
     added, sharpest = np.zeros((bound.runs, len(lattice.axes))), Sharpness(0.0, None, 0)
+    narrowest = Narrowness(np.inf, "", 0)
     for k in range(bound.runs):
         slices = GridSlices(model, k, grid.dtype if smoothing else None)
         chain = _Kept(slices, filtered[k]).run()
+        slices.look(bound.steps, filtered[k, -1])
         if smoothed is not None:
             every = chain.smoothed() if kind == SMOOTHED else chain.lagged(int(kind.lag))
             for step, belief in every:
@@ -159,8 +161,8 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
         log_evidence[k] = float(chain.log_density.sum())
         outside[k] = [slices.outside[step] for step in range(bound.steps + 1)]
         added[k] = slices.added
-        if slices.sharpest.cells > sharpest.cells:
-            sharpest = slices.sharpest
+        sharpest = max(sharpest, slices.sharpest, key=lambda each: each.cells)
+        narrowest = min(narrowest, slices.narrowest, key=lambda each: each.cells)
     lead = bound.lead
     status = GridStatus(
         outside.reshape(*lead, -1),
@@ -169,6 +171,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
             for k, axis in enumerate(lattice.axes)
         },
         sharpest,
+        narrowest,
     )
     filtered = filtered.reshape(*lead, *shape[1:])
     if smoothed is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple, NoReturn, cast
 
@@ -95,6 +96,7 @@ class GridSlices:
     added : ndarray
         (axes,): the variance that the lattice has added in all steps, in cells.
     sharpest : Sharpness
+    narrowest : Narrowness
     """
 
     lead: tuple[int, ...] = ()
@@ -105,6 +107,7 @@ class GridSlices:
         self.outside: dict[int, float] = {}
         self.added = np.zeros(len(self.lattice.axes))
         self.sharpest = Sharpness(0.0, None, 0)
+        self.narrowest = Narrowness(np.inf, "", 0)
         # By step: the windows before and after its motion, and the weights of its measurements.
         self.windows: dict[int, tuple[Window, Window]] = {}
         self._weights: dict[int, tuple[Array | None, float]] = {}
@@ -119,12 +122,20 @@ class GridSlices:
                 f"run {self.run}: the prior has {total:.2g} of its probability inside the grid, "
                 f"{self._bounds()}; widen the bounds, or move them to where the states begin"
             )
-        self.windows[0] = (active(self.lattice, found),) * 2
+        self.windows[0] = (active(self.lattice, found)[0],) * 2
         return found
+
+    def look(self, step: int, belief: Array) -> Window:
+        """The window of a step's belief, whose deviations are looked at."""
+        window, deviations = active(self.lattice, belief)
+        for axis, deviation in zip(self.lattice.axes, deviations, strict=True):
+            if deviation < self.narrowest.cells:
+                self.narrowest = Narrowness(deviation, axis.label, step)
+        return window
 
     def forward(self, step: int, belief: Array) -> Array:
         """The belief over the slice of a step, from that of the step before."""
-        source = active(self.lattice, belief)
+        source = self.look(step - 1, belief)
         made = self.model.motion.at(step, self.run, source)
         part = self.lattice.cut(belief, source)
         for operator in made.operators:
@@ -197,15 +208,42 @@ def by_run(cpd: CPD, lead: tuple[int, ...]) -> ConditionalGaussian:
     return cast("ConditionalGaussian", cpd)
 
 
-def active(lattice: Lattice, belief: Array) -> Window:
-    """The smallest window that holds a belief, up to a share of 10⁻¹⁵ along each axis."""
-    found = []
+class Narrowness(NamedTuple):
+    """The narrowest belief along an axis.
+
+    Attributes
+    ----------
+    cells : float
+        Its standard deviation in cells.
+    component : str
+        Empty if no belief has been looked at.
+    step : int
+    """
+
+    cells: float
+    component: str
+    step: int
+
+
+def active(lattice: Lattice, belief: Array) -> tuple[Window, list[float]]:
+    """The smallest window that holds a belief, up to a share of 10⁻¹⁵ along each axis.
+
+    With it the standard deviation along each axis, in cells, where that is not all of a circle.
+    """
+    window, deviations = [], []
     for k, axis in enumerate(lattice.axes):
         others = tuple(j for j in range(belief.ndim) if j != k)
         marginal = belief.sum(axis=others) if others else belief
-        used = marginal > _TINY / axis.cells * marginal.sum()
-        found.append(_span(used, axis.angle))
-    return tuple(found)
+        total = marginal.sum()
+        span = _span(marginal > _TINY / axis.cells * total, axis.angle)
+        window.append(span)
+        inside = np.take(marginal, np.arange(span.first, span.first + span.length), mode="wrap")
+        place = np.arange(span.length) - 0.5 * span.length
+        mean = inside @ place / total
+        spread = float(inside @ (place - mean) ** 2 / total)
+        round_ = axis.angle and span.length == axis.cells
+        deviations.append(np.inf if round_ else math.sqrt(max(spread, 0.0)))
+    return tuple(window), deviations
 
 
 def _span(used: Mask, periodic: bool) -> Span:

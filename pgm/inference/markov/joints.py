@@ -45,11 +45,11 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
     """
     slices: TableSlices = chain.slices  # type: ignore[assignment]
     semiring, axes = chain.semiring, len(plan.shape)
-    wanted = sorted(scope, key=lambda v: v.step or 0)
-    step = wanted[0].step or 0
+    ordered = sorted(scope, key=lambda v: v.step or 0)
+    step, end = ordered[0].step or 0, ordered[-1].step or 0
     array = chain.known[step]
     passed = 0
-    for variable in wanted:
+    for variable in ordered:
         while step < (variable.step or 0):
             step += 1
             array = slices.forward(step, array)
@@ -58,16 +58,22 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
                 array = semiring.times(array, _behind(weights, axes, passed))
             top = array.max(axis=tuple(range(array.ndim - chain.batch)))
             array = semiring.over(array, top)
-        array = _kept(array, plan.labels[variable.template], axes + passed, chain)
-        passed += 1
+        if step < end:
+            array = _kept(array, plan.labels[variable.template], axes + passed, chain)
+            passed += 1
     last = kind.last(step, slices.steps)
     message = np.full(chain.known[last].shape, semiring.one)
     for before in range(last - 1, step - 1, -1):
         message = chain.back(before, message)
     array = semiring.times(array, _behind(message, axes, passed))
-    array = semiring.total(array, tuple(range(axes)), None)
+    here = [plan.labels[v.template] for v in ordered[passed:]]
+    others = tuple(axis for axis in range(axes) if axis not in here)
+    array = semiring.total(array, others, None) if others else array
     array = chain.numbers(semiring.over(array, chain.total(array)))
-    order = [wanted.index(v) for v in scope]
+    # The axes that are left: variables of the last slice in its order, then those that have passed.
+    stand = sorted(ordered[passed:], key=lambda v: plan.labels[v.template])
+    stand += ordered[:passed]
+    order = [stand.index(v) for v in scope]
     return array.transpose(*order, *range(len(order), array.ndim))
 
 

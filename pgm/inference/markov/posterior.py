@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -185,7 +186,10 @@ class StatePosterior(Posterior):
                     variable=variable,
                 )
             located(self.graph.layout, variable, self.graph.steps)
-        entries = int(np.prod([float(size) for size in (*sizes(scope), *self._plan.shape)]))
+        # Arrays on the way hold those of earlier slices, and the whole of the last one.
+        end = max(variable.step or 0 for variable in scope)
+        before = discrete(tuple(v for v in scope if v.step != end))
+        entries = math.prod((*sizes(before), *self._plan.shape))
         require_runs(entries, self._slices.bound.runs, f"the joint of {len(scope)} variables")
         values = joint(self._chain, self._plan, scope, self.kind)
         return Table._plain(scope, frozen(self._over_runs(values, len(scope))))
@@ -283,7 +287,7 @@ class StatePosterior(Posterior):
             values = self._states(self._chain.posterior(0, message))
             scope = discrete(tuple(v.at(0) for v in plan.states))
             return self._table(scope, values, weight)
-        entries = int(np.prod([float(size) for size in (*sizes(plan.states), *plan.shape)]))
+        entries = math.prod((*sizes(plan.states), *plan.shape))
         require_runs(entries, self._slices.bound.runs, f"the belief of cluster {step}")
         values = pair(self._chain, plan, step, message)
         scope = discrete(tuple(v.at(step) for v in self.graph.layout.pair))

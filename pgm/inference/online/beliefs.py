@@ -214,3 +214,8 @@ def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
     """A belief's array for the runs of a plan, as one axis."""
     rest = array.shape[-own:]
     return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)
+
+
+def nothing_to_iterate(lead: tuple[int, ...]) -> Status:
+    """The status of a step in which nothing was linearised."""
+    return Status(1, np.empty((0, *lead)), np.ones(lead, dtype=bool))

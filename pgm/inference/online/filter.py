@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, Self, overload
 
@@ -20,6 +20,7 @@ from pgm.inference.chain.readings import Moments
 from pgm.inference.grid.online import OnlineGrid, online_grid
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED
+from pgm.inference.markov.online import online_tables
 from pgm.inference.online import step_evidence
 from pgm.inference.online.beliefs import (
     OnlineBelief,
@@ -29,11 +30,11 @@ from pgm.inference.online.beliefs import (
     is_moderate,
     is_plain,
     moments_of,
+    nothing_to_iterate,
     refuse,
 )
 from pgm.inference.online.step_evidence import Layouts
-from pgm.inference.online.window import Passed, Sliding, Trail, trailing
-from pgm.inference.rows import At
+from pgm.inference.online.window import Passed, Sliding, Trail, is_like, look_again, trailing
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.inference.status import Status, digits
 from pgm.kernels.arrays import Array
@@ -57,6 +58,7 @@ class OnlineFilter(Immutable):
     Parameters
     ----------
     model : DynamicBayesianNetwork
+        Of tables it makes an `OnlineTables`, with the same methods, whose ``belief[x]`` are tables.
     lineariser : Lineariser, optional
         For every CPD that has none of its own; `Taylor()` without.
     schedule : Filtering or FixedLag, optional
@@ -90,24 +92,18 @@ class OnlineFilter(Immutable):
     schedule: Filtering | FixedLag
 
     @overload
-    def __new__(
-        cls,
-        model: DynamicBayesianNetwork,
-        lineariser: Lineariser = TAYLOR,
-        schedule: Filtering | FixedLag | None = None,
-        lag: int | None = None,
-        *,
-        belief: None = None,
-    ) -> Self: ...
-
+    def __new__(cls, *given: Any, belief: None = None, **named: Any) -> Self: ...
     @overload
-    def __new__(  # type: ignore[misc]
-        cls, model: DynamicBayesianNetwork, *, belief: Grid
-    ) -> OnlineGrid: ...
+    def __new__(cls, model: Any, *, belief: Grid) -> OnlineGrid: ...  # type: ignore[misc]
 
     def __new__(cls, *given: Any, belief: Grid | None = None, **named: Any) -> Any:
-        """The filter itself; with a grid one of its own kind, which takes nothing else."""
-        return object.__new__(cls) if belief is None else online_grid(belief, *given, **named)
+        """The filter itself; with a grid, or of tables, one of its own kind."""
+        if belief is not None:
+            return online_grid(belief, *given, **named)
+        model = given[0] if given else named.get("model")
+        if isinstance(model, DynamicBayesianNetwork) and model.discrete:
+            return online_tables(*given, **named)
+        return object.__new__(cls)
 
     def __init__(
         self,
@@ -190,7 +186,7 @@ class OnlineFilter(Immutable):
             return self._slid(0, self._behind, np.zeros(lead))
         plan = self._plan(BoundEvidence(0, lead, (), ()), 0, prior=True)
         found = MomentChain(plan, ONCE, keep=False).start()
-        log_evidence, status = np.zeros(lead), _nothing_to_iterate(lead)
+        log_evidence, status = np.zeros(lead), nothing_to_iterate(lead)
         carried = careful.start(plan, linearise=True)
         if is_moderate(found, found):
             return belief_of(plan, 0, found, log_evidence, status, PREDICTED, self._behind, carried)
@@ -237,7 +233,7 @@ class OnlineFilter(Immutable):
         plan = self._ahead(belief, inputs)
         carried = careful.predict(plan, step, in_digits(belief, plan))
         log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
-        status = _nothing_to_iterate(plan.lead)
+        status = nothing_to_iterate(plan.lead)
         behind = None if behind is None else behind.on(None)
         return careful_belief(plan, step, carried, log_evidence, status, PREDICTED, behind)
 
@@ -258,17 +254,17 @@ class OnlineFilter(Immutable):
         try:
             found = chain.predicted(ats, step, known)
         except NumericalError:
-            _look(plan, ats, step, known)
+            look_again(plan, ats, step, known)
             raise
         if not is_moderate(found, found):
             if not np.isfinite(found.mean.sum() + found.cov.sum()):
-                _look(plan, ats, step, known)
+                look_again(plan, ats, step, known)
                 refuse(step)
             return None
         log_evidence, status = belief.log_evidence, _DONE
         if laid is None:
             log_evidence = np.broadcast_to(log_evidence, plan.lead)
-            status = _nothing_to_iterate(plan.lead)
+            status = nothing_to_iterate(plan.lead)
         if isinstance(behind, Trail):
             behind = behind.on(Passed(plan, known, found))
         return belief_of(plan, step, found, log_evidence, status, PREDICTED, behind)
@@ -366,7 +362,7 @@ class OnlineFilter(Immutable):
         if window is None:
             alone = behind.ahead(self._windows, step)
             mean, cov, error = alone.ahead.mean[-1], alone.ahead.cov[-1], alone.error
-            status, kind, plan = _nothing_to_iterate(lead), PREDICTED, alone.plan
+            status, kind, plan = nothing_to_iterate(lead), PREDICTED, alone.plan
         else:
             mean, cov, plan = window.beliefs.mean[-1], window.beliefs.cov[-1], window.plan
             error = None if window.careful is None else window.careful.error
@@ -392,7 +388,7 @@ class OnlineFilter(Immutable):
                 f"{belief!r} is no belief of this filter's model; begin with initial()"
             )
         own, behind = self._behind, belief.behind
-        if not _is_like(behind, own) or belief.kind.lag > 0:
+        if not is_like(behind, own) or belief.kind.lag > 0:
             raise ModelError(
                 f"{belief!r} is no belief to go on from with {self.schedule!r}: it is of a filter "
                 "with another schedule, or lags behind one; begin with initial(), and go on from "
@@ -401,21 +397,3 @@ class OnlineFilter(Immutable):
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)
-
-
-def _is_like(behind: Trail | Sliding | None, own: Trail | Sliding | None) -> bool:
-    """Whether the steps behind a belief are kept as a filter keeps its own."""
-    if isinstance(behind, Trail) and isinstance(own, Trail):
-        return behind.lag == own.lag
-    if isinstance(behind, Sliding) and isinstance(own, Sliding):
-        return behind.schedule == own.schedule
-    return behind is None and own is None
-
-
-def _nothing_to_iterate(lead: tuple[int, ...]) -> Status:
-    return Status(1, np.empty((0, *lead)), np.ones(lead, dtype=bool))
-
-
-def _look(plan: ChainPlan, ats: Sequence[At], step: int, known: Moments) -> None:
-    """Predict again with a look at every number, to name the CPD that has one not finite."""
-    MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)

@@ -16,6 +16,10 @@ from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
 from pgm.evidence.arrays import as_rows
+from pgm.evidence.discrete import as_weights
+from pgm.evidence.dynamic import rows_of
+from pgm.evidence.values import Soft, soft
+from pgm.factors.indices import as_indices
 from pgm.immutable import set_writeable
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
@@ -28,7 +32,7 @@ from pgm.inference.schedule import Filtering
 from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 
 class Place(Protocol):
@@ -104,7 +108,7 @@ def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> A
     if variable not in model.sensors:
         return _constant(value)
     if not isinstance(value, Sightings):
-        value = sightings(as_rows(variable, value, None)[..., None, :])
+        value = sightings(_single(variable, value))
     if value.step is not None:
         raise EvidenceError(
             f"sightings of {variable!r} online belong to the belief's step; leave step= out",
@@ -112,8 +116,17 @@ def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> A
         )
     if value.values is None:
         return Sightings(None, np.zeros(0, dtype=np.intp), value.given)
-    rows = as_rows(variable, value.values, "M")
-    return Sightings(rows, np.zeros(rows.shape[-2], dtype=np.intp), value.given)
+    count = rows_of(variable, value.values, "M").shape[-2]
+    return Sightings(value.values, np.zeros(count, dtype=np.intp), value.given)
+
+
+def _single(variable: Variable, value: Any) -> Any:
+    """One measurement, as the only row of several."""
+    if not isinstance(variable, Discrete):
+        return as_rows(variable, value, None)[..., None, :]
+    if isinstance(value, Soft):
+        return soft(as_weights(variable, value)[..., None, :])
+    return as_indices(variable, value)[..., None]
 
 
 _ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)

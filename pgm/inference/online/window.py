@@ -283,3 +283,17 @@ class Trail(NamedTuple):
             "an online filter with iterations=2, which solves its windows in twice the digits",
             step=first,
         )
+
+
+def is_like(behind: Trail | Sliding | None, own: Trail | Sliding | None) -> bool:
+    """Whether the steps behind a belief are kept as a filter keeps its own."""
+    if isinstance(behind, Trail) and isinstance(own, Trail):
+        return behind.lag == own.lag
+    if isinstance(behind, Sliding) and isinstance(own, Sliding):
+        return behind.schedule == own.schedule
+    return behind is None and own is None
+
+
+def look_again(plan: ChainPlan, ats: Sequence[At], step: int, known: Moments) -> None:
+    """Predict again with a look at every number, to name the CPD that has one not finite."""
+    MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)

@@ -188,5 +188,5 @@ def _eliminated(plan: EliminationPlan, scope: States) -> Array:
 
 def _read(graph: ClusterGraph, evidence: BoundStates, scope: States) -> Array:
     """From the posterior of a tree."""
-    values = of_tree(graph, evidence).joint(*scope).values
+    values = of_tree(graph, evidence, limits.Room.of(None, graph)).joint(*scope).values
     return np.moveaxis(values.reshape(-1, *sizes(scope)), 0, -1)

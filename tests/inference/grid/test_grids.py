@@ -137,6 +137,21 @@ def test_a_sharp_sensor_is_told():
     assert "sharper than half a cell" in repr(sharp)
 
 
+def test_a_narrow_belief_is_told():
+    on = pgm.Grid({"place": (-6, 6, 60)})
+    readings = {reading: [[0.1], [0.2], [0.15]]}
+    due = pgm.filter(line(), readings)[place].std[..., 0] / 0.2
+    status = pgm.filter(line(), readings, belief=on).status
+    assert_allclose(status.narrowest.cells, due.min(), rtol=1e-6)
+    assert (status.narrowest.component, status.narrowest.step) == ("place", due.argmin())
+    assert "known to" not in repr(status)
+    sharp = pgm.filter(line(sensor=0.1**2), readings, belief=on).status
+    assert "is known to 0.46 cells" in repr(sharp)
+    robot_ = pgm.OnlineFilter(line(), belief=on)
+    belief = robot_.update(robot_.predict(robot_.initial()), {reading: 0.1})
+    assert_allclose(belief.status.narrowest.cells, due[1], rtol=1e-6)
+
+
 def test_refining_until_a_figure_stays():
     given = {reading: [[0.5], [0.7]]}
     net = line(noise=0.01, cov=0.3, sensor=0.02)

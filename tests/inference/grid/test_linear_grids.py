@@ -63,6 +63,29 @@ def test_a_linear_grid_is_the_kalman_filter(net, on, step, kl):
     assert not any(value.any() for value in found.status.added.values())
 
 
+@pytest.mark.parametrize(("motion", "sensor"), [(1.0, 2.0), (2.0, 1.0), (1.5, 1.5)])
+def test_beliefs_of_a_cell_and_more(motion, sensor):
+    """Deviations of one cell and more, of the beliefs' too, off the centres of cells."""
+    place, width = pgm.Variable("place"), 0.1
+    net = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, 0.013, 0.09)],
+        [
+            pgm.LinearGaussianCPD(
+                place, {place.previous: 1.0}, offset=0.037, cov=(motion * width) ** 2
+            )
+        ],
+        [pgm.LinearGaussianCPD(z, {place: 1.0}, cov=(sensor * width) ** 2)],
+    )
+    drawn = net.sample({}, steps=30, rng=1)
+    on = pgm.Grid({"place": (-6.0, 8.0, 140)})
+    exact, found = (pgm.smooth(net, drawn.evidence, **how) for how in ({}, {"belief": on}))
+    assert abs(found.log_evidence - exact.log_evidence) / 31 <= 1e-6
+    one, other = exact[place], found[place]
+    ratio = one.cov[:, 0, 0] / other.cov[:, 0, 0]
+    gap = (one.mean - other.mean)[:, 0] ** 2 / other.cov[:, 0, 0]
+    assert (0.5 * (ratio - 1 - np.log(ratio) + gap)).max() <= 1e-5
+
+
 def test_a_step_without_measurements_has_exact_moments():
     """A mean to 1e-12 and a variance, from point masses far inside the bounds."""
     net = model(matrix=np.eye(2), noise=[[0.03, 0.0], [0.0, 0.01]], prior=np.diag([0.05, 0.02]))
@@ -136,6 +159,57 @@ def test_missing_measurements_runs_and_float32():
     assert_allclose(found[x].cov, exact[x].cov, atol=1e-5)
     alone = pgm.smooth(net, {z: values[1, 2]}, belief=on)
     np.testing.assert_array_equal(alone[x].values, found[x].values[1, 2])
+
+
+def test_noise_by_inputs_and_components_missing():
+    """Noise that evidence sets, correlated measurements, some of whose components are missing."""
+    place, both = pgm.Variable("place"), pgm.Variable("both", components=("one", "other"))
+    quality = pgm.Variable("quality")
+
+    def spread(quality):
+        return quality[..., None] ** 2
+
+    def shared(quality):
+        return quality[..., None] * np.array([[0.3, 0.1], [0.1, 0.2]])
+
+    net = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, 0.2, 0.5)],
+        [
+            pgm.LinearGaussianCPD(
+                place, {place.previous: 0.9, quality: 0.3}, cov=pgm.noise(spread, quality)
+            )
+        ],
+        [
+            pgm.LinearGaussianCPD(
+                both, {place: [[1.0], [0.5]]}, offset=[0.0, 0.2], cov=pgm.noise(shared, quality)
+            )
+        ],
+    )
+    quality_ = np.array([[0.3], [0.5], [0.4], [0.35]])
+    drawn = net.sample({quality: quality_}, rng=0)
+    values = drawn[both].copy()
+    values[1, 0] = values[2, 1] = np.nan
+    values[3] = np.nan
+    given = {quality: quality_, both: values}
+    on = pgm.Grid({"place": (-7.0, 7.0, 150)})
+    exact, found = (pgm.infer(pgm.compile(net, 4), given, **how) for how in ({}, {"belief": on}))
+    assert_allclose(found.log_evidence, exact.log_evidence, atol=1e-8)
+    assert_allclose(found[place].mean, exact[place].mean, atol=1e-7)
+    assert_allclose(found[place].cov, exact[place].cov, atol=1e-7)
+    for schedule, kind in [(pgm.Filtering(), "filtered"), (pgm.FixedLag(0), "filtered")]:
+        few = pgm.infer(pgm.compile(net, 4), given, schedule=schedule, belief=on)
+        assert few.kind.name == kind
+        np.testing.assert_array_equal(few[place].values, found.filtered[place].values)
+
+
+def test_no_step_and_no_measurement():
+    found = pgm.smooth(model(), {}, steps=0, belief=GRID)
+    assert found[x].values.shape == (1, 150, 70)
+    assert_allclose(found.log_evidence, 0.0, atol=1e-9)
+    none = pgm.sightings(np.zeros((0, 1)), step=[])
+    assert_allclose(
+        pgm.filter(model(), {z: none}, steps=2, belief=GRID).log_evidence, 0.0, atol=1e-6
+    )
 
 
 def test_priors_of_their_own_runs():

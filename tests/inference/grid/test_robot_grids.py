@@ -249,6 +249,23 @@ def test_what_is_found_out_later_changes_nothing():
         assert_allclose(found[x.at(step)].values.transpose(2, 0, 1), belief, rtol=1e-6, atol=1e-12)
 
 
+def test_a_world_turned_round_is_the_same():
+    """Headings about ±π, where windows of active cells go past the end of the circle."""
+    model = robot(cov=KNOWN)
+    given = evidence(model, 6)
+    read = given[z]
+    turned = robot(cov=KNOWN, prior=(-4.0, -3.0, 0.5 + np.pi))
+    about = {
+        u: given[u],
+        z: pgm.sightings(read.values, step=read.step, given={m: -np.asarray(read.given[m])}),
+    }
+    there = pgm.Grid({"east": (-10.0, 0.0, 50), "north": (-7.5, 0.5, 40), "heading": 36})
+    one, other = pgm.smooth(model, given, belief=grid()), pgm.smooth(turned, about, belief=there)
+    assert_allclose(one.log_evidence, other.log_evidence, rtol=1e-10)
+    mirrored = np.roll(other[x].values[:, ::-1, ::-1], 18, axis=-1)
+    assert_allclose(one[x].values, mirrored, atol=1e-12)
+
+
 def test_map_coordinates_cost_no_digits():
     near, far = (0.0, 0.0), (2.0**20, -(2.0**21))
     model, moved = (robot(cov=KNOWN, prior=(4.0 + s[0], 3.0 + s[1], 0.5)) for s in (near, far))
