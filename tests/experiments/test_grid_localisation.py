@@ -39,13 +39,17 @@ def test_one_landmark_leaves_a_ring_and_two_leave_a_place(drive, oracle):
     found = found_at(oracle)
     assert 5 < found < 14
     filtered = oracle.filtered[pose]
-    before, after = filtered[found - 1], filtered[found]
-    # Of a ring: as far in one direction as in another, with the mean in the hole.
-    away = np.hypot(*(np.stack(np.meshgrid(*before.centres[:2], indexing="ij"))
-                      - before.mean[:2, None, None]))  # fmt: skip
-    plane = before.marginal("east", "north").values
-    assert (plane * (away < 1.0)).sum() < 0.1
-    assert before.std[0] > 2.0
+    ring, after = filtered[4], filtered[found]
+    # It goes round the landmark: narrow along the radius, wide in the plane.
+    away = np.hypot(
+        *(
+            c - at
+            for c, at in zip(np.meshgrid(*ring.centres[:2]), problem.LANDMARKS[0], strict=True)
+        )
+    ).T
+    plane = ring.marginal("east", "north").values
+    mean = (plane * away).sum()
+    assert np.sqrt((plane * (away - mean) ** 2).sum()) < 0.5 < 1.5 < ring.std[0]
     assert np.linalg.norm(after.std[:2]) < 0.5
     assert_allclose(after.mean[:2], drive.truth[found, :2], atol=1.5)
     # The smoother knew it all along.
