@@ -74,6 +74,9 @@ def run(
         "The grid's beliefs, filtered and smoothed; crosses are the robot, ellipses (95 %) the "
         "extended Kalman filters and smoothers by their start.",
     )
+    with record.file("drive.gif") as path:
+        figures.animate(oracle, gaussians, drive, path)
+    record.picture("drive.gif", "The filtered beliefs over time.")
     record.figure(
         figures.divergences(tables, found),
         "kl",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
@@ -69,11 +70,35 @@ def draw(
 ) -> None:
     """One map: the grid's belief, the robot, the landmarks, and the Gaussians' ellipses."""
     pgm.plot.grid_map(belief, truth=drive.truth[step], landmarks=drive.landmarks, arrows=24, ax=ax)
+    ellipses(ax, gaussians)
+    ax.set(xlim=SHOWN, ylim=SHOWN, xlabel="east [m]", ylabel="north [m]")
+
+
+def ellipses(ax: Axes, gaussians: Mapping[str, pgm.Gaussian]) -> None:
+    """The Gaussians' 95 % ellipses, a colour a start."""
     for start, gaussian in gaussians.items():
         colour = COLOURS[start]
         pgm.plot.ellipses(gaussian, colour=colour, facecolor="none", linewidth=1.4, ax=ax)
         ax.plot(*gaussian.mean[:2], ".", color=colour, label=f"Taylor, started {start}")
-    ax.set(xlim=SHOWN, ylim=SHOWN, xlabel="east [m]", ylabel="north [m]")
+
+
+def animate(
+    oracle: pgm.GridPosterior,
+    gaussians: Mapping[str, pgm.ChainPosterior],
+    drive: Drive,
+    path: Path,
+) -> None:
+    """Write the filtered beliefs as a moving picture, with the Gaussians' ellipses."""
+
+    def also(ax: Axes, step: int) -> None:
+        ellipses(ax, {start: p.filtered[pose.at(step)] for start, p in gaussians.items()})
+        ax.set_aspect("equal", adjustable="box")
+        ax.set(xlim=SHOWN, ylim=SHOWN, xlabel="east [m]", ylabel="north [m]")
+        ax.legend(loc="upper left", fontsize="x-small")
+
+    belief = oracle.filtered[pose]
+    truth, places = drive.truth, drive.landmarks
+    pgm.plot.animate_beliefs(belief, path, truth=truth, landmarks=places, also=also, arrows=30)
 
 
 def divergences(tables: Mapping[str, pgm.Comparison], found: int) -> Figure:

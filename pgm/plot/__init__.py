@@ -1,5 +1,6 @@
 """Pictures of networks, cluster graphs and beliefs; those that draw take and return axes."""
 
+from pgm.plot.animation import animate_beliefs
 from pgm.plot.cells import belief_map
 from pgm.plot.clusters import cluster_graph
 from pgm.plot.compared import comparison
@@ -13,6 +14,7 @@ from pgm.plot.records import convergence
 from pgm.plot.stacks import beliefs_over_time
 
 __all__ = [
+    "animate_beliefs",
     "belief_map",
     "beliefs_over_time",
     "cluster_graph",

@@ -92,5 +92,6 @@ def test_everything_is_written(tmp_path):
         assert all(each["error"] == "" for by_word in found.values() for each in by_word.values())
     assert summary["grid"]["outside"] < 1e-3
     assert set(summary["grid"]["by_kind"]) == {"filtered", "smoothed"}
+    assert (tmp_path / "drive.gif").read_bytes().startswith(b"GIF8")
     for name in ("beliefs", "kl", "alike"):
         assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
