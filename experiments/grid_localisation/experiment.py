@@ -154,7 +154,7 @@ def of_grid(posterior: pgm.GridPosterior, table: pgm.Comparison) -> dict[str, An
     return {
         "cells": repr(posterior.grid),
         "outside": float(posterior.status.outside),
-        "sharpest": posterior.status.sharpest.cells,
+        "status": repr(posterior.status),
         "by_kind": {
             row.kind.name: {"from_gaussian": row.kl, **of_row(row)} for row in table.oracle_rows
         },

@@ -51,7 +51,7 @@ class Row:
     log_evidence_kind : str
         ``exact``, ``linearised``, ``laplace`` or ``grid``.
     seconds : float
-        Of the one call, a first one of its kind included; NaN of beliefs that came with another
+        Of the one call, with what is done once in a process; NaN of beliefs that came with another
         row's, or were given.
     left_out : int
         The number of steps that KL and NEES leave out.

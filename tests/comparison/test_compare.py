@@ -101,6 +101,36 @@ def test_kl_is_from_the_grid_s_moments_of_the_same_kind():
     assert max(row.kl_most for row in found.oracle_rows) > 0.02
 
 
+def test_rows_are_means_over_runs():
+    """Of two runs on grids, and beside one oracle for both of them."""
+    values = np.stack([np.linspace(0.2, 1.0, T + 1), np.linspace(1.5, 0.1, T + 1)])[..., None]
+    every, truth = np.arange(T + 1), np.stack([np.zeros((T + 1, 1)), np.ones((T + 1, 1))])
+    single = [
+        pgm.compare(
+            bent(),
+            {z: pgm.sightings(values[k], step=every)},
+            oracle=GRID,
+            truth={a: truth[k]},
+            steps=T,
+        )
+        for k in range(2)
+    ]
+    both = {z: pgm.sightings(values, step=every)}
+    found = pgm.compare(bent(), both, oracle=GRID, truth={a: truth}, steps=T)
+    assert found.runs == (2,)
+    for k, row in enumerate(found.rows + found.oracle_rows):
+        one = [(each.rows + each.oracle_rows)[k] for each in single]
+        assert_allclose(row.kl_by_step, np.mean([r.kl_by_step for r in one], axis=0), rtol=1e-9)
+        assert_allclose(row.nees_by_step, np.mean([r.nees_by_step for r in one], axis=0))
+        assert row.rmse["a"] == pytest.approx(np.sqrt(np.mean([r.rmse["a"] ** 2 for r in one])))
+        assert row.log_evidence == pytest.approx(np.mean([r.log_evidence for r in one]))
+    shared = pgm.smooth(bent(), {z: pgm.sightings(values[0], step=every)}, steps=T, belief=GRID)
+    row = pgm.compare(bent(), both, oracle=shared, steps=T)["Cubature", "smoother"]
+    beliefs = pgm.smooth(bent(), both, steps=T, lineariser=pgm.Cubature())[a]
+    due = consistency.kl(shared[a].gaussian(), beliefs).mean(axis=0)
+    assert_allclose(row.kl_by_step, due)
+
+
 def test_a_smoothed_grid_stands_for_filters_by_its_forward_sweep():
     posterior = pgm.smooth(bent(), SQUARES, steps=T, belief=GRID)
     given = pgm.compare(bent(), SQUARES, oracle=posterior, steps=T)
@@ -157,6 +187,20 @@ def test_steps_with_singular_beliefs_are_left_out():
     assert np.isnan([row.kl_by_step[0], row.nees_by_step[0]]).all()
     assert row.nees == pytest.approx(consistency.nees(oracle[x][:, 1:], truth[x][:, 1:]).mean())
     assert "KL and NEES leave out up to 1 step of 13" in repr(found)
+
+
+def test_a_belief_that_is_flat_at_first_is_left_out_there():
+    flat = bent().replace(prior=[pgm.GaussianCPD(a, [0.0], np.inf)], observation=linear_sensor())
+    late = {z: pgm.sightings(np.ones((T, 1)), step=np.arange(1, T + 1))}
+    oracle = pgm.smooth(flat, late, steps=T)
+    found = pgm.compare(flat, late, oracle=oracle, truth={a: np.ones((T + 1, 1))}, steps=T)
+    assert [row.left_out for row in found.rows] == [1, 0] * 3
+    assert found["Taylor", "filter"].kl == pytest.approx(0.0, abs=1e-12)
+    assert np.isfinite(found["Taylor", "filter"].nees)
+
+
+def linear_sensor():
+    return [pgm.LinearGaussianCPD(z, {a: 1.0}, cov=0.5)]
 
 
 def test_a_run_that_fails_is_a_row():
