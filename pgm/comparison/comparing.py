@@ -94,7 +94,8 @@ def compare(
     ------
     ModelError
         If the model is no dynamic network of Gaussian CPDs, or a lineariser, schedule, oracle,
-        truth or state is none, or does not fit the model, its runs or its steps.
+        truth or state is none, or does not fit the model, its runs or its steps; or if a function
+        of the model, or a lineariser, fails by itself.
     EvidenceError
         If the evidence does not fit the model.
     PgmError
@@ -174,6 +175,8 @@ def _run(
         "log_evidence": float(posterior.log_evidence.mean()),
         "log_evidence_kind": posterior.log_evidence_kind,
     }
+    if schedule.iterations > 1:
+        rest["converged"] = float(posterior.status.converged.mean())
     rows = []
     for state, name in names.items():
         reference = found.get((kind, state))
@@ -297,6 +300,8 @@ def _truths(
         array = as_floats(values, f"the truth of {state!r}", labels=labels((state,)))
         cov = np.broadcast_to(np.eye(state.dimension), (*shape, *(state.dimension,) * 2))
         mean = np.zeros((*shape, state.dimension))
+        if np.isnan(array).all():
+            raise ModelError(f"the truth of {state!r} is NaN throughout: leave it out, or give it")
         # Refused as it will be by what is made of it, but before any work.
         consistency.error(Gaussian(state, mean, cov, steps=np.arange(shape[-1])), array)
         if state in compared.states:

@@ -53,6 +53,8 @@ class Row:
     seconds : float
         Of the one call, with what is done once in a process; NaN of beliefs that came with another
         row's, or were given.
+    converged : float
+        The share of runs whose iterations have settled; NaN of a schedule without iterations.
     left_out : int
         The number of steps that KL and NEES leave out.
     error : str
@@ -71,6 +73,7 @@ class Row:
     log_evidence: float = np.nan
     log_evidence_kind: str = ""
     seconds: float = np.nan
+    converged: float = np.nan
     left_out: int = 0
     error: str = ""
 

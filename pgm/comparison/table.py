@@ -108,7 +108,7 @@ class Comparison(Immutable):
         pandas.DataFrame
             Columns lineariser, schedule, state, oracle (whether the row is its own), kl, kl_most,
             kl_step, rmse_<component>, nees, nees_expected, log_evidence, log_evidence_kind,
-            seconds, left_out, error; NaN where there is nothing.
+            seconds, converged, left_out, error; NaN where there is nothing.
 
         Raises
         ------
@@ -179,6 +179,7 @@ class Comparison(Immutable):
             ("NEES", [row.nees for row in rows]),
             ("of", [row.nees_expected for row in rows]),
             ("ln p(z)", [row.log_evidence for row in rows]),
+            ("converged", [row.converged for row in rows]),
             ("seconds", [row.seconds for row in rows]),
         ]
         for head, values in numbers:
@@ -194,6 +195,7 @@ _FRAME = (
     "log_evidence",
     "log_evidence_kind",
     "seconds",
+    "converged",
     "left_out",
     "error",
 )

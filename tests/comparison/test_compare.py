@@ -236,6 +236,9 @@ def test_rows_are_named():
         "Taylor",
     }
     assert {row.schedule for row in found.rows} == {"smoother", "smoother × 4"}
+    settled = pgm.smooth(bent(), SQUARES, steps=T, iterations=4).status.converged
+    assert found["Taylor", "smoother × 4"].converged == settled.mean()
+    assert np.isnan(found["Taylor", "smoother"].converged)
     assert found["Taylor", "smoother", a] is found["Taylor", "smoother"]
     with pytest.raises(ModelError, match=r"no row \('taylor', 'smoother'\); .*'Taylor'"):
         found["taylor", "smoother"]
@@ -350,6 +353,7 @@ CHAIN = pgm.DynamicBayesianNetwork(
         ({"truth": {z: np.zeros((T + 1, 1))}}, "given of z, which is no state"),
         ({"truth": {a: np.zeros((T, 1))}}, "of steps, must agree"),
         ({"truth": {a: np.zeros((T + 1, 2))}}, "of components, must agree"),
+        ({"truth": {a: np.full((T + 1, 1), np.nan)}}, "truth of a is NaN throughout"),
         ({"truth": {}, "oracle": {a: np.zeros((T + 1, 1))}}, "give the truth once"),
         ({"states": [z]}, "z is no state of the network"),
         ({"states": []}, "states= is empty"),
