@@ -8,6 +8,7 @@ from experiments import (
     cluster_graph,
     differential_drive,
     freiburg,
+    grid_localisation,
     grid_world,
     hallway,
     imu_heading,
@@ -42,6 +43,7 @@ EXPERIMENTS: dict[str, ModuleType] = {
     "hallway": hallway,
     "maze": maze,
     "topological": topological,
+    "grid_localisation": grid_localisation,
 }
 
 

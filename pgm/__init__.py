@@ -86,6 +86,7 @@ from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Discrete, Variable, variables
 
 if TYPE_CHECKING:
+    from pgm.comparison import Comparison, compare
     from pgm.io.networks import (
         from_pgmpy,
         read_bif,
@@ -102,8 +103,10 @@ __version__ = "0.1.0"
 
 def __getattr__(name: str) -> Any:
     """Load what is slow to import, or seldom wanted, when it is first asked for."""
-    if name in ("consistency", "plot"):
+    if name in ("comparison", "consistency", "plot"):
         return import_module(f"pgm.{name}")
+    if name in ("Comparison", "compare"):
+        return getattr(import_module("pgm.comparison"), name)
     if name in __all__:
         return getattr(import_module("pgm.io.networks"), name)
     raise AttributeError(f"module 'pgm' has no attribute {name!r}")
@@ -121,6 +124,7 @@ __all__ = [
     "ChainPosterior",
     "Cluster",
     "ClusterGraph",
+    "Comparison",
     "Cubature",
     "Discrete",
     "DynamicBayesianNetwork",
@@ -179,6 +183,7 @@ __all__ = [
     "Variable",
     "WeightedMinFill",
     "audit",
+    "compare",
     "compile",
     "constant",
     "filter",

@@ -1,10 +1,13 @@
 """The Freiburg exercise: an extended Kalman filter of odometry and ranges, and what it leaves out.
 
 The exercise's noise is far wider than the robot's, so that beliefs are wide and linearisers part.
-The reference is a particle filter, as a Gaussian of its moments at each step. In summary.json,
-``divergence.<alone|stacked>.<lineariser>`` has mean, median and largest KL(particles ‖ filter) over
-the steps, the ranges of a step linearised one by one or as one vector; ``log_evidence`` those of
-the filters and of the particles; ``from_dead_reckoning`` root mean square distances in the plane;
+The references are a particle filter and a grid, as Gaussians of their moments at each step. In
+summary.json, ``divergence.<alone|stacked>.<lineariser>`` has mean, median and largest
+KL(particles ‖ filter) over the steps, the ranges of a step linearised one by one or as one vector;
+``divergence_from_grid`` mean and largest KL of filters and of smoothers from the grid; ``grid`` its
+cells, the seconds it took, how far it is from a Gaussian itself, and the largest difference of a
+filter's mean KL from that to the particles, as a part of it; ``log_evidence`` those of the filters,
+of the particles and of the grid; ``from_dead_reckoning`` root mean square distances in the plane;
 ``heading_std`` the mean standard deviation that the filters give their headings; ``steps_apart``
 the steps where the filters are furthest from the particles.
 """
@@ -23,6 +26,7 @@ import pgm
 from experiments.freiburg import exercise, figures
 from experiments.freiburg import log as recording
 from experiments.freiburg.exercise import LINEARISERS
+from experiments.freiburg.grid import compared, gridded
 from experiments.freiburg.log import Log
 from experiments.freiburg.particles import particle_filter
 from experiments.record import Out, Record, Seed, note, progress
@@ -78,6 +82,11 @@ def run(
     posteriors = {name: smooth(log, grouped=grouped) for name, grouped in STACKED.items()}
     cloud = particle_filter(log, particles, np.random.default_rng(seed))
     found = {name: divergences(cloud.belief, each) for name, each in posteriors.items()}
+    grid = gridded(log)
+    tables = {
+        name: compared(log, grid.posterior, grouped=grouped) for name, grouped in STACKED.items()
+    }
+    from_grid = {name: by_schedule(each) for name, each in tables.items()}
     alone, reckoned = posteriors["alone"], dead_reckoning(log)
     headings = {label: own_deviation(p.filtered[pose]) for label, p in alone.items()}
     headings["particles"] = own_deviation(cloud.belief)
@@ -109,6 +118,36 @@ def run(
         "filters linearise the ranges of a step as one vector"
     )
     record.table(
+        f"KL from a grid of {cell_count(grid.posterior):,} cells [nats]",
+        ("lineariser", "filter", "largest", "stacked", "smoother", "largest", "stacked"),
+        [
+            (
+                label,
+                *(
+                    value
+                    for word in ("filter", "smoother")
+                    for value in (
+                        *from_grid["alone"][label][word].values(),
+                        from_grid["stacked"][label][word]["mean"],
+                    )
+                ),
+            )
+            for label in LINEARISERS
+        ]
+        + [
+            (
+                "grid, from its own Gaussian",
+                *(v for row in tables["alone"].oracle_rows for v in (row.kl, row.kl_most, "")),
+            )
+        ],
+    )
+    differ = largest_difference(found, from_grid)
+    record.note(
+        f"the grid took {grid.seconds:.1f} s for filter and smoother; its log-evidence is "
+        f"{float(grid.posterior.log_evidence):.2f}; mean KL of filters from it and from the "
+        f"particles differ by at most {100.0 * differ:.2g} %"
+    )
+    record.table(
         "RMS distance from dead reckoning [m], and the filters' own heading deviation [rad]",
         ("lineariser", "filter", "smoother", "heading"),
         [(label, *each.values(), headings[label]) for label, each in away.items()]
@@ -135,13 +174,27 @@ def run(
         "How far each filtered belief is from the particles' Gaussian.",
     )
     record.figure(
+        figures.compared(tables["alone"]),
+        "comparison",
+        "How far filters and smoothers are from the grid's; grey, the grid from a Gaussian.",
+    )
+    record.figure(
         figures.beliefs(alone, cloud, apart),
         "beliefs",
         "Particles and 95 % ellipses of the filters, in the plane, where they differ most.",
     )
     record.summary(
         divergence=found,
-        log_evidence=evidence | {"particles": cloud.log_evidence},
+        log_evidence=evidence
+        | {"particles": cloud.log_evidence, "grid": float(grid.posterior.log_evidence)},
+        divergence_from_grid=from_grid,
+        grid={
+            "cells": repr(grid.posterior.grid),
+            "seconds": grid.seconds,
+            "outside": float(grid.posterior.status.outside),
+            "from_gaussian": {row.kind.name: row.kl for row in tables["alone"].oracle_rows},
+            "from_particles": differ,
+        },
         from_dead_reckoning=away,
         heading_std=headings,
         effective_particles=float(cloud.effective.min()),
@@ -178,6 +231,32 @@ def divergences(
             "largest": float(kl.max()),
         }
     return found
+
+
+def by_schedule(table: pgm.Comparison) -> dict[str, dict[str, dict[str, float]]]:
+    """Mean and largest KL over the steps, by lineariser and schedule."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for row in table.rows:
+        by_word = found.setdefault(row.lineariser, {})
+        by_word[row.schedule] = {"mean": row.kl, "largest": row.kl_most}
+    return found
+
+
+def largest_difference(
+    particles: Mapping[str, Mapping[str, Mapping[str, float]]],
+    grid: Mapping[str, Mapping[str, Mapping[str, Mapping[str, float]]]],
+) -> float:
+    """The largest difference of filters' mean KL from two references, as a part of the first."""
+    return max(
+        abs(grid[name][label]["filter"]["mean"] / each["mean"] - 1.0)
+        for name, by_label in particles.items()
+        for label, each in by_label.items()
+    )
+
+
+def cell_count(posterior: pgm.GridPosterior) -> int:
+    """The number of a grid's cells."""
+    return int(np.prod([each.size for each in posterior[pose.at(0)].centres]))
 
 
 def furthest(

@@ -71,6 +71,19 @@ def divergence(reference: pgm.Gaussian, posteriors: Mapping[str, pgm.ChainPoster
     return figure
 
 
+def compared(table: pgm.Comparison) -> Figure:
+    """KL of filters and smoothers from a grid's beliefs over the steps."""
+    figure, axes = plt.subplots(2, 1, figsize=(11, 8), sharex=True, sharey=True)
+    for ax, schedule in zip(axes, ("filter", "smoother"), strict=True):
+        pgm.plot.comparison(table, schedule=schedule, ax=ax)
+        ax.set_ylabel(f"KL(grid ‖ {schedule}) [nats]")
+    axes[0].set_xlabel("")
+    axes[0].set_ylim(bottom=3e-4)
+    figure.set_layout_engine("constrained")
+    plt.close(figure)
+    return figure
+
+
 def beliefs(
     posteriors: Mapping[str, pgm.ChainPosterior], particles: Particles, steps: Sequence[int]
 ) -> Figure:

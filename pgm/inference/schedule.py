@@ -8,6 +8,7 @@ from pgm.boundary import is_number, is_whole
 from pgm.errors import ModelError
 from pgm.inference.checks import require_count, require_tolerance
 from pgm.inference.damping import Damping, require_damping
+from pgm.inference.kind import FILTERED, SMOOTHED, Kind
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,11 @@ class Filtering:
         require_count(self, "iterations, which count linearisations,", self.iterations)
         require_tolerance(self, self.tolerance)
         require_damping(self, self.damping)
+
+    @property
+    def kind(self) -> Kind:
+        """The kind of the beliefs that it leaves: filtered."""
+        return FILTERED
 
 
 ONCE = Filtering()
@@ -119,6 +125,11 @@ class Smoothing(Calibration):
         super().__post_init__()
         require_damping(self, self.damping)
 
+    @property
+    def kind(self) -> Kind:
+        """The kind of the beliefs that it leaves: smoothed."""
+        return SMOOTHED
+
 
 @dataclass(frozen=True)
 class FixedLag:
@@ -187,6 +198,11 @@ class FixedLag:
         require_count(self, "iterations, which count linearisations,", self.iterations)
         require_tolerance(self, self.tolerance)
         require_damping(self, self.damping)
+
+    @property
+    def kind(self) -> Kind:
+        """The kind of the beliefs that it leaves: fixed-lag; filtered, of a lag of zero."""
+        return Kind(self.lag)
 
     @property
     def filtering(self) -> Filtering:

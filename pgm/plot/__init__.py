@@ -1,7 +1,9 @@
 """Pictures of networks, cluster graphs and beliefs; those that draw take and return axes."""
 
+from pgm.plot.animation import animate_beliefs
 from pgm.plot.cells import belief_map
 from pgm.plot.clusters import cluster_graph
+from pgm.plot.compared import comparison
 from pgm.plot.consistency import coverage, nees, nis, whiteness
 from pgm.plot.graphviz import dot
 from pgm.plot.grid_map import grid_map
@@ -12,9 +14,11 @@ from pgm.plot.records import convergence
 from pgm.plot.stacks import beliefs_over_time
 
 __all__ = [
+    "animate_beliefs",
     "belief_map",
     "beliefs_over_time",
     "cluster_graph",
+    "comparison",
     "convergence",
     "coverage",
     "dot",

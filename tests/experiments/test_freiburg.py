@@ -10,11 +10,21 @@ import pgm
 from experiments import freiburg
 from experiments.freiburg import exercise
 from experiments.freiburg import log as recording
-from experiments.freiburg.experiment import dead_reckoning, divergences, furthest, smooth
+from experiments.freiburg.experiment import (
+    STACKED,
+    by_schedule,
+    cell_count,
+    dead_reckoning,
+    divergences,
+    furthest,
+    largest_difference,
+    smooth,
+)
+from experiments.freiburg.grid import cells, compared, gridded
 from experiments.freiburg.particles import particle_filter
 from models import networks
 from models.networks import pose
-from pgm import FileError
+from pgm import FileError, consistency
 
 WORLD = "1 2 1\n2 0 4\n\n7 2.5 7\n"
 SENSOR = """ODOMETRY 0.1 0.2 0.001
@@ -206,15 +216,83 @@ def test_divergences_are_to_the_reference(tmp_path):
     assert len(furthest(wider, posteriors)) == 1  # of four steps, which are near each other
 
 
-def test_linearisers_part_as_textbook_implementations_do(recorded):
-    """Within what 10⁵ particles leave: a tenth."""
-    reference = particle_filter(recorded, 100_000, np.random.default_rng(0)).belief
-    found = {
-        name: divergences(reference, smooth(recorded, grouped=grouped))
-        for name, grouped in (("alone", False), ("stacked", True))
+def from_particles(log, count):
+    """By way of linearising and lineariser, the divergences of the filters."""
+    reference = particle_filter(log, count, np.random.default_rng(0)).belief
+    return {
+        name: divergences(reference, smooth(log, grouped=grouped))
+        for name, grouped in STACKED.items()
     }
+
+
+@pytest.fixture(scope="module")
+def by_particles(recorded):
+    return from_particles(recorded, 100_000)
+
+
+@pytest.fixture(scope="module")
+def by_grid(recorded):
+    """The same, from a grid that filters; no smoother is asked for."""
+    posterior = pgm.filter(exercise.network(), recorded.evidence, belief=cells(recorded))
+    assert posterior.status.outside < 1e-6
+    return {
+        name: pgm.compare(
+            exercise.network(grouped=grouped),
+            recorded.evidence,
+            linearisers=exercise.LINEARISERS,
+            schedules=[pgm.Filtering()],
+            oracle=posterior,
+        )
+        for name, grouped in STACKED.items()
+    }
+
+
+def test_linearisers_part_as_textbook_implementations_do(by_particles):
+    """Within what 10⁵ particles leave: a tenth."""
     for (name, label), due in BASELINES.items():
-        assert found[name][label]["mean"] == pytest.approx(due, rel=0.1)
+        assert by_particles[name][label]["mean"] == pytest.approx(due, rel=0.1)
+
+
+def assert_alike(grid, particles, within):
+    for name, by_label in particles.items():
+        for label, each in by_label.items():
+            row = grid[name][label, "filter"]
+            assert row.kl == pytest.approx(each["mean"], rel=within), (name, label)
+
+
+def test_the_grid_tells_what_particles_tell(by_grid, by_particles):
+    """Particles are 10⁵ here, and leave some of the tenth that is allowed; 10⁶ below."""
+    assert_alike(by_grid, by_particles, 0.1)
+
+
+@pytest.mark.slow
+def test_the_grid_tells_what_a_million_particles_tell(recorded, by_grid):
+    assert_alike(by_grid, from_particles(recorded, 1_000_000), 0.05)
+
+
+def test_a_grid_is_around_landmarks_and_start(tmp_path):
+    log = recording.load(written(tmp_path))
+    found = cells(log).cells
+    for name, reach in (("east", (-6.0, 8.5)), ("north", (-6.0, 13.0))):
+        low, high, count = found[name]
+        assert low == reach[0]
+        assert 0.0 <= high - reach[1] < 0.4 == pytest.approx((high - low) / count)
+    assert found["heading"] == 48
+
+
+def test_the_experiment_s_comparison_has_filters_and_smoothers(tmp_path):
+    log = recording.load(written(tmp_path))
+    grid = gridded(log)
+    table = compared(log, grid.posterior)
+    belief = pgm.smooth(exercise.network(), log.evidence, lineariser=pgm.Cubature())
+    due = consistency.kl(grid.posterior[pose].gaussian(), belief[pose])
+    assert_allclose(table["cubature", "smoother"].kl_by_step, due)
+    by_word = by_schedule(table)["cubature"]
+    assert by_word["smoother"] == pytest.approx({"mean": due.mean(), "largest": due.max()})
+    assert cell_count(grid.posterior) == grid.posterior[pose].values[0].size
+    alone = {"alone": {"cubature": {"mean": 2.0}}}
+    twice = {"alone": {"cubature": {"filter": {"mean": 1.5}}}}
+    assert largest_difference(alone, twice) == 0.25
 
 
 def test_the_smoother_knows_more(recorded):
@@ -233,7 +311,9 @@ def test_everything_is_written(tmp_path):
     for found in summary["divergence"].values():
         assert set(found) == set(exercise.LINEARISERS)
     assert summary["from_dead_reckoning"]["Taylor"].keys() == {"filter", "smoother"}
-    for name in ("path", "filters", "divergence", "beliefs"):
+    assert set(summary["divergence_from_grid"]["alone"]) == set(exercise.LINEARISERS)
+    assert summary["grid"]["cells"].startswith("Grid(east: ")
+    for name in ("path", "filters", "divergence", "comparison", "beliefs"):
         assert (out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
         assert (out / f"{name}.pdf").read_bytes().startswith(b"%PDF")
 

@@ -1,0 +1,225 @@
+"""Oracles: beliefs that are right, or nearer to it, of each kind that is compared."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from pgm.compile import DynamicGraph
+from pgm.errors import ModelError
+from pgm.evidence import Evidence
+from pgm.factors import Gaussian
+from pgm.factors.scope import listed
+from pgm.inference import (
+    Filtering,
+    FixedLag,
+    Grid,
+    GridBelief,
+    GridPosterior,
+    Kind,
+    Smoothing,
+    infer,
+)
+from pgm.inference.kind import FILTERED, SMOOTHED
+from pgm.kernels.arrays import Array
+from pgm.variables import Variable
+
+
+@runtime_checkable
+class Oracle(Protocol):
+    """What a comparison takes for an oracle: marginals over time, which say of which kind.
+
+    A `ChainPosterior` is one, a `GridPosterior`, or anything of a user's own, particles for one.
+    Where it has ``filtered``, which is an oracle too, that stands for filters.
+
+    Attributes
+    ----------
+    kind : Kind
+    """
+
+    @property
+    def kind(self) -> Kind:
+        """Which measurements its beliefs know."""
+
+    def __getitem__(self, variable: Variable, /) -> Any:
+        """The marginal over steps 0..T: a `Gaussian`, or a `GridBelief`."""
+
+
+class Reference(NamedTuple):
+    """The oracle's belief of a state over steps 0..T.
+
+    Attributes
+    ----------
+    gaussian : Gaussian
+        Of its mean and covariance, (*runs, T+1, d).
+    from_gaussian : ndarray
+        (T+1,), in nats, the mean over runs: KL from that Gaussian.
+    seconds : float
+        Of the oracle's call; NaN if it was made with another, or given.
+    log_evidence : float
+        The mean over runs; NaN if the oracle has none.
+    log_evidence_kind : str
+    status : str
+        Of a grid, in words.
+    """
+
+    gaussian: Gaussian
+    from_gaussian: Array
+    seconds: float
+    log_evidence: float
+    log_evidence_kind: str
+    status: str
+
+
+class Compared(NamedTuple):
+    """What is compared.
+
+    Attributes
+    ----------
+    graph : DynamicGraph
+    evidence : mapping of Variable
+    lead : tuple of int
+        The axes of runs.
+    states : tuple of Variable
+    kinds : tuple of Kind
+        Of the schedules.
+    """
+
+    graph: DynamicGraph
+    evidence: Evidence
+    lead: tuple[int, ...]
+    states: tuple[Variable, ...]
+    kinds: tuple[Kind, ...]
+
+
+def require_oracle(oracle: Any, kinds: Iterable[Kind]) -> None:
+    """Refuse what is no oracle, and one that has no beliefs of a kind that is compared."""
+    if isinstance(oracle, Grid):
+        return
+    if not isinstance(oracle, Oracle) or not isinstance(oracle.kind, Kind):
+        raise ModelError(
+            "oracle= is a pgm.Grid(...), a posterior over time with .kind and marginals "
+            "posterior[x], or a mapping of states to their truth (..., T+1, d), not "
+            f"{type(oracle).__name__}"
+        )
+    for kind in kinds:
+        if kind != oracle.kind and not (kind == FILTERED and hasattr(oracle, "filtered")):
+            raise ModelError(
+                f"the oracle's beliefs are {oracle.kind}, and a schedule's are {kind}, which know "
+                "other measurements: give an oracle of that kind, or leave that schedule out of "
+                "schedules="
+            )
+
+
+def references(oracle: Grid | Oracle, compared: Compared) -> dict[tuple[Kind, Variable], Reference]:
+    """The oracle's beliefs, of each kind and state; a grid is run here.
+
+    Parameters
+    ----------
+    oracle : Grid or Oracle
+        As `require_oracle` lets it pass.
+    compared : Compared
+    """
+    found = {}
+    for kind, posterior, seconds in _of_each_kind(oracle, compared):
+        evidence = getattr(posterior, "log_evidence", None)
+        mean = np.nan if evidence is None else float(np.mean(evidence))
+        name = str(getattr(posterior, "log_evidence_kind", ""))
+        status = repr(posterior.status) if isinstance(posterior, GridPosterior) else ""
+        for state in compared.states:
+            gaussian, apart = _gaussian(posterior[state], state, compared)
+            found[kind, state] = Reference(gaussian, apart, seconds, mean, name, status)
+    return found
+
+
+def _of_each_kind(oracle: Grid | Oracle, compared: Compared) -> Iterable[tuple[Kind, Any, float]]:
+    """A posterior of each kind, and the seconds that it took."""
+    if not isinstance(oracle, Grid):
+        for kind in compared.kinds:
+            # A filtered posterior is its own forward sweep.
+            yield kind, (oracle if kind == oracle.kind else oracle.filtered), np.nan  # type: ignore[attr-defined]
+        return
+    ran: dict[Kind, GridPosterior] = {}
+    # The smoother first: the filter's beliefs come with it.
+    for kind in sorted(compared.kinds, key=lambda kind: -kind.lag):
+        seconds = np.nan
+        if kind == FILTERED and ran:
+            ran[kind] = next(iter(ran.values())).filtered
+        else:
+            began = time.perf_counter()
+            ran[kind] = infer(
+                compared.graph, compared.evidence, schedule=_schedule(kind), belief=oracle
+            )
+            seconds = time.perf_counter() - began
+        yield kind, ran[kind], seconds
+
+
+def _schedule(kind: Kind) -> Filtering | FixedLag | Smoothing:
+    """The schedule without iterations that leaves beliefs of a kind."""
+    if kind == SMOOTHED:
+        return Smoothing()
+    return Filtering() if kind == FILTERED else FixedLag(int(kind.lag))
+
+
+def _gaussian(belief: Any, state: Variable, compared: Compared) -> tuple[Gaussian, Array]:
+    """The Gaussian of an oracle's marginal, and the KL from it at each step."""
+    count = compared.graph.steps + 1
+    if isinstance(belief, GridBelief):
+        gaussian = belief.gaussian()
+        apart = non_gaussianity(belief)
+    elif isinstance(belief, Gaussian):
+        gaussian, apart = belief, np.zeros(belief.mean.shape[:-1])
+    else:
+        raise ModelError(
+            f"the oracle's marginal of {state!r} is a {type(belief).__name__}; a pgm.Gaussian or "
+            "a pgm.GridBelief over steps 0..T was due",
+            variable=state,
+        )
+    due = (*compared.lead, count, state.dimension)
+    steps = gaussian.steps
+    if (
+        gaussian.scope != (state,)
+        or gaussian.mean.shape not in (due, due[-2:])
+        or (steps is not None and steps.tolist() != list(range(count)))
+    ):
+        raise ModelError(
+            f"the oracle's marginal of {state!r} is over {listed(gaussian.scope)} with means of "
+            f"shape {gaussian.mean.shape}; {due} was due: the same model, runs and steps 0.."
+            f"{count - 1} as are compared",
+            variable=state,
+        )
+    return gaussian, apart.reshape(-1, count).mean(axis=0)
+
+
+def non_gaussianity(belief: GridBelief) -> Array:
+    r"""KL from a grid's density to the Gaussian of its mean and covariance, (...), in nats.
+
+    .. math:: KL(p \| N_p) = \tfrac12 \ln |2πe P| + \sum_k p_k \ln (p_k / V)
+
+    - p_k / V: the density in a cell of volume V;
+    - P: the covariance.
+
+    NaN where the covariance is singular. It is right where the density is smooth over a cell; one
+    that is negative tells that cells are too wide for the belief. Angles count as if their line
+    had no ends.
+
+    Parameters
+    ----------
+    belief : GridBelief
+    """
+    lead = belief.values.ndim - len(belief.centres)
+    rows = belief.values.reshape(-1, int(np.prod(belief.values.shape[lead:])))
+    entropy = np.empty(len(rows))
+    for k, row in enumerate(rows):  # one at a time: all of them may not fit twice
+        some = row[row > 0.0].astype(np.float64)
+        some /= some.sum()
+        entropy[k] = -(some @ np.log(some))
+    volume = np.prod([centres[1] - centres[0] for centres in belief.centres])
+    sign, log_det = np.linalg.slogdet(belief.cov)
+    normal = 0.5 * (log_det + belief.cov.shape[-1] * np.log(2.0 * np.pi * np.e))
+    density = entropy.reshape(belief.values.shape[:lead]) + np.log(volume)
+    found: Array = np.where((sign > 0.0) & np.isfinite(log_det), normal - density, np.nan)
+    return found

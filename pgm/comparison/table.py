@@ -1,0 +1,227 @@
+"""The table of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from pgm.comparison.row import Row
+from pgm.errors import ModelError
+from pgm.factors.scope import listed
+from pgm.immutable import Immutable
+from pgm.variables import Variable
+
+_NONE = "–"
+
+
+class Comparison(Immutable):
+    """Linearisers and schedules beside each other; its text is a table.
+
+    ``found["Taylor", "filter"]`` is a row, of the only state; ``found["Taylor", "filter", x]`` that
+    of one of several. `pgm.plot.comparison` draws it.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+        Of each lineariser, schedule and state, in the order given.
+    oracle_rows : tuple of Row
+        The oracle's own, of each kind and state: how far it is from a Gaussian, and that Gaussian
+        against the truth.
+    steps : int
+        T.
+    runs : tuple of int
+        The axes of runs that were averaged.
+    oracle : str
+        The oracle in words; empty without one.
+    oracle_status : str
+        The status of an oracle that is a grid, in words: what its bounds and cells cost.
+    """
+
+    rows: tuple[Row, ...]
+    oracle_rows: tuple[Row, ...]
+    steps: int
+    runs: tuple[int, ...]
+    oracle: str
+    oracle_status: str
+
+    def __init__(
+        self,
+        rows: Iterable[Row],
+        oracle_rows: Iterable[Row],
+        steps: int,
+        runs: tuple[int, ...],
+        oracle: str,
+        oracle_status: str = "",
+    ) -> None:
+        self._set(
+            rows=tuple(rows),
+            oracle_rows=tuple(oracle_rows),
+            steps=steps,
+            runs=runs,
+            oracle=oracle,
+            oracle_status=oracle_status,
+        )
+
+    @property
+    def states(self) -> tuple[Variable, ...]:
+        """The states compared."""
+        return tuple(dict.fromkeys(row.state for row in self.rows))
+
+    def __getitem__(self, key: Any) -> Row:
+        """The row of a lineariser and a schedule, by their names, and a state, if of several.
+
+        Raises
+        ------
+        ModelError
+            If there is no such row, or several.
+        """
+        parts = key if isinstance(key, tuple) else (key,)
+        found = [
+            row
+            for row in self.rows
+            if parts in ((row.lineariser, row.schedule), (row.lineariser, row.schedule, row.state))
+        ]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise ModelError(
+                f"{key!r} has rows of {listed(self.states)}; name the state, "
+                f"[{parts[0]!r}, {parts[1]!r}, {self.states[0].name}]"
+            )
+        names = [list(dict.fromkeys(getattr(r, n) for r in self.rows)) for n in _NAMES]
+        raise ModelError(
+            f"no row {key!r}; a comparison is asked for a lineariser of {names[0]} and a schedule "
+            f"of {names[1]}, by their names"
+        )
+
+    # Python would else iterate by asking for the rows 0, 1, ...
+    __iter__ = None
+
+    def to_frame(self) -> Any:
+        """The table as a data frame of pandas, the oracle's rows last.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns lineariser, schedule, state, oracle (whether the row is its own), kl, kl_most,
+            kl_step, rmse_<component>, nees, nees_expected, log_evidence, log_evidence_kind,
+            seconds, converged, left_out, error; NaN where there is nothing.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        try:
+            pandas = import_module("pandas")
+        except ImportError:
+            raise ImportError(
+                "Comparison.to_frame needs pandas: pip install pandas; .rows has the same numbers"
+            ) from None
+        records = [
+            {"lineariser": row.lineariser, "schedule": row.schedule, "state": row.state.name}
+            | {"oracle": row in self.oracle_rows}
+            | {"kl": row.kl, "kl_most": row.kl_most}
+            | {"kl_step": np.nan if row.kl_step is None else row.kl_step}
+            | {f"rmse_{label}": row.rmse.get(label, np.nan) for label in self._components}
+            | {name: getattr(row, name) for name in _FRAME}
+            for row in (*self.rows, *self.oracle_rows)
+        ]
+        return pandas.DataFrame.from_records(records)
+
+    @property
+    def _components(self) -> list[str]:
+        """The components with a truth."""
+        return list(dict.fromkeys(label for row in self.rows for label in row.rmse))
+
+    def __repr__(self) -> str:
+        linearisers, schedules = (len({getattr(r, n) for r in self.rows}) for n in _NAMES)
+        runs = f", {int(np.prod(self.runs))} runs" if self.runs else ""
+        lines = [
+            f"Comparison of {_count(linearisers, 'lineariser')} under "
+            f"{_count(schedules, 'schedule')}, steps 0..{self.steps}{runs}"
+        ]
+        if self.oracle:
+            lines[0] += f"; oracle {self.oracle}"
+        lines += _aligned(self._columns())
+        lines += [f"{_who(row)}: {row.error}" for row in self.rows if row.error]
+        left = [row for row in (*self.rows, *self.oracle_rows) if row.left_out]
+        if left:
+            most = max(row.left_out for row in left)
+            lines.append(
+                f"KL and NEES leave out up to {_count(most, 'step')} of {self.steps + 1}, where a "
+                "covariance is singular or infinite"
+            )
+        if self.oracle_rows:
+            lines.append("KL of the oracle's rows: from its own Gaussian, KL(p ‖ N_p)")
+        if self.oracle_status:
+            lines.append(f"the oracle's status: {self.oracle_status}")
+        return "\n".join(lines)
+
+    def _columns(self) -> list[list[str]]:
+        """The columns of the table, each with its head; those without a number are left out."""
+        rows = [*self.rows, *self.oracle_rows]
+        columns = [["lineariser", *(row.lineariser for row in rows)]]
+        columns.append(["schedule", *(row.schedule for row in rows)])
+        if len(self.states) > 1:
+            columns.append(["state", *(row.state.name for row in rows)])
+        numbers: list[tuple[str, Sequence[float]]] = [
+            ("KL [nats]", [row.kl for row in rows]),
+            ("most", [row.kl_most for row in rows]),
+            ("at step", [np.nan if row.kl_step is None else row.kl_step for row in rows]),
+        ]
+        for label in self._components:
+            numbers.append((f"RMSE {label}", [row.rmse.get(label, np.nan) for row in rows]))
+        numbers += [
+            ("NEES", [row.nees for row in rows]),
+            ("of", [row.nees_expected for row in rows]),
+            ("ln p(z)", [row.log_evidence for row in rows]),
+            ("converged", [row.converged for row in rows]),
+            ("seconds", [row.seconds for row in rows]),
+        ]
+        for head, values in numbers:
+            if not np.isnan(values).all():
+                columns.append([head, *map(_shown, values)])
+        return columns
+
+
+_NAMES = ("lineariser", "schedule")
+_FRAME = (
+    "nees",
+    "nees_expected",
+    "log_evidence",
+    "log_evidence_kind",
+    "seconds",
+    "converged",
+    "left_out",
+    "error",
+)
+
+
+def _aligned(columns: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table: names to the left, numbers to the right."""
+    wide = [max(map(len, column)) for column in columns]
+    words = sum(column[0] in (*_NAMES, "state") for column in columns)
+    return [
+        "  ".join(
+            cell.ljust(width) if k < words else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, wide, strict=True))
+        ).rstrip()
+        for row in zip(*columns, strict=True)
+    ]
+
+
+def _shown(value: float) -> str:
+    """A number to four digits, none as a dash."""
+    return _NONE if np.isnan(value) else f"{value:.4g}"
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def _who(row: Row) -> str:
+    return f"{row.lineariser}, {row.schedule}, {row.state.name}"

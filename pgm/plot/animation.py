@@ -1,0 +1,135 @@
+"""Beliefs on a grid as moving pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import numpy.typing as npt
+from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
+from matplotlib.axes import Axes
+
+from pgm.boundary import is_number
+from pgm.errors import ModelError
+from pgm.inference import GridBelief
+from pgm.io.whole import whole
+from pgm.plot.grid_map import grid_map
+
+_WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
+
+
+def animate_beliefs(
+    belief: GridBelief,
+    path: str | PathLike[str],
+    *,
+    truth: npt.ArrayLike | None = None,
+    landmarks: npt.ArrayLike | None = None,
+    rate: float = 5.0,
+    also: Callable[[Axes, int], None] | None = None,
+    figsize: tuple[float, float] = (5.0, 5.2),
+    dpi: int = 80,
+    **style: Any,
+) -> Path:
+    """Write a belief over time as a moving picture, a map a step: see `grid_map`.
+
+    The darkest colour is that of the most probable cell of each picture.
+
+    Parameters
+    ----------
+    belief : GridBelief
+        Of one run over steps, as ``posterior[x]``.
+    path : path
+        Where to: a GIF, ``drive.gif``, or where the program ffmpeg is, ``drive.mp4``. It is
+        written whole or not at all.
+    truth : array_like, optional
+        (T+1, n), in the order of the belief's components.
+    landmarks : array_like, optional
+        (L, 2), in the two components drawn.
+    rate : float
+        Pictures a second.
+    also : callable, optional
+        ``also(ax, step)`` draws more into each picture, or sets its limits.
+    figsize : pair of float
+        Of a picture [inches].
+    dpi : int
+        Dots an inch.
+    **style
+        Further arguments of `grid_map`.
+
+    Returns
+    -------
+    pathlib.Path
+        Of the file.
+
+    Raises
+    ------
+    ModelError
+        If it is no belief on a grid, or of several runs or no steps; if the file is of another
+        kind, or an MP4 and there is no ffmpeg; or an argument does not fit.
+
+    Examples
+    --------
+    >>> animate_beliefs(posterior[x], "drive.gif", landmarks=places)  # doctest: +SKIP
+    """
+    if not isinstance(belief, GridBelief):
+        raise ModelError(f"animate_beliefs draws a belief on a grid, not a {type(belief).__name__}")
+    steps = belief.steps
+    if steps is None or len(belief.lead) != 1:
+        raise ModelError(
+            f"{belief!r} is not of one run over steps; give posterior[x], or posterior[x][k] of "
+            "several runs"
+        )
+    if not is_number(rate) or not 0.0 < rate < np.inf:
+        raise ModelError(f"rate is a number of pictures a second, above 0, not {rate!r}")
+    places = None if truth is None else np.asarray(truth, dtype=float)
+    if places is not None and places.shape != (len(steps), len(belief.components)):
+        raise ModelError(
+            f"the truth has shape {places.shape}; {(len(steps), len(belief.components))} was due, "
+            "steps and components"
+        )
+    target = Path(path)
+    writer = _writer(target, rate)
+    figure, ax = plt.subplots(figsize=figsize, layout="constrained")
+
+    def draw(k: int) -> None:
+        step = int(steps[k])
+        ax.clear()
+        at = None if places is None else places[k]
+        grid_map(belief[k], truth=at, landmarks=landmarks, ax=ax, **style)
+        ax.set_title(f"step {step}")
+        if also is not None:
+            also(ax, step)
+
+    try:
+        draw(0)  # what does not fit is told before there is a file
+        figure.canvas.draw()  # a layout that is kept: nothing shakes
+        figure.set_layout_engine("none")
+        with whole(target) as part, writer.saving(figure, str(part), dpi):
+            writer.grab_frame()
+            for k in range(1, len(steps)):
+                draw(k)
+                writer.grab_frame()
+    finally:
+        plt.close(figure)
+    return target
+
+
+def _writer(path: Path, rate: float) -> AbstractMovieWriter:
+    """The writer of a file of this kind."""
+    kind = _WRITERS.get(path.suffix.lower())
+    if kind is None:
+        raise ModelError(
+            f"{path.name!r} is no moving picture that can be written: its name ends in .gif, or "
+            "where there is ffmpeg in .mp4"
+        )
+    if not kind.isAvailable():
+        raise ModelError(
+            f"{path.name!r} needs the program ffmpeg, which is not found; install it, or write a "
+            ".gif"
+        )
+    writer: AbstractMovieWriter = kind(fps=rate)
+    return writer

@@ -1,0 +1,139 @@
+"""Linearisers and schedules compared, over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+
+from pgm.comparison import Comparison, Row
+from pgm.errors import ModelError
+from pgm.factors.scope import listed
+from pgm.kernels.arrays import Array
+from pgm.plot.axes import given_or_new, name_axes, plain
+from pgm.plot.bands import along
+from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.variables import Variable
+
+# One a schedule; colours are one a lineariser.
+_STYLES = ("-", "--", ":", "-.")
+# The statistics that can be drawn, by name: at each step of a row, and the label of the axis.
+_STATISTICS: dict[str, tuple[Callable[[Row], Array], str]] = {
+    "kl": (lambda row: row.kl_by_step, "KL(oracle ‖ belief) [nats]"),
+    "nees": (lambda row: row.nees_by_step, "NEES"),
+}
+
+_NEEDS = {"kl": "an oracle=", "nees": "a truth="}
+
+
+def comparison(
+    found: Comparison,
+    *,
+    statistic: str = "kl",
+    state: Variable | None = None,
+    schedule: str | None = None,
+    times: npt.ArrayLike | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw a comparison over time on a logarithmic axis: a colour a lineariser, a style a schedule.
+
+    The oracle's own KL, from the Gaussian of its moments, is grey; zeros, which have no logarithm,
+    are left out. The legend names runs that failed.
+
+    Parameters
+    ----------
+    found : Comparison
+        Of `pgm.compare`.
+    statistic : str
+        ``"kl"``, from the oracle, or ``"nees"``, whose expected value is a line.
+    state : Variable, optional
+        Of several, the one that is drawn.
+    schedule : str, optional
+        The name of the only one that is drawn; all without.
+    times : array_like, optional
+        (T+1,), for the horizontal axis; the steps themselves without.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's without.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ModelError
+        If it is no comparison, has no such statistic, state or schedule, or no state is named of
+        several.
+
+    Examples
+    --------
+    >>> comparison(pgm.compare(model, evidence, oracle=grid))  # doctest: +SKIP
+    """
+    if not isinstance(found, Comparison):
+        raise ModelError(f"comparison draws what pgm.compare returns, not a {type(found).__name__}")
+    if statistic not in _STATISTICS:
+        raise ModelError(f"statistic= is one of {list(_STATISTICS)}, not {statistic!r}")
+    of, label = _STATISTICS[statistic]
+    rows = _chosen(found, state, schedule)
+    if all(np.isnan(of(row)).all() for row in rows):
+        raise ModelError(
+            f"no row has a {statistic}: give pgm.compare {_NEEDS[statistic]}, or see the rows' "
+            "errors"
+        )
+    across, name = along(np.arange(found.steps + 1), times)
+    ax = given_or_new(ax)
+    ax.set_yscale("log")
+    linearisers, schedules = ([*dict.fromkeys(names)] for names in _names(rows))
+    for row in rows:
+        look: dict[str, Any] = {
+            "color": PALETTE[linearisers.index(row.lineariser) % len(PALETTE)],
+            "ls": _STYLES[schedules.index(row.schedule) % len(_STYLES)],
+        }
+        text = ", ".join([row.lineariser, *([row.schedule] if len(schedules) > 1 else [])])
+        _draw(ax, across, of(row), f"{text} (failed)" if row.error else text, look)
+    if statistic == "kl":
+        kinds = {row.kind: row.schedule for row in rows}
+        for row in found.oracle_rows:
+            if row.kind in kinds and row.state == rows[0].state and np.nanmax(of(row), initial=0):
+                style = _STYLES[schedules.index(kinds[row.kind]) % len(_STYLES)]
+                text = f"{row.lineariser}, {row.kind}, from its own Gaussian"
+                _draw(ax, across, of(row), text, {"color": MUTED, "ls": style})
+    else:
+        ax.axhline(float(np.nanmax([r.nees_expected for r in rows])), color=INK, lw=0.8, zorder=1.5)
+    name_axes(ax, name, label)
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, fontsize="small")
+    return ax
+
+
+def _draw(
+    ax: Axes, across: npt.NDArray[Any], values: Array, label: str, look: dict[str, Any]
+) -> None:
+    marker = "." if len(across) == 1 else None
+    positive = np.where(values > 0.0, values, np.nan)
+    ax.plot(across, positive, lw=1.4, marker=marker, zorder=2.2, label=plain(label), **look)
+
+
+def _chosen(found: Comparison, state: Variable | None, schedule: str | None) -> list[Row]:
+    """The rows of one state, and of one schedule where it is named."""
+    if state is None and len(found.states) > 1:
+        raise ModelError(f"the comparison is of {listed(found.states)}; name one, state=...")
+    state = found.states[0] if state is None else state
+    rows = [
+        row
+        for row in found.rows
+        if row.state == state and (schedule is None or row.schedule == schedule)
+    ]
+    if not rows:
+        known = [*dict.fromkeys(row.schedule for row in found.rows)]
+        raise ModelError(
+            f"the comparison has no rows of state={state!r}, schedule={schedule!r}; it has states "
+            f"{listed(found.states)} and schedules {known}"
+        )
+    return rows
+
+
+def _names(rows: list[Row]) -> tuple[list[str], list[str]]:
+    return [row.lineariser for row in rows], [row.schedule for row in rows]
