@@ -12,7 +12,13 @@ from benchmarks.timing import Contender
 from benchmarks.work import robots
 
 TINY = {"linear": 4, "map": 100, "online_taylor": 100}
-COMPILED = ("dynamax", "dynamax_sequential", "cuthbert")  # for seconds each
+COMPILED = (
+    "dynamax",
+    "dynamax_sequential",
+    "dynamax_smoother",
+    "dynamax_called",
+    "cuthbert",
+)  # for seconds each
 QUICK = (
     "repository_asia",
     "repository_sachs",
