@@ -181,19 +181,20 @@ def markov_shifts() -> Row:
     )
 
 
-def on_grid(schedule: str) -> Row:
+def on_grid(schedule: str, kind: str = "") -> Row:
     """A robot's pose as probabilities of half a million cells, two sightings a step."""
     peers = {"stonesoup": part("stonesoup_rooms", "filtering")} if schedule == "filter" else {}
     return Row(
-        name=f"grid_{schedule}",
+        name="_".join(filter(None, ("grid", kind, schedule))),
         unit="cell and step",
-        work=rooms.draw,
+        work=lambda size: rooms.draw(size, kind),
         contenders={"pgm": part("pgm_rooms", "on_grid", schedule), **peers},
         check=agreement.beliefs_of_states,
         size=40,
         quick=10,
         most={"stonesoup": 3},
-        unchecked=frozenset({"stonesoup"}),
+        unchecked=frozenset(peers),
+        repeats=5,
         timed=least,
     )
 
@@ -297,8 +298,7 @@ ROWS = [
     hidden_markov(10, steps=10_000, quick=10_000),
     markov_runs(),
     markov_shifts(),
-    on_grid("filter"),
-    on_grid("smoother"),
+    *(on_grid(each, kind) for kind in rooms.KINDS for each in ("filter", "smoother")),
     *cliffs.ROWS,
     discrete("asia", tables.medical()),
     discrete("random_200", tables.random()),

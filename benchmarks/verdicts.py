@@ -29,7 +29,7 @@ CHEAPER = (  # row, peer, how many times our cost may be the peer's
     ("rts_unscented", "filterpy", 0.5),
     ("online_taylor", "filterpy", 1.3),
     ("online_unscented", "filterpy", 0.6),
-    ("grid_filter", "stonesoup", 0.4),
+    *((name, "stonesoup", 0.4) for name in ("grid_filter", "grid_wide_filter")),
 )
 FASTEST = (  # row, peer, how many times our cost its fastest way must be
     ("markov_1000", "dynamax", 2.5),
@@ -48,8 +48,8 @@ WITHIN = (  # row, how many milliseconds it may take
     ("reading_andes", 150.0),
 )
 RATES = (  # row whose unit is a cell and step, how many steps a second it must make
-    ("grid_filter", 25.0),
-    ("grid_smoother", 15.0),
+    *((name, 25.0) for name in ("grid_filter", "grid_wide_filter")),
+    *((name, 15.0) for name in ("grid_smoother", "grid_wide_smoother")),
 )
 LEVEL = (  # curve, from which length on, how many times its highest cost a step may be its lowest
     ("filter", 1_000, 1.2),

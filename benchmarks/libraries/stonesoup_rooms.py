@@ -22,6 +22,7 @@ from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.state import PointMassState
 from stonesoup.updater.pointmass import PointMassUpdater
 
+import pgm
 from benchmarks.timing import Contender
 from benchmarks.work import rooms
 from benchmarks.work.robots import Array, Robots
@@ -90,7 +91,9 @@ def filtering(work: Robots) -> Contender:
 def _start(work: Robots) -> Any:
     """The first pose's normal density on a grid of its own."""
     _, cov = work.start
-    mean = np.array(rooms.START)
+    (prior,) = work.network.prior
+    assert isinstance(prior, pgm.GaussianCPD)
+    mean = np.array(prior.mean)
     points, steps, axes, _, turned = grid_creation(mean[:, None], cov, WIDTHS, 3, np.array(CELLS))
     gap = points - mean[:, None]
     weight = np.exp(-0.5 * np.sum(gap * np.linalg.solve(cov, gap), axis=0))

@@ -21,6 +21,18 @@ SUMMARY = {
     "munin1": {"pgm": 3.0, "pyagrum": 15.0},
     "repository_cancer": {"pgm": 2.0, "pyagrum": 8.0, "pgmpy": 60.0},
     "repository_survey": {"pgm": 1e-3, "pyagrum": 5e-3, "pgmpy": 2.0},
+    "markov_1000": {
+        "pgm": 2.0,
+        "dynamax": 6.0,
+        "dynamax_smoother": 3.0,
+        "dynamax_called": 9.0,
+        "hmmlearn": 9.0,
+    },
+    "markov_100": {"pgm": 2.8, "dynamax": 2.5, "dynamax_smoother": 2.0, "hmmlearn": 9.0},
+    "markov_runs": {"pgm": 1.0, "pgm_alone": 2.0},
+    "markov_shifts": {"pgm": 2e-3},
+    "grid_filter": {"pgm": 1e-7, "stonesoup": 5e-7},
+    "grid_smoother": {"pgm": 2e-7},
     "cliffs_many": {"pgm": 2.0, "missing": 2.5, "no_jacobian": 9.0, "own_taylor": 2.7},
     "cliffs_few": {"pgm": 1.0, "one_fewer": 1.05},
     "cliffs_online": {"pgm": 1.0, "own_taylor": 1.2},
@@ -53,6 +65,13 @@ def test_verdicts_are_ratios_the_right_way_up():
         ("cold_asia: pgm / pyagrum's faster engine", 1.25, False),
         ("cold_survey: pgm / pyagrum's faster engine", 0.625, True),
         ("sets_asia: pyagrum / pgm", 25.0, True),
+        ("markov_1000: fastest of dynamax / pgm", 1.5, False),
+        ("markov_1000: fastest of hmmlearn / pgm", 4.5, True),
+        ("markov_100: pgm / fastest of dynamax", 1.4, True),
+        ("markov_runs: pgm / fastest of pgm_alone", 0.5, False),
+        ("grid_filter: pgm / stonesoup", 0.2, True),
+        ("grid_filter: steps a second", 1e7 / 482_400, False),
+        ("grid_smoother: steps a second", 5e6 / 482_400, False),
         ("cliffs_many: missing / pgm", 1.25, True),
         ("cliffs_many: own_taylor / pgm", 1.35, False),
         ("cliffs_online: own_taylor / pgm", 1.2, True),
@@ -65,7 +84,7 @@ def test_verdicts_are_ratios_the_right_way_up():
         assert every[what].measured == pytest.approx(measured)
         assert every[what].holds == holds
     assert not any("no_jacobian" in what for what in every)  # which is only told
-    assert len(every) == 5 + 14 + 3
+    assert len(every) == 5 + 14 + 7 + 3
 
 
 def test_contenders_take_turns(monkeypatch):
@@ -226,7 +245,7 @@ def test_the_page_takes_its_numbers_from_the_summary(tmp_path, monkeypatch):
     assert "| 31 runs instead of 32 | 1.05 |  |  | 1.1 |" in text
     assert "| 1.35 |  | 1.20 | 1.3 |" in text
     assert "| map: gtsam / pgm | 7.00 | ≥ 8 | **does not hold** |" in text
-    assert "Of 22 requirements" in text
+    assert "Of 29 requirements" in text
     assert "| holds |" not in text
     every = path.with_name(page.FULL).read_text(encoding="utf-8")
     assert "| `repository_asia` | set of evidence | 1000000 |" in every

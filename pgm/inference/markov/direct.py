@@ -76,11 +76,14 @@ class DirectChain(StateChain):
         weights, _ = self._weights(range(1, steps + 1))
         return markov.Blocks(each.matrix, weights)
 
+    @cached_property
+    def _by_runs(self) -> bool:
+        """Whether beliefs lie by runs in memory, along which products by dense matrices go."""
+        return bool(self.batch) and isinstance(self._map(1), Dense)
+
     def room(self, like: Array) -> Array:
-        """Room for a belief at each step; by runs in memory where products go along rows."""
-        if self.batch and isinstance(self._map(1), Dense):
-            return np.swapaxes(super().room(like.T), 1, 2)
-        return super().room(like)
+        """Room for a belief at each step."""
+        return np.swapaxes(super().room(like.T), 1, 2) if self._by_runs else super().room(like)
 
     @cached_property
     def _parts(self) -> list[range]:
@@ -112,7 +115,7 @@ class DirectChain(StateChain):
             return lambda vector, out: np.copyto(out, moved(vector))
         # BLAS is as fast along columns: no transpose is copied.
         matrix = transition.matrix.T if back else transition.matrix
-        if self.batch:
+        if self._by_runs:
             return lambda vector, out: vector.T.dot(matrix, out.T)
         return matrix.T.dot
 

@@ -74,7 +74,8 @@ def test_a_textbook(size, steps, sticky):
     assert_allclose(lagged[x.at(20)].values, due[20], **EQUAL)
 
 
-def test_commands_and_sparse_matrices():
+@pytest.mark.parametrize("first", [0, 1])
+def test_commands_and_sparse_matrices(first):
     rng = np.random.default_rng(1)
     x, z, prior, motion, seen = hidden(rng, 5)
     u = pgm.Discrete("u", 2)
@@ -82,12 +83,55 @@ def test_commands_and_sparse_matrices():
     cpd = pgm.TableCPD(x, given=(x.previous, u), table={"0": motion, "1": other})
     network = model(x, z, prior, motion, seen).replace(transition=[cpd])
     commands, states = rng.integers(0, 2, 200), rng.integers(0, 4, 200)
+    commands[0] = first
     motions = [other.toarray() if k else motion for k in commands]
     weights = np.array([np.ones(5), *seen[:, states].T])
     _, smoothed, log_evidence = textbook(prior, motions, weights)
     posterior = pgm.smooth(network, {z: states, u: commands})
     assert_allclose(posterior[x].values, smoothed, **EQUAL)
     assert_allclose(posterior.log_evidence, log_evidence, rtol=1e-12)
+    runs = pgm.smooth(network, {z: np.stack([states[::-1], states]), u: commands})
+    assert isinstance(runs._chain, DirectChain)
+    assert_allclose(runs[x].values[1], smoothed, **EQUAL)
+    assert_allclose(runs.log_evidence[1], log_evidence, rtol=1e-12)
+
+
+@pytest.mark.parametrize("others", [(), ("dim",), ("noise",), ("dim", "noise")])
+def test_sensors_of_which_some_are_missing_in_some_runs(others):
+    """Weights are laid out for many steps: of one sensor or several, read at some of the steps."""
+    rng = np.random.default_rng(3)
+    x, z, *parts = hidden(rng, 5)
+    prior, motion, seen = parts
+    w, v = pgm.Discrete("w", 2), pgm.Discrete("v", 2)
+    dim, noise = rng.dirichlet(np.ones(2), 5), np.array([0.3, 0.7])
+    tables = {"dim": pgm.TableCPD(w, given=x, table=dim), "noise": pgm.TableCPD(v, table=noise)}
+    network = model(x, z, *parts)
+    network = network.replace(observation=[*network.observation, *(tables[k] for k in others)])
+    steps, due = 90, np.unique(rng.integers(1, 91, 60))
+    states, faint = rng.integers(-1, 4, (2, steps)), rng.integers(0, 2, (2, len(due)))
+    blank = rng.integers(-1, 2, (2, steps))
+    evidence = {z: states}
+    evidence |= {w: pgm.sightings(faint, step=due)} if "dim" in others else {}
+    evidence |= {v: blank} if "noise" in others else {}
+    posterior = pgm.smooth(network, evidence)
+    for run in range(2):
+        weights = np.ones((steps + 1, 5))
+        for k, state in enumerate(states[run], start=1):
+            weights[k] *= seen[:, state] if state >= 0 else 1.0
+        if "dim" in others:
+            weights[due] *= dim[:, faint[run]].T
+        if "noise" in others:
+            weights[1:] *= np.where(blank[run] >= 0, noise[blank[run]], 1.0)[:, None]
+        known, smoothed, log_evidence = textbook(prior, [motion] * steps, weights)
+        own = {each: values[run] for each, values in evidence.items() if each != w}
+        own |= {w: pgm.sightings(faint[run], step=due)} if "dim" in others else {}
+        alone = pgm.smooth(network, own)
+        assert isinstance(alone._chain, DirectChain)
+        assert_allclose(alone[x].values, smoothed, **EQUAL)
+        assert_allclose(alone.filtered[x].values, known, **EQUAL)
+        assert_allclose(alone.log_evidence, log_evidence, rtol=1e-12)
+        assert_allclose(posterior[x].values[run], smoothed, **EQUAL)
+        assert_allclose(posterior.log_evidence[run], log_evidence, rtol=1e-12)
 
 
 def test_a_hundred_thousand_steps():
