@@ -162,24 +162,28 @@ class TableCPD(CPD):
             )
         return found
 
-    def _require_shape(self, shape: tuple[int, ...], lead: tuple[int, ...] = ()) -> None:
+    def _require_shape(
+        self, shape: tuple[int, ...], lead: tuple[int, ...] = (), step: int | None = None
+    ) -> None:
         axes = (*self.given, self.child)
         due = (*lead, *(v.size for v in axes))
         if shape != due:
             raise ModelError(
-                f"{self!r}: the table has shape {shape}; the axes {names(axes)} need {due}, "
-                "the last one for the child",
+                f"{self!r}: the table{_at(step)} has shape {shape}; the axes {names(axes)} need "
+                f"{due}, the last one for the child",
                 variable=self.child,
                 cpd=self,
+                step=step,
             )
 
-    def _require_probabilities(self, array: Array) -> None:
+    def _require_probabilities(self, array: Array, step: int | None = None) -> None:
         """Refuse a table, with leading axes maybe, that is none of probabilities."""
         if not np.isfinite(array).all() or (array < 0.0).any():
             raise ModelError(
-                f"{self!r}: the table has entries that are negative, NaN or infinite",
+                f"{self!r}: the table{_at(step)} has entries that are negative, NaN or infinite",
                 variable=self.child,
                 cpd=self,
+                step=step,
             )
         total = array.sum(axis=-1)
         error = np.abs(total - 1.0)
@@ -191,11 +195,12 @@ class TableCPD(CPD):
             )
             where = f" for {states}" if states else ""
             raise ModelError(
-                f"{self!r}: the probabilities{where} sum to {total[worst]:.9g}; the last axis, "
-                "the child's, must sum to one; where the ratios are right, divide the table by "
+                f"{self!r}: the probabilities{where}{_at(step)} sum to {total[worst]:.9g}; the "
+                "last axis, the child's, must sum to one; where the ratios are right, divide the table by "
                 "table.sum(-1, keepdims=True)",
                 variable=self.child,
                 cpd=self,
+                step=step,
             )
 
     @property
@@ -223,7 +228,13 @@ class TableCPD(CPD):
         matrices = [self._maps[k].dense() for k in range(self.given[1].size)]
         return frozen(np.stack(matrices, axis=1))
 
-    def at_inputs(self, values: Mapping[Variable, Any], lead: tuple[int, ...] = ()) -> Array:
+    def at_inputs(
+        self,
+        values: Mapping[Variable, Any],
+        lead: tuple[int, ...] = (),
+        *,
+        step: int | None = None,
+    ) -> Array:
         """The table of a function at values of its inputs, checked.
 
         Parameters
@@ -232,6 +243,8 @@ class TableCPD(CPD):
             (*lead, d) of each input, or indices of states (*lead).
         lead : tuple of int
             Leading axes of the values.
+        step : int, optional
+            The step of the values, for messages.
 
         Returns
         -------
@@ -244,21 +257,23 @@ class TableCPD(CPD):
             If the function fails, or returns no such table.
         """
         assert self.function is not None
+        at = _at(step)
         try:
             found = self.function(*(values[v] for v in self.inputs))
         except Exception as error:
             raise ModelError(
-                f"{self!r}: the function of the table failed: {type(error).__name__}: {error}",
+                f"{self!r}: the function of the table failed{at}: {type(error).__name__}: {error}",
                 cpd=self,
+                step=step,
             ) from error
-        what = f"{self!r}: the function of the table"
-        array = as_floats(found, what, cpd=self, verb="return")
+        what = f"{self!r}: the function of the table{at}"
+        array = as_floats(found, what, cpd=self, step=step, verb="return")
         if array.ndim == len(self.given) + 1 and lead:  # one table for all
-            self._require_shape(array.shape)
+            self._require_shape(array.shape, (), step)
             axes = tuple(v.size for v in (*self.given, self.child))
             array = np.broadcast_to(array, (*lead, *axes))
-        self._require_shape(array.shape, lead)
-        self._require_probabilities(array)
+        self._require_shape(array.shape, lead, step)
+        self._require_probabilities(array, step)
         return array
 
     def _log_density(self, child: Values, known: Known) -> Array:
@@ -334,3 +349,8 @@ class TableCPD(CPD):
 
     def _placed(self, step: int) -> dict[str, Any]:
         return super()._placed(step) | {"inputs": tuple(v.at(step) for v in self.inputs)}
+
+
+def _at(step: int | None) -> str:
+    """A step, for messages."""
+    return "" if step is None else f" at step {step}"

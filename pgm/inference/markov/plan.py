@@ -17,11 +17,12 @@ from pgm.evidence import BoundEvidence
 from pgm.factors.axes import discrete, sizes
 from pgm.factors.runs import in_run
 from pgm.inference.markov.contraction import Contraction, Factor, Label, Move
+from pgm.inference.markov.functions import InputTables, smallest_entry
 from pgm.inference.markov.weights import Weights
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.kernels.stochastic import Dense
-from pgm.variables import Discrete, Variable
+from pgm.variables import Variable
 
 ADVICE = (
     "Leave it out; or, if it can happen, replace the zeros that forbid it in the CPDs' tables by "
@@ -108,8 +109,11 @@ class SlicePlan:
 class RowTables:
     """A CPD of the transition at its rows: its table or its map for the inputs of each."""
 
-    def __init__(self, plan: SlicePlan, cpd: TableCPD, inputs: Mapping[Variable, Any]) -> None:
+    def __init__(
+        self, plan: SlicePlan, cpd: TableCPD, inputs: Mapping[Variable, Any], first: int
+    ) -> None:
         self.cpd, self.inputs = cpd, inputs
+        self.called = InputTables(cpd, inputs, lambda row: row + first)
         self.labels = plan.hidden(cpd)
         self.observed = tuple(v for v in cpd.given if v not in plan.labels)
         self.index: dict[tuple[int, ...], Any] = {}
@@ -160,44 +164,30 @@ class RowTables:
 
     def _called(self, row: int, semiring: Semiring, as_map: bool) -> Factor:
         """The table that the function of inputs returns."""
-        values = {}
-        for v in self.cpd.inputs:
-            rows = self.inputs[v][row]
-            values[v] = rows[:, 0] if isinstance(v, Discrete) else rows
-        runs = max(len(rows) for rows in values.values())
-        values = {v: np.broadcast_to(a, (runs, *a.shape[1:])) for v, a in values.items()}
-        if runs == 1:
-            tables = self.cpd.at_inputs({v: a[0] for v, a in values.items()})[None]
-        else:
-            tables = self.cpd.at_inputs(values, (runs,))
-        keys = [
-            tuple(int(self.inputs[v][row, r % len(self.inputs[v][row]), 0]) for v in self.observed)
-            for r in range(self._runs(row, runs))
-        ]
-        found = [self._selected(tables[r if runs > 1 else 0], key) for r, key in enumerate(keys)]
+        tables = self.called.at(row)
+        states = [self.inputs[v][row, :, 0] for v in self.observed]
+        runs = max([len(tables), *map(len, states)])
+        found = []
+        for run in range(runs):
+            key = tuple(int(own[run % len(own)]) for own in states)
+            found.append(self._selected(tables[run % len(tables)], key))
         if as_map:
-            if len(found) == 1:
+            if runs == 1:
                 return Move(((Dense(found[0]), None),))
-            return Move(tuple((Dense(t), np.array([r])) for r, t in enumerate(found)))
-        whole = found[0] if len(found) == 1 else np.stack(found, axis=-1)
+            return Move(tuple((Dense(table), np.array([r])) for r, table in enumerate(found)))
+        whole = found[0] if runs == 1 else np.stack(found, axis=-1)
         return semiring.entries(whole)
-
-    def _runs(self, row: int, runs: int) -> int:
-        return max([runs, *(len(self.inputs[v][row]) for v in self.observed)])
 
     @property
     def smallest(self) -> float:
-        """The smallest positive entry of any of its tables; 0 where that is not known before."""
-        if self.cpd.function is not None:
-            return 0.0
+        """The smallest positive entry of any of its tables; of a function, of those so far."""
+        return self.called.smallest if self.cpd.function is not None else self._least
+
+    @cached_property
+    def _least(self) -> float:
         if self.cpd._maps:
             return min(each.smallest for each in self.cpd._maps.values())
-        return _smallest(self.cpd.table)
-
-
-def _smallest(table: Array) -> float:
-    """The smallest positive entry of a table."""
-    return float(table.min(where=table > 0.0, initial=1.0))
+        return smallest_entry(self.cpd.table)
 
 
 class TableSlices:
@@ -221,7 +211,7 @@ class TableSlices:
         self.semiring = SUM_PRODUCT
         self.steps, self.lead = bound.steps, bound.lead
         self.rows = [
-            RowTables(plan, cast(TableCPD, cpd), inputs)
+            RowTables(plan, cast(TableCPD, cpd), inputs, first)
             for cpd, inputs in zip(plan.model.transition, bound.transition, strict=False)
         ]
         self.weights = [
@@ -235,10 +225,13 @@ class TableSlices:
         other.__dict__.pop("_fixed", None)
         return other
 
-    @cached_property
+    @property
     def smallest(self) -> float:
-        """The smallest positive factor of a step: of prior or transition times measurements."""
-        first = math.prod(_smallest(cpd.table) for cpd in self._prior_cpds)
+        """The smallest positive factor of a step: of prior or transition times measurements.
+
+        Tables that are functions of inputs count as far as they have been called.
+        """
+        first = math.prod(smallest_entry(cpd.table) for cpd in self._prior_cpds)
         onward = math.prod(row.smallest for row in self.rows)
         return min(first, onward) * math.prod(weights.smallest for weights in self.weights)
 

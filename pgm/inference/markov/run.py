@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from pgm.compile import BalancedGraph, DynamicGraph
-from pgm.errors import GraphError, ModelError
+from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference.kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.markov.chain import TINY, StateChain
@@ -56,16 +56,24 @@ def kind_of(schedule: Schedule | None) -> Kind:
 
 def solved(slices: TableSlices) -> StateChain:
     """The forward sweep, with logarithms where plain numbers may have lost a state."""
-    if slices.smallest >= TINY:
-        with np.errstate(under="ignore"):
-            if slices.single and slices.steps:
-                direct = DirectChain(slices).run()
-                if direct.precise:
-                    return direct
+    found = _in_numbers(slices) if slices.smallest >= TINY else None
+    return found or StateChain(slices.within(LOG_SUM_PRODUCT), LOG_SUM_PRODUCT).run()
+
+
+def _in_numbers(slices: TableSlices) -> StateChain | None:
+    """The forward sweep in plain numbers; None where these may have lost a state."""
+    with np.errstate(under="ignore"):
+        if slices.single and slices.steps:
+            direct = DirectChain(slices).run()
+            if direct.precise and slices.smallest >= TINY:
+                return direct
+        try:
             chain = StateChain(slices).run()
-        if chain.smallest >= TINY:
-            return chain
-    return StateChain(slices.within(LOG_SUM_PRODUCT), LOG_SUM_PRODUCT).run()
+        except EvidenceError:
+            if slices.smallest >= TINY:
+                raise
+            return None  # the tables of a function have smaller numbers than was known before
+    return chain if min(chain.smallest, slices.smallest) >= TINY else None
 
 
 def require_beliefs(plan: SlicePlan, bound: BoundEvidence, sets: int) -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from pgm.cpds import TableCPD
 from pgm.errors import EvidenceError
 from pgm.evidence import Reading
+from pgm.inference.markov.functions import InputTables, smallest_entry
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring, log_sum
-from pgm.variables import Discrete
 
 if TYPE_CHECKING:
     from pgm.inference.markov.plan import SlicePlan
@@ -31,7 +32,8 @@ class Weights:
 
     def __init__(self, plan: SlicePlan, reading: Reading, runs: int, batch: bool) -> None:
         self.reading, self.runs, self.batch = reading, runs, batch
-        self.cpd: Any = reading.cpd
+        self.cpd = cast(TableCPD, reading.cpd)
+        self.called = InputTables(self.cpd, reading.inputs, lambda row: int(reading.step[row]))
         self.observed = tuple(v for v in self.cpd.given if v not in plan.labels)
         hidden = [v for v in self.cpd.given if v in plan.labels]
         self.order = [v for v in plan.slice if v in hidden]
@@ -181,29 +183,22 @@ class Weights:
 
     def _called(self, row: int) -> tuple[Array, list[Any]]:
         """The columns that the function of inputs gives, and where each run's are."""
-        values = {}
-        for v in self.cpd.inputs:
-            rows = self.reading.inputs[v][row]
-            values[v] = rows[:, 0] if isinstance(v, Discrete) else rows
-        runs = max(len(rows) for rows in values.values())
-        values = {v: np.broadcast_to(a, (runs, *a.shape[1:])) for v, a in values.items()}
-        if runs == 1:  # a single value, as the function of one robot takes it
-            tables = self.cpd.at_inputs({v: a[0] for v, a in values.items()})[None]
-        else:
-            tables = self.cpd.at_inputs(values, (runs,))
+        tables = self.called.at(row)
         places = [self.reading.inputs[v][row, :, 0] for v in self.observed]
-        return self._laid(tables, 1), [np.arange(runs), *places]
+        return self._laid(tables, 1), [np.arange(len(tables)), *places]
 
     @property
     def smallest(self) -> float:
-        """The smallest positive weight of a step's measurements; 0 where it is not known before."""
-        if self.cpd.function is not None:
-            return 0.0
-        least = float(self._columns.min(where=self._columns > 0.0, initial=1.0))
+        """The smallest positive weight of a step's measurements; of a function, so far."""
+        least = self.called.smallest if self.cpd.function is not None else self._least
         if self.soft:
             least *= float(self._scaled.min(where=self.reading.values > 0.0, initial=1.0))
         counts = np.diff(self.starts)
         return float(least ** max(counts.max(initial=0), 0))
+
+    @cached_property
+    def _least(self) -> float:
+        return smallest_entry(self._columns)
 
 
 def _last(reading: Reading) -> int:
