@@ -196,8 +196,8 @@ class TableCPD(CPD):
             where = f" for {states}" if states else ""
             raise ModelError(
                 f"{self!r}: the probabilities{where}{_at(step)} sum to {total[worst]:.9g}; the "
-                "last axis, the child's, must sum to one; where the ratios are right, divide the table by "
-                "table.sum(-1, keepdims=True)",
+                "last axis, the child's, must sum to one; where the ratios are right, divide the "
+                "table by table.sum(-1, keepdims=True)",
                 variable=self.child,
                 cpd=self,
                 step=step,
