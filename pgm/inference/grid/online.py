@@ -17,7 +17,7 @@ from pgm.immutable import Immutable
 from pgm.inference.grid.belief import GridBelief, scope_axes
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.run import require_grid, require_room
-from pgm.inference.grid.slices import GridModel, GridSlices, Tested, active
+from pgm.inference.grid.slices import GridModel, GridSlices, Tested
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED, Kind
@@ -240,7 +240,7 @@ class OnlineGrid(Immutable):
         )
 
         def taken(slices: GridSlices, values: Array) -> tuple[Array, float]:
-            slices.windows[step] = (active(self._lattice, values)[0],) * 2
+            slices.begin(step, values)
             weights, scale = slices.likelihood(step)
             joint = values if weights is None else values * weights
             slices.look(step, joint)
@@ -279,7 +279,9 @@ class OnlineGrid(Immutable):
             total = float(joint.sum())
             if not total > 0.0:
                 slices.refuse(first, joint, run)
-            found.append((slices, joint / total, float(np.log(total)) + scale))
+            log_density = float(np.log(total)) + scale
+            slices.surprised(first, log_density)
+            found.append((slices, joint / total, log_density))
         return found
 
     def _belief(
@@ -297,6 +299,7 @@ class OnlineGrid(Immutable):
         outside = np.array([s.outside.get(step, 0.0) for s, *_ in found]).reshape(*lead, 1)
         sharpest = max((s.sharpest for s, *_ in found), key=lambda each: each.cells)
         narrowest = min((s.narrowest for s, *_ in found), key=lambda each: each.cells)
+        cut = max((s.cut for s, *_ in found), key=lambda each: each.share)
         added = {
             axis.label: np.array([s.added[k] * axis.width**2 for s, *_ in found]).reshape(lead)
             for k, axis in enumerate(lattice.axes)
@@ -309,9 +312,9 @@ class OnlineGrid(Immutable):
             outside = past.copy() if kind == FILTERED else np.concatenate([past, outside], axis=-1)
             sharpest = max(sharpest, before.status.sharpest, key=lambda each: each.cells)
             narrowest = min(narrowest, before.status.narrowest, key=lambda each: each.cells)
-        status = GridStatus(outside, added, sharpest, narrowest)
-        if before is None or (status.much and not before.status.much):
-            status.warn()
+            cut = max(cut, before.status.cut, key=lambda each: each.share)
+        status = GridStatus(outside, added, sharpest, narrowest, cut)
+        status.warn(None if before is None else before.status)
         values = values.reshape(*lead, *lattice.shape)
         return OnlineGridBelief(
             self.model, lattice, step, kind, values, np.asarray(log_density), status

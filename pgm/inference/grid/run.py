@@ -10,6 +10,7 @@ import numpy as np
 from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.errors import GraphError, ModelError
 from pgm.evidence import BoundEvidence
+from pgm.inference.grid.cut import Cut
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.sensors import Sharpness
@@ -149,11 +150,13 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
     smoothed = np.zeros(shape, dtype=grid.dtype) if smoothing else None
     log_evidence, outside = np.zeros(bound.runs), np.zeros((bound.runs, bound.steps + 1))
     added, sharpest = np.zeros((bound.runs, len(lattice.axes))), Sharpness(0.0, None, 0)
-    narrowest = Narrowness(np.inf, "", 0)
+    narrowest, cut = Narrowness(np.inf, "", 0), Cut(0.0, 0)
     for k in range(bound.runs):
         slices = GridSlices(model, k, grid.dtype if smoothing else None)
         chain = _Kept(slices, filtered[k]).run()
         slices.look(bound.steps, filtered[k, -1])
+        for step, log_density in enumerate(chain.log_density.tolist()):
+            slices.surprised(step, log_density)
         if smoothed is not None:
             every = chain.smoothed() if kind == SMOOTHED else chain.lagged(int(kind.lag))
             for step, belief in every:
@@ -163,6 +166,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
         added[k] = slices.added
         sharpest = max(sharpest, slices.sharpest, key=lambda each: each.cells)
         narrowest = min(narrowest, slices.narrowest, key=lambda each: each.cells)
+        cut = max(cut, slices.cut, key=lambda each: each.share)
     lead = bound.lead
     status = GridStatus(
         outside.reshape(*lead, -1),
@@ -172,6 +176,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
         },
         sharpest,
         narrowest,
+        cut,
     )
     filtered = filtered.reshape(*lead, *shape[1:])
     if smoothed is None:

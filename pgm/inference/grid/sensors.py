@@ -8,7 +8,6 @@ of them with each measurement.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,72 +20,16 @@ from pgm.errors import ModelError
 from pgm.evidence import Reading
 from pgm.inference.grid.dependence import PROBES, Dependence, Reduced, blocks, centres, places
 from pgm.inference.grid.lattice import Lattice, Window
+from pgm.inference.grid.terms import BLOCK, Joint, Term, exponents
 from pgm.inference.grid.values import covariance_of, mean_at, root_of
-from pgm.kernels.angles import TURN, wrap
+from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 from pgm.variables import Variable
 
 # Values (d,) of a sensor's observed parents.
 Known = Mapping[Variable, Array]
-# Numbers of a block of cells, which fit the cache.
-_BLOCK = 1 << 15
 # Exponents below this are none: products of such numbers would be slow, denormal ones.
 _LEAST = -600.0
-
-
-class Term(NamedTuple):
-    """A component's residual in deviations: (one − other) / deviation, wrapped if it is an angle.
-
-    Attributes
-    ----------
-    one : ndarray
-        Its value less the part of circles, broadcasting to the window.
-    other : ndarray or None
-        The part of circles, broadcasting to the window.
-    scale : float
-        One over the deviation.
-    angle : bool
-    """
-
-    one: Array
-    other: Array | None
-    scale: float
-    angle: bool
-
-    def squared(self, first: slice) -> Array:
-        """Half the squares of the residuals, of some of the places along the first axis."""
-        found = _some(self.one, first)
-        if self.other is not None:
-            found = found - _some(self.other, first)
-        if self.angle:
-            found = found - TURN * np.rint(found / TURN)
-        found = found * (self.scale * math.sqrt(0.5))
-        found *= found
-        return found
-
-
-class Joint(NamedTuple):
-    """Residuals of components whose noise is correlated, broadcasting to the window, (..., d).
-
-    Attributes
-    ----------
-    residual : ndarray
-    whiten : ndarray
-        (d, d): the inverse of the root of their covariance.
-    """
-
-    residual: Array
-    whiten: Array
-
-    def squared(self, first: slice) -> Array:
-        """Half the squares of the whitened residuals, of some places along the first axis."""
-        white = _some(self.residual, first) @ self.whiten.T
-        found: Array = 0.5 * np.einsum("...i,...i->...", white, white)
-        return found
-
-
-def _some(array: Array, first: slice) -> Array:
-    return array if len(array) == 1 else array[first]
 
 
 class Sharpness(NamedTuple):
@@ -104,6 +47,29 @@ class Sharpness(NamedTuple):
     cells: float
     variable: Variable | None
     step: int
+
+
+class Weights(NamedTuple):
+    """The weights of a step's measurements in a window.
+
+    Attributes
+    ----------
+    values : ndarray or None
+        1 at the most; None where nothing was measured.
+    log_scale : float
+        The logarithm of their largest density.
+    sharpest : Sharpness
+    ceiling : float
+        The logarithm of the density where all residuals are zero.
+    components : int
+        How many numbers were measured.
+    """
+
+    values: Array | None
+    log_scale: float
+    sharpest: Sharpness
+    ceiling: float = 0.0
+    components: int = 0
 
 
 @dataclass(eq=False)
@@ -316,13 +282,8 @@ class GridSensor:
         return not self._differ(whole - one, other - found[-1]).any()
 
 
-def likelihood(
-    sensors: list[GridSensor], step: int, run: int, window: Window
-) -> tuple[Array | None, float, Sharpness]:
-    """The weights of a step's measurements in a window, their log-scale, and the sharpest sensor.
-
-    The weights are None where nothing was measured.
-    """
+def likelihood(sensors: list[GridSensor], step: int, run: int, window: Window) -> Weights:
+    """The weights of a step's measurements in a window."""
     terms, scale, read = list[Term | Joint](), 0.0, list[tuple[GridSensor, int]]()
     for sensor in sensors:
         for row in sensor.rows(step):
@@ -333,12 +294,14 @@ def likelihood(
                 read.append((sensor, row))
     sharpest = Sharpness(0.0, None, step)
     if not terms:
-        return None, 0.0, sharpest
+        return Weights(None, 0.0, sharpest)
     shape = tuple(span.length for span in window)
-    exponent = _exponents(terms, shape)
+    exponent = exponents(terms, shape)
     largest = float(exponent.max())
+    if not np.isfinite(largest):  # no cell explains them
+        return Weights(np.zeros(shape), 0.0, sharpest)
     place = np.unravel_index(int(exponent.argmax()), shape)
-    length = max(_BLOCK * shape[0] // max(exponent.size, 1), 1)
+    length = max(BLOCK * shape[0] // max(exponent.size, 1), 1)
     for first in range(0, shape[0], length):
         part = exponent[first : first + length]
         part -= largest
@@ -351,27 +314,8 @@ def likelihood(
         sharp = _sharpness(sensor, row, run, cells)
         if sharp > sharpest.cells:
             sharpest = Sharpness(sharp, sensor.cpd.child, step)
-    return exponent, scale + largest, sharpest
-
-
-def _exponents(terms: list[Term | Joint], shape: tuple[int, ...]) -> Array:
-    """The sum of the terms' exponents, over a window of a shape."""
-    found = np.empty(shape)
-    length = max(_BLOCK * shape[0] // max(found.size, 1), 1)
-    for first in range(0, shape[0], length):
-        rows = slice(first, min(first + length, shape[0]))
-        few: Array | None = None
-        part = found[rows]
-        part[...] = 0.0
-        for term in terms:
-            squared = term.squared(rows)
-            if squared.size < part.size:
-                few = squared if few is None else few + squared
-            else:
-                part -= squared
-        if few is not None:
-            part -= few
-    return found
+    count = sum(int(sensor.taken(row, run).sum()) for sensor, row in read)
+    return Weights(exponent, scale + largest, sharpest, scale, count)
 
 
 def _sharpness(sensor: GridSensor, row: int, run: int, cells: list[Integers]) -> float:

@@ -12,6 +12,7 @@ from pgm.cpds import CPD, ConditionalGaussian, GaussianCPD
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
+from pgm.inference.grid.cut import TINY, Cut, Tails, bound, doubtful
 from pgm.inference.grid.dependence import Dependence
 from pgm.inference.grid.groups import Group, groups
 from pgm.inference.grid.lattice import Lattice, Window
@@ -23,8 +24,6 @@ from pgm.kernels.lattice import Span
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
-# The share of a belief, along an axis, that may stand outside the window of active cells.
-_TINY = 1e-15
 # Probabilities below this are none: products of them would be slow, denormal numbers.
 _NONE = 1e-150
 
@@ -97,6 +96,8 @@ class GridSlices:
         (axes,): the variance that the lattice has added in all steps, in cells.
     sharpest : Sharpness
     narrowest : Narrowness
+    cut : Cut
+        The belief of which the most may have been cut off.
     """
 
     lead: tuple[int, ...] = ()
@@ -108,6 +109,9 @@ class GridSlices:
         self.added = np.zeros(len(self.lattice.axes))
         self.sharpest = Sharpness(0.0, None, 0)
         self.narrowest = Narrowness(np.inf, "", 0)
+        self.cut, self._tails = Cut(0.0, 0), Tails(self.lattice)
+        # By step, where something was measured: the density of no residuals, and how many numbers.
+        self._ceilings: dict[int, tuple[float, int]] = {}
         # By step: the windows before and after its motion, and the weights of its measurements.
         self.windows: dict[int, tuple[Window, Window]] = {}
         self._weights: dict[int, tuple[Array | None, float]] = {}
@@ -122,16 +126,35 @@ class GridSlices:
                 f"run {self.run}: the prior has {total:.2g} of its probability inside the grid, "
                 f"{self._bounds()}; widen the bounds, or move them to where the states begin"
             )
-        self.windows[0] = (active(self.lattice, found)[0],) * 2
+        self.begin(0, found)
         return found
+
+    def begin(self, step: int, predicted: Array) -> None:
+        """Go on from the predicted belief of a step."""
+        each = marginals(predicted)
+        self.windows[step] = (active(self.lattice, each)[0],) * 2
+        self._tails.predicted(each)
 
     def look(self, step: int, belief: Array) -> Window:
         """The window of a step's belief, whose deviations are looked at."""
-        window, deviations = active(self.lattice, belief)
+        each = marginals(belief)
+        window, deviations = active(self.lattice, each)
+        if step in self._ceilings:
+            self._doubt(self._tails.taken(each), step)
         for axis, deviation in zip(self.lattice.axes, deviations, strict=True):
             if deviation < self.narrowest.cells:
                 self.narrowest = Narrowness(deviation, axis.label, step)
         return window
+
+    def surprised(self, step: int, log_density: float) -> None:
+        """Compare a step's evidence with what it is at the best of all cells, if it is doubtful."""
+        if step in self._ceilings and doubtful(log_density, *self._ceilings[step]):
+            best = likelihood(self.model.sensors, step, self.run, self.lattice.whole).log_scale
+            self._doubt(bound(log_density, best), step)
+
+    def _doubt(self, share: float, step: int) -> None:
+        if share > self.cut.share:
+            self.cut = Cut(share, step)
 
     def forward(self, step: int, belief: Array) -> Array:
         """The belief over the slice of a step, from that of the step before."""
@@ -153,6 +176,14 @@ class GridSlices:
                 run=self.run,
             )
         self.windows[step] = source, made.target
+        self._tails.predicted(
+            [
+                spread(each, span, axis.cells)
+                for each, span, axis in zip(
+                    marginals(part), made.target, self.lattice.axes, strict=True
+                )
+            ]
+        )
         return self.lattice.put(part, made.target)
 
     def backward(self, step: int, message: Array) -> Array:
@@ -168,9 +199,12 @@ class GridSlices:
         if step in self._weights:
             weights, scale = self._weights[step]
         else:
-            weights, scale, sharpest = likelihood(self.model.sensors, step, self.run, target)
-            if sharpest.cells > self.sharpest.cells:
-                self.sharpest = sharpest
+            found = likelihood(self.model.sensors, step, self.run, target)
+            weights, scale = found.values, found.log_scale
+            if weights is not None:
+                self._ceilings[step] = found.ceiling, found.components
+            if found.sharpest.cells > self.sharpest.cells:
+                self.sharpest = found.sharpest
             if self._keep is not None:
                 kept: Array | None = None
                 if weights is not None:
@@ -225,24 +259,38 @@ class Narrowness(NamedTuple):
     step: int
 
 
-def active(lattice: Lattice, belief: Array) -> tuple[Window, list[float]]:
+def marginals(belief: Array) -> list[Array]:
+    """The marginals (cells,) of a belief along each of its axes."""
+    if belief.ndim == 1:
+        return [belief]
+    last = belief.sum(axis=tuple(range(belief.ndim - 1)))
+    return [*marginals(belief.sum(axis=-1)), last]
+
+
+def spread(marginal: Array, span: Span, cells: int) -> Array:
+    """A marginal over the cells of a span as one over all cells of the axis."""
+    found = np.zeros(cells)
+    found[np.arange(span.first, span.first + span.length) % cells] = marginal
+    return found
+
+
+def active(lattice: Lattice, each: list[Array]) -> tuple[Window, list[float]]:
     """The smallest window that holds a belief, up to a share of 10⁻¹⁵ along each axis.
 
     With it the standard deviation along each axis, in cells, where that is not all of a circle.
+    The belief is given by its marginals.
     """
     window, deviations = [], []
-    for k, axis in enumerate(lattice.axes):
-        others = tuple(j for j in range(belief.ndim) if j != k)
-        marginal = belief.sum(axis=others) if others else belief
+    for axis, marginal in zip(lattice.axes, each, strict=True):
         total = marginal.sum()
-        span = _span(marginal > _TINY / axis.cells * total, axis.angle)
+        span = _span(marginal > TINY / axis.cells * total, axis.angle)
         window.append(span)
         inside = np.take(marginal, np.arange(span.first, span.first + span.length), mode="wrap")
         place = np.arange(span.length) - 0.5 * span.length
         mean = inside @ place / total
-        spread = float(inside @ (place - mean) ** 2 / total)
+        variance = float(inside @ (place - mean) ** 2 / total)
         round_ = axis.angle and span.length == axis.cells
-        deviations.append(np.inf if round_ else math.sqrt(max(spread, 0.0)))
+        deviations.append(np.inf if round_ else math.sqrt(max(variance, 0.0)))
     return tuple(window), deviations
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from pgm.errors import GridWarning
 from pgm.immutable import Immutable
+from pgm.inference.grid.cut import Cut
 from pgm.inference.grid.sensors import Sharpness
 from pgm.inference.grid.slices import Narrowness
 from pgm.inference.status import _levels_to_user
@@ -19,6 +20,8 @@ from pgm.variables import Variable
 
 # The probability outside the bounds above which the user is warned.
 MUCH = 1e-3
+# A share that may have been cut off and is told.
+REMARKABLE = 1e-9
 # From this many deviations between neighbouring centres on a sensor is sharper than half a cell.
 SHARP = 2.0
 # Below this deviation in cells a belief is told to be narrow.
@@ -69,6 +72,14 @@ class GridStatus(Immutable):
         The belief that is the narrowest for the cells: its standard deviation s in cells, which
         component it is of, and at which step. Sums over centres miss those of the density by about
         e^(−2π²s²): 3·10⁻⁹ of them at one cell, 10⁻⁵ at three quarters, a sixth at .3.
+    cut : Cut
+        The belief of which the most may have been cut off, as a share, and its step. Beliefs are
+        carried up to 10⁻¹⁵ along each axis, and motion up to 8.5 deviations; a state that is
+        further from what was believed is not found again, whatever the evidence. Where evidence is
+        that surprising, or a belief presses against where it was cut, this tells; above 10⁻³ the
+        beliefs and the log-evidence are those of the wrong places, and a `GridWarning` has said so.
+        It is an estimate: a second place that was given up at 10⁻¹⁵, and would be made likelier
+        little by little, is missing from it.
     refinements : tuple of Refinement
         Of each resolution, if the grid was refined.
     converged : ndarray of bool
@@ -80,6 +91,7 @@ class GridStatus(Immutable):
     added: Mapping[str, Array]
     sharpest: Sharpness
     narrowest: Narrowness
+    cut: Cut
     refinements: tuple[Refinement, ...]
     converged: np.bool_
 
@@ -89,6 +101,7 @@ class GridStatus(Immutable):
         added: Mapping[str, Array],
         sharpest: Sharpness,
         narrowest: Narrowness,
+        cut: Cut,
         refinements: Sequence[Refinement] = (),
         converged: bool = True,
     ) -> None:
@@ -102,6 +115,7 @@ class GridStatus(Immutable):
             added=MappingProxyType(added),
             sharpest=sharpest,
             narrowest=narrowest,
+            cut=cut,
             refinements=tuple(refinements),
             converged=np.bool_(converged),
         )
@@ -128,18 +142,37 @@ class GridStatus(Immutable):
         -------
         GridStatus
         """
-        found = self.outside_by_step, self.added, self.sharpest, self.narrowest
+        found = self.outside_by_step, self.added, self.sharpest, self.narrowest, self.cut
         return GridStatus(*found, refinements, converged)
 
-    def warn(self) -> None:
-        """Tell the user of what has left the bounds, and of a figure that has not settled.
+    @property
+    def lost(self) -> bool:
+        """Whether so much of a belief may have been cut off that the answer is another one."""
+        return self.cut.share > MUCH
+
+    def warn(self, before: GridStatus | None = None) -> None:
+        """Tell the user of what was lost, and of a figure that has not settled.
+
+        Parameters
+        ----------
+        before : GridStatus, optional
+            Of the step before, of which the user has been told.
 
         Warns
         -----
         GridWarning
-            If more than 10⁻³ has left in a run, or refining has not converged.
+            If more than 10⁻³ has left in a run, or may have been cut off, or refining has not
+            converged.
         """
-        if self.much:
+        if self.lost and not (before and before.lost):
+            message = (
+                f"the evidence at step {self.cut.step} is so far from what was believed that up to "
+                f"{self.cut.share:.2g} of the belief stands where it had been cut off "
+                "(status.cut): beliefs and log-evidence are wrong from there on; look for a "
+                "mistaken measurement, or give the prior or the motion more noise"
+            )
+            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
+        if self.much and not (before and before.much):
             most = float(self.outside.max())
             runs = int((self.outside > MUCH).sum())
             step = int(
@@ -178,6 +211,8 @@ class GridStatus(Immutable):
                 f"{self.narrowest.component} at step {self.narrowest.step} is known to "
                 f"{self.narrowest.cells:.2g} cells"
             )
+        if self.cut.share > REMARKABLE:
+            parts.append(f"up to {self.cut.share:.2g} cut off at step {self.cut.step}")
         if self.refinements:
             cells = " × ".join(map(str, self.refinements[-1].cells))
             settled = "settled" if self.converged else "not settled"
