@@ -22,8 +22,8 @@ from pgm.kernels.stochastic import Dense, Transition
 
 # Up to so many states, and from so many steps on, blocks of steps are worked at together.
 FEW, MANY = 16, 64
-# Entries of weights that are laid out at a time, and of all of them where blocks are.
-ROOM = 2**20
+# Entries of weights that are laid out at a time, so that caches hold them; of all where blocks are.
+ROOM, ALL = 2**16, 2**20
 
 
 class DirectChain(StateChain):
@@ -66,7 +66,7 @@ class DirectChain(StateChain):
     def _blocks(self) -> markov.Blocks | None:
         """All steps in blocks, of one run of few states whose transition is the same at all."""
         steps, size = self.slices.steps, self.slices.plan.shape[0]
-        if self.batch or size > FEW or steps < MANY or steps * size > ROOM:
+        if self.batch or size > FEW or steps < MANY or steps * size > ALL:
             return None
         each = self._map(1)
         if self.slices.constant is None or not isinstance(each, Dense):
@@ -85,9 +85,10 @@ class DirectChain(StateChain):
 
     @cached_property
     def _parts(self) -> list[range]:
-        """The steps, in parts whose weights fit the room."""
+        """The steps, in parts whose weights fit the room; of blocks all of them."""
         steps = self.slices.steps
-        size = max(1, ROOM // max(1, self.known[0].size))
+        room = ROOM if self._blocks is None else ALL
+        size = max(1, room // max(1, self.known[0].size))
         return [range(at, min(at + size, steps + 1)) for at in range(1, steps + 1, size)]
 
     def _weights(self, part: range) -> tuple[Array, Array]:
@@ -128,20 +129,35 @@ class DirectChain(StateChain):
 
     def smoothed_beliefs(self) -> Array | list[Array]:
         """The beliefs given all measurements, by step."""
-        found = np.empty_like(self.known)
+        found, known = np.empty_like(self.known), np.asarray(self.known)
+        precise = all(_joined(found[rows], known[rows]) for rows in self._messages(found))
+        return found if precise else super().smoothed_beliefs()
+
+    def _messages(self, found: Array) -> Iterator[slice]:
+        """Fill rows with the messages to all steps, last to first; rows no message is made from."""
         if self._blocks is not None:
             self._blocks.backward(found)
-        else:
-            found[-1] = 1.0
-            for part in reversed(self._parts):
-                weights, _ = self._weights(part)
-                applies = self._applies(part[::-1], back=True)
-                markov.backward(applies, weights, found[part.start - 1 : part.stop])
-        if not markov.masses(found).min() > TINY:
-            return super().smoothed_beliefs()
-        found *= self.known
-        totals = markov.masses(found)
-        if not totals.min() > TINY:
-            return super().smoothed_beliefs()
-        found /= totals[:, None]
-        return found
+            yield slice(None)
+            return
+        found[-1] = 1.0
+        for part in reversed(self._parts):
+            weights, _ = self._weights(part)
+            applies = self._applies(part[::-1], back=True)
+            markov.backward(applies, weights, found[part.start - 1 : part.stop])
+            first = found[part.start - 1]  # scaled: a part may be too short for the sweep to do so
+            total = first.sum(axis=0)
+            first /= np.where(total > 0.0, total, 1.0)
+            yield slice(part.start, part.stop)
+        yield slice(0, 1)
+
+
+def _joined(messages: Array, known: Array) -> bool:
+    """Multiply messages by the filtered beliefs, to sums of one; whether all have their digits."""
+    if not markov.masses(messages).min() > TINY:
+        return False
+    messages *= known
+    totals = markov.masses(messages)
+    if not totals.min() > TINY:
+        return False
+    messages /= totals[:, None]
+    return True
