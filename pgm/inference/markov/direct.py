@@ -22,8 +22,8 @@ from pgm.kernels.stochastic import Dense, Transition
 
 # Up to so many states, and from so many steps on, blocks of steps are worked at together.
 FEW, MANY = 16, 64
-# Entries of weights that are laid out at a time, so that caches hold them; of all where blocks are.
-ROOM, ALL = 2**16, 2**20
+# Entries of weights that are laid out at a time, and of all of them where blocks are.
+ROOM = 2**20
 
 
 class DirectChain(StateChain):
@@ -66,7 +66,7 @@ class DirectChain(StateChain):
     def _blocks(self) -> markov.Blocks | None:
         """All steps in blocks, of one run of few states whose transition is the same at all."""
         steps, size = self.slices.steps, self.slices.plan.shape[0]
-        if self.batch or size > FEW or steps < MANY or steps * size > ALL:
+        if self.batch or size > FEW or steps < MANY or steps * size > ROOM:
             return None
         each = self._map(1)
         if self.slices.constant is None or not isinstance(each, Dense):
@@ -85,10 +85,9 @@ class DirectChain(StateChain):
 
     @cached_property
     def _parts(self) -> list[range]:
-        """The steps, in parts whose weights fit the room; of blocks all of them."""
+        """The steps, in parts whose weights fit the room."""
         steps = self.slices.steps
-        room = ROOM if self._blocks is None else ALL
-        size = max(1, room // max(1, self.known[0].size))
+        size = max(1, ROOM // max(1, self.known[0].size))
         return [range(at, min(at + size, steps + 1)) for at in range(1, steps + 1, size)]
 
     def _weights(self, part: range) -> tuple[Array, Array]:
