@@ -130,20 +130,35 @@ class DirectChain(StateChain):
 
     def smoothed_beliefs(self) -> Array | list[Array]:
         """The beliefs given all measurements, by step."""
-        found = np.empty_like(self.known)
+        found, known = np.empty_like(self.known), np.asarray(self.known)
+        precise = all(_joined(found[rows], known[rows]) for rows in self._messages(found))
+        return found if precise else super().smoothed_beliefs()
+
+    def _messages(self, found: Array) -> Iterator[slice]:
+        """Fill rows with the messages to all steps, last to first; rows no message is made from."""
         if self._blocks is not None:
             self._blocks.backward(found)
-        else:
-            found[-1] = 1.0
-            for part in reversed(self._parts):
-                weights, _ = self._weights(part)
-                applies = self._applies(part[::-1], back=True)
-                markov.backward(applies, weights, found[part.start - 1 : part.stop])
-        if not markov.masses(found).min() > TINY:
-            return super().smoothed_beliefs()
-        found *= self.known
-        totals = markov.masses(found)
-        if not totals.min() > TINY:
-            return super().smoothed_beliefs()
-        found /= totals[:, None]
-        return found
+            yield slice(None)
+            return
+        found[-1] = 1.0
+        for part in reversed(self._parts):
+            weights, _ = self._weights(part)
+            applies = self._applies(part[::-1], back=True)
+            markov.backward(applies, weights, found[part.start - 1 : part.stop])
+            first = found[part.start - 1]  # scaled: a part may be too short for the sweep to do so
+            total = first.sum(axis=0)
+            first /= np.where(total > 0.0, total, 1.0)
+            yield slice(part.start, part.stop)
+        yield slice(0, 1)
+
+
+def _joined(messages: Array, known: Array) -> bool:
+    """Multiply messages by the filtered beliefs, to sums of one; whether all have their digits."""
+    if not markov.masses(messages).min() > TINY:
+        return False
+    messages *= known
+    totals = markov.masses(messages)
+    if not totals.min() > TINY:
+        return False
+    messages /= totals[:, None]
+    return True

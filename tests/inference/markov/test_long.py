@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 from scipy import sparse
 
 import pgm
+from pgm.inference.markov import direct
 from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.direct import DirectChain
 
@@ -72,6 +73,25 @@ def test_a_textbook(size, steps, sticky):
     lagged = pgm.smooth(network, {z: states}, lag=5)
     due = textbook(parts[0], [parts[1]] * 25, weights[:26])[1]
     assert_allclose(lagged[x.at(20)].values, due[20], **EQUAL)
+
+
+@pytest.mark.parametrize("room", [1, 3 * 40, 11 * 40])
+@pytest.mark.parametrize("runs", [1, 2])
+def test_steps_in_parts_of_any_length(monkeypatch, room, runs):
+    """Messages are scaled although parts are too short for the sweep within them to do so."""
+    monkeypatch.setattr(direct, "ROOM", room * runs)
+    monkeypatch.setattr(StateChain, "smoothed_beliefs", None)  # what is used where digits are lost
+    rng = np.random.default_rng(5)
+    x, z, prior, motion, seen = hidden(rng, 40)
+    seen = np.column_stack([1e-4 * seen[:, :3], 1.0 - 1e-4 * seen[:, :3].sum(axis=1)])
+    states = rng.integers(0, 3, (runs, 400))
+    posterior = pgm.smooth(model(x, z, prior, motion, seen), {z: states if runs > 1 else states[0]})
+    for run in range(runs):
+        weights = np.array([np.ones(40), *seen[:, states[run]].T])
+        _, smoothed, log_evidence = textbook(prior, [motion] * 400, weights)
+        values, logs = posterior[x].values, posterior.log_evidence
+        assert_allclose(values[run] if runs > 1 else values, smoothed, **EQUAL)
+        assert_allclose(logs[run] if runs > 1 else logs, log_evidence, rtol=1e-12)
 
 
 @pytest.mark.parametrize("first", [0, 1])
