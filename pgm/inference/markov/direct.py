@@ -24,6 +24,8 @@ from pgm.kernels.stochastic import Dense, Transition
 FEW, MANY = 16, 64
 # Entries of weights that are laid out at a time, and of all of them where blocks are.
 ROOM = 2**20
+# Of a fixed lag all windows are worked at together, up to so many times as many entries.
+_WINDOWS = 16
 
 
 class DirectChain(StateChain):
@@ -150,6 +152,31 @@ class DirectChain(StateChain):
             first /= np.where(total > 0.0, total, 1.0)
             yield slice(part.start, part.stop)
         yield slice(0, 1)
+
+    def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
+        """The steps from 0 to T, and the belief of each given the measurements a lag later."""
+        found = self._lagged(lag)
+        yield from super().lagged(lag) if found is None else enumerate(found)
+
+    def _lagged(self, lag: int) -> Array | None:
+        """The beliefs of all steps, their windows gone back along together.
+
+        None where the transition differs from step to step, or digits are lost.
+        """
+        steps, each = self.slices.steps, self._map(1)
+        if self.slices.constant is None or np.size(self.known) > ROOM * _WINDOWS:
+            return None
+        weights, _ = self.slices.weights_of(range(1, steps + 1))
+        found = np.ones(np.shape(self.known))
+        for ahead in range(min(lag, steps), 0, -1):
+            # Of the windows that do not reach beyond the last step.
+            rows = found[: steps + 1 - ahead]
+            rows[...] = each.backward(rows * weights[ahead - 1 :], 1)
+            totals = markov.masses(rows)
+            if not totals.min() > TINY:
+                return None
+            rows /= totals[:, None]
+        return found if _joined(found, np.asarray(self.known)) else None
 
 
 def _joined(messages: Array, known: Array) -> bool:
