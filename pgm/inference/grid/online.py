@@ -252,7 +252,7 @@ class OnlineGrid(Immutable):
         if (
             not isinstance(belief, OnlineGridBelief)
             or belief._model is not self.model
-            or belief._lattice.shape != self._lattice.shape
+            or not belief._lattice.like(self._lattice)
         ):
             raise ModelError(
                 f"{belief!r} is no belief of this filter's model and grid; begin with initial()"
