@@ -49,11 +49,17 @@ class Step:
     target: Window
     operators: Sequence[Operator]
 
-    def forward(self, array: Array) -> Array:
-        """The probabilities in the target window from those in the source."""
+    def forward(self, array: Array) -> tuple[Array, Array]:
+        """The probabilities in the target window from those in the source.
+
+        With them the variance that the lattice has added along each of its axes, in cells.
+        """
+        added = np.zeros(len(self.source))
         for operator in self.operators:
+            for axis, variance in operator.added(array).items():
+                added[axis] += variance
             array = operator.forward(array)
-        return array
+        return array, added
 
     def backward(self, array: Array) -> Array:
         """The transpose."""

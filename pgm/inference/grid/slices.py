@@ -118,7 +118,8 @@ class GridSlices:
 
     def prior(self) -> Array:
         """The probabilities at step 0."""
-        found = start(self.lattice, self.model.first, self.run)
+        found, added = start(self.lattice, self.model.first, self.run)
+        self.added += added
         total = float(found.sum())
         self.outside[0] = max(1.0 - total, 0.0)
         if not total >= 0.5:
@@ -160,11 +161,8 @@ class GridSlices:
         """The belief over the slice of a step, from that of the step before."""
         source = self.look(step - 1, belief)
         made = self.model.motion.at(step, self.run, source)
-        part = self.lattice.cut(belief, source)
-        for operator in made.operators:
-            for axis, variance in operator.added(part).items():
-                self.added[axis] += variance
-            part = operator.forward(part)
+        part, added = made.forward(self.lattice.cut(belief, source))
+        self.added += added
         part[part < _NONE] = 0.0
         left = float(part.sum())
         self.outside[step] = max(1.0 - left, 0.0)

@@ -61,8 +61,8 @@ class GridStatus(Immutable):
     outside_by_step : ndarray
         (*runs, T+1): the share of each step's belief.
     added : mapping of str to ndarray
-        By component, (*runs): the variance that the lattice has added over all steps, in squared
-        units of the component, beyond that of the transition and of the prior: where a displacement
+        By component, (*runs): the variance that the lattice has added at the prior and over all
+        steps, in squared units of the component, beyond what these ask for: where a displacement
         has a variance of less than f(1 − f)h².
     sharpest : Sharpness
         The sensor that is the sharpest for the cells: by how many of its deviations its measurement

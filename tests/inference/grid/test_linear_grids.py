@@ -248,3 +248,17 @@ def test_a_flat_prior_is_uniform_within_the_bounds():
     # The density of the uniform prior in place of the wide normal one's at its middle.
     due = exact.log_evidence - np.log(20.0) + 0.5 * np.log(2 * np.pi * 1e6)
     assert_allclose(found.log_evidence, due, atol=1e-5)
+
+
+def test_what_is_added_to_a_prior_is_told():
+    """A point between centres, and a correlated prior of half a cell and of one."""
+    on = pgm.Grid({"place": (-3, 3, 60), "speed": (-3, 3, 60)})
+    for deviation in (0.0, 0.05, 0.1, 0.3):
+        cov = deviation**2 * np.array([[1.0, 0.8], [0.8, 1.0]])
+        net = model(prior=cov)
+        found = pgm.filter(net, {}, steps=0, belief=on)
+        told = [float(found.status.added[name]) for name in x.components]
+        assert_allclose(np.diag(found[x].cov[0]) - np.diag(cov), told, rtol=1e-9, atol=1e-13)
+        assert (max(told) > 1e-4) == (deviation < 0.2)
+        begun = pgm.OnlineFilter(net, belief=on).initial()
+        assert_allclose([float(begun.status.added[name]) for name in x.components], told)
