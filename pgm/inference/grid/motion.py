@@ -49,6 +49,12 @@ class Step:
     target: Window
     operators: Sequence[Operator]
 
+    @property
+    def split(self) -> frozenset[int]:
+        """The axes that are moved cell by cell."""
+        each = [operator.axes for operator in self.operators if isinstance(operator, Split)]
+        return frozenset().union(*each)
+
     def forward(self, array: Array) -> tuple[Array, Array]:
         """The probabilities in the target window from those in the source.
 

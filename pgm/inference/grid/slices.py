@@ -94,6 +94,8 @@ class GridSlices:
         off.
     added : ndarray
         (axes,): the variance that the lattice has added in all steps, in cells.
+    split : frozenset of int
+        The axes that were moved cell by cell.
     sharpest : Sharpness
     narrowest : Narrowness
     cut : Cut
@@ -107,6 +109,7 @@ class GridSlices:
         self.lattice, self.steps = model.lattice, model.bound.steps
         self.outside: dict[int, float] = {}
         self.added = np.zeros(len(self.lattice.axes))
+        self.split: frozenset[int] = frozenset()
         self.sharpest = Sharpness(0.0, None, 0)
         self.narrowest = Narrowness(np.inf, "", 0)
         self.cut, self._tails = Cut(0.0, 0), Tails(self.lattice)
@@ -163,6 +166,7 @@ class GridSlices:
         made = self.model.motion.at(step, self.run, source)
         part, added = made.forward(self.lattice.cut(belief, source))
         self.added += added
+        self.split |= made.split
         part[part < _NONE] = 0.0
         left = float(part.sum())
         self.outside[step] = max(1.0 - left, 0.0)

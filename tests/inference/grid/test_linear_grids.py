@@ -262,3 +262,19 @@ def test_what_is_added_to_a_prior_is_told():
         assert (max(told) > 1e-4) == (deviation < 0.2)
         begun = pgm.OnlineFilter(net, belief=on).initial()
         assert_allclose([float(begun.status.added[name]) for name in x.components], told)
+
+
+def test_motion_cell_by_cell_is_told():
+    """Where components depend on each other; its error falls as the cells do."""
+    net = model(matrix=TURN, noise=[[0.1, 0.05], [0.05, 0.1]])
+    drawn = net.sample({}, steps=4, rng=3)
+    due = pgm.filter(net, drawn.evidence)[x]
+    off = []
+    for cells in (60, 120):
+        on = pgm.Grid({"place": (-7, 7, cells), "speed": (-7, 7, cells)})
+        found = pgm.filter(net, drawn.evidence, belief=on)
+        assert found.status.split == ("place", "speed")
+        assert "place and speed moved cell by cell" in repr(found.status)
+        off.append(float(divergence(found[x], due).max()))
+    assert off[1] < off[0] / 16.0
+    assert pgm.filter(model(), {}, steps=1, belief=WIDE).status.split == ()
