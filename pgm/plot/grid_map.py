@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, LinearSegmentedColormap
 
+from pgm.boundary import as_floats, as_tuple, is_whole
 from pgm.errors import ModelError
 from pgm.inference import GridBelief
 from pgm.kernels.arrays import Array
@@ -48,8 +49,9 @@ def grid_map(
     components : pair of str, optional
         Which components are the plane's, by name; the first two that are no angles without.
     heading : str, optional
-        The angle that is drawn as arrows, counted from the first component to the second; without,
-        the belief's only angle, or none where there are several.
+        The angle that is drawn as arrows, counted from the belief's first straight component to
+        its second, whichever of them is drawn along which axis; without, the belief's only angle,
+        or none where there are several.
     arrows : int
         How many along the longer side of the map at the most; 0 for none.
     truth : array_like, optional
@@ -81,19 +83,22 @@ def grid_map(
         raise ModelError(
             f"{belief!r} is of several runs or steps; pick one, with [k] or posterior[x.at(k)]"
         )
-    if not isinstance(arrows, int) or arrows < 0:
+    if not is_whole(arrows) or arrows < 0:
         raise ModelError(f"arrows are a whole number, 0 or more, not {arrows!r}")
     straight = tuple(name for name in belief.components if name not in belief.angles)
-    pair = straight[:2] if components is None else tuple(components)
-    if len(pair) != 2:
-        raise ModelError(f"a map is of two components, not {pair}; {belief!r}")
+    pair = straight[:2] if components is None else as_tuple(components)
+    if pair is None or len(pair) != 2:
+        raise ModelError(f"a map is of two components, not {components or pair!r}; {belief!r}")
     plane = belief.marginal(*pair)
     if heading is None:
         turning = [name for name in belief.angles if name not in pair]
         heading = turning[0] if len(turning) == 1 else None
+    if heading is not None and (heading not in belief.angles or heading in pair):
+        raise ModelError(f"heading={heading!r} is no angle of {belief!r} beside {pair}")
     angle = None if heading is None or not arrows else belief.marginal(*pair, heading)
+    mirrored = belief.components.index(pair[0]) > belief.components.index(pair[1])
     mark = None if truth is None else _as_truth(belief, truth, pair)
-    marks = None if landmarks is None else np.asarray(landmarks, dtype=float)
+    marks = None if landmarks is None else as_floats(landmarks, "landmarks")
     if marks is not None and (marks.ndim != 2 or marks.shape[1] != 2):
         raise ModelError(f"landmarks have shape {marks.shape}; (L, 2) was due, one a row")
 
@@ -102,7 +107,7 @@ def grid_map(
     defaults: dict[str, Any] = {"cmap": _MAP, "vmin": 0.0}
     ax.pcolormesh(*edges, plane.values.T, **(defaults | style))
     if angle is not None:
-        _draw_arrows(ax, angle, arrows)
+        _draw_arrows(ax, angle, int(arrows), mirrored)
     if marks is not None:
         ax.plot(*marks.T, "^", color=INK, markersize=6, label="landmarks")
     if mark is not None:
@@ -119,17 +124,22 @@ def _edges(centres: Array) -> Array:
     return found
 
 
-def _draw_arrows(ax: Axes, belief: GridBelief, count: int) -> None:
+def _draw_arrows(ax: Axes, belief: GridBelief, count: int, mirrored: bool) -> None:
     """Arrows of the third component, one for each block of cells of the first two."""
-    block = max(1, math.ceil(max(belief.values.shape[:2]) / count))
+    widths = np.array([centres[1] - centres[0] for centres in belief.centres[:2]])
+    apart = float((widths * belief.values.shape[:2]).max()) / count
+    blocks = np.maximum(np.ceil(apart / widths - 1e-9), 1.0).astype(int).tolist()
     turn = np.exp(1j * belief.centres[2])
-    weight = _summed(belief.values.sum(axis=2), block)
-    total = _summed(belief.values @ turn, block)
+    if mirrored:
+        turn = 1j * turn.conj()
+    weight = _summed(belief.values.sum(axis=2), blocks)
+    total = _summed(belief.values @ turn, blocks)
     seen = weight > _FAINT * weight.max()
     mean = total[seen] / weight[seen]
-    east, north = (_middles(centres, block) for centres in belief.centres[:2])
+    each = zip(belief.centres[:2], blocks, strict=True)
+    east, north = (_middles(centres, block) for centres, block in each)
     places = np.nonzero(seen)
-    reach = 0.9 * block * (belief.centres[0][1] - belief.centres[0][0])
+    reach = 0.9 * float((widths * blocks).min())
     ax.quiver(
         east[places[0]],
         north[places[1]],
@@ -144,11 +154,11 @@ def _draw_arrows(ax: Axes, belief: GridBelief, count: int) -> None:
     )
 
 
-def _summed(array: npt.NDArray[Any], block: int) -> npt.NDArray[Any]:
+def _summed(array: npt.NDArray[Any], blocks: Sequence[int]) -> npt.NDArray[Any]:
     """Sums over blocks of cells along both axes; the last ones may be smaller."""
-    rows = np.add.reduceat(array, np.arange(0, array.shape[0], block), axis=0)
-    found: npt.NDArray[Any] = np.add.reduceat(rows, np.arange(0, array.shape[1], block), axis=1)
-    return found
+    for axis, block in enumerate(blocks):
+        array = np.add.reduceat(array, np.arange(0, array.shape[axis], block), axis=axis)
+    return array
 
 
 def _middles(centres: Array, block: int) -> Array:
@@ -161,7 +171,7 @@ def _middles(centres: Array, block: int) -> Array:
 
 def _as_truth(belief: GridBelief, truth: npt.ArrayLike, pair: tuple[str, ...]) -> Array:
     """The two components drawn of a truth."""
-    array = np.asarray(truth, dtype=float)
+    array = as_floats(truth, "the truth")
     if array.shape != (len(belief.components),):
         raise ModelError(
             f"the truth has shape {array.shape}; one number for each of {list(belief.components)} "

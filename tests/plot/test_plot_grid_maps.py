@@ -52,6 +52,25 @@ def test_a_map_of_other_components_has_no_arrows(posterior):
     assert len(pgm.plot.grid_map(posterior[x.at(0)], arrows=0).collections) == 1
 
 
+def test_arrows_turn_with_the_plane(posterior):
+    """A heading is counted from east to north, on a map whose axes are north and east too."""
+    belief = posterior[x.at(1)]
+    ax = pgm.plot.grid_map(belief, components=("north", "east"))
+    quiver = ax.collections[1]
+    outwards = quiver.get_offsets() - [1.0, 2.0]
+    far = np.hypot(*outwards.T) > 0.8
+    along = (quiver.U * outwards[:, 0] + quiver.V * outwards[:, 1])[far]
+    assert (along > 0.5 * np.hypot(quiver.U, quiver.V)[far] * np.hypot(*outwards[far].T)).all()
+
+
+def test_arrows_of_flat_cells_do_not_cross(posterior):
+    on = pgm.Grid({"east": (-1.0, 5.0, 12), "north": (-2.0, 4.0, 90), "heading": 24})
+    belief = pgm.filter(posterior.graph.model, {}, steps=1, belief=on)[x.at(1)]
+    quiver = pgm.plot.grid_map(belief).collections[1]
+    north = np.unique(np.round(quiver.get_offsets()[:, 1], 9))
+    assert np.hypot(quiver.U, quiver.V).max() <= 0.9 * np.diff(north).min() + 1e-9
+
+
 def test_what_cannot_be_drawn(posterior):
     belief = posterior[x.at(0)]
     faults = [
@@ -59,8 +78,14 @@ def test_what_cannot_be_drawn(posterior):
         (belief.gaussian(), {}, "not a Gaussian"),
         (belief.marginal("east", "heading"), {}, "two components"),
         (belief, {"components": ("east", "up")}, "no component"),
-        (belief, {"heading": "up"}, "no component"),
+        (belief, {"components": 3}, "two components"),
+        (belief, {"components": ("east", ["north"])}, "by name"),
+        (belief, {"heading": "up"}, "no angle"),
+        (belief, {"heading": "north", "components": ("east", "heading")}, "no angle"),
         (belief, {"arrows": -1}, "0 or more"),
+        (belief, {"arrows": True}, "0 or more"),
+        (belief, {"truth": ["here", 1.0, 2.0]}, "truth must be numbers"),
+        (belief, {"landmarks": "there"}, "landmarks must be numbers"),
         (belief, {"truth": [1.0, 2.0]}, "truth has shape"),
         (belief, {"landmarks": [1.0, 2.0]}, "landmarks have shape"),
     ]

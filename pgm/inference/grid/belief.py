@@ -130,9 +130,10 @@ class GridBelief(Immutable):
         ModelError
             If one is no component, or named twice, or none is named.
         """
-        if not components or len(set(components)) < len(components):
+        named = all(isinstance(name, str) for name in components)
+        if not components or not named or len(set(components)) < len(components):
             raise ModelError(
-                f"a marginal is of one or more of {listed(self.components)}, each once; "
+                f"a marginal is of one or more of {listed(self.components)}, by name, each once; "
                 f"found {components}"
             )
         unknown = [name for name in components if name not in self.components]

@@ -114,6 +114,11 @@ class Lattice:
         """The axes that are circles."""
         return tuple(k for k, axis in enumerate(self.axes) if axis.angle)
 
+    def like(self, other: Lattice) -> bool:
+        """Whether the cells of another lattice are the same."""
+        each = [(axis.label, axis.low, axis.width, axis.cells) for axis in self.axes]
+        return each == [(axis.label, axis.low, axis.width, axis.cells) for axis in other.axes]
+
     def indices(self, window: Window) -> list[Integers]:
         """The cells of a window along each axis."""
         return [

@@ -18,23 +18,21 @@ import networkx as nx
 import numpy as np
 
 from pgm.errors import ModelError
-from pgm.inference.grid.dependence import Dependence, places
+from pgm.inference.grid.dependence import Dependence
 from pgm.inference.grid.groups import Group, Spread
 from pgm.inference.grid.lattice import Axis, Lattice, Window
 from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
+from pgm.inference.grid.quadrature import quadrature
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import REACH, Span, kernels, reached
 from pgm.variables import Variable
 
 # Numbers of the matrices of one move at the most; more are split cell by cell.
 _MATRICES = 1 << 24
-# Nodes of a quadrature at the most.
-_NODES = 4096
-# Noise that spreads over no more than this many cells takes the nodes of Gauss and Hermite.
-_NARROW = 1.0
-_HERMITE = 5
-# Weights of nodes below this are left out.
-_SLIGHT = 1e-14
+# Noise of so many circles is flat on a circle, to e^(−2π²·9).
+_CIRCLES = 3.0
+# Noise of so many times the bounds leaves a fiftieth within them.
+_BOUNDS = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +49,23 @@ class Step:
     target: Window
     operators: Sequence[Operator]
 
-    def forward(self, array: Array) -> Array:
-        """The probabilities in the target window from those in the source."""
+    @property
+    def split(self) -> frozenset[int]:
+        """The axes that are moved cell by cell."""
+        each = [operator.axes for operator in self.operators if isinstance(operator, Split)]
+        return frozenset().union(*each)
+
+    def forward(self, array: Array) -> tuple[Array, Array]:
+        """The probabilities in the target window from those in the source.
+
+        With them the variance that the lattice has added along each of its axes, in cells.
+        """
+        added = np.zeros(len(self.source))
         for operator in self.operators:
+            for axis, variance in operator.added(array).items():
+                added[axis] += variance
             array = operator.forward(array)
-        return array
+        return array, added
 
     def backward(self, array: Array) -> Array:
         """The transpose."""
@@ -160,9 +170,9 @@ class _Maker:
         run: int,
     ) -> None:
         self.lattice, self.group, self.step, self.run = motion.lattice, group, step, run
-        self.spread = group.spread(step, run)
+        self.spread = self._within(group.spread(step, run))
         self.dependence = motion.dependence(group, self.spread, step, run)
-        self.noise, self.nodes = self._quadrature()
+        self.noise, self.nodes = quadrature(group, self.spread, step, run)
 
     def operators(self, window: Window) -> tuple[Window, list[Operator]]:
         """The target window, and the operators that lead there."""
@@ -177,43 +187,25 @@ class _Maker:
                 moves.append(move)
         return tuple(spans), [Sweep(moves, self.nodes)] if moves else []
 
-    def _quadrature(self) -> tuple[Array, Array]:
-        """Nodes of the white noise, (nodes, size), and their weights."""
-        size = self.spread.size
-        if not size:
-            return np.zeros((1, 0)), np.ones(1)
-        here = places(self.lattice, 64, self.step)
-        points = self.lattice.points(list(here.T))
-        each = []
-        for k in range(size):
-            ends = [
-                self.group.displacement(
-                    points,
-                    points,
-                    sign * np.eye(size)[[k] * len(points)],
-                    self.spread,
-                    self.step,
-                    self.run,
+    def _within(self, spread: Spread) -> Spread:
+        """The noise: flat, where it goes round circles; refused, where it is beyond the bounds."""
+        variance = spread.variance.copy()
+        for k, axis in enumerate(self.lattice.axes[a] for a in self.group.axes):
+            deviation = math.sqrt(variance[k]) / axis.cells
+            if axis.angle and deviation > _CIRCLES:
+                variance[k] = np.inf
+            elif _BOUNDS < deviation < math.inf:
+                high = axis.low + axis.cells * axis.width
+                raise ModelError(
+                    f"the noise of {axis.label} at step {self.step}, run {self.run}, deviates by "
+                    f"{deviation:.2g} times what the grid covers, {axis.low:.6g} to {high:.6g}: "
+                    "hardly any of it is inside; widen the bounds, or, of a prior, give the "
+                    "variance np.inf, which is flat within them",
+                    variable=axis.variable,
+                    step=self.step,
+                    run=self.run,
                 )
-                for sign in (1.0, -1.0)
-            ]
-            extent = 0.5 * float(np.abs(self.group.wrapped(ends[0] - ends[1])).max())
-            each.append(_nodes(extent))
-        count = math.prod(len(nodes) for nodes, _ in each)
-        if count > _NODES:
-            cpds = [*self.group.controls, *self.group.states]
-            raise ModelError(
-                f"the noise of {cpds} at step {self.step}, of controls or correlated, spreads over "
-                f"so many cells that {count} displacements of the grid would be summed; make its "
-                "cells wider, or the noise a covariance that is diagonal",
-                cpd=cpds[0],
-                step=self.step,
-            )
-        mesh = np.meshgrid(*(nodes for nodes, _ in each), indexing="ij")
-        weights = np.ones(())
-        for _, own in each:
-            weights = np.multiply.outer(weights, own)
-        return np.stack([m.reshape(-1) for m in mesh], axis=-1), weights.reshape(-1)
+        return spread._replace(variance=variance)
 
     def _order(self) -> list[int] | None:
         """The places of the group's axes in the order in which they are moved, if there is one."""
@@ -267,22 +259,9 @@ class _Maker:
         by = tuple(sorted((before | after) - {axis}))
         own = axis in before
         variance = float(self.spread.variance[k])
-        source, cells = window[axis], lattice.axes[axis].cells
+        source = window[axis]
         if np.isinf(variance):
-            whole = np.full((1, 1, 1, cells), 1.0 / cells)
-            first = np.full((1, 1, 1), -source.first)
-            none = np.zeros((1, 1, 1))
-            return Move(
-                axis,
-                (),
-                first,
-                whole,
-                none,
-                source,
-                Span(0, cells),
-                cells,
-                lattice.axes[axis].angle,
-            )
+            return _flat(lattice.axes[axis], axis, source)
         used = [*by, axis] if own else list(by)
         indices = lattice.indices(window)
         flat = [np.zeros(math.prod(window[a].length for a in used), dtype=np.intp)] * len(window)
@@ -341,11 +320,24 @@ class _Maker:
         moves = []
         for axis, variance in zip(group.axes, self.spread.variance, strict=True):
             if variance > SPLIT:
-                still, rest = np.zeros((1, 1, 1)), float(variance - SPLIT)
-                move = _along(lattice.axes[axis], axis, (), still, rest, spans[axis])
+                still, rest, own = np.zeros((1, 1, 1)), float(variance - SPLIT), lattice.axes[axis]
+                if np.isinf(rest):
+                    move = _flat(own, axis, spans[axis])
+                else:
+                    move = _along(own, axis, (), still, rest, spans[axis])
                 spans[axis] = move.target
                 moves.append(move)
         return tuple(spans), [split, *([Sweep(moves, np.ones(1))] if moves else [])]
+
+
+def _flat(axis: Axis, place: int, source: Span) -> Move:
+    """The move to all cells alike."""
+    cells = axis.cells
+    # From every source cell: the first weight is at cell 0 wherever it comes from.
+    first = -(source.first + np.arange(source.length)).reshape(1, 1, -1)
+    weights = np.full((1, 1, source.length, cells), 1.0 / cells)
+    added = np.zeros((1, 1, source.length))
+    return Move(place, (), first, weights, added, source, Span(0, cells), cells, axis.angle)
 
 
 def _along(
@@ -375,17 +367,3 @@ def _along(
         cells,
         axis.angle,
     )
-
-
-def _nodes(extent: float) -> tuple[Array, Array]:
-    """Nodes and weights for white noise that spreads over so many cells at one deviation."""
-    if extent < 1e-9:
-        return np.zeros(1), np.ones(1)
-    if extent <= _NARROW:
-        nodes, weights = np.polynomial.hermite_e.hermegauss(_HERMITE)
-        return nodes, weights / weights.sum()
-    # Nodes a cell apart, whose variance is one.
-    made = kernels(np.zeros(1), extent**2)
-    kept = made.weights[0] > _SLIGHT
-    nodes = (int(made.first[0]) + np.arange(made.weights.shape[1])) / extent
-    return nodes[kept], made.weights[0][kept] / made.weights[0][kept].sum()

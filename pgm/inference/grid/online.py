@@ -252,7 +252,7 @@ class OnlineGrid(Immutable):
         if (
             not isinstance(belief, OnlineGridBelief)
             or belief._model is not self.model
-            or belief._lattice.shape != self._lattice.shape
+            or not belief._lattice.like(self._lattice)
         ):
             raise ModelError(
                 f"{belief!r} is no belief of this filter's model and grid; begin with initial()"
@@ -304,7 +304,11 @@ class OnlineGrid(Immutable):
             axis.label: np.array([s.added[k] * axis.width**2 for s, *_ in found]).reshape(lead)
             for k, axis in enumerate(lattice.axes)
         }
+        split = {
+            axis.label for k, axis in enumerate(lattice.axes) for s, *_ in found if k in s.split
+        }
         if before is not None:
+            split |= set(before.status.split)
             log_density = log_density + before.log_evidence
             added = {name: value + before.status.added[name] for name, value in added.items()}
             past = before.status.outside_by_step
@@ -313,7 +317,7 @@ class OnlineGrid(Immutable):
             sharpest = max(sharpest, before.status.sharpest, key=lambda each: each.cells)
             narrowest = min(narrowest, before.status.narrowest, key=lambda each: each.cells)
             cut = max(cut, before.status.cut, key=lambda each: each.share)
-        status = GridStatus(outside, added, sharpest, narrowest, cut)
+        status = GridStatus(outside, added, sharpest, narrowest, cut, sorted(split))
         status.warn(None if before is None else before.status)
         values = values.reshape(*lead, *lattice.shape)
         return OnlineGridBelief(

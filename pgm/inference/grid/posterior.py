@@ -131,10 +131,12 @@ class GridPosterior(Immutable):
         Raises
         ------
         EvidenceError
-            If one is no state of the network, or they are of several steps.
+            If one is no state of the network, they are of several steps, or none is named.
         ModelError
             If one stands after the last step, or is named twice.
         """
+        if not variables:
+            raise EvidenceError("joint takes states of one step, like x.at(3), m.at(3)")
         scope = as_scope(variables, "a joint")
         states = tuple(v.template for v in scope)
         for variable in scope:

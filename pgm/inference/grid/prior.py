@@ -21,8 +21,11 @@ from pgm.kernels.lattice import Span
 _WIDE = 1.3
 
 
-def start(lattice: Lattice, groups: Sequence[Group], run: int) -> Array:
-    """The probabilities at step 0; what the bounds leave out is missing from their sum."""
+def start(lattice: Lattice, groups: Sequence[Group], run: int) -> tuple[Array, Array]:
+    """The probabilities at step 0; what the bounds leave out is missing from their sum.
+
+    With them the variance that the lattice has added along each axis, in cells.
+    """
     dense = [group for group in groups if _density(lattice, group, run) is not None]
     window = [Span(0, 1)] * len(lattice.axes)
     found = np.ones((1,) * len(lattice.axes))
@@ -35,8 +38,10 @@ def start(lattice: Lattice, groups: Sequence[Group], run: int) -> Array:
     rest = [group for group in groups if group not in dense]
     made = Motion(lattice, rest).at(0, run, tuple(window)) if rest else None
     if made is None:
-        return lattice.put(np.broadcast_to(found, lattice.shape), lattice.whole)
-    return lattice.put(made.forward(found), made.target)
+        whole = lattice.put(np.broadcast_to(found, lattice.shape), lattice.whole)
+        return whole, np.zeros(len(lattice.axes))
+    part, added = made.forward(found)
+    return lattice.put(part, made.target), added
 
 
 def _density(lattice: Lattice, group: Group, run: int) -> Array | None:

@@ -150,7 +150,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
     smoothed = np.zeros(shape, dtype=grid.dtype) if smoothing else None
     log_evidence, outside = np.zeros(bound.runs), np.zeros((bound.runs, bound.steps + 1))
     added, sharpest = np.zeros((bound.runs, len(lattice.axes))), Sharpness(0.0, None, 0)
-    narrowest, cut = Narrowness(np.inf, "", 0), Cut(0.0, 0)
+    narrowest, cut, split = Narrowness(np.inf, "", 0), Cut(0.0, 0), frozenset[int]()
     for k in range(bound.runs):
         slices = GridSlices(model, k, grid.dtype if smoothing else None)
         chain = _Kept(slices, filtered[k]).run()
@@ -166,6 +166,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
         added[k] = slices.added
         sharpest = max(sharpest, slices.sharpest, key=lambda each: each.cells)
         narrowest = min(narrowest, slices.narrowest, key=lambda each: each.cells)
+        split |= slices.split
         cut = max(cut, slices.cut, key=lambda each: each.share)
     lead = bound.lead
     status = GridStatus(
@@ -177,6 +178,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
         sharpest,
         narrowest,
         cut,
+        tuple(axis.label for k, axis in enumerate(lattice.axes) if k in split),
     )
     filtered = filtered.reshape(*lead, *shape[1:])
     if smoothed is None:

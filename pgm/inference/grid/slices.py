@@ -94,6 +94,8 @@ class GridSlices:
         off.
     added : ndarray
         (axes,): the variance that the lattice has added in all steps, in cells.
+    split : frozenset of int
+        The axes that were moved cell by cell.
     sharpest : Sharpness
     narrowest : Narrowness
     cut : Cut
@@ -107,6 +109,7 @@ class GridSlices:
         self.lattice, self.steps = model.lattice, model.bound.steps
         self.outside: dict[int, float] = {}
         self.added = np.zeros(len(self.lattice.axes))
+        self.split: frozenset[int] = frozenset()
         self.sharpest = Sharpness(0.0, None, 0)
         self.narrowest = Narrowness(np.inf, "", 0)
         self.cut, self._tails = Cut(0.0, 0), Tails(self.lattice)
@@ -118,7 +121,8 @@ class GridSlices:
 
     def prior(self) -> Array:
         """The probabilities at step 0."""
-        found = start(self.lattice, self.model.first, self.run)
+        found, added = start(self.lattice, self.model.first, self.run)
+        self.added += added
         total = float(found.sum())
         self.outside[0] = max(1.0 - total, 0.0)
         if not total >= 0.5:
@@ -160,11 +164,9 @@ class GridSlices:
         """The belief over the slice of a step, from that of the step before."""
         source = self.look(step - 1, belief)
         made = self.model.motion.at(step, self.run, source)
-        part = self.lattice.cut(belief, source)
-        for operator in made.operators:
-            for axis, variance in operator.added(part).items():
-                self.added[axis] += variance
-            part = operator.forward(part)
+        part, added = made.forward(self.lattice.cut(belief, source))
+        self.added += added
+        self.split |= made.split
         part[part < _NONE] = 0.0
         left = float(part.sum())
         self.outside[step] = max(1.0 - left, 0.0)

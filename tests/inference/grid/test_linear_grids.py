@@ -248,3 +248,33 @@ def test_a_flat_prior_is_uniform_within_the_bounds():
     # The density of the uniform prior in place of the wide normal one's at its middle.
     due = exact.log_evidence - np.log(20.0) + 0.5 * np.log(2 * np.pi * 1e6)
     assert_allclose(found.log_evidence, due, atol=1e-5)
+
+
+def test_what_is_added_to_a_prior_is_told():
+    """A point between centres, and a correlated prior of half a cell and of one."""
+    on = pgm.Grid({"place": (-3, 3, 60), "speed": (-3, 3, 60)})
+    for deviation in (0.0, 0.05, 0.1, 0.3):
+        cov = deviation**2 * np.array([[1.0, 0.8], [0.8, 1.0]])
+        net = model(prior=cov)
+        found = pgm.filter(net, {}, steps=0, belief=on)
+        told = [float(found.status.added[name]) for name in x.components]
+        assert_allclose(np.diag(found[x].cov[0]) - np.diag(cov), told, rtol=1e-9, atol=1e-13)
+        assert (max(told) > 1e-4) == (deviation < 0.2)
+        begun = pgm.OnlineFilter(net, belief=on).initial()
+        assert_allclose([float(begun.status.added[name]) for name in x.components], told)
+
+
+def test_motion_cell_by_cell_is_told():
+    """Where components depend on each other; its error falls as the cells do."""
+    net = model(matrix=TURN, noise=[[0.1, 0.05], [0.05, 0.1]])
+    drawn = net.sample({}, steps=4, rng=3)
+    due = pgm.filter(net, drawn.evidence)[x]
+    off = []
+    for cells in (60, 120):
+        on = pgm.Grid({"place": (-7, 7, cells), "speed": (-7, 7, cells)})
+        found = pgm.filter(net, drawn.evidence, belief=on)
+        assert found.status.split == ("place", "speed")
+        assert "place and speed moved cell by cell" in repr(found.status)
+        off.append(float(divergence(found[x], due).max()))
+    assert off[1] < off[0] / 16.0
+    assert pgm.filter(model(), {}, steps=1, belief=WIDE).status.split == ()
