@@ -13,8 +13,10 @@ from pgm.kernels.arrays import Array, Integers, Mask
 
 # Places at which every call is tested; all centres are, when something is first depended on.
 PROBES = 128
-# Cells of the belief's window at which what is known is tried in each step.
-TRIALS = 4096
+# Cells of the belief's window at which what is known of a motion is tried in each step, and what is
+# known of a sensor with each measurement.
+MOVED = 4096
+MEASURED = 512
 # Centres that a user's function is handed at a time where all are tested.
 BLOCK = 1 << 16
 _TRIES = 3
@@ -25,13 +27,13 @@ def places(lattice: Lattice, count: int, seed: int) -> Integers:
     return np.random.default_rng(seed).integers(0, lattice.shape, (count, len(lattice.axes)))
 
 
-def within(lattice: Lattice, window: Window, seed: int) -> Integers:
+def within(lattice: Lattice, window: Window, most: int, seed: int) -> Integers:
     """Some cells of a window, or all if they are few, (n, axes)."""
     lengths = [span.length for span in window]
     count = math.prod(lengths)
     flat = np.arange(count)
-    if count > TRIALS:
-        flat = np.random.default_rng(seed).integers(0, count, TRIALS)
+    if count > most:
+        flat = np.random.default_rng(seed).integers(0, count, most)
     first = np.array([span.first for span in window])
     found: Integers = (np.stack(np.unravel_index(flat, lengths), axis=-1) + first) % lattice.shape
     return found
@@ -108,7 +110,7 @@ class Dependence:
         differ: Callable[[Array, Array], Mask],
         later: frozenset[int],
         seed: int,
-        window: Window | None = None,
+        some: Integers | None = None,
     ) -> None:
         """Probe a function at a step, and test it everywhere where that shows something new.
 
@@ -121,13 +123,12 @@ class Dependence:
         later : frozenset of int
             The axes of its own step on which it may depend at all.
         seed : int
-        window : Window, optional
-            The cells of the step before that have a belief: what is found is tried at these.
+        some : ndarray of int, optional
+            Cells (n, axes) of the belief, at which what is known is tried.
         """
         sure = not self._probed(values, differ, later, seed) and self._sure
-        if sure and window is not None:
-            here = within(self.lattice, window, seed + 4)
-            sure = self._holds(values, differ, later, seed, here)
+        if sure and some is not None:
+            sure = self._holds(values, differ, later, seed, some)
         if not sure:
             tries = 0
             while not self._holds(values, differ, later, seed):

@@ -18,7 +18,7 @@ import networkx as nx
 import numpy as np
 
 from pgm.errors import ModelError
-from pgm.inference.grid.dependence import Dependence
+from pgm.inference.grid.dependence import MOVED, Dependence, within
 from pgm.inference.grid.groups import Group, Spread
 from pgm.inference.grid.lattice import Axis, Lattice, Window
 from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
@@ -104,8 +104,8 @@ class Motion:
         """The axes on which the displacements of a group depend, tested at this step."""
         key = tuple(cpd.child for cpd in group.states)
         found = self.known.setdefault(key, Dependence(self.lattice))
-        some = np.random.default_rng(step).standard_normal((2, spread.size))
-        noises = [np.zeros(spread.size), *(some if spread.size else ())]
+        drawn = np.random.default_rng(step).standard_normal((2, spread.size))
+        noises = [np.zeros(spread.size), *(drawn if spread.size else ())]
 
         def values(before: Array, after: Array) -> Array:
             shape = len(before), spread.size
@@ -121,7 +121,8 @@ class Motion:
             different: Mask = np.abs(group.wrapped(one - other)) > slack
             return different
 
-        found.look(values, differ, group.later, 3 * step + 1, source)
+        some = within(self.lattice, source, MOVED, 3 * step + 2)
+        found.look(values, differ, group.later, 3 * step + 1, some)
         return found
 
     def _ordered(self, step: int, run: int, source: Window) -> list[Group]:

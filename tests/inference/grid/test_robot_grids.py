@@ -303,3 +303,29 @@ def test_a_patch_that_comes_with_the_inputs_is_found():
     due = gone(drawn, np.broadcast_to(given[2], (len(drawn), 3)))
     assert_allclose(found.mean[-1], due.mean(axis=0), atol=0.02)
     assert_allclose(found.std[-1], np.sqrt(due.var(axis=0) + 0.02), atol=0.02)
+
+
+def test_a_sensor_disturbed_at_a_place_that_comes_with_the_inputs():
+    """A compass that a magnet turns by one: near it, 1 cell in 1000 of the plane."""
+    compass, magnet = (pgm.Variable(n, components=("a", "b")[:k]) for n, k in (("c", 1), ("g", 2)))
+
+    def read(x, magnet):
+        near = np.hypot(x[..., 0] - magnet[..., 0], x[..., 1] - magnet[..., 1]) < 0.12
+        return x[..., 2:] + np.where(near, 1.0, 0.0)[..., None]
+
+    net = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, [4.1, 3.0, 0.0], np.diag([0.02, 0.02, 0.1]))],
+        [pgm.LinearGaussianCPD(x, {x.previous: np.eye(3)}, cov=0.01 * np.eye(3))],
+        [pgm.NonlinearGaussianCPD(compass, (x, magnet), read, 0.1)],
+    )
+    robot_ = pgm.OnlineFilter(net, belief=grid())
+    belief = robot_.initial()
+    for at in ([50.0, 50.0], [4.1, 3.0]):
+        before, belief = (
+            belief,
+            robot_.update(belief, {compass: pgm.sightings([[0.5]], given={magnet: [at]})}),
+        )
+    points = np.stack(np.meshgrid(*belief[x].centres, indexing="ij"), axis=-1)
+    apart = 0.5 - read(points, np.array([4.1, 3.0]))[..., 0]
+    due = before[x].values * np.exp(-5.0 * apart**2)
+    assert_allclose(belief[x].values, due / due.sum(), atol=1e-12)
