@@ -8,11 +8,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgm.inference.grid.lattice import Lattice
+from pgm.inference.grid.lattice import Lattice, Window
 from pgm.kernels.arrays import Array, Integers, Mask
 
 # Places at which every call is tested; all centres are, when something is first depended on.
 PROBES = 128
+# Cells of the belief's window at which what is known of a motion is tried in each step, and what is
+# known of a sensor with each measurement.
+MOVED = 4096
+MEASURED = 512
 # Centres that a user's function is handed at a time where all are tested.
 BLOCK = 1 << 16
 _TRIES = 3
@@ -21,6 +25,18 @@ _TRIES = 3
 def places(lattice: Lattice, count: int, seed: int) -> Integers:
     """Some cells of a lattice, (count, axes)."""
     return np.random.default_rng(seed).integers(0, lattice.shape, (count, len(lattice.axes)))
+
+
+def within(lattice: Lattice, window: Window, most: int, seed: int) -> Integers:
+    """Some cells of a window, or all if they are few, (n, axes)."""
+    lengths = [span.length for span in window]
+    count = math.prod(lengths)
+    flat = np.arange(count)
+    if count > most:
+        flat = np.random.default_rng(seed).integers(0, count, most)
+    first = np.array([span.first for span in window])
+    found: Integers = (np.stack(np.unravel_index(flat, lengths), axis=-1) + first) % lattice.shape
+    return found
 
 
 def blocks(lattice: Lattice) -> Iterator[Integers]:
@@ -94,6 +110,7 @@ class Dependence:
         differ: Callable[[Array, Array], Mask],
         later: frozenset[int],
         seed: int,
+        some: Integers | None = None,
     ) -> None:
         """Probe a function at a step, and test it everywhere where that shows something new.
 
@@ -106,8 +123,13 @@ class Dependence:
         later : frozenset of int
             The axes of its own step on which it may depend at all.
         seed : int
+        some : ndarray of int, optional
+            Cells (n, axes) of the belief, at which what is known is tried.
         """
-        if self._probed(values, differ, later, seed) or not self._sure:
+        sure = not self._probed(values, differ, later, seed) and self._sure
+        if sure and some is not None:
+            sure = self._holds(values, differ, later, seed, some)
+        if not sure:
             tries = 0
             while not self._holds(values, differ, later, seed):
                 tries += 1
@@ -168,20 +190,22 @@ class Dependence:
         differ: Callable[[Array, Array], Mask],
         later: frozenset[int],
         seed: int,
+        cells: Integers | None = None,
     ) -> bool:
-        """Whether at all centres the values are those of the axes depended on alone."""
+        """Whether at all centres, or some, the values are those of the axes depended on alone."""
         lattice = self.lattice
         kinds = {(frozenset(a), frozenset(b)) for a, b in zip(self.before, self.after, strict=True)}
         kinds = {pair for pair in kinds if len(pair[0]) < len(lattice.axes) or pair[1] < later}
         tables = (
             {}
-            if later
+            if later or cells is not None
             else {
                 before: Reduced(lattice, before, lambda points: values(points, points))
                 for before, _ in kinds
             }
         )
-        for here in blocks(lattice) if kinds else ():
+        sets = blocks(lattice) if cells is None else iter([cells])
+        for here in sets if kinds else ():
             other = places(lattice, len(here), seed + 3) if later else here
             found = values(centres(lattice, here), centres(lattice, other))
             for before, after in kinds:

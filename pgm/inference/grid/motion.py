@@ -18,7 +18,7 @@ import networkx as nx
 import numpy as np
 
 from pgm.errors import ModelError
-from pgm.inference.grid.dependence import Dependence
+from pgm.inference.grid.dependence import MOVED, Dependence, within
 from pgm.inference.grid.groups import Group, Spread
 from pgm.inference.grid.lattice import Axis, Lattice, Window
 from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
@@ -93,17 +93,19 @@ class Motion:
     def at(self, step: int, run: int, source: Window) -> Step:
         """The operators of a step, for the probabilities in a window."""
         window, operators = source, list[Operator]()
-        for group in self._ordered(step, run):
-            window, made = _Maker(self, group, step, run).operators(window)
+        for group in self._ordered(step, run, source):
+            window, made = _Maker(self, group, step, run, source).operators(window)
             operators += made
         return Step(source, window, operators)
 
-    def dependence(self, group: Group, spread: Spread, step: int, run: int) -> Dependence:
+    def dependence(
+        self, group: Group, spread: Spread, step: int, run: int, source: Window
+    ) -> Dependence:
         """The axes on which the displacements of a group depend, tested at this step."""
         key = tuple(cpd.child for cpd in group.states)
         found = self.known.setdefault(key, Dependence(self.lattice))
-        some = np.random.default_rng(step).standard_normal((2, spread.size))
-        noises = [np.zeros(spread.size), *(some if spread.size else ())]
+        drawn = np.random.default_rng(step).standard_normal((2, spread.size))
+        noises = [np.zeros(spread.size), *(drawn if spread.size else ())]
 
         def values(before: Array, after: Array) -> Array:
             shape = len(before), spread.size
@@ -119,10 +121,11 @@ class Motion:
             different: Mask = np.abs(group.wrapped(one - other)) > slack
             return different
 
-        found.look(values, differ, group.later, 3 * step + 1)
+        some = within(self.lattice, source, MOVED, 3 * step + 2)
+        found.look(values, differ, group.later, 3 * step + 1, some)
         return found
 
-    def _ordered(self, step: int, run: int) -> list[Group]:
+    def _ordered(self, step: int, run: int, source: Window) -> list[Group]:
         """The groups in an order in which each finds the axes that it depends on as it needs them.
 
         Groups that have no order among themselves are joined.
@@ -134,7 +137,7 @@ class Motion:
             graph.add_nodes_from(range(len(self.groups)))
             mover = {axis: k for k, group in enumerate(self.groups) for axis in group.axes}
             for k, group in enumerate(self.groups):
-                found = self.dependence(group, group.spread(step, run), step, run)
+                found = self.dependence(group, group.spread(step, run), step, run, source)
                 for before, after in zip(found.before, found.after, strict=True):
                     graph.add_edges_from((k, mover[a]) for a in before if mover[a] != k)
                     graph.add_edges_from((mover[a], k) for a in after if mover[a] != k)
@@ -168,10 +171,11 @@ class _Maker:
         group: Group,
         step: int,
         run: int,
+        source: Window,
     ) -> None:
         self.lattice, self.group, self.step, self.run = motion.lattice, group, step, run
         self.spread = self._within(group.spread(step, run))
-        self.dependence = motion.dependence(group, self.spread, step, run)
+        self.dependence = motion.dependence(group, self.spread, step, run, source)
         self.noise, self.nodes = quadrature(group, self.spread, step, run)
 
     def operators(self, window: Window) -> tuple[Window, list[Operator]]:

@@ -18,7 +18,7 @@ import numpy as np
 from pgm.cpds import ConditionalGaussian
 from pgm.errors import ModelError
 from pgm.evidence import Reading
-from pgm.inference.grid.dependence import PROBES, Dependence, Reduced, blocks, centres, places
+from pgm.inference.grid.dependence import MEASURED, Dependence, Reduced, blocks, centres, within
 from pgm.inference.grid.lattice import Lattice, Window
 from pgm.inference.grid.terms import BLOCK, Joint, Term, exponents
 from pgm.inference.grid.values import covariance_of, mean_at, root_of
@@ -194,8 +194,9 @@ class GridSensor:
 
         Each broadcasts to the window, with the components last.
         """
-        depended = self._depended(known, step, run)
-        turning = self._turned(depended, known, step, run)
+        some = within(self.lattice, window, MEASURED, 7 * step + 3)
+        depended = self._depended(some, known, step, run)
+        turning = self._turned(depended, some, known, step, run)
         one = self._on(depended - turning, window, known, step, run)
         if not turning:
             return one, None
@@ -219,13 +220,13 @@ class GridSensor:
     def _middle(self) -> Array:
         return self.lattice.points([np.array([cells // 2]) for cells in self.lattice.shape])
 
-    def _depended(self, known: Known, step: int, run: int) -> set[int]:
+    def _depended(self, some: Integers, known: Known, step: int, run: int) -> set[int]:
         """The axes on which any component depends."""
 
         def values(before: Array, after: Array) -> Array:
             return self.values(before, known, step, run)
 
-        self.shape.depended.look(values, self._differ, frozenset(), 5 * step + 2)
+        self.shape.depended.look(values, self._differ, frozenset(), 5 * step + 2, some)
         return set().union(*self.shape.depended.before)
 
     def _differ(self, one: Array, other: Array) -> Mask:
@@ -237,7 +238,9 @@ class GridSensor:
         different: Mask = np.abs(gap) > 1e-10 * size
         return different
 
-    def _turned(self, depended: set[int], known: Known, step: int, run: int) -> frozenset[int]:
+    def _turned(
+        self, depended: set[int], some: Integers, known: Known, step: int, run: int
+    ) -> frozenset[int]:
         """The circles on which the function depends by a sum of two; none, if it is no such sum."""
         shape = self.shape
         if shape.turning is None:
@@ -249,7 +252,7 @@ class GridSensor:
             return self.values(points, known, step, run)
 
         if shape.tested:
-            adds = self._adds(places(self.lattice, PROBES, 7 * step + 3), shape.turning, values)
+            adds = self._adds(some, shape.turning, values)
         else:
             adds = self._adds_everywhere(shape.turning, values)
         shape.turning = shape.turning if adds else frozenset()

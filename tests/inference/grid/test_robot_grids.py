@@ -280,3 +280,52 @@ def test_map_coordinates_cost_no_digits():
     assert_allclose(one.log_evidence, other.log_evidence, atol=1e-7)
     assert_allclose(one[x].mean + np.array([*far, 0.0]), other[x].mean, atol=1e-8)
     assert_allclose(one[x].cov, other[x].cov, atol=1e-8)
+
+
+def test_a_patch_that_comes_with_the_inputs_is_found():
+    """A puddle, whose place is an input, stops what is in it: .2 % of the cells, from step 3 on."""
+    place = pgm.Variable("place", components=("east", "north"))
+    puddle = pgm.Variable("puddle", components=("east", "north", "ahead"))
+
+    def gone(place, puddle):
+        apart = np.hypot(*np.moveaxis(place - puddle[..., :2], -1, 0))
+        ahead = np.where(apart < 0.5, 0.0, puddle[..., 2])
+        return place + np.stack([ahead, 0.0 * ahead], axis=-1)
+
+    net = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, [0.0, 0.0], 0.02 * np.eye(2))],
+        [pgm.NonlinearGaussianCPD(place, (place.previous, puddle), gone, 0.02 * np.eye(2))],
+    )
+    given = np.array([[50.0, 50.0, 1.0], [50.0, 50.0, 1.0], [2.1, 0.05, 1.0]])
+    on = pgm.Grid({"east": (-10, 10, 200), "north": (-10, 10, 200)})
+    found = pgm.filter(net, {puddle: given}, belief=on)[place]
+    drawn = np.random.default_rng(0).normal([2.0, 0.0], 0.06**0.5, (400_000, 2))
+    due = gone(drawn, np.broadcast_to(given[2], (len(drawn), 3)))
+    assert_allclose(found.mean[-1], due.mean(axis=0), atol=0.02)
+    assert_allclose(found.std[-1], np.sqrt(due.var(axis=0) + 0.02), atol=0.02)
+
+
+def test_a_sensor_disturbed_at_a_place_that_comes_with_the_inputs():
+    """A compass that a magnet turns by one: near it, 1 cell in 1000 of the plane."""
+    compass, magnet = (pgm.Variable(n, components=("a", "b")[:k]) for n, k in (("c", 1), ("g", 2)))
+
+    def read(x, magnet):
+        near = np.hypot(x[..., 0] - magnet[..., 0], x[..., 1] - magnet[..., 1]) < 0.12
+        return x[..., 2:] + np.where(near, 1.0, 0.0)[..., None]
+
+    net = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, [4.1, 3.0, 0.0], np.diag([0.02, 0.02, 0.1]))],
+        [pgm.LinearGaussianCPD(x, {x.previous: np.eye(3)}, cov=0.01 * np.eye(3))],
+        [pgm.NonlinearGaussianCPD(compass, (x, magnet), read, 0.1)],
+    )
+    robot_ = pgm.OnlineFilter(net, belief=grid())
+    belief = robot_.initial()
+    for at in ([50.0, 50.0], [4.1, 3.0]):
+        before, belief = (
+            belief,
+            robot_.update(belief, {compass: pgm.sightings([[0.5]], given={magnet: [at]})}),
+        )
+    points = np.stack(np.meshgrid(*belief[x].centres, indexing="ij"), axis=-1)
+    apart = 0.5 - read(points, np.array([4.1, 3.0]))[..., 0]
+    due = before[x].values * np.exp(-5.0 * apart**2)
+    assert_allclose(belief[x].values, due / due.sum(), atol=1e-12)
