@@ -13,6 +13,7 @@ on the truncated tails, so that truncating costs no digit of them.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +49,11 @@ class Kernels(NamedTuple):
     added: Array
 
 
+def tap_count(variance: float) -> int:
+    """The number of weights of a kernel of a variance, in cells."""
+    return 2 * (math.ceil(REACH * math.sqrt(max(variance, 0.04))) + 2)
+
+
 def kernels(shift: Array, variance: Array | float) -> Kernels:
     """The kernels of displacements (n,) with variances (n,) or a number, both in cells."""
     whole = np.floor(shift)
@@ -58,7 +64,7 @@ def kernels(shift: Array, variance: Array | float) -> Kernels:
     # Mirrored, k to 1 − k, the fractional part is at most one half, and k(k − 1) stays.
     mirrored = part > 0.5
     near = np.where(mirrored, 1.0 - part, part)
-    radius = int(np.ceil(REACH * np.sqrt(max(float(wanted.max(initial=0.0)), 0.04)))) + 2
+    radius = tap_count(float(wanted.max(initial=0.0))) // 2
     k = np.arange(-radius + 1.0, radius + 1.0)
     weights = _solved(k, near, excess)
     weights[weights < _TINY] = 0.0

@@ -24,11 +24,14 @@ from pgm.inference.grid.lattice import Axis, Lattice, Window
 from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
 from pgm.inference.grid.quadrature import quadrature
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.kernels.lattice import REACH, Span, kernels, reached
+from pgm.kernels.lattice import REACH, Span, kernels, reached, tap_count
+from pgm.sizes import require_memory
 from pgm.variables import Variable
 
 # Numbers of the matrices of one move at the most; more are split cell by cell.
 _MATRICES = 1 << 24
+# Numbers of all its kernels, at all nodes of a quadrature; more are split node by node.
+_KERNELS = 1 << 24
 # Noise of so many circles is flat on a circle, to e^(−2π²·9).
 _CIRCLES = 3.0
 # Noise of so many times the bounds leaves a fiftieth within them.
@@ -217,7 +220,7 @@ class _Maker:
         place = {axis: k for k, axis in enumerate(group.axes)}
         graph = nx.DiGraph()
         graph.add_nodes_from(range(len(place)))
-        after = False
+        after, most = False, 0
         for k, axis in enumerate(group.axes):
             graph.add_edges_from((k, place[a]) for a in found.before[k] if a in place and a != axis)
             graph.add_edges_from((place[a], k) for a in found.after[k] if a in place)
@@ -226,6 +229,15 @@ class _Maker:
             size = math.prod(self.lattice.shape[a] for a in others)
             if size * self.lattice.shape[axis] ** 2 > _MATRICES:
                 graph.add_edge(k, k)
+            if axis in found.before[k]:
+                size *= self.lattice.shape[axis]
+            variance = float(self.spread.variance[k])
+            if np.isfinite(variance):
+                most = max(most, len(self.nodes) * size * tap_count(variance))
+        if most > _KERNELS:
+            if not after:
+                return None
+            require_memory(most, f"the kernels of {self.group.states}", "take wider cells")
         if nx.is_directed_acyclic_graph(graph):
             return list(nx.lexicographical_topological_sort(graph))
         if after:
@@ -353,7 +365,7 @@ def _along(
         most = 2.0 * cells + 2.0 * REACH * math.sqrt(variance)
         shift = np.clip(shift, -most, most)
     made = kernels(shift.reshape(-1), variance)
-    first, taps = made.first.reshape(shift.shape), made.weights.shape[-1]
+    first, count = made.first.reshape(shift.shape), made.weights.shape[-1]
     if shift.shape[-1] > 1:
         start = source.first + first + np.arange(source.length)
         low, high = int(start.min()), int(start.max())
@@ -364,10 +376,10 @@ def _along(
         place,
         by,
         first,
-        made.weights.reshape(*shift.shape, taps),
+        made.weights.reshape(*shift.shape, count),
         made.added.reshape(shift.shape),
         source,
-        reached(low, high + taps, cells, axis.angle),
+        reached(low, high + count, cells, axis.angle),
         cells,
         axis.angle,
     )

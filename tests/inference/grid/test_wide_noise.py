@@ -1,5 +1,7 @@
 """Noise that is wide for a grid: round a circle more than once, or beyond the bounds."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -76,3 +78,31 @@ def test_noise_of_a_control_that_is_too_wide_is_refused():
     )
     with pytest.raises(ModelError, match="spreads over so many cells"):
         pgm.filter(net, {}, steps=1, belief=GRID)
+
+
+def test_kernels_of_many_nodes_are_not_all_held():
+    """A hidden control whose effect depends on the place: hundreds of nodes at every cell."""
+    plane = pgm.Variable("plane", components=("east", "north"))
+    push = pgm.Variable("push", components=("east", "north"))
+
+    def pushed(plane, push):
+        more = 0.1 * np.sin(plane[..., :1]) * np.cos(plane[..., 1:])
+        return plane + push * (1.0 + more * [1.0, 0.0])
+
+    net = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(plane, [0.0, 0.0], np.eye(2))],
+        [
+            pgm.GaussianCPD(push, [0.0, 0.0], 0.16 * np.eye(2)),
+            pgm.NonlinearGaussianCPD(plane, (plane.previous, push), pushed, 0.07 * np.eye(2)),
+        ],
+    )
+    on = pgm.Grid({"east": (-8.0, 8.0, 60), "north": (-8.0, 8.0, 60)})
+    tracemalloc.start()
+    found = pgm.filter(net, {}, steps=1, belief=on)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 2**28
+    # E (1 + .1 sin x cos y)² of standard normal x, y is 1 + .0025 (1 − e⁻⁴).
+    due = 1.07 + 0.16 * np.array([1.0 + 0.0025 * (1.0 - np.exp(-4.0)), 1.0])
+    assert_allclose(found[plane.at(1)].cov, np.diag(due), atol=1e-6)
+    assert found.status.split == ("east", "north")
