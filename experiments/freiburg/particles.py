@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Particles:
-    """What particles say of the poses, given the ranges up to each step.
+    """The poses as particles have them, given the ranges up to each step.
 
     Attributes
     ----------
