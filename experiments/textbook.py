@@ -26,7 +26,7 @@ class Belief(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What one call of a filter finds, all given the readings so far.
+    """The result of one call of a filter, all given the readings so far.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Step(NamedTuple):
 
 
 class DiscreteStep(NamedTuple):
-    """What one call of the discrete Bayes filter finds, all given the readings so far.
+    """The result of one call of the discrete Bayes filter, all given the readings so far.
 
     Attributes
     ----------

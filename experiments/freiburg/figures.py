@@ -14,10 +14,10 @@ import pgm.plot
 from experiments.freiburg.log import Log
 from experiments.freiburg.particles import Particles
 from models.networks import pose
+from pgm.plot.colours import PALETTE
 
 Array = npt.NDArray[np.float64]
 
-COLOURS = ("#0072B2", "#D55E00", "#E69F00", "#009E73", "#CC79A7")
 PLANE = {"xlabel": "east [m]", "ylabel": "north [m]"}
 
 
@@ -28,7 +28,7 @@ def path(log: Log, posterior: pgm.ChainPosterior, reckoned: Array) -> Figure:
     )
     places = np.array(list(log.landmarks.values()))
     kinds = {found.kind: found[pose] for found in (posterior.filtered, posterior)}
-    for ax, colour, (kind, belief) in zip(axes, COLOURS, kinds.items(), strict=False):
+    for ax, colour, (kind, belief) in zip(axes, PALETTE, kinds.items(), strict=False):
         ax.plot(*reckoned[:, :2].T, color="black", lw=0.8, ls="--", label="odometry alone")
         pgm.plot.trajectory(belief, landmarks=places, label=kind, colour=colour, ax=ax)
         ax.set(title=f"Taylor, {kind}", **PLANE)
@@ -44,7 +44,7 @@ def filters(
         2, 3, figsize=(13, 9.5), sharex=True, sharey=True, layout="constrained"
     )
     places = np.array(list(log.landmarks.values()))
-    for ax, colour, (label, posterior) in zip(axes.flat, COLOURS, posteriors.items(), strict=False):
+    for ax, colour, (label, posterior) in zip(axes.flat, PALETTE, posteriors.items(), strict=False):
         belief = posterior.filtered[pose]
         pgm.plot.trajectory(belief, landmarks=places, label=label, colour=colour, ax=ax)
         ax.plot(*reference.mean[:, :2].T, color="black", lw=0.8, label="particles", zorder=2.6)
@@ -62,7 +62,7 @@ def filters(
 def divergence(reference: pgm.Gaussian, posteriors: Mapping[str, pgm.ChainPosterior]) -> Figure:
     """KL from the reference over the steps, the first belief apart, which all of them know."""
     figure, ax = plt.subplots(figsize=(11, 4.5), layout="constrained")
-    for colour, (label, posterior) in zip(COLOURS, posteriors.items(), strict=False):
+    for colour, (label, posterior) in zip(PALETTE, posteriors.items(), strict=False):
         belief = posterior.filtered[pose]
         pgm.plot.kl(reference[1:], belief[1:], label=label, colour=colour, ax=ax)
     ax.set_ylabel("KL(particles ‖ filter) [nats]")
@@ -93,7 +93,7 @@ def beliefs(
     )
     for ax, step in zip(axes.flat, steps, strict=True):
         ax.plot(*particles.cloud[step, :, :2].T, ".", color="#999999", ms=2.0, label="particles")
-        for colour, (label, posterior) in zip(COLOURS, posteriors.items(), strict=False):
+        for colour, (label, posterior) in zip(PALETTE, posteriors.items(), strict=False):
             belief = posterior.filtered[pose.at(step)]
             pgm.plot.ellipses(belief, colour=colour, facecolor="none", linewidth=1.4, ax=ax)
             ax.plot(*belief.mean[:2], "o", color=colour, ms=5.0, label=label)

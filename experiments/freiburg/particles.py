@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Particles:
-    """What particles say of the poses, given the ranges up to each step.
+    """The poses as particles have them, given the ranges up to each step.
 
     Attributes
     ----------
@@ -84,7 +84,8 @@ def particle_filter(log: Log, count: int, rng: np.random.Generator, kept: int = 
         effective[t] = 1.0 / (weight @ weight)
         # Drawn anew also where nothing was heard: a comb of equal weights takes each once.
         x = x[:, resampled(weight[None], rng)[0]]
-        cloud.append(x[:, ::every][:, :kept].T)
+        # A copy: a view would keep all particles of every step.
+        cloud.append(x[:, ::every][:, :kept].T.copy())
     belief = pgm.Gaussian(pose, means, covs, steps=np.arange(steps + 1))
     return Particles(belief, np.array(cloud), log_evidence, effective)
 

@@ -30,7 +30,7 @@ from pgm.variables import Variable
 
 @runtime_checkable
 class Oracle(Protocol):
-    """What a comparison takes for an oracle: marginals over time, which say of which kind.
+    """An oracle as a comparison takes it: marginals over time, which say of which kind.
 
     A `ChainPosterior` is one, a `GridPosterior`, or anything of a user's own, particles for one.
     Where it has ``filtered``, which is an oracle too, that stands for filters.
@@ -42,7 +42,7 @@ class Oracle(Protocol):
 
     @property
     def kind(self) -> Kind:
-        """Which measurements its beliefs know."""
+        """The kind of its beliefs: the measurements that they know."""
 
     def __getitem__(self, variable: Variable, /) -> Any:
         """The marginal over steps 0..T: a `Gaussian`, or a `GridBelief`."""
@@ -75,7 +75,7 @@ class Reference(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """What is compared.
+    """The subject of a comparison.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Beliefs on a grid as moving pictures."""
+"""Beliefs over cells as moving pictures."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ from matplotlib.axes import Axes
 
 from pgm.boundary import is_number
 from pgm.errors import ModelError
+from pgm.factors import Table
 from pgm.inference import GridBelief
 from pgm.io.whole import whole
+from pgm.plot.cells import belief_map
+from pgm.plot.chances import chances
 from pgm.plot.grid_map import grid_map
 
 _WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
 
 
 def animate_beliefs(
-    belief: GridBelief,
+    belief: GridBelief | Table,
     path: str | PathLike[str],
     *,
     truth: npt.ArrayLike | None = None,
@@ -34,21 +37,24 @@ def animate_beliefs(
     dpi: int = 80,
     **style: Any,
 ) -> Path:
-    """Write a belief over time as a moving picture, a map a step: see `grid_map`.
+    """Write a belief over time as a moving picture, a map a step: see `grid_map` and `belief_map`.
 
-    The darkest colour is that of the most probable cell of each picture.
+    The darkest colour is that of the most probable cell of each picture; of tables ``most=1.0``
+    makes it the same in all.
 
     Parameters
     ----------
-    belief : GridBelief
-        Of one run over steps, as ``posterior[x]``.
+    belief : GridBelief or Table
+        Of one run over steps, as ``posterior[x]``; a table of one variable needs `places`,
+        and its steps are counted from 0, a hidden control's too, whose steps are 1..T.
     path : path
         Where to: a GIF, ``drive.gif``, or where the program ffmpeg is, ``drive.mp4``. It is
         written whole or not at all.
     truth : array_like, optional
-        (T+1, n), in the order of the belief's components.
+        (T+1, n), in the order of the belief's components; of a table (T+1,), names or numbers
+        of states, or (T+1, 2) of two variables.
     landmarks : array_like, optional
-        (L, 2), in the two components drawn.
+        (L, 2), in the two components drawn; of a grid alone.
     rate : float
         Pictures a second.
     also : callable, optional
@@ -58,7 +64,7 @@ def animate_beliefs(
     dpi : int
         Dots an inch.
     **style
-        Further arguments of `grid_map`.
+        Further arguments of `grid_map`, or of `belief_map`.
 
     Returns
     -------
@@ -68,29 +74,19 @@ def animate_beliefs(
     Raises
     ------
     ModelError
-        If it is no belief on a grid, or of several runs or no steps; if the file is of another
+        If it is no belief over cells, or of several runs or no steps; if the file is of another
         kind, or an MP4 and there is no ffmpeg; or an argument does not fit.
 
     Examples
     --------
     >>> animate_beliefs(posterior[x], "drive.gif", landmarks=places)  # doctest: +SKIP
     """
-    if not isinstance(belief, GridBelief):
-        raise ModelError(f"animate_beliefs draws a belief on a grid, not a {type(belief).__name__}")
-    steps = belief.steps
-    if steps is None or len(belief.lead) != 1:
-        raise ModelError(
-            f"{belief!r} is not of one run over steps; give posterior[x], or posterior[x][k] of "
-            "several runs"
-        )
     if not is_number(rate) or not 0.0 < rate < np.inf:
         raise ModelError(f"rate is a number of pictures a second, above 0, not {rate!r}")
-    places = None if truth is None else np.asarray(truth, dtype=float)
-    if places is not None and places.shape != (len(steps), len(belief.components)):
-        raise ModelError(
-            f"the truth has shape {places.shape}; {(len(steps), len(belief.components))} was due, "
-            "steps and components"
-        )
+    if isinstance(belief, Table):
+        steps, picture = _of_table(belief, truth, landmarks)
+    else:
+        steps, picture = _of_grid(belief, truth, landmarks)
     target = Path(path)
     writer = _writer(target, rate)
     figure, ax = plt.subplots(figsize=figsize, layout="constrained")
@@ -98,8 +94,7 @@ def animate_beliefs(
     def draw(k: int) -> None:
         step = int(steps[k])
         ax.clear()
-        at = None if places is None else places[k]
-        grid_map(belief[k], truth=at, landmarks=landmarks, ax=ax, **style)
+        picture(k, ax=ax, **style)
         ax.set_title(f"step {step}")
         if also is not None:
             also(ax, step)
@@ -116,6 +111,60 @@ def animate_beliefs(
     finally:
         plt.close(figure)
     return target
+
+
+def _of_grid(
+    belief: Any, truth: npt.ArrayLike | None, landmarks: npt.ArrayLike | None
+) -> tuple[npt.NDArray[Any], Callable[..., Axes]]:
+    """The steps of a belief on a grid, and the map of the k-th."""
+    if not isinstance(belief, GridBelief):
+        raise ModelError(
+            "animate_beliefs draws a belief on a grid, or a table over time, not a "
+            f"{type(belief).__name__}"
+        )
+    if belief.steps is None or len(belief.lead) != 1:
+        raise ModelError(
+            f"{belief!r} is not of one run over steps; give posterior[x], or posterior[x][k] of "
+            "several runs"
+        )
+    right = _truth(truth, (len(belief.steps), len(belief.components)), "steps and components")
+
+    def picture(k: int, **style: Any) -> Axes:
+        at = None if right is None else right[k].astype(float)
+        return grid_map(belief[k], truth=at, landmarks=landmarks, **style)
+
+    return belief.steps, picture
+
+
+def _of_table(
+    belief: Table, truth: npt.ArrayLike | None, landmarks: npt.ArrayLike | None
+) -> tuple[npt.NDArray[Any], Callable[..., Axes]]:
+    """The steps of a table over time, and the map of the k-th."""
+    values = chances(belief, (1, 2), 1, "beliefs of one run over steps, like posterior[x]")
+    if not len(values):
+        raise ModelError("beliefs over no steps are no moving picture")
+    if landmarks is not None:
+        raise ModelError("landmarks stand in a grid; the cells of a table have no coordinates")
+    count = len(belief.scope)
+    shape = (len(values),) if count == 1 else (len(values), count)
+    right = _truth(truth, shape, "steps" if count == 1 else "steps and variables")
+
+    def picture(k: int, **style: Any) -> Axes:
+        at = None if right is None else right[k].tolist()
+        at = tuple(at) if isinstance(at, list) else at
+        return belief_map(Table(belief.scope, values[k]), truth=at, **style)
+
+    return np.arange(len(values)), picture
+
+
+def _truth(truth: npt.ArrayLike | None, due: tuple[int, ...], axes: str) -> npt.NDArray[Any] | None:
+    """The truth at each step, if it is given."""
+    if truth is None:
+        return None
+    right = np.asarray(truth)
+    if right.shape != due:
+        raise ModelError(f"the truth has shape {right.shape}; {due} was due, {axes}")
+    return right
 
 
 def _writer(path: Path, rate: float) -> AbstractMovieWriter:

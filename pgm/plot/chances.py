@@ -13,6 +13,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.factors.scope import names
+from pgm.inference import GridBelief
 from pgm.kernels.arrays import Array
 from pgm.plot.axes import plain
 from pgm.variables import Discrete
@@ -32,6 +33,8 @@ def chances(belief: Any, variables: tuple[int, ...], lead: int, due: str) -> Arr
     NumericalError
         If it is all zero.
     """
+    if isinstance(belief, GridBelief):
+        raise ModelError(f"{belief!r} is drawn by grid_map, or over time by animate_beliefs")
     if not isinstance(belief, Table):
         raise ModelError(f"a belief over discrete states is drawn, a Table, not {belief!r}")
     if len(belief.scope) not in variables or belief.log_scale.ndim != lead:

@@ -45,7 +45,8 @@ def beliefs_over_time(
     Parameters
     ----------
     belief : Table
-        Over one variable and steps, as ``posterior[x]``; of one run.
+        Over one variable and steps, as ``posterior[x]``; of one run. Steps are counted from 0: a
+        hidden control, of steps 1..T, has its row k for step k + 1.
     steps : sequence of int, optional
         The steps to draw; all without, or as many as leave at most 16 rows.
     truth : array_like, optional

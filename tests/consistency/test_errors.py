@@ -158,6 +158,12 @@ def test_one_truth_may_be_that_of_all_runs():
 def test_what_is_no_belief_and_no_truth_is_refused(statistic):
     with pytest.raises(pgm.ModelError, match=r"a belief is a Gaussian, .* not ndarray"):
         statistic(BELIEF.mean, BELIEF.mean)
+    w = pgm.Variable("w")
+    still = pgm.LinearGaussianCPD(w, {w.previous: 1.0}, cov=0.0)
+    model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(w, 0.0, 1.0)], [still], [])
+    gridded = pgm.filter(model, {}, steps=0, belief=pgm.Grid({"w": (-9.0, 9.0, 9)}))
+    with pytest.raises(pgm.ModelError, match=r"not GridBelief\(.*; belief\.gaussian\(\) has"):
+        statistic(gridded[w], np.zeros((1, 1)))
     for truth in ("truth", [["a"]], [[1.0, 2.0], [3.0]], None):
         with pytest.raises(pgm.ModelError, match="a truth"):
             statistic(BELIEF, truth)

@@ -1,6 +1,7 @@
 """The Freiburg exercise: its reader, its extended Kalman filter, and the particles' reference."""
 
 import json
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -203,6 +204,17 @@ def test_particles_are_right_about_a_short_drive(tmp_path):
     assert found.cloud.shape == (4, 500, 3)
     assert_allclose(found.cloud[-1].mean(axis=0), mean, atol=0.2)
     assert 0.0 < found.effective.min() < found.effective[0] == pytest.approx(100_000)
+
+
+def test_particles_of_past_steps_are_let_go(tmp_path):
+    log = recording.load(written(tmp_path, "ODOMETRY 0.1 0.2 0.001\n" * 60))
+    tracemalloc.start()
+    try:
+        particle_filter(log, 20_000, np.random.default_rng(1))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 20 * (20_000 * 3 * 8)  # sixty steps were three times as much
 
 
 def test_divergences_are_to_the_reference(tmp_path):

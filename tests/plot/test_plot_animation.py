@@ -19,6 +19,24 @@ GRID = pgm.Grid({"east": (-4.0, 9.0, 26), "north": (-4.0, 8.0, 24)})
 BELIEF = pgm.filter(MODEL, {}, steps=3, belief=GRID)[x]
 TRUTH = np.array([[1.0, 2.0], [1.5, 2.0], [2.0, 2.0], [2.5, 2.0]])
 
+CELL = pgm.Discrete("cell", ("a", "b", "c"))
+PLACES = [[0, 0], [0, 1], [0, 2]]
+WALK = pgm.Table(CELL, np.eye(3), lead=3)
+
+
+def test_a_table_over_time_has_a_picture_a_step(tmp_path):
+    path = tmp_path / "walk.gif"
+    pgm.plot.animate_beliefs(WALK, path, places=PLACES, truth=["a", "b", "c"], dpi=40)
+    with Image.open(path) as picture:
+        assert picture.n_frames == 3
+        pictures = []
+        for k in range(3):
+            picture.seek(k)
+            pictures.append(np.asarray(picture.convert("RGB")).astype(int))
+    dark = [p.sum(axis=2) < 200 for p in pictures]  # the dark blue of the one probable cell
+    middle = [np.flatnonzero(each.sum(axis=0) > 20).mean() for each in dark]
+    assert middle[0] < middle[1] < middle[2]
+
 
 def test_a_gif_has_a_picture_a_step(tmp_path):
     drawn = []
@@ -65,10 +83,14 @@ def test_an_mp4_without_ffmpeg_is_refused(tmp_path, monkeypatch):
     [
         (BELIEF, "drive.avi", {}, r"'drive\.avi' is no moving picture.*ends in \.gif"),
         (BELIEF[2], "drive.gif", {}, "is not of one run over steps"),
-        (BELIEF.gaussian(), "drive.gif", {}, "a belief on a grid, not a Gaussian"),
+        (BELIEF.gaussian(), "drive.gif", {}, "a table over time, not a Gaussian"),
         (BELIEF, "drive.gif", {"rate": 0.0}, "rate is a number of pictures a second"),
         (BELIEF, "drive.gif", {"truth": TRUTH[:2]}, r"shape \(2, 2\); \(4, 2\) was due"),
         (BELIEF, "drive.gif", {"landmarks": [1.0]}, r"landmarks have shape \(1,\)"),
+        (WALK, "walk.gif", {}, "places are the cells of a table over one variable"),
+        (WALK, "walk.gif", {"places": PLACES, "truth": [0, 1]}, r"\(2,\); \(3,\) was due, steps"),
+        (WALK, "walk.gif", {"places": PLACES, "landmarks": [[0.0, 0.0]]}, "stand in a grid"),
+        (pgm.Table(CELL, np.ones(3)), "walk.gif", {"places": PLACES}, "one run over steps"),
     ],
 )
 def test_what_does_not_fit_is_refused(belief, name, given, told, tmp_path):

@@ -216,6 +216,17 @@ def test_steps_are_drawn_in_the_order_given():
     assert [segment[0, 0] for segment in marks.get_segments()] == [2, 0, 4]
 
 
+X = pgm.Variable("x")
+GRID = pgm.filter(
+    pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(X, 2.0, 0.2)], [pgm.LinearGaussianCPD(X, {X.previous: 1.0}, cov=0.2)], []
+    ),
+    {},
+    steps=1,
+    belief=pgm.Grid({"x": (-6.0, 10.0, 4)}),
+)
+
+
 def test_of_many_states_some_are_named():
     ax = pgm.plot.beliefs_over_time(beliefs(2, states=200))
     ax.figure.canvas.draw()
@@ -228,6 +239,7 @@ def test_of_many_states_some_are_named():
     ("belief", "settings", "told"),
     [
         ([0.5, 0.5], {}, r"a Table, not \[0\.5, 0\.5\]"),
+        (GRID[X], {}, r"GridBelief\(x 4, .* is drawn by grid_map, or over time by animate"),
         (
             pgm.Table(CELL, entries(6)),
             {},

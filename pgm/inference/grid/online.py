@@ -265,7 +265,7 @@ class OnlineGrid(Immutable):
         before: OnlineGridBelief | None,
         work: Callable[[GridSlices, Array], tuple[Array, float]],
     ) -> list[tuple[GridSlices, Array, float]]:
-        """What becomes of the belief of each run: its slices, its belief, and a log-density."""
+        """The slices, the belief after some work, and its log-density, of each run."""
         model = GridModel(self._lattice, self.model, bound, self._tested, first)
         shape = self._lattice.shape
         values = np.zeros((bound.runs, 0))

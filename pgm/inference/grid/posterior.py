@@ -1,4 +1,4 @@
-"""What a schedule of messages leaves on a grid."""
+"""The posterior of a network on a grid."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ class Grid(Immutable):
 
 
 def _extent(key: object, value: Any) -> Extent:
-    """What a grid is asked for along one axis, checked."""
+    """The interval or circle of one axis, checked."""
     if not isinstance(key, str | Variable):
         raise ModelError(
             f'a grid\'s axes are components of states, named like "east" or "x.east", or scalar '

@@ -204,7 +204,8 @@ class _Window:
 
     def backward(self, step: int, message: Array) -> Array:
         """A message to the step before."""
-        return self.ahead[step - 1].within(self.semiring).backward(step, message)
+        ahead = self.ahead[step - 1].within(self.semiring)
+        return ahead.backward(ahead.first, message)  # whose only row is of its own step
 
     def prior(self) -> NoReturn:
         """Not asked for: the window begins at a belief."""

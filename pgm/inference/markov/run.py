@@ -41,7 +41,7 @@ def require_chain(graph: DynamicGraph) -> None:
 
 
 def kind_of(schedule: Schedule | None) -> Kind:
-    """Which measurements the beliefs of a schedule know."""
+    """The kind of the beliefs of a schedule: the measurements that they know."""
     if schedule is None or isinstance(schedule, Calibration):
         return SMOOTHED
     if isinstance(schedule, Filtering):

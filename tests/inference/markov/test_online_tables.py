@@ -53,6 +53,24 @@ def test_a_loop_is_the_filter_and_the_fixed_lag(world):
     assert str(beliefs[-1].lagged.kind) == "fixed-lag (2)"
 
 
+def test_a_window_far_from_the_start_has_the_inputs_of_its_own_steps():
+    a, u, z = pgm.Discrete("a", 3), pgm.Discrete("u", 2), pgm.Discrete("z", 2)
+    rng = np.random.default_rng(8)
+    motion, seen = rng.dirichlet(np.ones(3), (3, 2)), rng.dirichlet(np.ones(2), 3)
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.TableCPD(a, table=[0.5, 0.3, 0.2])],
+        transition=[pgm.TableCPD(a, given=(a.previous, u), table=motion)],
+        observation=[pgm.TableCPD(z, given=a, table=seen)],
+    )
+    moves, reads = rng.integers(2, size=9), rng.integers(2, size=9)
+    robot = pgm.OnlineFilter(model, lag=3)
+    belief = robot.initial()
+    for move, read in zip(moves, reads, strict=True):
+        belief = robot.update(robot.predict(belief, {u: move}), {z: read})
+    due = pgm.smooth(model, {u: moves, z: reads})
+    assert_allclose(belief.lagged[a].values, due[a.at(6)].values, **EQUAL)
+
+
 def cut(value, t):
     """The first rows of evidence."""
     return pgm.soft(value.weights[:t]) if hasattr(value, "weights") else value[:t]
