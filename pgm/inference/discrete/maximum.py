@@ -26,9 +26,10 @@ from pgm.inference.discrete.tree_passes import collect, enter
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.inference.executors import Workers
 from pgm.inference.limits import Room, require_runs
+from pgm.inference.markov.kinds import require_chain
 from pgm.inference.markov.path import most_probable_path
 from pgm.inference.markov.plan import SlicePlan, TableSlices
-from pgm.inference.markov.run import require_beliefs, require_chain
+from pgm.inference.markov.run import require_beliefs
 from pgm.inference.posterior import require_variable
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
@@ -193,7 +194,7 @@ def most_probable(
 def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable:
     """The assignment of the hidden variables of a chain, at all steps."""
     bound = bind_chain(graph.model, evidence, graph.steps)
-    require_chain(graph)
+    require_chain(graph, "tables")
     plan = SlicePlan(graph.layout)
     require_beliefs(plan, bound, 1)
     path, log_probability = most_probable_path(TableSlices(plan, bound))

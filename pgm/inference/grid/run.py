@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pgm.compile import BalancedGraph, DynamicGraph
-from pgm.errors import GraphError, ModelError
+from pgm.compile import DynamicGraph
+from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference.grid.cut import Cut
 from pgm.inference.grid.lattice import Lattice, resolve
@@ -17,9 +17,10 @@ from pgm.inference.grid.sensors import Sharpness
 from pgm.inference.grid.slices import GridModel, GridSlices, Narrowness
 from pgm.inference.grid.status import GridStatus, Refinement
 from pgm.inference.grid.value import Grid
-from pgm.inference.kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.kind import SMOOTHED, Kind
 from pgm.inference.markov.chain import StateChain
-from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
+from pgm.inference.markov.kinds import kind_of, require_chain
+from pgm.inference.schedule import Schedule
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork
 from pgm.sizes import NUMBER, gibibytes, require_memory
@@ -41,7 +42,8 @@ def run(
         Smoothing, if not given.
     grid : Grid
     """
-    kind = _kind(graph, schedule)
+    require_chain(graph, "beliefs on a grid")
+    kind = kind_of(schedule, "beliefs on a grid")
     found = _refined(graph, bound, kind, grid)
     found.status.warn()
     return found
@@ -57,29 +59,6 @@ def require_grid(grid: Any, model: DynamicBayesianNetwork) -> Grid:
             "belief= out"
         )
     return grid
-
-
-def _kind(graph: DynamicGraph, schedule: Schedule | None) -> Kind:
-    """The kind of beliefs that a schedule leaves."""
-    if isinstance(graph, BalancedGraph):
-        raise GraphError(
-            "a grid's messages go from slice to slice: leave method= out of pgm.compile or "
-            "pgm.smooth"
-        )
-    if not isinstance(schedule, Filtering | FixedLag | Smoothing | Calibration | None):
-        raise ModelError(
-            f"a grid takes pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not {schedule!r}"
-        )
-    if getattr(schedule, "iterations", 1) != 1 or getattr(schedule, "damping", 0.0):
-        raise ModelError(
-            f"{schedule!r}: nothing is linearised on a grid, so that there is nothing to iterate "
-            "or damp; leave iterations and damping out"
-        )
-    if isinstance(schedule, Filtering):
-        return FILTERED
-    if isinstance(schedule, FixedLag):
-        return Kind(schedule.lag)
-    return SMOOTHED
 
 
 def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:

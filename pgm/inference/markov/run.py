@@ -6,15 +6,16 @@ import math
 
 import numpy as np
 
-from pgm.compile import BalancedGraph, DynamicGraph
-from pgm.errors import EvidenceError, GraphError, ModelError
+from pgm.compile import DynamicGraph
+from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import BoundEvidence
-from pgm.inference.kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.kind import FILTERED
 from pgm.inference.markov.chain import TINY, StateChain
 from pgm.inference.markov.direct import DirectChain
+from pgm.inference.markov.kinds import kind_of, require_chain
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.posterior import StatePosterior
-from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule
+from pgm.inference.schedule import Schedule
 from pgm.inference.status import Status
 from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.sizes import require_memory
@@ -22,36 +23,13 @@ from pgm.sizes import require_memory
 
 def run(graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None) -> StatePosterior:
     """Send the messages of a filter, a fixed-lag smoother or a smoother."""
-    kind = kind_of(schedule)
-    require_chain(graph)
+    kind = kind_of(schedule, "tables")
+    require_chain(graph, "tables")
     plan = SlicePlan(graph.layout)
     require_beliefs(plan, bound, 1 if kind == FILTERED else 2)
     chain = solved(TableSlices(plan, bound))
     status = Status.of([], np.ones(bound.runs, dtype=bool), bound.lead)
     return StatePosterior(graph, status, kind, plan, chain)
-
-
-def require_chain(graph: DynamicGraph) -> None:
-    """Refuse a balanced tree of slices."""
-    if isinstance(graph, BalancedGraph):
-        raise GraphError(
-            f"{graph!r} is of tables, which go along a chain of slices: compile without "
-            "pgm.Balanced()"
-        )
-
-
-def kind_of(schedule: Schedule | None) -> Kind:
-    """The kind of the beliefs of a schedule: the measurements that they know."""
-    if schedule is None or isinstance(schedule, Calibration):
-        return SMOOTHED
-    if isinstance(schedule, Filtering):
-        return FILTERED
-    if isinstance(schedule, FixedLag):
-        return Kind(schedule.lag)
-    raise ModelError(
-        f"a chain of slices takes pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
-        f"{schedule!r}"
-    )
 
 
 def solved(slices: TableSlices) -> StateChain:

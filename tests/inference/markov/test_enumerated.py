@@ -162,3 +162,22 @@ def stacked(values):
     if hasattr(values[0], "step"):
         return pgm.sightings([[each.values] for each in values], values[0].step)
     return np.stack(values)[:, None]
+
+
+def test_what_tables_take_not():
+    world = WORLDS["dense"](np.random.default_rng(5))
+    graph = pgm.compile(world.model, world.steps)
+    with pytest.raises(pgm.ModelError, match=r"tables take pgm.Filtering\(\)"):
+        pgm.infer(graph, world.evidence, schedule=pgm.Flooding())
+    for schedule in (pgm.Smoothing(iterations=3), pgm.Filtering(damping=0.5)):
+        with pytest.raises(pgm.ModelError, match="nothing to iterate or damp"):
+            pgm.infer(graph, world.evidence, schedule=schedule)
+    balanced = pgm.compile(world.model, world.steps, method=pgm.Balanced())
+    for call in (pgm.infer, pgm.most_probable):
+        with pytest.raises(pgm.GraphError, match="tables go along a chain of slices"):
+            call(balanced, world.evidence)
+    with pytest.raises(pgm.EvidenceError, match="a start is for nonlinear CPDs"):
+        pgm.infer(graph, world.evidence, start={})
+    for named in ({"keep": world.slices}, {"lineariser": pgm.Unscented()}):
+        with pytest.raises(pgm.ModelError, match="is for networks of Gaussian CPDs"):
+            pgm.infer(graph, world.evidence, **named)
