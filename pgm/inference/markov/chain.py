@@ -30,8 +30,8 @@ TINY = 1e-150
 _CHUNK = 2**20
 
 
-class Slices(Protocol):
-    """A chain of slices of finitely many states: a hidden Markov model, or a grid.
+class Behind(Protocol):
+    """The slices that a backward message goes along.
 
     Beliefs and messages are (*states, *runs), the states of a slice on one axis or on several, the
     runs flattened to one axis, or none of one run.
@@ -47,16 +47,8 @@ class Slices(Protocol):
     steps: int
     lead: tuple[int, ...]
 
-    def prior(self) -> Array:
-        """The probabilities at step 0."""
-        ...
-
-    def forward(self, step: int, belief: Array) -> Array:
-        """The belief over the slice of a step, 1 or later, from that of the step before."""
-        ...
-
     def backward(self, step: int, message: Array) -> Array:
-        """The transpose of `forward`: a message to the slice before a step, from one to its own."""
+        """The transpose of `Slices.forward`: a message to the slice before a step, from its own."""
         ...
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
@@ -66,89 +58,46 @@ class Slices(Protocol):
         """
         ...
 
+
+class Slices(Behind, Protocol):
+    """A chain of slices of finitely many states: a hidden Markov model, or a grid."""
+
+    def prior(self) -> Array:
+        """The probabilities at step 0."""
+        ...
+
+    def forward(self, step: int, belief: Array) -> Array:
+        """The belief over the slice of a step, 1 or later, from that of the step before."""
+        ...
+
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
         """Raise the error of measurements that are impossible given a predicted belief."""
         ...
 
 
-class StateChain:
-    """The family of one chain, and its record.
+class BackwardChain:
+    """The backward messages of a chain whose filtered beliefs are known.
 
     Parameters
     ----------
-    slices : Slices
+    slices : Behind
     semiring : Semiring
         Of its numbers.
-    dtype : numpy type
-        Of the beliefs that are kept, float64 or float32.
 
     Attributes
     ----------
     known : ndarray or list of ndarray
         The filtered beliefs by step, (*states, *runs), each of sum one.
-    log_density : ndarray
-        ln p(z_t | z_0..t−1) by step, (steps, *runs).
     """
 
-    def __init__(
-        self, slices: Slices, semiring: Semiring = SUM_PRODUCT, dtype: Any = np.float64
-    ) -> None:
-        self.slices, self.semiring, self.dtype = slices, semiring, dtype
+    def __init__(self, slices: Behind, semiring: Semiring = SUM_PRODUCT) -> None:
+        self.slices, self.semiring = slices, semiring
         self.batch = 1 if slices.lead else 0
         self.known: Array | list[Array] = []
-        self.log_density: Array = np.empty(
-            (slices.steps + 1, *(math.prod(slices.lead),) * self.batch)
-        )
-
-    def run(self) -> StateChain:
-        """The same, its forward sweep done."""
-        sweep.forward(self, self.slices.steps, self)
-        return self
-
-    def start(self) -> Array:
-        """The prior."""
-        return self.slices.prior()
-
-    def predict(self, step: int, belief: Array) -> Array:
-        """The belief over the slice of a step, from that of the step before."""
-        return self.slices.forward(step, belief)
-
-    def take(self, step: int, belief: Array) -> tuple[Array, Array | float]:
-        """The belief given the measurements of its step, and the logarithm of their density."""
-        weights, log_scale = self.slices.likelihood(step)
-        joint = belief if weights is None else self.semiring.times(belief, weights)
-        totals = self.total(joint)
-        possible = totals > self.semiring.zero
-        if not (possible.all() if self.batch else possible):
-            self.slices.refuse(step, belief, int(np.argmin(possible)))
-        known: Array = self.semiring.over(joint, totals)
-        return known, self.semiring.logs(totals) + log_scale
 
     def total(self, values: Array) -> Array:
         """The sum over the states, (*runs)."""
         return self.semiring.total(values, tuple(range(values.ndim - self.batch)), None)
-
-    def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
-        """Keep the belief of a step."""
-        if not step:
-            self.known = self.room(known)
-        elif step == 1 and known.shape != self.known[0].shape:  # controls, which begin at step 1
-            rows = np.empty((self.slices.steps, *known.shape), self.dtype)
-            self.known = [self.known[0].copy(), *rows]
-        self.known[step][...] = known
-        self.log_density[step] = log_density
-
-    def room(self, like: Array) -> Array:
-        """Room for a belief at each step."""
-        return np.empty((self.slices.steps + 1, *like.shape), self.dtype)
-
-    @property
-    def smallest(self) -> float:
-        """The smallest positive number of the beliefs that are kept."""
-        if isinstance(self.known, list):
-            return min(map(smallest, self.known))
-        flat = self.known.reshape(-1)
-        return min(smallest(flat[at : at + _CHUNK]) for at in range(0, flat.size, _CHUNK))
 
     def unit(self) -> Array:
         """The backward message to the last slice, of which nothing is later."""
@@ -191,6 +140,81 @@ class StateChain:
         with np.errstate(under="ignore"):
             values: Array = np.exp(entries)
         return values
+
+
+class StateChain(BackwardChain):
+    """The family of one chain, and its record.
+
+    Parameters
+    ----------
+    slices : Slices
+    semiring : Semiring
+        Of its numbers.
+    dtype : numpy type
+        Of the beliefs that are kept, float64 or float32.
+
+    Attributes
+    ----------
+    log_density : ndarray
+        ln p(z_t | z_0..t−1) by step, (steps, *runs).
+    """
+
+    slices: Slices
+
+    def __init__(
+        self, slices: Slices, semiring: Semiring = SUM_PRODUCT, dtype: Any = np.float64
+    ) -> None:
+        super().__init__(slices, semiring)
+        self.dtype = dtype
+        self.log_density: Array = np.empty(
+            (slices.steps + 1, *(math.prod(slices.lead),) * self.batch)
+        )
+
+    def run(self) -> StateChain:
+        """The same, its forward sweep done."""
+        sweep.forward(self, self.slices.steps, self)
+        return self
+
+    def start(self) -> Array:
+        """The prior."""
+        return self.slices.prior()
+
+    def predict(self, step: int, belief: Array) -> Array:
+        """The belief over the slice of a step, from that of the step before."""
+        return self.slices.forward(step, belief)
+
+    def take(self, step: int, belief: Array) -> tuple[Array, Array | float]:
+        """The belief given the measurements of its step, and the logarithm of their density."""
+        weights, log_scale = self.slices.likelihood(step)
+        joint = belief if weights is None else self.semiring.times(belief, weights)
+        totals = self.total(joint)
+        possible = totals > self.semiring.zero
+        if not (possible.all() if self.batch else possible):
+            self.slices.refuse(step, belief, int(np.argmin(possible)))
+        known: Array = self.semiring.over(joint, totals)
+        return known, self.semiring.logs(totals) + log_scale
+
+    def keep(self, step: int, predicted: Array, known: Array, log_density: Array | float) -> None:
+        """Keep the belief of a step."""
+        if not step:
+            self.known = self.room(known)
+        elif step == 1 and known.shape != self.known[0].shape:  # controls, which begin at step 1
+            rows = np.empty((self.slices.steps, *known.shape), self.dtype)
+            self.known = [self.known[0].copy(), *rows]
+        self.known[step][...] = known
+        self.log_density[step] = log_density
+
+    def room(self, like: Array) -> Array:
+        """Room for a belief at each step."""
+        return np.empty((self.slices.steps + 1, *like.shape), self.dtype)
+
+    @property
+    def smallest(self) -> float:
+        """The smallest positive number of the beliefs that are kept."""
+        if isinstance(self.known, list):
+            return min(map(smallest, self.known))
+        flat = self.known.reshape(-1)
+        return min(smallest(flat[at : at + _CHUNK]) for at in range(0, flat.size, _CHUNK))
 
     def smoothed(self) -> Iterator[tuple[int, Array]]:
         """The steps from T to 0, and the belief of each given all measurements."""

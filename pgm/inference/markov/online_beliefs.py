@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from pgm.factors import Table
 from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
 from pgm.inference.kind import Kind
-from pgm.inference.markov.chain import TINY, StateChain, smallest
+from pgm.inference.markov.chain import TINY, BackwardChain, smallest
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import require_variable
 from pgm.inference.status import Status
@@ -179,7 +179,7 @@ class OnlineStates(Immutable):
 
 
 class _Window:
-    """The steps of a lag, as `Slices` to go back along; forward they have been gone."""
+    """The steps of a lag, to go back along; forward they have been gone."""
 
     def __init__(self, passed: Sequence[Passed], last: Held, lead: tuple[int, ...]) -> None:
         every = [*(each.held for each in passed), last]
@@ -191,7 +191,7 @@ class _Window:
 
     def smoothed(self) -> Array:
         """The probabilities of the first step's states, given all of the window."""
-        chain = StateChain(self, self.semiring)
+        chain = BackwardChain(self, self.semiring)
         chain.known = [each.entries for each in self.held]
         message = chain.unit()
         for step in range(self.steps - 1, -1, -1):
@@ -206,15 +206,3 @@ class _Window:
         """A message to the step before."""
         ahead = self.ahead[step - 1].within(self.semiring)
         return ahead.backward(ahead.first, message)  # whose only row is of its own step
-
-    def prior(self) -> NoReturn:
-        """Not asked for: the window begins at a belief."""
-        raise NotImplementedError
-
-    def forward(self, step: int, belief: Array) -> NoReturn:
-        """Not asked for."""
-        raise NotImplementedError
-
-    def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Not asked for."""
-        raise NotImplementedError
