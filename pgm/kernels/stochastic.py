@@ -62,11 +62,6 @@ class Transition(ABC):
     def smallest(self) -> float:
         """The smallest positive entry."""
 
-    @property
-    @abstractmethod
-    def stored(self) -> int:
-        """The numbers that are kept."""
-
     @abstractmethod
     def dense(self) -> Array:
         """The matrix."""
@@ -143,11 +138,6 @@ class Dense(Transition):
     def smallest(self) -> float:
         """As of a `Transition`."""
         return float(self.matrix.min(where=self.matrix > 0.0, initial=1.0))
-
-    @property
-    def stored(self) -> int:
-        """As of a `Transition`."""
-        return self.matrix.size
 
     def dense(self) -> Array:
         """As of a `Transition`."""
@@ -230,11 +220,6 @@ class Sparse(Transition):
         """As of a `Transition`."""
         return float(self.matrix.data.min(initial=1.0))
 
-    @property
-    def stored(self) -> int:
-        """As of a `Transition`."""
-        return int(self.matrix.nnz)
-
     def dense(self) -> Array:
         """As of a `Transition`."""
         found: Array = self.matrix.toarray()
@@ -309,11 +294,6 @@ class Product(Transition):
     def smallest(self) -> float:
         """As of a `Transition`."""
         return math.prod(factor.smallest for factor in self.factors)
-
-    @property
-    def stored(self) -> int:
-        """As of a `Transition`."""
-        return sum(factor.stored for factor in self.factors)
 
     def dense(self) -> Array:
         """As of a `Transition`."""
