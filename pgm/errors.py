@@ -112,3 +112,7 @@ class PrecisionWarning(UserWarning):
 
 class GridWarning(UserWarning):
     """A grid's answer that is not what the model says; the status says by how much."""
+
+
+class ParticleWarning(UserWarning):
+    """A particle filter's answer that rests on few particles; the status says on how many."""

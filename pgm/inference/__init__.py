@@ -17,6 +17,11 @@ from pgm.inference.kind import Kind
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.filter import OnlineFilter
+from pgm.inference.particles.belief import ParticleBelief
+from pgm.inference.particles.online import OnlineParticleBelief, OnlineParticles
+from pgm.inference.particles.posterior import ParticlePosterior
+from pgm.inference.particles.status import ParticleStatus
+from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import Posterior
 from pgm.inference.query import query
 from pgm.inference.schedule import (
@@ -52,6 +57,12 @@ __all__ = [
     "OnlineFilter",
     "OnlineGrid",
     "OnlineGridBelief",
+    "OnlineParticleBelief",
+    "OnlineParticles",
+    "ParticleBelief",
+    "ParticlePosterior",
+    "ParticleStatus",
+    "Particles",
     "Posterior",
     "Residual",
     "Schedule",

@@ -14,6 +14,9 @@ from pgm.inference.checks import require_lineariser
 from pgm.inference.damping import Damping
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.value import Grid
+from pgm.inference.particles.posterior import ParticlePosterior
+from pgm.inference.particles.value import Particles
+from pgm.inference.points import PointMasses
 from pgm.inference.schedule import Filtering, FixedLag, Smoothing
 from pgm.inference.start import Start
 from pgm.inference.temporal import TemporalPosterior, runner
@@ -73,6 +76,22 @@ def filter(
 ) -> GridPosterior: ...
 
 
+@overload
+def filter(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence,
+    *,
+    lineariser: Lineariser = TAYLOR,
+    steps: int | None = None,
+    iterations: int = 1,
+    tolerance: float = 1e-9,
+    damping: Damping = 0.0,
+    keep: None = None,
+    executor: None = None,
+    belief: Particles,
+) -> ParticlePosterior: ...
+
+
 def filter(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
@@ -84,7 +103,7 @@ def filter(
     damping: Damping = 0.0,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
-    belief: Grid | None = None,
+    belief: PointMasses | None = None,
 ) -> TemporalPosterior:
     r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
 
@@ -103,7 +122,7 @@ def filter(
         Of `Filtering`.
     keep, executor : optional
         As for `infer`.
-    belief : Grid, optional
+    belief : Grid or Particles, optional
         As for `infer`.
 
     Returns
@@ -112,7 +131,8 @@ def filter(
         ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
         `KeptPosterior` with ``keep``. Of a network of tables a `StatePosterior`, whose
         ``posterior[x]`` is a `Table` of probabilities (..., T+1, size). With ``belief`` a
-        `GridPosterior`, whose ``posterior[x]`` is a `GridBelief`.
+        `GridPosterior`, whose ``posterior[x]`` is a `GridBelief`, or a `ParticlePosterior` of
+        `ParticleBelief`s.
 
     Raises
     ------
@@ -183,6 +203,25 @@ def smooth(
 ) -> GridPosterior: ...
 
 
+@overload
+def smooth(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence,
+    *,
+    lineariser: Lineariser = TAYLOR,
+    steps: int | None = None,
+    start: Start | None = None,
+    lag: int | None = None,
+    iterations: int = 1,
+    tolerance: float = 1e-9,
+    damping: Damping = 0.0,
+    method: Balanced | None = None,
+    keep: None = None,
+    executor: None = None,
+    belief: Particles,
+) -> ParticlePosterior: ...
+
+
 def smooth(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
@@ -197,7 +236,7 @@ def smooth(
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
-    belief: Grid | None = None,
+    belief: PointMasses | None = None,
 ) -> TemporalPosterior:
     r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
 
@@ -230,7 +269,7 @@ def smooth(
         `Balanced()` saves the filter's sweep, and starts from dead reckoning.
     keep, executor : optional
         As for `infer`.
-    belief : Grid, optional
+    belief : Grid or Particles, optional
         As for `infer`.
 
     Returns
@@ -239,7 +278,8 @@ def smooth(
         ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
         `KeptPosterior` with ``keep``. Of a network of tables a `StatePosterior`, whose
         ``posterior[x]`` is a `Table` of probabilities (..., T+1, size). With ``belief`` a
-        `GridPosterior`, whose ``posterior[x]`` is a `GridBelief`.
+        `GridPosterior`, whose ``posterior[x]`` is a `GridBelief`, or a `ParticlePosterior` of
+        `ParticleBelief`s.
 
     Raises
     ------

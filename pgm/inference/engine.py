@@ -16,6 +16,9 @@ from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.value import Grid
+from pgm.inference.particles.posterior import ParticlePosterior
+from pgm.inference.particles.value import Particles
+from pgm.inference.points import PointMasses
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule, Smoothing
 from pgm.inference.start import Start
@@ -92,6 +95,21 @@ def infer(
 ) -> Posterior: ...
 
 
+@overload
+def infer(
+    graph: DynamicGraph,
+    evidence: Evidence,
+    *,
+    schedule: Schedule | None = None,
+    lineariser: Lineariser = TAYLOR,
+    start: Start | None = None,
+    keep: None = None,
+    executor: None = None,
+    memory: None = None,
+    belief: Particles,
+) -> ParticlePosterior: ...
+
+
 def infer(
     graph: ClusterGraph,
     evidence: Evidence,
@@ -102,8 +120,8 @@ def infer(
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
     memory: float | None = None,
-    belief: Grid | None = None,
-) -> Posterior | GridPosterior:
+    belief: PointMasses | None = None,
+) -> Posterior | GridPosterior | ParticlePosterior:
     """Send the messages of a schedule on a cluster graph.
 
     Parameters
@@ -149,15 +167,16 @@ def infer(
         take, besides what the compiled graph takes, the evidence, and what is asked for; 2²⁸
         (256 MiB), if not given. The runs are worked through in parts that fit; the results are the
         same.
-    belief : Grid, optional
-        Of a dynamic network of Gaussian CPDs: its beliefs as probabilities of the cells of a grid,
-        in place of Gaussians. Nothing is linearised then. Runs are worked through one at a time.
+    belief : Grid or Particles, optional
+        Of a dynamic network of continuous variables: its beliefs as probabilities of the cells of a
+        grid, one run after another, or as weighted draws, in place of Gaussians. Nothing is
+        linearised then.
 
     Returns
     -------
     Posterior
         A `ChainPosterior` of a dynamic network, of tables a `StatePosterior`; a `KeptPosterior`
-        with ``keep``, a `GridPosterior` with ``belief``.
+        with ``keep``, a `GridPosterior` or `ParticlePosterior` with ``belief``.
 
     Raises
     ------
@@ -195,7 +214,7 @@ def infer(
         )
     if belief is not None:
         raise GraphError(
-            f"belief= is for dynamic networks, whose states a grid covers, not for {graph!r}"
+            f"belief= is for dynamic networks, whose states it is of, not for {graph!r}"
         )
     if keep is not None or executor is not None:
         raise GraphError(

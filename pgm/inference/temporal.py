@@ -12,13 +12,15 @@ from pgm.evidence import BoundEvidence
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.grid.posterior import GridPosterior
-from pgm.inference.grid.run import require_grid
 from pgm.inference.grid.run import run as run_grid
 from pgm.inference.grid.value import Grid
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.markov.run import run as run_tables
+from pgm.inference.particles.posterior import ParticlePosterior
+from pgm.inference.particles.run import run as run_particles
 from pgm.inference.parts.run import Keep
 from pgm.inference.parts.run import run as run_moments
+from pgm.inference.points import PointMasses, require_no_others, require_points
 from pgm.inference.schedule import Schedule
 from pgm.inference.start import Start
 from pgm.linearisers import TAYLOR, Lineariser
@@ -27,20 +29,22 @@ from pgm.networks import DynamicBayesianNetwork
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-TemporalPosterior = ChainPosterior | KeptPosterior | StatePosterior | GridPosterior
+PointPosterior = GridPosterior | ParticlePosterior
+TemporalPosterior = ChainPosterior | KeptPosterior | StatePosterior | PointPosterior
 
 
 def runner(
-    model: DynamicBayesianNetwork, belief: Grid | None = None
+    model: DynamicBayesianNetwork, belief: PointMasses | None = None
 ) -> Callable[..., TemporalPosterior]:
-    """The function that sends the messages: of Gaussians' moments, tables of states, or grids."""
+    """The function that sends the messages: of Gaussians' moments, tables, grids or particles."""
     if belief is not None:
-        return partial(_run_grid, require_grid(belief, model))
+        require_points(belief, model)
+        return partial(_run_points, belief)
     return _run_tables if model.discrete else run_moments
 
 
-def _run_grid(
-    grid: Grid,
+def _run_points(
+    belief: PointMasses,
     graph: DynamicGraph,
     bound: BoundEvidence,
     schedule: Schedule | None,
@@ -48,17 +52,11 @@ def _run_grid(
     start: Start | None,
     keep: Keep | None,
     executor: Executor | None,
-) -> GridPosterior:
-    given = {"start": start, "keep": keep, "executor": executor}
-    named = [name for name, value in given.items() if value is not None]
-    if lineariser is not TAYLOR and lineariser != TAYLOR:
-        named.append("lineariser")
-    if named:
-        raise ModelError(
-            f"{named[0]}= is for beliefs that are Gaussian; a grid linearises nothing and works "
-            "one run after another: leave it out"
-        )
-    return run_grid(graph, bound, schedule, grid)
+) -> PointPosterior:
+    require_no_others(belief, lineariser, start=start, keep=keep, executor=executor)
+    if isinstance(belief, Grid):
+        return run_grid(graph, bound, schedule, belief)
+    return run_particles(graph, bound, schedule, belief)
 
 
 def _run_tables(

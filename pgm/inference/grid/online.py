@@ -16,16 +16,14 @@ from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
 from pgm.inference.grid.belief import GridBelief, scope_axes
 from pgm.inference.grid.lattice import Lattice, resolve
-from pgm.inference.grid.run import require_grid, require_room
+from pgm.inference.grid.run import require_room
 from pgm.inference.grid.slices import GridModel, GridSlices, Tested
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED, Kind
 from pgm.inference.online import step_evidence
 from pgm.inference.posterior import require_variable
-from pgm.inference.schedule import ONCE
 from pgm.kernels.arrays import Array
-from pgm.linearisers import TAYLOR
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
@@ -323,21 +321,3 @@ class OnlineGrid(Immutable):
         return OnlineGridBelief(
             self.model, lattice, step, kind, values, np.asarray(log_density), status
         )
-
-
-def online_grid(
-    belief: Grid,
-    model: Any,
-    lineariser: Any = TAYLOR,
-    schedule: Any = None,
-    lag: int | None = None,
-) -> OnlineGrid:
-    """The filter on a grid, where nothing is asked for that it has no use of."""
-    if not isinstance(model, DynamicBayesianNetwork):
-        raise ModelError(f"a dynamic network was due, not {model!r}")
-    if lineariser != TAYLOR or lag is not None or schedule not in (None, ONCE):
-        raise ModelError(
-            "an online filter on a grid linearises nothing and has no lag: give it belief= alone; "
-            "pgm.smooth(..., lag=, belief=) takes recorded evidence"
-        )
-    return OnlineGrid(model, require_grid(belief, model))

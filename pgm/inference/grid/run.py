@@ -22,7 +22,6 @@ from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.kinds import kind_of, require_chain
 from pgm.inference.schedule import Schedule
 from pgm.kernels.arrays import Array
-from pgm.networks import DynamicBayesianNetwork
 from pgm.sizes import NUMBER, gibibytes, require_memory
 
 # Arrays of one belief's size that a step works with.
@@ -47,18 +46,6 @@ def run(
     found = _refined(graph, bound, kind, grid)
     found.status.warn()
     return found
-
-
-def require_grid(grid: Any, model: DynamicBayesianNetwork) -> Grid:
-    """Refuse a belief that is no grid, and a network that has none."""
-    if not isinstance(grid, Grid):
-        raise ModelError(f"belief= is a pgm.Grid(...), not {grid!r}")
-    if model.discrete:
-        raise ModelError(
-            "a network of tables has the probabilities of its states without a grid: leave "
-            "belief= out"
-        )
-    return grid
 
 
 def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:

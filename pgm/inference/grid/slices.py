@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, NoReturn, cast
 
 import numpy as np
 
-from pgm.cpds import CPD, ConditionalGaussian, GaussianCPD
+from pgm.cpds import ConditionalGaussian
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
@@ -19,6 +19,7 @@ from pgm.inference.grid.lattice import Lattice, Window
 from pgm.inference.grid.motion import Motion
 from pgm.inference.grid.prior import start
 from pgm.inference.grid.sensors import GridSensor, Shape, Sharpness, likelihood
+from pgm.inference.runs import by_run
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import Span
 from pgm.networks import DynamicBayesianNetwork
@@ -59,8 +60,11 @@ class GridModel:
     ) -> None:
         tested = tested or Tested({}, {})
         self.lattice, self.model, self.bound = lattice, model, bound
-        prior = [by_run(cpd, bound.lead) for cpd in model.prior]
-        transition = [by_run(cpd, bound.lead) for cpd in model.transition]
+        # Networks of tables have been refused: these are Gaussian.
+        prior, transition = (
+            [cast("ConditionalGaussian", by_run(cpd, bound.lead)) for cpd in cpds]
+            for cpds in (model.prior, model.transition)
+        )
         self.first = groups(lattice, prior, [{}] * len(prior), prior=True)
         moved: list[Group] = []
         if bound.transition:
@@ -232,16 +236,6 @@ class GridSlices:
             for axis in self.lattice.axes
             if not axis.angle
         )
-
-
-def by_run(cpd: CPD, lead: tuple[int, ...]) -> ConditionalGaussian:
-    """A CPD whose own axes of runs, if it has any, are all those of the evidence."""
-    if isinstance(cpd, GaussianCPD) and cpd._lead():
-        assert isinstance(cpd.cov, np.ndarray)
-        size = cpd.child.dimension
-        mean = np.broadcast_to(cpd.mean, (*lead, size))
-        return GaussianCPD(cpd.child, mean, np.broadcast_to(cpd.cov, (*lead, size, size)))
-    return cast("ConditionalGaussian", cpd)
 
 
 class Narrowness(NamedTuple):

@@ -17,7 +17,7 @@ from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
-from pgm.inference.grid.online import OnlineGrid, online_grid
+from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED
 from pgm.inference.markov.online import online_tables
@@ -35,6 +35,9 @@ from pgm.inference.online.beliefs import (
 )
 from pgm.inference.online.step_evidence import Layouts
 from pgm.inference.online.window import Passed, Sliding, Trail, is_like, look_again, trailing
+from pgm.inference.particles.online import OnlineParticles
+from pgm.inference.particles.value import Particles
+from pgm.inference.points import PointMasses, online_points
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.inference.status import Status, digits
 from pgm.kernels.arrays import Array
@@ -68,9 +71,9 @@ class OnlineFilter(Immutable):
         measurements of the step together, as `infer` does on recorded ones.
     lag : int, optional
         In place of a schedule, as ``schedule=FixedLag(lag)``.
-    belief : Grid, optional
-        Beliefs are then probabilities of the cells of a grid: the filter is an `OnlineGrid`, with
-        the same methods, and takes neither lineariser nor schedule, of which it has no use.
+    belief : Grid or Particles, optional
+        Beliefs are then point masses: the filter is an `OnlineGrid` or `OnlineParticles`, with the
+        same methods, and takes neither lineariser nor schedule, of which it has no use.
 
     Raises
     ------
@@ -95,11 +98,13 @@ class OnlineFilter(Immutable):
     def __new__(cls, *given: Any, belief: None = None, **named: Any) -> Self: ...
     @overload
     def __new__(cls, model: Any, *, belief: Grid) -> OnlineGrid: ...  # type: ignore[misc]
+    @overload
+    def __new__(cls, model: Any, *, belief: Particles) -> OnlineParticles: ...  # type: ignore[misc]
 
-    def __new__(cls, *given: Any, belief: Grid | None = None, **named: Any) -> Any:
-        """The filter itself; with a grid, or of tables, one of its own kind."""
+    def __new__(cls, *given: Any, belief: PointMasses | None = None, **named: Any) -> Any:
+        """The filter itself; of point masses, or of tables, one of its own kind."""
         if belief is not None:
-            return online_grid(belief, *given, **named)
+            return online_points(belief, *given, **named)
         model = given[0] if given else named.get("model")
         if isinstance(model, DynamicBayesianNetwork) and model.discrete:
             return online_tables(*given, **named)

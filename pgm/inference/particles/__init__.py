@@ -1,0 +1,1 @@
+"""Beliefs as weighted draws: particle filters and smoothers of dynamic networks."""

@@ -1,0 +1,411 @@
+"""Beliefs of particles, and what is asked of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.boundary import as_generator, as_lengths
+from pgm.errors import ModelError
+from pgm.factors import Gaussian
+from pgm.factors.scope import listed
+from pgm.immutable import Immutable
+from pgm.inference.particles.cloud import Cloud
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import Array, Integers
+from pgm.variables import Variable
+
+
+class Part(NamedTuple):
+    """One component of a belief.
+
+    Attributes
+    ----------
+    variable : Variable
+    component : int
+        Its place in the variable.
+    label : str
+        The name of the component, with that of the variable where they share it.
+    row : int
+        Of the states of a cloud.
+    """
+
+    variable: Variable
+    component: int
+    label: str
+    row: int
+
+    @property
+    def angle(self) -> bool:
+        """Whether it is an angle."""
+        return bool(self.variable.angle_mask[self.component])
+
+
+def parts(places: Sequence[tuple[Variable, int]]) -> list[Part]:
+    """The components of variables whose first rows are given, with a name for each."""
+    names = [name for variable, _ in places for name in variable.components]
+    found = []
+    for variable, first in places:
+        for k, name in enumerate(variable.components):
+            label = name if names.count(name) == 1 else f"{variable!r}.{name}"
+            if variable.dimension == 1 and name == variable.name:
+                label = repr(variable) if names.count(name) > 1 else name
+            found.append(Part(variable, k, label, first + k))
+    return found
+
+
+class ParticleBelief(Immutable):
+    r"""A belief as weighted draws.
+
+    .. math:: p(x) = \sum_i w_i \, δ(x - x_i)
+
+    - x_i: the particles, `states`;
+    - w_i: their weights, `weights`, of sum one.
+
+    Leading axes are independent beliefs: runs, and, where `steps` says so, steps in time. Means and
+    covariances are those of the point masses; those of angles are taken about the circular mean μ°,
+    the direction of Σ w_i (cos x_i, sin x_i), of differences wrapped to [−π, π).
+
+    Attributes
+    ----------
+    components : tuple of str
+        The components, in the order of the last axis.
+    steps : ndarray of int or None
+        The steps that the last leading axis stands for.
+    lead : tuple of int
+        The leading axes: runs and steps.
+    """
+
+    components: tuple[str, ...]
+    steps: Integers | None
+    lead: tuple[int, ...]
+    _parts: tuple[Part, ...]
+    _clouds: tuple[Cloud, ...]
+    _runs: tuple[int, ...]
+
+    def __init__(
+        self,
+        each: Sequence[Part],
+        clouds: Sequence[Cloud],
+        runs: tuple[int, ...],
+        steps: Integers | None = None,
+    ) -> None:
+        if steps is not None:
+            steps.flags.writeable = False
+        self._set(
+            components=tuple(part.label for part in each),
+            steps=steps,
+            lead=runs if steps is None else (*runs, len(clouds)),
+            _parts=tuple(each),
+            _clouds=tuple(clouds),
+            _runs=runs,
+        )
+
+    @property
+    def angles(self) -> tuple[str, ...]:
+        """The components that are angles."""
+        return tuple(part.label for part in self._parts if part.angle)
+
+    @cached_property
+    def number(self) -> Integers:
+        """The number of particles, (...)."""
+        return self._by_lead(np.stack([cloud.counts for cloud in self._clouds], axis=-1))
+
+    @cached_property
+    def effective(self) -> Array:
+        """The effective number of particles, 1 / Σ w², (...)."""
+        return self._by_lead(np.stack([cloud.effective for cloud in self._clouds], axis=-1))
+
+    @cached_property
+    def states(self) -> npt.NDArray[Any]:
+        """The particles, (..., n, d); refused where their number differs."""
+        self._require_equal("states")
+        rows = self._rows
+        found = np.stack([cloud.states[rows] for cloud in self._clouds], axis=0)
+        found = found.reshape(*found.shape[:2], self._count, -1)
+        return self._by_lead(found.transpose(2, 0, 3, 1).swapaxes(0, 1), first=True)
+
+    @cached_property
+    def weights(self) -> Array:
+        """The weights, (..., n), of sum one; refused where the number of particles differs."""
+        self._require_equal("weights")
+        found = np.stack([cloud.weights for cloud in self._clouds], axis=0)
+        return self._by_lead(found.reshape(len(found), self._count, -1), first=True)
+
+    @cached_property
+    def mean(self) -> Array:
+        """The means, (..., d); those of angles within half a turn of their circular mean."""
+        return self._by_lead(np.stack([mean for mean, _ in self._moments], axis=0), first=True)
+
+    @cached_property
+    def cov(self) -> Array:
+        """The covariances, (..., d, d)."""
+        return self._by_lead(np.stack([cov for _, cov in self._moments], axis=0), first=True)
+
+    @cached_property
+    def std(self) -> Array:
+        """The standard deviations, (..., d)."""
+        return _frozen(np.sqrt(np.einsum("...ii->...i", self.cov)))
+
+    def gaussian(self) -> Gaussian:
+        """The normal density of the same mean and covariance.
+
+        Returns
+        -------
+        Gaussian
+            Over the variables whose components these are.
+
+        Raises
+        ------
+        ModelError
+            If the components are not all those of some variables, in their order.
+        """
+        variables = tuple(dict.fromkeys(part.variable for part in self._parts))
+        due = [(v, k) for v in variables for k in range(v.dimension)]
+        if [(part.variable, part.component) for part in self._parts] != due:
+            raise ModelError(
+                f"a Gaussian is over whole variables: {listed(self.components)} are not all "
+                f"components of {listed(variables)} in their order; take .mean and .cov"
+            )
+        return Gaussian(variables, self.mean, self.cov, steps=self.steps)
+
+    def marginal(self, *components: str) -> ParticleBelief:
+        """The belief over some components alone.
+
+        Parameters
+        ----------
+        *components : str
+            By name, in the order wanted.
+
+        Returns
+        -------
+        ParticleBelief
+
+        Raises
+        ------
+        ModelError
+            If one is no component, or named twice, or none is named.
+        """
+        each = [self._parts[k] for k in self._named(components, "a marginal")]
+        return ParticleBelief(each, self._clouds, self._runs, self.steps)
+
+    def histogram(
+        self,
+        *components: str,
+        bins: Any = 50,
+        range: Any = None,
+    ) -> tuple[Array, tuple[Array, ...]]:
+        """The probabilities of bins, of one belief.
+
+        Parameters
+        ----------
+        *components : str
+            By name, one axis each.
+        bins : int or sequence
+            As of `numpy.histogramdd`: how many along each axis, or their edges.
+        range : sequence of (float, float), optional
+            The ends of each axis; angles are counted in [−π, π) without it.
+
+        Returns
+        -------
+        (ndarray, tuple of ndarray)
+            Probabilities (bins, ...), of sum one less what is outside of the range, and the edges
+            along each axis.
+
+        Raises
+        ------
+        ModelError
+            If the belief has leading axes, a component is none, or the bins are none.
+        """
+        self._require_one("a histogram")
+        places = self._named(components, "a histogram")
+        points = self.states[:, places].astype(np.float64)
+        angles = [k for k, place in enumerate(places) if self._parts[place].angle]
+        for k in angles:
+            points[:, k] -= TURN * np.floor((points[:, k] + np.pi) / TURN)
+        try:
+            if range is None and angles and np.ndim(bins) == 0:
+                low, high = points.min(axis=0), points.max(axis=0)
+                range = [
+                    (-np.pi, np.pi) if k in angles else (low[k], high[k])
+                    for k in np.arange(len(places))
+                ]
+            found, edges = np.histogramdd(points, bins=bins, range=range, weights=self.weights)
+        except (ValueError, TypeError) as error:
+            raise ModelError(f"a histogram of {listed(components)}: {error}") from error
+        return found, tuple(edges)
+
+    def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
+        """Draws from the particles.
+
+        Parameters
+        ----------
+        size : int or tuple of int
+            How many of each belief.
+        rng : numpy.random.Generator or int
+            The generator of draws, or its seed.
+
+        Returns
+        -------
+        ndarray
+            (*size, ..., d).
+
+        Raises
+        ------
+        ModelError
+            If `size` is no number of draws, or `rng` is neither a generator nor a seed.
+        """
+        extra, generator = as_lengths(size, "of each belief"), as_generator(rng)
+        count, rows = int(np.prod(extra)), self._rows
+        found = np.empty((len(self._clouds), self._clouds[0].runs, count, len(rows)))
+        for step, cloud in enumerate(self._clouds):
+            for run in np.arange(cloud.runs).tolist():
+                place = cloud.of(run)
+                total = np.cumsum(cloud.weights[place])
+                level = generator.random(count) * total[-1]
+                chosen = np.minimum(np.searchsorted(total, level, side="right"), len(total) - 1)
+                found[step, run] = cloud.states[rows][:, place][:, chosen].T
+        drawn = self._by_lead(found, first=True)
+        drawn = np.moveaxis(drawn, -2, 0)
+        return drawn.reshape(*extra, *self.lead, len(rows))
+
+    def __getitem__(self, index: Any) -> ParticleBelief:
+        """The beliefs at some places of the leading axes: of a run, or of a step.
+
+        Parameters
+        ----------
+        index : int, slice or tuple of them
+            As of an array of the shape of the leading axes.
+
+        Returns
+        -------
+        ParticleBelief
+
+        Raises
+        ------
+        ModelError
+            If the leading axes have no such place.
+        """
+        runs, count = int(np.prod(self._runs)), len(self._clouds)
+        numbers = np.arange(runs * count).reshape(self.lead)
+        try:
+            chosen = numbers[index]
+        except IndexError as error:
+            raise ModelError(f"a belief with the leading axes {self.lead}: {error}") from error
+        chosen = np.asarray(chosen)
+        run, step = np.divmod(chosen, count)
+        whole = len(self._runs) == chosen.ndim - 1
+        if self.steps is None or not chosen.ndim or (len(np.unique(step)) == 1 and not whole):
+            clouds = [self._gathered(int(step.flat[0]), run.reshape(-1))]
+            return ParticleBelief(self._parts, clouds, chosen.shape)
+        each = step.reshape(-1, step.shape[-1])
+        own = run.reshape(-1, run.shape[-1])
+        if not (each == each[0]).all() or not (own == own[:, :1]).all():
+            raise ModelError("a belief is indexed by runs and then steps, not by pairs of them")
+        clouds = [self._gathered(int(s), own[:, 0]) for s in each[0]]
+        return ParticleBelief(self._parts, clouds, chosen.shape[:-1], self.steps[each[0]])
+
+    def _gathered(self, place: int, runs: Integers) -> Cloud:
+        cloud = self._clouds[place]
+        if len(runs) == cloud.runs and (runs == np.arange(cloud.runs)).all():
+            return cloud
+        chosen = [cloud.run(int(run)) for run in runs]
+        starts = np.concatenate([[0], np.cumsum([len(each.log_weights) for each in chosen])])
+        return Cloud(
+            np.concatenate([each.states for each in chosen], axis=1),
+            np.concatenate([each.log_weights for each in chosen]),
+            starts,
+        )
+
+    @property
+    def _rows(self) -> list[int]:
+        return [part.row for part in self._parts]
+
+    @property
+    def _count(self) -> int:
+        return self._clouds[0].runs
+
+    @cached_property
+    def _moments(self) -> list[tuple[Array, Array]]:
+        return [self._moments_of(cloud) for cloud in self._clouds]
+
+    def _moments_of(self, cloud: Cloud) -> tuple[Array, Array]:
+        """The means (runs, d) and covariances (runs, d, d) of a cloud."""
+        weights, count = cloud.weights, len(self._parts)
+        mean, apart = np.empty((count, cloud.runs)), np.empty((count, len(weights)))
+        for k, part in enumerate(self._parts):
+            values = cloud.states[part.row].astype(np.float64)
+            about = values[cloud.starts[:-1]]
+            if part.angle:
+                sine, cosine = (
+                    cloud.summed(weights * np.sin(values)),
+                    cloud.summed(weights * np.cos(values)),
+                )
+                about = np.arctan2(sine, cosine)
+            # Counted from a place nearby, so that large coordinates cost no digits.
+            offset = values - np.repeat(about, cloud.counts)
+            if part.angle:
+                offset -= TURN * np.rint(offset / TURN)
+            shift = cloud.summed(weights * offset)
+            mean[k], apart[k] = about + shift, offset - np.repeat(shift, cloud.counts)
+        cov = np.empty((count, count, cloud.runs))
+        for i in range(count):
+            weighted = weights * apart[i]
+            for j in range(i, count):
+                cov[i, j] = cov[j, i] = cloud.summed(weighted * apart[j])
+        return mean.T, cov.transpose(2, 0, 1)
+
+    def _by_lead(self, values: npt.NDArray[Any], first: bool = False) -> npt.NDArray[Any]:
+        """Values (runs, steps, ...), or with steps first, by the leading axes; read-only."""
+        if first:
+            values = values.swapaxes(0, 1)
+        return _frozen(np.ascontiguousarray(values).reshape((*self.lead, *values.shape[2:])))
+
+    def _named(self, components: tuple[str, ...], what: str) -> list[int]:
+        named = all(isinstance(name, str) for name in components)
+        if not components or not named or len(set(components)) < len(components):
+            raise ModelError(
+                f"{what} is of one or more of {listed(self.components)}, by name, each once; "
+                f"found {components}"
+            )
+        unknown = [name for name in components if name not in self.components]
+        if unknown:
+            raise ModelError(
+                f"{unknown[0]!r} is no component of this belief; those are "
+                f"{listed(self.components)}"
+            )
+        return [self.components.index(name) for name in components]
+
+    def _require_equal(self, what: str) -> None:
+        counts = {int(count) for cloud in self._clouds for count in cloud.counts}
+        if len(counts) > 1:
+            raise ModelError(
+                f"the number of particles differs, from {min(counts):,} to {max(counts):,}, so "
+                f"that their {what} make no array: index a run and a step first, as belief[3]"
+            )
+
+    def _require_one(self, what: str) -> None:
+        if self.lead:
+            raise ModelError(
+                f"{what} is of one belief, and this one has the leading axes {self.lead}: index a "
+                "run and a step first, as belief[3]"
+            )
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What was computed is not part of the value.
+        return {name: getattr(self, name) for name in ParticleBelief.__annotations__}
+
+    def __repr__(self) -> str:
+        lead = f", leading axes {self.lead}" if self.lead else ""
+        least, most = int(self.number.min()), int(self.number.max())
+        count = f"{most:,}" if least == most else f"{least:,} to {most:,}"
+        return f"ParticleBelief({listed(self.components)}: {count} particles{lead})"
+
+
+def _frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,129 @@
+"""The particles of all runs at one step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.kernels.arrays import Array, Integers
+
+# Particles that are worked on at a time: their arrays stay in a core's cache.
+BLOCK = 2**14
+
+
+class Block(NamedTuple):
+    """Some particles that are worked on together: whole runs, or a part of one.
+
+    Attributes
+    ----------
+    first, last : int
+        Of the particles of all runs.
+    runs : range
+        Whose they are.
+    """
+
+    first: int
+    last: int
+    runs: range
+
+    def __len__(self) -> int:
+        return self.last - self.first
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """The particles of all runs at one step, one run after another.
+
+    Attributes
+    ----------
+    states : ndarray
+        (d, particles): the components of the slice's variables.
+    log_weights : ndarray
+        (particles,): normalised in each run.
+    starts : ndarray of int
+        (runs + 1,): where each run begins, and the end.
+    ancestors : ndarray of int or None
+        (particles,): the place of each particle's parent among those of its run a step before.
+    """
+
+    states: npt.NDArray[Any]
+    log_weights: Array
+    starts: Integers
+    ancestors: Integers | None = None
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return len(self.starts) - 1
+
+    @cached_property
+    def counts(self) -> Integers:
+        """The number of particles of each run."""
+        return np.diff(self.starts)
+
+    @cached_property
+    def weights(self) -> Array:
+        """The weights, (particles,), of sum one in each run."""
+        found: Array = np.exp(self.log_weights)
+        found.flags.writeable = False
+        return found
+
+    @cached_property
+    def owner(self) -> Integers:
+        """The run of each particle."""
+        return np.repeat(np.arange(self.runs), self.counts)
+
+    def of(self, run: int) -> slice:
+        """The place of a run's particles."""
+        return slice(int(self.starts[run]), int(self.starts[run + 1]))
+
+    def summed(self, values: npt.NDArray[Any]) -> Array:
+        """The sums of (..., particles) over the particles of each run, (..., runs)."""
+        return np.add.reduceat(values, self.starts[:-1], axis=-1, dtype=np.float64)
+
+    @cached_property
+    def effective(self) -> Array:
+        """The effective number of particles, 1 / Σ w², (runs,)."""
+        found: Array = 1.0 / self.summed(self.weights * self.weights)
+        return found
+
+    def weighed(self, log_weights: Array) -> Cloud:
+        """The same particles with other weights."""
+        return replace(self, log_weights=log_weights)
+
+    def blocks(self) -> Iterator[Block]:
+        """The particles by blocks, each run's cut as if it were alone."""
+        return blocks(self.starts)
+
+    def run(self, run: int) -> Cloud:
+        """The particles of one run."""
+        place = self.of(run)
+        ancestors = None if self.ancestors is None else self.ancestors[place]
+        starts = np.array([0, place.stop - place.start])
+        return Cloud(self.states[:, place], self.log_weights[place], starts, ancestors)
+
+
+def blocks(starts: Integers) -> Iterator[Block]:
+    """Blocks of particles, whole runs together or a long one cut."""
+    edges = starts.tolist()
+    run = 0
+    while run + 1 < len(edges):
+        end = run + 1
+        if edges[end] - edges[run] > BLOCK:
+            for first in range(edges[run], edges[end], BLOCK):
+                yield Block(first, min(first + BLOCK, edges[end]), range(run, end))
+        else:
+            while end + 1 < len(edges) and edges[end + 1] - edges[run] <= BLOCK:
+                end += 1
+            yield Block(edges[run], edges[end], range(run, end))
+        run = end
+
+
+def uniform(counts: Integers) -> Array:
+    """The log-weights of particles that all weigh the same in their run."""
+    return np.repeat(-np.log(counts), counts)

@@ -1,0 +1,345 @@
+"""CPDs at their rows, a step's or a measurement's: draws of particles, and their densities.
+
+Arrays have components first, (d, particles); functions of users see (particles, d).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise
+from pgm.cpds.noise import evaluate
+from pgm.cpds.values import Known
+from pgm.errors import LinearisationError, NumericalError
+from pgm.inference.particles.cloud import Block
+from pgm.kernels import roots
+from pgm.kernels.angles import TURN
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
+from pgm.kernels.checks import IMPROPER
+from pgm.linearisers.calls import Call
+from pgm.variables import Variable
+
+# Components first, float64 or float32.
+States = npt.NDArray[Any]
+
+
+class Some(NamedTuple):
+    """Some particles at a step, for which CPDs are asked.
+
+    Attributes
+    ----------
+    step : int
+    now, before : ndarray
+        (d, m): the slice of the step, as far as it is drawn, and the one before.
+    owner : ndarray of int or None
+        (m,): the run of each; None where there is one.
+    """
+
+    step: int
+    now: States
+    before: States
+    owner: Integers | None
+
+    @property
+    def size(self) -> int:
+        """How many they are."""
+        return int(self.now.shape[1])
+
+    def chosen(self, which: Mask) -> Some:
+        """A part of them."""
+        owner = None if self.owner is None else self.owner[which]
+        return Some(self.step, self.now[:, which], self.before[:, which], owner)
+
+
+class Drawing(NamedTuple):
+    """The generators for the particles of a block, in order.
+
+    Attributes
+    ----------
+    pieces : sequence of (slice, Generator)
+        Places in the block, each of one run.
+    """
+
+    pieces: Sequence[tuple[slice, np.random.Generator]]
+
+    @classmethod
+    def of(
+        cls, block: Block, starts: Integers, generators: Sequence[np.random.Generator]
+    ) -> Drawing:
+        """The generators of the runs of a block."""
+        found = []
+        for run in block.runs:
+            first = max(int(starts[run]), block.first) - block.first
+            last = min(int(starts[run + 1]), block.last) - block.first
+            found.append((slice(first, last), generators[run]))
+        return cls(found)
+
+    def white(self, components: int, count: int, dtype: Any) -> States:
+        """Independent standard normal numbers, (components, count)."""
+        if len(self.pieces) == 1:
+            return self.pieces[0][1].standard_normal((components, count), dtype=dtype)
+        found = np.empty((components, count), dtype=dtype)
+        for place, rng in self.pieces:
+            shape = components, place.stop - place.start
+            found[:, place] = rng.standard_normal(shape, dtype=dtype)
+        return found
+
+
+def law(
+    cpd: CPD,
+    inputs: Mapping[Variable, Any],
+    places: Mapping[Variable, slice],
+    dtype: Any,
+    first_run: int,
+) -> Law:
+    """The law of a CPD, for Gaussian noise or for any density."""
+    kind = GaussianLaw if isinstance(cpd, ConditionalGaussian) else Law
+    rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
+    return kind(cpd, rows, places, dtype, first_run)
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A CPD at its rows, by its own sampler and density.
+
+    Attributes
+    ----------
+    cpd : CPD
+    inputs : mapping of Variable to ndarray
+        Values of the observed parents, (rows, runs or 1, d).
+    places : mapping of Variable to slice
+        The components of the slice's variables.
+    dtype : numpy type
+        Of the states.
+    first_run : int
+        The number of the first run, for messages.
+    """
+
+    cpd: CPD
+    inputs: Mapping[Variable, States]
+    places: Mapping[Variable, slice]
+    dtype: Any
+    first_run: int
+
+    def given(self, row: int, some: Some) -> dict[Variable, States]:
+        """Values of the parents, (m, d), read-only."""
+        found = {}
+        for parent in self.cpd.parents:
+            if parent in self.inputs:
+                rows = self.inputs[parent][row]
+                if len(rows) > 1 and some.owner is not None:
+                    rows = rows[some.owner]
+                value = np.broadcast_to(rows, (some.size, rows.shape[-1]))
+            else:
+                source = some.before if parent.lag else some.now
+                value = source[self.places[parent.template]].T
+                value.flags.writeable = False
+            found[parent] = value
+        return found
+
+    def draw(self, row: int, some: Some, drawing: Drawing) -> States:
+        """Draws of the child, (d, m)."""
+        values = self.given(row, some)
+        found = np.empty((self.cpd.child.dimension, some.size), dtype=self.dtype)
+        for place, rng in drawing.pieces:
+            count = place.stop - place.start
+            own = {v: a[place] for v, a in values.items()}
+            known = Known(own, (count,), (count,), some.step)
+            found[:, place] = self.cpd._draw(known, rng).T
+        return found
+
+    def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
+        """The log-densities (m,) of a child (d, m), or (d, 1) for all."""
+        values = self.given(row, some)
+        wide = np.broadcast_to(child, (len(child), some.size)).T
+        known = Known(values, (some.size,), (some.size,), some.step)
+        return self.cpd._log_density(wide, known)
+
+
+class GaussianLaw(Law):
+    """A CPD of Gaussian noise at its rows."""
+
+    cpd: ConditionalGaussian
+
+    def draw(self, row: int, some: Some, drawing: Drawing) -> States:
+        """Draws of the child, (d, m)."""
+        white = drawing.white(self.cpd.child.dimension, some.size, self.dtype)
+        root = self.root(row, some.step)
+        if root.diagonal is not None:
+            white *= root.diagonal if some.owner is None else root.diagonal[:, root.of(some)]
+        elif len(root.lower) == 1:
+            white = root.lower[0].astype(self.dtype) @ white
+        else:
+            white = np.einsum("mij,jm->im", root.lower[root.of(some)], white)
+        white += self.mean(row, some)
+        return white
+
+    def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
+        """The log-densities (m,) of a child (d, m), or (d, 1) for all, or of components taken."""
+        root = self.root(row, some.step)
+        if not root.regular:
+            return super().log_density(row, some, child)
+        mean, angles = self.mean(row, some), self.cpd.child.angle_mask
+        if taken is not None and not taken.all():
+            mean, child, angles = mean[taken], child[taken], angles[taken]
+            root = root.marginal(taken)
+        residual = np.subtract(child, mean)
+        for k in np.flatnonzero(angles):
+            residual[k] -= TURN * np.rint(residual[k] / TURN)
+        return root.log_density(residual, some)
+
+    def mean(self, row: int, some: Some) -> States:
+        """The means, (d, m), or (d, 1) where they are equal."""
+        values = self.given(row, some)
+        if isinstance(self.cpd, AffineCPD):
+            offset = self._offset if some.owner is None else self._offset[:, self._runs_of(some)]
+            total = offset
+            for parent, matrix in self._matrices.items():
+                value = values[parent]
+                total = total + matrix @ value.T
+            return total
+        lead = (some.size,)
+        call = Call(self.cpd.child, "function", lead, some.step, None, self.cpd)
+        with np.errstate(all="ignore"):  # non-finite values are refused below
+            arguments = [values[v] for v in self.cpd.given]
+            mean = self._called(arguments, (*lead, self.cpd.child.dimension), call)
+        if not np.isfinite(mean.sum()) and not np.isfinite(mean).all():
+            self._refuse(mean, values, some)
+        return mean.T
+
+    def _called(self, arguments: list[States], due: tuple[int, ...], call: Call) -> States:
+        """The value of the function; of float32 states in their precision."""
+        function = getattr(self.cpd, "function", None)
+        if function is None:
+            known = dict(zip(self.cpd.given, arguments, strict=True))
+            return self.cpd._mean(known, call.lead, call)
+        try:
+            value = function(*arguments)
+        except Exception as error:
+            raise call.failure(function, arguments, error) from error
+        if isinstance(value, np.ndarray) and value.dtype == self.dtype and value.shape == due:
+            return value
+        return call.array(function, arguments, value, due)
+
+    def _refuse(self, mean: States, values: Mapping[Variable, States], some: Some) -> None:
+        index = int(np.flatnonzero(~np.isfinite(mean).all(axis=-1))[0])
+        run = self.first_run + (0 if some.owner is None else int(some.owner[index]))
+        at = {v: a[index].tolist() for v, a in values.items()}
+        raise LinearisationError(
+            f"{self.cpd!r}: at step {some.step}, run {run}, its function has values that are NaN "
+            f"or infinite, at the particle {at}",
+            variable=self.cpd.child,
+            cpd=self.cpd,
+            step=some.step,
+            run=run,
+        )
+
+    def root(self, row: int, step: int) -> Root:
+        """The root of the noise at a row."""
+        if not isinstance(self.cpd.cov, Noise):
+            return self._constant
+        known = {v: np.asarray(self.inputs[v][row], dtype=np.float64) for v in self.cpd.cov.given}
+        count = max(len(rows) for rows in known.values())
+        cov = evaluate(self.cpd, known, (count,), step, self.first_run)
+        return self._root(roots.root(cov), step)
+
+    @cached_property
+    def _constant(self) -> Root:
+        lower = self.cpd._lower
+        return self._root(lower.reshape(-1, *lower.shape[-2:]), None)
+
+    def _root(self, lower: Array, step: int | None) -> Root:
+        if not roots.is_proper(lower):
+            raise NumericalError(
+                f"{self.cpd!r}: its noise cannot be used: {IMPROPER}",
+                variable=self.cpd.child,
+                cpd=self.cpd,
+                step=step,
+            )
+        return Root(lower, self.dtype)
+
+    @cached_property
+    def _offset(self) -> States:
+        assert isinstance(self.cpd, AffineCPD)
+        return self.cpd.offset.reshape(-1, self.cpd.child.dimension).T.astype(self.dtype)
+
+    def _runs_of(self, some: Some) -> Integers | slice:
+        return slice(None) if self._offset.shape[1] == 1 or some.owner is None else some.owner
+
+    @cached_property
+    def _matrices(self) -> dict[Variable, States]:
+        assert isinstance(self.cpd, AffineCPD)
+        return {v: matrix.astype(self.dtype) for v, matrix in self.cpd.matrices.items()}
+
+
+class Root:
+    """The roots of a noise covariance, of all runs or of each.
+
+    Attributes
+    ----------
+    lower : ndarray
+        (runs or 1, d, d).
+    diagonal : ndarray or None
+        (d, runs or 1): deviations, where components are independent.
+    regular : bool
+        Whether all components have noise of their own.
+    """
+
+    def __init__(self, lower: Array, dtype: Any) -> None:
+        self.lower, self.dtype = lower, dtype
+        deviations = np.diagonal(lower, axis1=-2, axis2=-1)
+        independent = np.array_equal(lower, deviations[..., None] * np.eye(lower.shape[-1]))
+        self.diagonal = deviations.T.astype(dtype) if independent else None
+        self.regular = bool((deviations > 0.0).all())
+        self._pivots = deviations
+
+    def of(self, some: Some) -> Integers:
+        """The root of each particle."""
+        if len(self.lower) == 1 or some.owner is None:
+            return np.zeros(some.size, dtype=np.intp)
+        return some.owner
+
+    def marginal(self, taken: Mask) -> Root:
+        """The roots of the covariance of some components."""
+        part = self.lower[:, taken]
+        return Root(roots.root(part @ part.swapaxes(-1, -2)), self.dtype)
+
+    @cached_property
+    def constant(self) -> Array:
+        """The log-density at no residual, (runs or 1,)."""
+        count = self.lower.shape[-1]
+        found: Array = -np.log(self._pivots).sum(axis=-1) - 0.5 * count * LOG_2PI
+        return found
+
+    def log_density(self, residual: States, some: Some) -> Array:
+        """The log-densities of residuals (d, m), which are overwritten."""
+        which = slice(None) if len(self.lower) == 1 else self.of(some)
+        if self.diagonal is not None:
+            residual /= self.diagonal[:, which]
+        elif len(self.lower) == 1:
+            residual = np.linalg.solve(self.lower[0], residual)
+        else:
+            residual = np.linalg.solve(self.lower[which], residual.T[..., None])[..., 0].T
+        square = np.einsum("im,im->m", residual, residual)
+        found: Array = self.constant[which] - 0.5 * square
+        return found
+
+
+def by_pattern(taken: Mask, owner: Integers | None) -> Iterator[tuple[Mask, Mask | None]]:
+    """The components that were taken, and the particles of the runs in which they were.
+
+    None stands for all particles. Nothing comes of runs in which none were.
+    """
+    if len(taken) == 1 or owner is None or (taken == taken[0]).all():
+        if taken[0].any():
+            yield taken[0], None
+        return
+    for pattern in np.unique(taken, axis=0):
+        if pattern.any():
+            yield pattern, (taken == pattern).all(axis=1)[owner]

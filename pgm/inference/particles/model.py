@@ -1,0 +1,190 @@
+"""A dynamic network with its evidence, as particles ask for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pgm.cpds import CPD, ConditionalGaussian, Noise
+from pgm.errors import EvidenceError, LinearisationError, ModelError
+from pgm.evidence import BoundEvidence, Reading
+from pgm.inference.particles.laws import GaussianLaw, Law, Some, by_pattern, law
+from pgm.inference.runs import by_run
+from pgm.kernels.arrays import Array, Mask
+from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
+
+
+class ParticleModel:
+    """A model with its evidence, CPD by CPD.
+
+    Parameters
+    ----------
+    model : DynamicBayesianNetwork
+    bound : BoundEvidence
+    dtype : numpy type
+        Of the states.
+    first : int
+        The step before the first of the evidence for the transition.
+
+    Attributes
+    ----------
+    places : mapping of Variable to slice
+        The components of each state and hidden control, in this order.
+    """
+
+    def __init__(
+        self, model: DynamicBayesianNetwork, bound: BoundEvidence, dtype: Any, first: int = 0
+    ) -> None:
+        self.model, self.bound, self.dtype, self.first = model, bound, dtype, first
+        self.places: dict[Variable, slice] = {}
+        end = 0
+        for variable in (*model.states, *model.controls):
+            self.places[variable] = slice(end, end + variable.dimension)
+            end += variable.dimension
+        self.size = end
+
+    @cached_property
+    def angles(self) -> Mask:
+        """Which components are angles, (d,)."""
+        masks = [variable.angle_mask for variable in self.places]
+        return np.concatenate(masks) if masks else np.zeros(0, dtype=bool)
+
+    @cached_property
+    def prior(self) -> list[Law]:
+        """The prior of each state."""
+        return [self._law(by_run(cpd, self.bound.lead), {}) for cpd in self.model.prior]
+
+    @cached_property
+    def transition(self) -> list[Law]:
+        """The transition of each state and hidden control, row k of step first + k + 1."""
+        pairs = zip(self.model.transition, self.bound.transition, strict=True)
+        return [self._law(cpd, inputs) for cpd, inputs in pairs]
+
+    @cached_property
+    def sensors(self) -> list[Sensor]:
+        """The sensors that have evidence."""
+        found = []
+        for reading in self.bound.readings:
+            cpd = by_run(reading.cpd, self.bound.lead)
+            found.append(Sensor(self._law(cpd, reading.inputs), replace(reading, cpd=cpd)))
+        return found
+
+    def _law(self, cpd: CPD, inputs: Mapping[Variable, Any]) -> Law:
+        return law(cpd, inputs, self.places, self.dtype, self.bound.first_run)
+
+    def row(self, step: int) -> int:
+        """The row of the transition to a step."""
+        return step - self.first - 1
+
+    def read(self, step: int) -> list[Variable]:
+        """The sensors with measurements at a step."""
+        return [s.reading.cpd.child for s in self.sensors if len(s.rows(step))]
+
+    def numbers(self, step: int) -> Array:
+        """The number of components measured at a step, (runs,)."""
+        found = np.zeros(self.bound.runs)
+        for sensor in self.sensors:
+            for row in sensor.rows(step):
+                found += sensor.reading.taken[row].sum(axis=-1)
+        return found
+
+    def log_likelihood(self, some: Some) -> Array:
+        """The log-density of a step's measurements at particles, (m,)."""
+        found = np.zeros(some.size)
+        for sensor in self.sensors:
+            for row in sensor.rows(some.step):
+                sensor.add(row, some, found)
+        return found
+
+    def log_transition(self, some: Some) -> Array:
+        """The log-density of slices given those before, (m,)."""
+        row, found = self.row(some.step), np.zeros(some.size)
+        for each in self.transition:
+            found += each.log_density(row, some, some.now[self.places[each.cpd.child]])
+        return found
+
+
+class Sensor:
+    """A sensor with its measurements.
+
+    Parameters
+    ----------
+    law : Law
+    reading : Reading
+    """
+
+    def __init__(self, law: Law, reading: Reading) -> None:
+        self.law, self.reading = law, reading
+        self.values = np.asarray(reading.values, dtype=law.dtype)
+        if isinstance(law, GaussianLaw):
+            for step in np.unique(reading.step).tolist():
+                self._require_noise(step)
+                if not isinstance(law.cpd.cov, Noise):
+                    break
+
+    def rows(self, step: int) -> range:
+        """The measurements of a step."""
+        steps = self.reading.step
+        first, last = np.searchsorted(steps, [step, step + 1]).tolist()
+        return range(first, last)
+
+    def add(self, row: int, some: Some, total: Array) -> None:
+        """Add the log-density of one measurement at particles."""
+        for taken, which in by_pattern(self.reading.taken[row], some.owner):
+            self._require_whole(taken, some.step)
+            part = some if which is None else some.chosen(which)
+            rows = self.values[row]
+            child = rows[:1].T if len(rows) == 1 or part.owner is None else rows[part.owner].T
+            found = self.law.log_density(row, part, child, taken)
+            self._require_density(found, part)
+            if which is None:
+                total += found
+            else:
+                total[which] += found
+
+    def _require_whole(self, taken: Mask, step: int) -> None:
+        cpd = self.reading.cpd
+        if not taken.all() and not isinstance(cpd, ConditionalGaussian):
+            raise EvidenceError(
+                f"{cpd!r}: a measurement at step {step} has components that are NaN, which the "
+                "density of such a CPD cannot leave out; give all of them, or none",
+                variable=cpd.child,
+                cpd=cpd,
+                step=step,
+            )
+
+    def _require_density(self, found: Array, some: Some) -> None:
+        """Refuse log-densities that are NaN or plus infinity."""
+        total = found.sum()
+        if np.isfinite(total) or not (np.isnan(found) | (found == np.inf)).any():
+            return
+        index = int(np.flatnonzero(np.isnan(found) | (found == np.inf))[0])
+        run = self.law.first_run + (0 if some.owner is None else int(some.owner[index]))
+        cpd = self.reading.cpd
+        raise LinearisationError(
+            f"{cpd!r}: at step {some.step}, run {run}, its log-density is {found[index]} at a "
+            "particle; it must be a number, or minus infinity where it is impossible",
+            variable=cpd.child,
+            cpd=cpd,
+            step=some.step,
+            run=run,
+        )
+
+    def _require_noise(self, step: int) -> None:
+        law = self.law
+        assert isinstance(law, GaussianLaw)
+        row = self.rows(step)[0]
+        if not law.root(row, step).regular:
+            cpd = self.reading.cpd
+            raise ModelError(
+                f"{cpd!r} has no noise in a component, or two that are one, at step {step}: no "
+                "particle need agree with its measurement; give it some",
+                variable=cpd.child,
+                cpd=cpd,
+                step=step,
+            )

@@ -1,0 +1,271 @@
+"""Filtering with particles in a robot's loop, one step at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pgm.boundary import as_mapping
+from pgm.errors import EvidenceError, ModelError
+from pgm.evidence import BoundEvidence
+from pgm.immutable import Immutable
+from pgm.inference.kind import FILTERED, PREDICTED, Kind
+from pgm.inference.online import step_evidence
+from pgm.inference.particles.belief import ParticleBelief, parts
+from pgm.inference.particles.chain import ParticleChain
+from pgm.inference.particles.cloud import Cloud
+from pgm.inference.particles.model import ParticleModel
+from pgm.inference.particles.record import Record
+from pgm.inference.particles.run import require_room
+from pgm.inference.particles.status import ParticleStatus
+from pgm.inference.particles.value import Particles
+from pgm.inference.posterior import require_variable
+from pgm.kernels.arrays import Array
+from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
+
+
+class OnlineParticleBelief(Immutable):
+    """The belief of an online filter at one step, as particles.
+
+    Attributes
+    ----------
+    step : int
+    log_evidence : ndarray
+        (*runs): ln p of all measurements so far, estimated.
+    status : ParticleStatus
+        Of this step, (*runs, 1).
+    kind : Kind
+        Filtered after an update, predicted before.
+    lead : tuple of int
+        The axes of runs.
+    """
+
+    step: int
+    log_evidence: Array
+    status: ParticleStatus
+    kind: Kind
+    lead: tuple[int, ...]
+    # A window of steps behind it, which particles have none of.
+    behind: None
+    _filter: OnlineParticles
+    _cloud: Cloud
+    _model: ParticleModel
+
+    def __init__(
+        self,
+        filter: OnlineParticles,
+        step: int,
+        kind: Kind,
+        cloud: Cloud,
+        model: ParticleModel,
+        log_evidence: Array,
+        status: ParticleStatus,
+    ) -> None:
+        for array in (cloud.states, cloud.log_weights, log_evidence):
+            array.flags.writeable = False
+        self._set(
+            step=step,
+            log_evidence=log_evidence,
+            status=status,
+            kind=kind,
+            lead=log_evidence.shape,
+            behind=None,
+            _filter=filter,
+            _cloud=cloud,
+            _model=model,
+        )
+
+    def __getitem__(self, variable: Variable) -> ParticleBelief:
+        """The marginal of a state or hidden control at the belief's step.
+
+        Parameters
+        ----------
+        variable : Variable
+
+        Returns
+        -------
+        ParticleBelief
+            Leading axes are runs.
+
+        Raises
+        ------
+        EvidenceError
+            If it is no hidden variable of the network, or of another step.
+        """
+        template = require_variable(variable).template
+        places = self._model.places
+        early = self.step == 0 and template in self._filter.model.controls
+        if template not in places or early or variable.step not in (None, self.step):
+            raise EvidenceError(
+                f"the belief at step {self.step} is over {list(places)}, not {variable!r}",
+                variable=variable,
+                step=self.step,
+            )
+        return ParticleBelief(parts([(template, places[template].start)]), [self._cloud], self.lead)
+
+    def __repr__(self) -> str:
+        runs = f", runs {self.lead}" if self.lead else ""
+        most = int(self._cloud.counts.max())
+        return f"OnlineParticleBelief({self.kind}, step {self.step}, {most:,} particles{runs})"
+
+
+class OnlineParticles(Immutable):
+    """A particle filter for one step at a time; made by ``OnlineFilter(model, belief=particles)``.
+
+    It is immutable, and so are its beliefs: draws are keyed by seed, run and step, so that they are
+    those of `pgm.filter`.
+
+    Parameters
+    ----------
+    model : DynamicBayesianNetwork
+    belief : Particles
+
+    Raises
+    ------
+    ModelError
+        If they do not fit, or the particles would not fit memory.
+    """
+
+    model: DynamicBayesianNetwork
+    belief: Particles
+
+    def __init__(self, model: DynamicBayesianNetwork, belief: Particles) -> None:
+        self._set(model=model, belief=belief)
+        size = sum(variable.dimension for variable in (*model.states, *model.controls))
+        require_room(size, belief, 1, int(np.prod(model.lead)), FILTERED)
+
+    def __repr__(self) -> str:
+        return f"OnlineFilter(over {list(self.model.states)}, belief={self.belief!r})"
+
+    def initial(self) -> OnlineParticleBelief:
+        """The prior, at step 0; runs are those of the model.
+
+        Returns
+        -------
+        OnlineParticleBelief
+        """
+        bound = BoundEvidence(0, self.model.lead, (), ())
+        chain, record = self._chain(bound, 0)
+        cloud = chain.start()
+        zero = np.zeros(bound.runs)
+        return self._belief(0, PREDICTED, cloud, chain.model, bound, zero, record)
+
+    def predict(
+        self, belief: OnlineParticleBelief, inputs: Mapping[Variable, Any] | None = None
+    ) -> OnlineParticleBelief:
+        """The belief one step later.
+
+        Parameters
+        ----------
+        belief : OnlineParticleBelief
+        inputs : mapping of Variable to array_like
+            Values (..., d) of the transition's inputs.
+
+        Returns
+        -------
+        OnlineParticleBelief
+
+        Raises
+        ------
+        EvidenceError
+            If an input is missing or of a wrong shape, or something is no input.
+        ModelError
+            If the belief is not this filter's, or a function returns a wrong shape.
+        LinearisationError, NumericalError
+            If a function has no value at a particle.
+        """
+        self._check(belief)
+        given = as_mapping(inputs, "the inputs of predict")
+        bound = step_evidence.inputs(self.model, belief, given)
+        step, before = belief.step + 1, self._spread(belief, bound)
+        chain, record = self._chain(bound, belief.step)
+        cloud = chain.predict(step, before)
+        log_evidence = np.broadcast_to(belief.log_evidence, bound.lead).reshape(-1)
+        return self._belief(step, PREDICTED, cloud, chain.model, bound, log_evidence, record)
+
+    def update(
+        self, belief: OnlineParticleBelief, readings: Mapping[Variable, Any]
+    ) -> OnlineParticleBelief:
+        """The belief given measurements of its step; a further update goes on from the first.
+
+        Parameters
+        ----------
+        belief : OnlineParticleBelief
+        readings : mapping of Variable
+            For a sensor ``pgm.sightings(values, given=...)`` without steps, any number, or one
+            measurement (..., d); for inputs that the sensors need, values (..., d).
+
+        Returns
+        -------
+        OnlineParticleBelief
+
+        Raises
+        ------
+        EvidenceError
+            If a measurement does not fit its sensor, or is impossible.
+        ModelError, LinearisationError
+            As of `predict`.
+        """
+        self._check(belief)
+        given = step_evidence.mapping(readings, "update", "sensors to measurements")
+        bound = step_evidence.readings(self.model, belief, given)
+        step = belief.step
+        bound = replace(
+            bound, readings=tuple(replace(r, step=r.step + step) for r in bound.readings)
+        )
+        cloud = self._spread(belief, bound)
+        chain, record = self._chain(bound, step)
+        known, log_density = chain.take(step, cloud)
+        log_evidence = np.broadcast_to(belief.log_evidence, bound.lead).reshape(-1) + log_density
+        record.resampled[step] |= np.broadcast_to(belief.status.resampled[..., -1], bound.lead).flat
+        return self._belief(step, FILTERED, known, chain.model, bound, log_evidence, record)
+
+    def _chain(self, bound: BoundEvidence, first: int) -> tuple[ParticleChain, Record]:
+        model = ParticleModel(self.model, bound, self.belief.dtype, first)
+        record = Record(first + 1, bound.runs)
+        return ParticleChain(model, self.belief, record), record
+
+    def _spread(self, belief: OnlineParticleBelief, bound: BoundEvidence) -> Cloud:
+        """The belief's cloud for the runs of the evidence."""
+        cloud, runs = belief._cloud, bound.runs
+        if cloud.runs == runs:
+            return cloud
+        if cloud.runs > 1:
+            raise EvidenceError(
+                f"evidence of runs {bound.lead} for a belief of runs {belief.lead}",
+                step=belief.step,
+            )
+        return Cloud(
+            np.tile(cloud.states, runs),
+            np.tile(cloud.log_weights, runs),
+            np.arange(runs + 1) * len(cloud.log_weights),
+        )
+
+    def _check(self, belief: OnlineParticleBelief) -> None:
+        if not isinstance(belief, OnlineParticleBelief) or (
+            belief._filter.model is not self.model or belief._filter.belief is not self.belief
+        ):
+            raise ModelError(
+                f"{belief!r} is no belief of this filter's model and particles; begin with "
+                "initial()"
+            )
+
+    def _belief(
+        self,
+        step: int,
+        kind: Kind,
+        cloud: Cloud,
+        model: ParticleModel,
+        bound: BoundEvidence,
+        log_evidence: Array,
+        record: Record,
+    ) -> OnlineParticleBelief:
+        record.effective[step], record.number[step] = cloud.effective, cloud.counts
+        status = record.status(bound.lead).at(step)
+        status.warn()
+        log_evidence = np.array(log_evidence).reshape(bound.lead)
+        return OnlineParticleBelief(self, step, kind, cloud, model, log_evidence, status)

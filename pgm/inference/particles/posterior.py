@@ -1,0 +1,195 @@
+"""The posterior of a network as particles."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from pgm.compile import DynamicGraph
+from pgm.errors import EvidenceError
+from pgm.factors.scope import as_scope, listed
+from pgm.immutable import Immutable
+from pgm.inference.grid.belief import require_step
+from pgm.inference.kind import FILTERED, Kind
+from pgm.inference.particles.belief import ParticleBelief, parts
+from pgm.inference.particles.cloud import Cloud
+from pgm.inference.particles.status import ParticleStatus
+from pgm.inference.particles.value import Particles
+from pgm.inference.posterior import require_variable
+from pgm.kernels.arrays import Array
+from pgm.variables import Variable
+
+
+class ParticlePosterior(Immutable):
+    """The beliefs of a dynamic network as weighted draws.
+
+    Attributes
+    ----------
+    graph : DynamicGraph
+    particles : Particles
+    kind : Kind
+        Filtered, fixed-lag or smoothed. A smoother's particles are trajectories: the i-th of each
+        step are one draw of all steps together.
+    log_evidence : ndarray
+        (*runs): the logarithm of an unbiased estimate of p(measurements).
+    status : ParticleStatus
+    filtered : ParticlePosterior
+        The beliefs of the forward sweep; itself, of a filter.
+    """
+
+    graph: DynamicGraph
+    particles: Particles
+    kind: Kind
+    log_evidence: Array
+    status: ParticleStatus
+    _places: dict[Variable, slice]
+    _clouds: tuple[Cloud, ...]
+    _filtered: tuple[Cloud, ...]
+
+    # Python would else iterate by asking for the variables 0, 1, ...
+    __iter__: ClassVar[None] = None
+
+    def __init__(
+        self,
+        graph: DynamicGraph,
+        particles: Particles,
+        kind: Kind,
+        log_evidence: Array,
+        status: ParticleStatus,
+        places: dict[Variable, slice],
+        clouds: tuple[Cloud, ...],
+        filtered: tuple[Cloud, ...],
+    ) -> None:
+        log_evidence.flags.writeable = False
+        for cloud in (*clouds, *filtered):
+            cloud.states.flags.writeable = cloud.log_weights.flags.writeable = False
+        self._set(
+            graph=graph,
+            particles=particles,
+            kind=kind,
+            log_evidence=log_evidence,
+            status=status,
+            _places=places,
+            _clouds=clouds,
+            _filtered=filtered,
+        )
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """``particles``: neither exact nor linearised, but an estimate."""
+        return "particles"
+
+    @property
+    def filtered(self) -> ParticlePosterior:
+        """The beliefs of the forward sweep."""
+        if self.kind == FILTERED:
+            return self
+        return ParticlePosterior(
+            self.graph,
+            self.particles,
+            FILTERED,
+            self.log_evidence,
+            self.status,
+            self._places,
+            self._filtered,
+            self._filtered,
+        )
+
+    def __getitem__(self, variable: Variable) -> ParticleBelief:
+        """The marginal of a state or hidden control.
+
+        Parameters
+        ----------
+        variable : Variable
+            ``x``, of all steps, or ``x.at(3)``.
+
+        Returns
+        -------
+        ParticleBelief
+            Leading axes (*runs, T+1) of a state over time, (*runs, T) of a hidden control,
+            (*runs) at a step.
+
+        Raises
+        ------
+        EvidenceError
+            If it is no hidden variable of the network.
+        ModelError
+            If it stands after the last step.
+        """
+        return self.joint(require_variable(variable))
+
+    def joint(self, *variables: Variable) -> ParticleBelief:
+        """The joint of some variables: of one slice, and of a smoother of any steps.
+
+        Parameters
+        ----------
+        *variables : Variable
+            ``x, m``, or at steps, ``x.at(3), x.at(4)``.
+
+        Returns
+        -------
+        ParticleBelief
+            In the order given.
+
+        Raises
+        ------
+        EvidenceError
+            If one is no hidden variable of the network, none is named, or they are of several
+            steps where these were not drawn together.
+        ModelError
+            If one stands after the last step, or is named twice.
+        """
+        if not variables:
+            raise EvidenceError("joint takes variables of the network, like x.at(3), m.at(3)")
+        scope = as_scope(variables, "a joint")
+        for variable in scope:
+            if variable.template not in self._places or variable.lag:
+                raise EvidenceError(
+                    f"{variable!r} is no hidden variable of the network; those are "
+                    f"{listed(self._places)}",
+                    variable=variable,
+                )
+        runs = self.log_evidence.shape
+        each = [require_step(variable, self.graph.steps) for variable in scope]
+        firsts = [self._places[variable.template].start for variable in scope]
+        controls = any(variable.template in self.graph.model.controls for variable in scope)
+        if set(each) == {None}:
+            first = 1 if controls else 0
+            found = parts(list(zip(scope, firsts, strict=True)))
+            steps = np.arange(first, len(self._clouds))
+            return ParticleBelief(found, self._clouds[first:], runs, steps)
+        if None in each:
+            raise EvidenceError(
+                f"a joint is of variables at steps, or of all over time, not of {listed(scope)}"
+            )
+        for variable, step in zip(scope, each, strict=True):
+            if step == 0 and variable.template in self.graph.model.controls:
+                raise EvidenceError(
+                    f"{variable!r}: controls begin at step 1", variable=variable, step=0
+                )
+        if len(set(each)) == 1:
+            found = parts(list(zip(scope, firsts, strict=True)))
+            return ParticleBelief(found, [self._clouds[each[0] or 0]], runs)
+        if self.kind.name != "smoothed":
+            raise EvidenceError(
+                f"{self.kind} particles of several steps were not drawn together, so that they "
+                f"have no joint of {listed(scope)}; a smoother's have",
+                variable=scope[0],
+            )
+        states, places, end = [], [], 0
+        for variable, step in zip(scope, each, strict=True):
+            states.append(self._clouds[step or 0].states[self._places[variable.template]])
+            places.append((variable, end))
+            end += variable.dimension
+        first_cloud = self._clouds[0]
+        cloud = Cloud(np.concatenate(states), first_cloud.log_weights, first_cloud.starts)
+        return ParticleBelief(parts(places), [cloud], runs)
+
+    def __repr__(self) -> str:
+        runs = self.log_evidence.shape
+        which = f", runs {runs}" if runs else ""
+        return (
+            f"ParticlePosterior({self.kind}, over {list(self._places)}, {self.particles.n:,} "
+            f"particles, {self.graph.steps + 1} steps{which})"
+        )

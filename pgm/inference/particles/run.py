@@ -1,0 +1,71 @@
+"""Running a schedule with particles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.compile import DynamicGraph
+from pgm.evidence import BoundEvidence
+from pgm.inference import sweep
+from pgm.inference.kind import FILTERED, Kind
+from pgm.inference.markov.kinds import kind_of, require_chain
+from pgm.inference.particles.backward import Backward
+from pgm.inference.particles.chain import ParticleChain
+from pgm.inference.particles.cloud import Cloud
+from pgm.inference.particles.model import ParticleModel
+from pgm.inference.particles.posterior import ParticlePosterior
+from pgm.inference.particles.record import Record
+from pgm.inference.particles.value import Particles
+from pgm.inference.schedule import Schedule
+from pgm.sizes import gibibytes, require_memory
+
+
+def run(
+    graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, particles: Particles
+) -> ParticlePosterior:
+    """Send the messages of a schedule as particles, and warn of what their status tells.
+
+    Parameters
+    ----------
+    graph : DynamicGraph
+    bound : BoundEvidence
+    schedule : Filtering, FixedLag, Smoothing or None
+        Smoothing, if not given.
+    particles : Particles
+    """
+    require_chain(graph, "particles")
+    kind = kind_of(schedule, "particles")
+    model = ParticleModel(graph.model, bound, particles.dtype)
+    require_room(model.size, particles, bound.steps + 1, bound.runs, kind)
+    record = Record(bound.steps, bound.runs)
+    chain = ParticleChain(model, particles, record)
+    sweep.forward(chain, bound.steps, record)
+    filtered, clouds, unmoved = tuple(record.clouds), tuple[Cloud, ...](), None
+    if kind == FILTERED:
+        clouds = filtered
+    else:
+        backward = Backward(model, particles, filtered)
+        clouds = backward.smoothed() if kind.name == "smoothed" else backward.lagged(int(kind.lag))
+        unmoved = backward.unmoved
+    status = record.status(bound.lead, unmoved)
+    status.warn()
+    log_evidence = record.log_density.sum(axis=0).reshape(bound.lead)
+    places = model.places
+    return ParticlePosterior(graph, particles, kind, log_evidence, status, places, clouds, filtered)
+
+
+def require_room(size: int, particles: Particles, steps: int, runs: int, kind: Kind) -> None:
+    """Refuse particles of which all steps would not fit memory, before any is drawn."""
+    share = np.dtype(particles.dtype).itemsize / 8
+    # States, weights and ancestors of the filter; states and weights of trajectories.
+    each = (size * share + 2) * particles.most
+    if kind != FILTERED:
+        each += (size * share + 1) * particles.trajectories
+    entries = int(each * steps * runs)
+    over = f"{steps} steps" + (f" of {runs} runs" if runs > 1 else "")
+    require_memory(
+        entries,
+        f"{particles.most:,} particles of {size} components at {over} ({gibibytes(entries)})",
+        "take fewer particles, steps or runs to a call; pgm.OnlineFilter(model, belief=) holds one "
+        "step at a time",
+    )

@@ -1,0 +1,141 @@
+"""The status of particles: what their weights are worth, and what happened to them."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.errors import ParticleWarning
+from pgm.immutable import Immutable
+from pgm.inference.status import _levels_to_user
+from pgm.kernels.arrays import Array, Integers, Mask
+
+# The effective number of particles below which the user is warned.
+FEW = 10.0
+
+
+class ParticleStatus(Immutable):
+    """The status of a particle filter's or smoother's answer.
+
+    Attributes
+    ----------
+    effective : ndarray
+        (*runs, T+1): the number of equal particles that the weights given each step's measurements
+        are worth, 1 / Σ w². Below ten a `ParticleWarning` has said so: means of so few are hardly
+        better than a guess.
+    number : ndarray of int
+        (*runs, T+1): of particles.
+    resampled : ndarray of bool
+        (*runs, T+1): whether the particles were drawn anew on the way to the step.
+    injected : ndarray of int
+        (*runs, T+1): how many were put elsewhere on the way to the step.
+    ignored, restarted : ndarray of bool
+        (*runs, T+1): whether no particle explained the step's measurements, which were then left
+        out, or weighed particles of the prior; the log-evidence is −∞ then.
+    unmoved : ndarray or None
+        (*runs, T): of a smoother, by step the share of trajectories that have stayed at the
+        filter's own ancestor; None of a filter.
+    """
+
+    effective: Array
+    number: Integers
+    resampled: Mask
+    injected: Integers
+    ignored: Mask
+    restarted: Mask
+    unmoved: Array | None
+
+    def __init__(
+        self,
+        effective: Array,
+        number: Integers,
+        resampled: Mask,
+        injected: Integers,
+        ignored: Mask,
+        restarted: Mask,
+        unmoved: Array | None = None,
+    ) -> None:
+        found: dict[str, npt.NDArray[Any] | None] = {
+            "effective": effective,
+            "number": number,
+            "resampled": resampled,
+            "injected": injected,
+            "ignored": ignored,
+            "restarted": restarted,
+            "unmoved": unmoved,
+        }
+        for array in found.values():
+            if array is not None:
+                array.flags.writeable = False
+        self._set(**found)
+
+    def at(self, step: int) -> ParticleStatus:
+        """The status of one step alone.
+
+        Parameters
+        ----------
+        step : int
+
+        Returns
+        -------
+        ParticleStatus
+        """
+        names = "effective", "number", "resampled", "injected", "ignored", "restarted"
+        return ParticleStatus(*(getattr(self, name)[..., step : step + 1] for name in names))
+
+    @property
+    def few(self) -> bool:
+        """Whether the weights of a step are worth fewer than ten particles."""
+        return bool((self.effective < np.minimum(FEW, self.number)).any())
+
+    @property
+    def impossible(self) -> bool:
+        """Whether no particle explained the measurements of a step."""
+        return bool(self.ignored.any() or self.restarted.any())
+
+    def warn(self) -> None:
+        """Tell the user of weights that are worth too few particles, and of impossible evidence.
+
+        Warns
+        -----
+        ParticleWarning
+        """
+        if self.few:
+            least = np.unravel_index(int(self.effective.argmin()), self.effective.shape)
+            runs = int((self.effective < FEW).any(axis=-1).sum())
+            message = (
+                f"the weights of the particles are worth {self.effective[least]:.2g} of them at "
+                f"step {int(least[-1])} (status.effective), in {runs} of "
+                f"{int(np.prod(self.effective.shape[:-1]))} runs below {FEW:g}: give more "
+                "particles, or the sensor more noise"
+            )
+            warnings.warn(message, ParticleWarning, stacklevel=_levels_to_user())
+        if self.impossible:
+            where = self.ignored | self.restarted
+            place = np.unravel_index(int(where.argmax()), where.shape)
+            message = (
+                f"no particle explains the measurements at step {int(place[-1])}, and of "
+                f"{int(where.sum())} steps in all (status.ignored, status.restarted): beliefs go "
+                "on as they were asked to, and the log-evidence is minus infinity"
+            )
+            warnings.warn(message, ParticleWarning, stacklevel=_levels_to_user())
+
+    def __repr__(self) -> str:
+        steps = self.effective.shape[-1]
+        parts = [
+            f"effective {self.effective.min():.3g} to {self.effective.max():.3g} of "
+            f"{self.number.max():,}",
+            f"drawn anew at {int(self.resampled.sum())} of {self.resampled.size} steps",
+        ]
+        if self.injected.any():
+            parts.append(f"{int(self.injected.sum()):,} put elsewhere")
+        for name in ("ignored", "restarted"):
+            count = int(getattr(self, name).sum())
+            if count:
+                parts.append(f"impossible measurements {name} at {count} steps")
+        if self.unmoved is not None and steps > 1:
+            parts.append(f"up to {float(self.unmoved.max()):.2g} of the trajectories unmoved")
+        return f"ParticleStatus({'; '.join(parts)})"

@@ -1,0 +1,139 @@
+"""The particles that a user asks for: how many, drawn from what, and drawn anew when."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pgm.boundary import is_number, is_whole
+from pgm.errors import ModelError
+from pgm.immutable import Immutable
+from pgm.kernels.resampling import RESAMPLERS
+
+# The ways on from measurements that no particle explains.
+RAISE, IGNORE, RESTART = "raise", "ignore", "restart"
+# The ways of drawing trajectories backwards.
+METROPOLIS, FULL = "metropolis", "full"
+
+
+class Particles(Immutable):
+    r"""Beliefs as weighted draws: the posterior as it is, of any shape.
+
+    .. math:: p(x_t \mid z) \approx \sum_i w_t^i \, δ(x_t - x_t^i)
+
+    - x_t^i: the particles, drawn from the transition, p(x_t | x_{t−1}^i);
+    - w_t^i: their weights, w_{t−1}^i p(z_t | x_t^i), normalised.
+
+    This is the bootstrap filter: the weights are the density of the measurements. They are carried
+    from step to step, as logarithms, until they are worth fewer particles than a share of their
+    number, 1 / Σ w² < threshold n; the particles are then drawn anew in proportion to them.
+    Estimates err as 1/√n, whatever the number of components, by a factor that grows quickly with
+    it.
+
+    Parameters
+    ----------
+    n : int
+        How many, of each run.
+    seed : int
+        Of the draws. Each run and step has a stream of its own: a run's particles are the same in
+        any batch in which it has the same place, offline and online.
+    resampling : str
+        ``"systematic"``, ``"stratified"``, ``"residual"`` or ``"multinomial"``.
+    threshold : float
+        The share of effective particles below which they are drawn anew: 1 at every step, 0 never.
+    smoothing : str
+        ``"metropolis"``: backward trajectories are moved by independent proposals from the filtered
+        particles, begun at each particle's own ancestor; ``"full"``: drawn from all n of them,
+        which takes n² densities a step.
+    moves : int
+        Of the Metropolis chain, at each step of a trajectory.
+    trajectories : int, optional
+        How many are drawn backwards; n, if not given.
+    impossible : str
+        Where no particle explains a step's measurements: ``"raise"`` an error, ``"ignore"`` them,
+        or ``"restart"`` from the prior. `status` tells.
+    dtype : numpy type
+        Of the states, ``np.float64`` or ``np.float32``. Weights are float64.
+
+    Raises
+    ------
+    ModelError
+        If one of these is of a wrong kind.
+
+    References
+    ----------
+    Gordon, Salmond & Smith, Novel approach to nonlinear/non-Gaussian Bayesian state estimation,
+    1993; Doucet, Godsill & Andrieu, On sequential Monte Carlo sampling methods, 2000; Bunch &
+    Godsill, Improved particle approximations to the joint smoothing distribution, 2013.
+
+    Examples
+    --------
+    >>> Particles(1000, seed=3)
+    Particles(1,000, systematic below 0.5, seed 3)
+    """
+
+    n: int
+    seed: int
+    resampling: str
+    threshold: float
+    smoothing: str
+    moves: int
+    trajectories: int
+    impossible: str
+    dtype: Any
+
+    def __init__(
+        self,
+        n: int,
+        *,
+        seed: int = 0,
+        resampling: str = "systematic",
+        threshold: float = 0.5,
+        smoothing: str = METROPOLIS,
+        moves: int = 30,
+        trajectories: int | None = None,
+        impossible: str = RAISE,
+        dtype: Any = np.float64,
+    ) -> None:
+        self._whole("n", n, 1)
+        self._whole("seed", seed, 0)
+        self._whole("moves", moves, 1)
+        if trajectories is not None:
+            self._whole("trajectories", trajectories, 1)
+        self._one_of("resampling", resampling, tuple(RESAMPLERS))
+        self._one_of("smoothing", smoothing, (METROPOLIS, FULL))
+        self._one_of("impossible", impossible, (RAISE, IGNORE, RESTART))
+        if not is_number(threshold) or not 0.0 <= threshold <= 1.0:
+            raise ModelError(f"Particles: threshold is a share from 0 to 1, not {threshold!r}")
+        if dtype not in (np.float64, np.float32):
+            raise ModelError(f"Particles: dtype is np.float64 or np.float32, not {dtype!r}")
+        self._set(
+            n=int(n),
+            seed=int(seed),
+            resampling=resampling,
+            threshold=float(threshold),
+            smoothing=smoothing,
+            moves=int(moves),
+            trajectories=int(n if trajectories is None else trajectories),
+            impossible=impossible,
+            dtype=np.dtype(dtype).type,
+        )
+
+    @property
+    def most(self) -> int:
+        """The most particles of a run at a step."""
+        return self.n
+
+    def _whole(self, name: str, value: Any, least: int) -> None:
+        if not is_whole(value) or not least <= value < 2**63:
+            raise ModelError(f"Particles: {name} is a whole number from {least} on, not {value!r}")
+
+    def _one_of(self, name: str, value: Any, choices: tuple[str, ...]) -> None:
+        if not isinstance(value, str) or value not in choices:
+            raise ModelError(f"Particles: {name} is one of {', '.join(choices)}; found {value!r}")
+
+    def __repr__(self) -> str:
+        return (
+            f"Particles({self.n:,}, {self.resampling} below {self.threshold:g}, seed {self.seed})"
+        )

@@ -1,0 +1,108 @@
+"""Drawing particles anew in proportion to their weights: how often each is drawn.
+
+All of these are unbiased, E[counts_i] = count · w_i. They differ in variance: that of systematic
+draws is least in most uses, that of independent ones (multinomial) largest (Douc, Cappé & Moulines,
+Comparison of resampling schemes for particle filtering, 2005).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from pgm.kernels.arrays import Array, Integers
+
+Resampler = Callable[[Array, int, np.random.Generator], Integers]
+
+
+def systematic(weights: Array, count: int, rng: np.random.Generator) -> Integers:
+    """One random number for a comb of equal distances; counts are ⌊·⌋ or ⌈·⌉ of count · w.
+
+    Parameters
+    ----------
+    weights : ndarray
+        (n,), not negative and not all zero; their sum is taken for one.
+    count : int
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray of int
+        (n,), of sum `count`; zero where the weight is.
+
+    References
+    ----------
+    Madow, On the theory of systematic sampling, 1949; the low variance sampler of Thrun, Burgard &
+    Fox, Probabilistic Robotics, 2005, table 4.4.
+    """
+    edges = _edges(weights, count)
+    edges -= rng.random()
+    return _between(np.ceil(edges))
+
+
+def stratified(weights: Array, count: int, rng: np.random.Generator) -> Integers:
+    """One random number in each of equal strata (Kitagawa 1996); as of `systematic`."""
+    edges = _edges(weights, count)
+    # Edge e leaves below it the strata that end before it, and its own where its number is lower.
+    stratum = np.minimum(edges.astype(np.intp), count - 1)
+    level = rng.random(count)
+    return _between(stratum + (level[stratum] < edges - stratum))
+
+
+def residual(weights: Array, count: int, rng: np.random.Generator) -> Integers:
+    """⌊count · w⌋ of each, the rest drawn from what is left, independently (Liu & Chen 1998).
+
+    Parameters and returns are those of `systematic`.
+    """
+    expected = count * (weights / weights.sum(dtype=np.float64))
+    whole = np.floor(expected).astype(np.intp)
+    missing = count - int(whole.sum())
+    if missing > 0:
+        left = expected - whole
+        if not left.any():  # rounding alone has kept the sum below the count
+            left = expected
+        whole += multinomial(left, missing, rng)
+    elif missing < 0:  # rounding alone has taken it above
+        whole -= systematic(whole.astype(np.float64), -missing, rng)
+    found: Integers = whole
+    return found
+
+
+def multinomial(weights: Array, count: int, rng: np.random.Generator) -> Integers:
+    """Independent draws; as of `systematic`."""
+    edges = _edges(weights, count)
+    levels = np.sort(rng.random(count)) * count
+    below = np.nextafter(float(count), 0.0)  # a product may round up to the last edge
+    return _between(np.searchsorted(np.minimum(levels, below), edges))
+
+
+def indices(counts: Integers) -> Integers:
+    """The place of each draw, ascending: each as often as its count."""
+    return np.repeat(np.arange(len(counts)), counts)
+
+
+RESAMPLERS: Mapping[str, Resampler] = MappingProxyType(
+    {
+        "systematic": systematic,
+        "stratified": stratified,
+        "residual": residual,
+        "multinomial": multinomial,
+    }
+)
+
+
+def _edges(weights: Array, count: int) -> Array:
+    """The cumulative sums of weights, (n,), the last of which are `count`."""
+    edges = np.cumsum(weights, dtype=np.float64)
+    edges /= edges[-1]
+    edges *= count
+    return edges
+
+
+def _between(below: Array | Integers) -> Integers:
+    """Counts from the numbers of draws below each edge; all are below the last."""
+    counts: Integers = below.astype(np.intp)
+    counts[1:] -= counts[:-1].copy()
+    return counts
