@@ -15,19 +15,19 @@ def evidence(rng=1):
 
 @pytest.mark.parametrize("resampling", ["systematic", "stratified", "residual", "multinomial"])
 def test_filters_are_exact_within_monte_carlo_errors(resampling):
-    # Twenty independent seeds give the standard error of each estimate.
+    # Independent seeds give the standard error of each estimate.
     given = evidence()
     exact = pgm.filter(cart(), given)
     found = [
         pgm.filter(cart(), given, belief=pgm.Particles(5000, seed=k, resampling=resampling))
-        for k in range(20)
+        for k in range(60)
     ]
     for name in ("mean", "cov"):
         each = np.array([getattr(f[x], name) for f in found])
         error = each.std(axis=0, ddof=1) / np.sqrt(len(each))
         off = (each.mean(axis=0) - getattr(exact[x], name)) / error
-        assert np.abs(off).max() < 5.5  # of some 70 numbers, of 19 degrees of freedom
-        assert np.sqrt(np.mean(off**2)) < 1.4
+        assert np.abs(off).max() < 4.5  # of some 70 numbers
+        assert np.sqrt(np.mean(off**2)) < 2.0  # those of neighbouring steps go together
     evidences = np.array([f.log_evidence for f in found])
     ratio = np.exp(evidences - exact.log_evidence)  # unbiased
     assert abs(ratio.mean() - 1.0) < 3.0 * ratio.std(ddof=1) / np.sqrt(len(ratio))
