@@ -18,6 +18,7 @@ from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.filter import OnlineFilter
 from pgm.inference.particles.belief import ParticleBelief
+from pgm.inference.particles.number import KLDSampling
 from pgm.inference.particles.online import OnlineParticleBelief, OnlineParticles
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.status import ParticleStatus
@@ -48,6 +49,7 @@ __all__ = [
     "GridPosterior",
     "GridStatus",
     "Innovations",
+    "KLDSampling",
     "KeptPosterior",
     "Kind",
     "LevenbergMarquardt",

@@ -18,7 +18,7 @@ import numpy as np
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.inference.particles.cloud import Cloud, uniform
-from pgm.inference.particles.laws import Drawing, Some
+from pgm.inference.particles.laws import Drawing, Some, States
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.record import Record
 from pgm.inference.particles.streams import FORWARD, RESTARTED, stream
@@ -90,7 +90,7 @@ class ParticleChain:
         None stands for all of them as they are.
         """
         due = cloud.effective < self.particles.threshold * cloud.counts
-        if self.particles.threshold == 1.0:
+        if self.particles.threshold == 1.0 or self.particles.number is not None:
             due = np.ones(cloud.runs, dtype=bool)
         if not due.any():
             return None, cloud.starts, cloud.log_weights
@@ -102,13 +102,19 @@ class ParticleChain:
                 source.append(np.arange(place.start, place.stop))
                 log_weights.append(cloud.log_weights[place])
                 continue
-            count = self.particles.n
-            weights = cloud.weights[place]
-            counts = RESAMPLERS[self.particles.resampling](weights, count, generators[run])
-            source.append(place.start + indices(counts))
-            log_weights.append(np.full(count, -np.log(count)))
+            chosen = self._chosen(cloud.states[:, place], cloud.weights[place], generators[run])
+            source.append(place.start + chosen)
+            log_weights.append(np.full(len(chosen), -np.log(len(chosen))))
         starts = np.concatenate([[0], np.cumsum([len(each) for each in source])])
         return np.concatenate(source), starts, np.concatenate(log_weights)
+
+    def _chosen(self, states: States, weights: Array, rng: np.random.Generator) -> Integers:
+        """The places of the particles of a run that are drawn anew."""
+        draw = RESAMPLERS[self.particles.resampling]
+        number = self.particles.number
+        if number is None:
+            return indices(draw(weights, self.particles.n, rng))
+        return number.drawn(states, self.model, lambda count: indices(draw(weights, count, rng)))
 
     def take(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
         """The particles weighed by the measurements of their step, and the log-density of these."""

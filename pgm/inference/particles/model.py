@@ -13,6 +13,7 @@ from pgm.cpds import CPD, ConditionalGaussian, Noise
 from pgm.errors import EvidenceError, LinearisationError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.inference.particles.laws import GaussianLaw, Law, Some, by_pattern, law
+from pgm.inference.particles.parts import Part, parts
 from pgm.inference.runs import by_run
 from pgm.kernels.arrays import Array, Mask
 from pgm.networks import DynamicBayesianNetwork
@@ -53,6 +54,11 @@ class ParticleModel:
         """Which components are angles, (d,)."""
         masks = [variable.angle_mask for variable in self.places]
         return np.concatenate(masks) if masks else np.zeros(0, dtype=bool)
+
+    @cached_property
+    def parts(self) -> list[Part]:
+        """The components of the slice, by name."""
+        return parts([(variable, place.start) for variable, place in self.places.items()])
 
     @cached_property
     def prior(self) -> list[Law]:

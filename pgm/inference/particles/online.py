@@ -14,10 +14,11 @@ from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
 from pgm.inference.kind import FILTERED, PREDICTED, Kind
 from pgm.inference.online import step_evidence
-from pgm.inference.particles.belief import ParticleBelief, parts
+from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.model import ParticleModel
+from pgm.inference.particles.parts import parts
 from pgm.inference.particles.record import Record
 from pgm.inference.particles.run import require_room
 from pgm.inference.particles.status import ParticleStatus

@@ -12,8 +12,9 @@ from pgm.factors.scope import as_scope, listed
 from pgm.immutable import Immutable
 from pgm.inference.grid.belief import require_step
 from pgm.inference.kind import FILTERED, Kind
-from pgm.inference.particles.belief import ParticleBelief, parts
+from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cloud import Cloud
+from pgm.inference.particles.parts import parts
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import require_variable

@@ -9,6 +9,7 @@ import numpy as np
 from pgm.boundary import is_number, is_whole
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
+from pgm.inference.particles.number import KLDSampling
 from pgm.kernels.resampling import RESAMPLERS
 
 # The ways on from measurements that no particle explains.
@@ -40,6 +41,9 @@ class Particles(Immutable):
         any batch in which it has the same place, offline and online.
     resampling : str
         ``"systematic"``, ``"stratified"``, ``"residual"`` or ``"multinomial"``.
+    number : KLDSampling, optional
+        Chooses how many particles a run has after each step's measurements, by how far they spread,
+        n being their number at the start; they are then drawn anew at every step.
     threshold : float
         The share of effective particles below which they are drawn anew: 1 at every step, 0 never.
     smoothing : str
@@ -76,6 +80,7 @@ class Particles(Immutable):
     n: int
     seed: int
     resampling: str
+    number: KLDSampling | None
     threshold: float
     smoothing: str
     moves: int
@@ -89,6 +94,7 @@ class Particles(Immutable):
         *,
         seed: int = 0,
         resampling: str = "systematic",
+        number: KLDSampling | None = None,
         threshold: float = 0.5,
         smoothing: str = METROPOLIS,
         moves: int = 30,
@@ -106,12 +112,18 @@ class Particles(Immutable):
         self._one_of("impossible", impossible, (RAISE, IGNORE, RESTART))
         if not is_number(threshold) or not 0.0 <= threshold <= 1.0:
             raise ModelError(f"Particles: threshold is a share from 0 to 1, not {threshold!r}")
+        if number is not None and not isinstance(number, KLDSampling):
+            raise ModelError(
+                f"Particles: number is a pgm.KLDSampling(...), not {number!r}; how many there are "
+                "at the start is n"
+            )
         if dtype not in (np.float64, np.float32):
             raise ModelError(f"Particles: dtype is np.float64 or np.float32, not {dtype!r}")
         self._set(
             n=int(n),
             seed=int(seed),
             resampling=resampling,
+            number=number,
             threshold=float(threshold),
             smoothing=smoothing,
             moves=int(moves),
@@ -123,7 +135,7 @@ class Particles(Immutable):
     @property
     def most(self) -> int:
         """The most particles of a run at a step."""
-        return self.n
+        return self.n if self.number is None else max(self.n, self.number.most)
 
     def _whole(self, name: str, value: Any, least: int) -> None:
         if not is_whole(value) or not least <= value < 2**63:
@@ -134,6 +146,8 @@ class Particles(Immutable):
             raise ModelError(f"Particles: {name} is one of {', '.join(choices)}; found {value!r}")
 
     def __repr__(self) -> str:
+        number = "" if self.number is None else f", then {self.number!r}"
         return (
-            f"Particles({self.n:,}, {self.resampling} below {self.threshold:g}, seed {self.seed})"
+            f"Particles({self.n:,}{number}, {self.resampling} below {self.threshold:g}, "
+            f"seed {self.seed})"
         )

@@ -250,3 +250,41 @@ def test_a_function_that_has_no_value_is_told_with_its_step():
     )
     with pytest.raises(pgm.LinearisationError, match="at step 1, run 0, its function has values"):
         pgm.filter(model, robot_evidence(2), belief=few())
+
+
+def test_the_number_follows_the_spread():
+    bins = {"p": 0.5, "v": 0.5}
+    number = pgm.KLDSampling(bins, epsilon=0.05, delta=0.05, least=50, most=4000)
+    wide = cart().replace(prior=[pgm.GaussianCPD(x, [0.0, 0.0], np.diag([8.0, 2.0]) ** 2)])
+    given = {z: pgm.sightings([[1.0], [2.0]], step=[2, 3])}
+    belief = pgm.Particles(8000, seed=1, number=number)
+    found = pgm.filter(wide, given, steps=5, belief=belief)
+    count = found.status.number
+    assert count.tolist()[:2] == [8000, 4000]  # the most
+    assert (count[3:] < 3000).all()
+    assert (count >= 50).all()
+    states = found[x][4].states  # drawn of the belief at step 3, then moved
+    exact = pgm.filter(wide, given, steps=5)
+    assert np.abs(states.mean(axis=0) - exact[x].mean[4]).max() < 0.2
+    with pytest.raises(pgm.ModelError, match="number of particles differs"):
+        found[x].states  # noqa: B018
+    smoothed = pgm.smooth(wide, given, steps=5, belief=belief)
+    assert smoothed[x].states.shape == (6, 8000, 2)
+    pickle.loads(pickle.dumps(belief))
+
+
+def test_numbers_that_are_none():
+    for named, message in (
+        ({"widths": {}}, "maps components"),
+        ({"widths": {"p": -1.0}}, "width of bins of 'p'"),
+        ({"epsilon": 0.0}, "epsilon"),
+        ({"delta": 1.0}, "delta"),
+        ({"least": 10, "most": 5}, "least and most"),
+    ):
+        with pytest.raises(pgm.ModelError, match=message):
+            pgm.KLDSampling(**({"widths": {"p": 1.0}} | named))
+    with pytest.raises(pgm.ModelError, match=r"number is a pgm.KLDSampling"):
+        pgm.Particles(10, number=20)
+    unknown = pgm.Particles(10, number=pgm.KLDSampling({"q": 1.0}))
+    with pytest.raises(pgm.ModelError, match="'q' is no component"):
+        pgm.filter(cart(), {}, steps=2, belief=unknown)

@@ -1,0 +1,159 @@
+"""How many particles there are: as many as their spread over bins needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pgm.boundary import is_number, is_whole
+from pgm.errors import ModelError
+from pgm.factors.scope import listed
+from pgm.immutable import Immutable
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.kld import draws_needed, keys, occupied
+
+if TYPE_CHECKING:
+    from pgm.inference.particles.laws import States
+    from pgm.inference.particles.model import ParticleModel
+
+
+class KLDSampling(Immutable):
+    r"""As many particles as keep their divergence from the belief they are drawn of small.
+
+    Particles are drawn anew, in batches that double their number, until there are enough for the k
+    bins that they occupy,
+
+    .. math:: n \ge \frac{q_{1-δ}(k)}{2 ε}
+
+    - ε: the divergence KL(drawn ‖ belief) over the bins, in nats;
+    - δ: the probability of a larger one;
+    - q: the quantile of twice n times the divergence, for any distribution over k bins.
+
+    Parameters
+    ----------
+    widths : mapping of str to float
+        The widths of bins, by component of the states, in its units: those of an angle are rounded
+        so that they go round the circle. Components that are not named are not divided. A component
+        is called by its name; where states share it, as ``"x.east"``.
+    epsilon, delta : float
+    least, most : int
+        Bounds of the number of particles of a run; where the most is reached, the divergence may be
+        larger than ε.
+
+    Raises
+    ------
+    ModelError
+        If one of these is no such number; where it is used, if a component is none of the states'.
+
+    References
+    ----------
+    Fox, Adapting the sample size in particle filters through KLD-sampling, 2003.
+
+    Examples
+    --------
+    >>> KLDSampling({"east": 0.5, "north": 0.5, "heading": 0.2})
+    KLDSampling(east 0.5, north 0.5, heading 0.2; epsilon 0.05, delta 0.01, 100 to 100,000)
+    """
+
+    widths: Mapping[str, float]
+    epsilon: float
+    delta: float
+    least: int
+    most: int
+
+    def __init__(
+        self,
+        widths: Mapping[str, float],
+        *,
+        epsilon: float = 0.05,
+        delta: float = 0.01,
+        least: int = 100,
+        most: int = 100_000,
+    ) -> None:
+        if not isinstance(widths, Mapping) or not widths:
+            raise ModelError(
+                f'KLDSampling maps components to the widths of bins, {{"east": 0.5}}; found '
+                f"{widths!r}"
+            )
+        for name, width in widths.items():
+            if not isinstance(name, str) or not is_number(width) or not 0.0 < width < np.inf:
+                raise ModelError(
+                    f"KLDSampling: the width of bins of {name!r} is a positive number, by the name "
+                    f"of a component, not {width!r}"
+                )
+        if not is_number(epsilon) or not 0.0 < epsilon < np.inf:
+            raise ModelError(f"KLDSampling: epsilon is a positive number, not {epsilon!r}")
+        if not is_number(delta) or not 0.0 < delta < 1.0:
+            raise ModelError(f"KLDSampling: delta is a probability between 0 and 1, not {delta!r}")
+        if not is_whole(least) or not is_whole(most) or not 1 <= least <= most < 2**63:
+            raise ModelError(
+                f"KLDSampling: least and most are whole numbers, 1 <= least <= most, not {least!r} "
+                f"and {most!r}"
+            )
+        self._set(
+            widths=MappingProxyType({name: float(width) for name, width in widths.items()}),
+            epsilon=float(epsilon),
+            delta=float(delta),
+            least=int(least),
+            most=int(most),
+        )
+
+    def drawn(
+        self, states: States, model: ParticleModel, draw: Callable[[int], Integers]
+    ) -> Integers:
+        """Places of particles (d, n), drawn until they are enough.
+
+        Parameters
+        ----------
+        states : ndarray
+        model : ParticleModel
+            Whose components these are.
+        draw : callable
+            ``draw(count)`` gives so many places.
+        """
+        rows, widths = self._rows(model)
+        bins = keys(np.asarray(states[rows], dtype=np.float64), widths, model.angles[rows])
+        if bins is None:
+            raise ModelError(
+                f"{self!r}: a particle is so far from zero that its bin has no number; take wider "
+                "bins, or count coordinates from a nearer origin"
+            )
+        found = draw(self.least)
+        while True:
+            needed = draws_needed(occupied(bins[:, found]), self.epsilon, self.delta)
+            due = min(max(needed, self.least), self.most) - len(found)
+            if due <= 0:
+                return found
+            found = np.concatenate([found, draw(min(due, len(found)))])
+
+    def _rows(self, model: ParticleModel) -> tuple[list[int], Array]:
+        """The rows of the components that are divided, and the widths of their bins."""
+        parts = model.parts
+        labels = [part.label for part in parts]
+        for name in self.widths:
+            if name not in labels:
+                raise ModelError(
+                    f"{self!r}: {name!r} is no component of the states; those are {listed(labels)}"
+                )
+        chosen = [part for part in parts if part.label in self.widths]
+        widths = np.array([self.widths[part.label] for part in chosen])
+        return [part.row for part in chosen], widths
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, KLDSampling) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[Any, ...]:
+        return (tuple(self.widths.items()), self.epsilon, self.delta, self.least, self.most)
+
+    def __repr__(self) -> str:
+        each = ", ".join(f"{name} {width:g}" for name, width in self.widths.items())
+        return (
+            f"KLDSampling({each}; epsilon {self.epsilon:g}, delta {self.delta:g}, "
+            f"{self.least:,} to {self.most:,})"
+        )

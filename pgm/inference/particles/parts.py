@@ -1,0 +1,46 @@
+"""The components of a slice by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from pgm.variables import Variable
+
+
+class Part(NamedTuple):
+    """One component of a belief.
+
+    Attributes
+    ----------
+    variable : Variable
+    component : int
+        Its place in the variable.
+    label : str
+        The name of the component, with that of the variable where they share it.
+    row : int
+        Of the states of a cloud.
+    """
+
+    variable: Variable
+    component: int
+    label: str
+    row: int
+
+    @property
+    def angle(self) -> bool:
+        """Whether it is an angle."""
+        return bool(self.variable.angle_mask[self.component])
+
+
+def parts(places: Sequence[tuple[Variable, int]]) -> list[Part]:
+    """The components of variables whose first rows are given, with a name for each."""
+    names = [name for variable, _ in places for name in variable.components]
+    found = []
+    for variable, first in places:
+        for k, name in enumerate(variable.components):
+            label = name if names.count(name) == 1 else f"{variable!r}.{name}"
+            if variable.dimension == 1 and name == variable.name:
+                label = repr(variable) if names.count(name) > 1 else name
+            found.append(Part(variable, k, label, first + k))
+    return found
