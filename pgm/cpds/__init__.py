@@ -5,6 +5,7 @@ from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.linear import AffineCPD, GaussianCPD, LinearGaussianCPD
 from pgm.cpds.noise import Noise, noise
 from pgm.cpds.nonlinear import NonlinearGaussianCPD
+from pgm.cpds.sampled import SampledCPD
 from pgm.cpds.structured import Kronecker, shifts
 from pgm.cpds.table import TableCPD
 
@@ -17,6 +18,7 @@ __all__ = [
     "LinearGaussianCPD",
     "Noise",
     "NonlinearGaussianCPD",
+    "SampledCPD",
     "TableCPD",
     "noise",
     "shifts",

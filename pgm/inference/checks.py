@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from pgm.boundary import is_number, is_whole
+from pgm.cpds import CPD, ConditionalGaussian
 from pgm.errors import ModelError
 
 
@@ -24,3 +26,15 @@ def require_lineariser(lineariser: Any) -> None:
     """Refuse what cannot be called, and a rule that was not made."""
     if not callable(lineariser) or isinstance(lineariser, type):
         raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
+
+
+def require_gaussian(cpds: Iterable[CPD], beliefs: str) -> None:
+    """Refuse a CPD that is not Gaussian, where beliefs of some kind need its moments."""
+    for cpd in cpds:
+        if not isinstance(cpd, ConditionalGaussian):
+            raise ModelError(
+                f"{cpd!r} is no Gaussian CPD, of which {beliefs} are made; of a dynamic network "
+                "belief=pgm.Particles(...) takes any density",
+                variable=cpd.child,
+                cpd=cpd,
+            )

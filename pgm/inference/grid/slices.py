@@ -12,6 +12,7 @@ from pgm.cpds import ConditionalGaussian
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
+from pgm.inference.checks import require_gaussian
 from pgm.inference.grid.cut import TINY, Cut, Tails, bound, doubtful
 from pgm.inference.grid.dependence import Dependence
 from pgm.inference.grid.groups import Group, groups
@@ -58,6 +59,7 @@ class GridModel:
         tested: Tested | None = None,
         first: int = 0,
     ) -> None:
+        require_gaussian((*model.prior, *model.transition, *model.observation), "grids")
         tested = tested or Tested({}, {})
         self.lattice, self.model, self.bound = lattice, model, bound
         # Networks of tables have been refused: these are Gaussian.

@@ -17,6 +17,7 @@ from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
+from pgm.inference.checks import require_gaussian
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED
@@ -134,6 +135,8 @@ class OnlineFilter(Immutable):
             raise ModelError(
                 f"an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not {schedule!r}"
             )
+        every = *model.prior, *model.transition, *model.observation
+        require_gaussian(every, "Gaussian beliefs")
         for cpd in model.prior:
             cpd.require_proper("an online filter begins at a belief, which has moments")
         self._set(model=model, lineariser=lineariser, schedule=schedule)

@@ -19,6 +19,7 @@ from pgm.factors.scope import Scope, as_scope, listed
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run as run_chain
+from pgm.inference.checks import require_gaussian
 from pgm.inference.executors import Shape, Workers, address
 from pgm.inference.kind import Kind
 from pgm.inference.parts.join import joined, one_status, swept_once
@@ -58,6 +59,8 @@ def run(
     executor : Executor or None
         Whose workers share the parts.
     """
+    model = graph.model
+    require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)
     workers = Workers(executor)

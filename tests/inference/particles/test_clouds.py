@@ -288,3 +288,16 @@ def test_numbers_that_are_none():
     unknown = pgm.Particles(10, number=pgm.KLDSampling({"q": 1.0}))
     with pytest.raises(pgm.ModelError, match="'q' is no component"):
         pgm.filter(cart(), {}, steps=2, belief=unknown)
+
+
+def test_a_function_that_fails_is_told_with_its_step():
+    def broken(x, m):
+        raise RuntimeError("no map")
+
+    model = robot().replace(
+        observation=[
+            pgm.NonlinearGaussianCPD(seen, robot().observation[0].given, broken, np.eye(2))
+        ]
+    )
+    with pytest.raises(pgm.ModelError, match="seen at step 1 failed: RuntimeError: no map"):
+        pgm.filter(model, robot_evidence(2), belief=few())
