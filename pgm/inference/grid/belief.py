@@ -13,8 +13,9 @@ import numpy.typing as npt
 from pgm.boundary import as_generator, as_lengths, is_whole
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.factors.scope import Scope, listed
+from pgm.factors.scope import Scope
 from pgm.immutable import Immutable
+from pgm.inference.components import places_of, whole_variables
 from pgm.inference.grid.lattice import Axis
 from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import Array, Integers
@@ -130,19 +131,7 @@ class GridBelief(Immutable):
         ModelError
             If one is no component, or named twice, or none is named.
         """
-        named = all(isinstance(name, str) for name in components)
-        if not components or not named or len(set(components)) < len(components):
-            raise ModelError(
-                f"a marginal is of one or more of {listed(self.components)}, by name, each once; "
-                f"found {components}"
-            )
-        unknown = [name for name in components if name not in self.components]
-        if unknown:
-            raise ModelError(
-                f"{unknown[0]!r} is no component of this belief; those are "
-                f"{listed(self.components)}"
-            )
-        places = tuple(self.components.index(name) for name in components)
+        places = places_of(self._axes, components, "a marginal")
         axes = [self._axes[k] for k in places]
         return GridBelief(axes, self._marginal(places), self.steps)
 
@@ -193,13 +182,7 @@ class GridBelief(Immutable):
         ModelError
             If the components are not all those of some variables, in their order.
         """
-        variables = tuple(dict.fromkeys(axis.variable for axis in self._axes))
-        due = [(v, k) for v in variables for k in range(v.dimension)]
-        if [(axis.variable, axis.component) for axis in self._axes] != due:
-            raise ModelError(
-                f"a Gaussian is over whole variables: {listed(self.components)} are not all "
-                f"components of {listed(variables)} in their order; take .mean and .cov"
-            )
+        variables = whole_variables(self._axes)
         return Gaussian(variables, self.mean, self.cov, steps=self.steps)
 
     def __getitem__(self, index: Any) -> GridBelief:

@@ -14,6 +14,7 @@ from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
+from pgm.inference.components import places_of, whole_variables
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.parts import Part
 from pgm.kernels.angles import TURN
@@ -126,13 +127,7 @@ class ParticleBelief(Immutable):
         ModelError
             If the components are not all those of some variables, in their order.
         """
-        variables = tuple(dict.fromkeys(part.variable for part in self._parts))
-        due = [(v, k) for v in variables for k in range(v.dimension)]
-        if [(part.variable, part.component) for part in self._parts] != due:
-            raise ModelError(
-                f"a Gaussian is over whole variables: {listed(self.components)} are not all "
-                f"components of {listed(variables)} in their order; take .mean and .cov"
-            )
+        variables = whole_variables(self._parts)
         return Gaussian(variables, self.mean, self.cov, steps=self.steps)
 
     def marginal(self, *components: str) -> ParticleBelief:
@@ -152,7 +147,7 @@ class ParticleBelief(Immutable):
         ModelError
             If one is no component, or named twice, or none is named.
         """
-        each = [self._parts[k] for k in self._named(components, "a marginal")]
+        each = [self._parts[k] for k in places_of(self._parts, components, "a marginal")]
         return ParticleBelief(each, self._clouds, self._runs, self.steps)
 
     def histogram(
@@ -184,7 +179,7 @@ class ParticleBelief(Immutable):
             If the belief has leading axes, a component is none, or the bins are none.
         """
         self._require_one("a histogram")
-        places = self._named(components, "a histogram")
+        places = list(places_of(self._parts, components, "a histogram"))
         points = self.states[:, places].astype(np.float64)
         angles = [k for k, place in enumerate(places) if self._parts[place].angle]
         for k in angles:
@@ -326,21 +321,6 @@ class ParticleBelief(Immutable):
         if first:
             values = values.swapaxes(0, 1)
         return _frozen(np.ascontiguousarray(values).reshape((*self.lead, *values.shape[2:])))
-
-    def _named(self, components: tuple[str, ...], what: str) -> list[int]:
-        named = all(isinstance(name, str) for name in components)
-        if not components or not named or len(set(components)) < len(components):
-            raise ModelError(
-                f"{what} is of one or more of {listed(self.components)}, by name, each once; "
-                f"found {components}"
-            )
-        unknown = [name for name in components if name not in self.components]
-        if unknown:
-            raise ModelError(
-                f"{unknown[0]!r} is no component of this belief; those are "
-                f"{listed(self.components)}"
-            )
-        return [self.components.index(name) for name in components]
 
     def _require_equal(self, what: str) -> None:
         counts = {int(count) for cloud in self._clouds for count in cloud.counts}
