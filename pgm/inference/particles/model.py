@@ -91,27 +91,12 @@ class ParticleModel:
         """The sensors with measurements at a step."""
         return [s.reading.cpd.child for s in self.sensors if len(s.rows(step))]
 
-    def numbers(self, step: int) -> Array:
-        """The number of components measured at a step, (runs,)."""
-        found = np.zeros(self.bound.runs)
-        for sensor in self.sensors:
-            for row in sensor.rows(step):
-                found += sensor.reading.taken[row].sum(axis=-1)
-        return found
-
     def log_likelihood(self, some: Some) -> Array:
         """The log-density of a step's measurements at particles, (m,)."""
         found = np.zeros(some.size)
         for sensor in self.sensors:
             for row in sensor.rows(some.step):
                 sensor.add(row, some, found)
-        return found
-
-    def log_transition(self, some: Some) -> Array:
-        """The log-density of slices given those before, (m,)."""
-        row, found = self.row(some.step), np.zeros(some.size)
-        for each in self.transition:
-            found += each.log_density(row, some, some.now[self.places[each.cpd.child]])
         return found
 
 
