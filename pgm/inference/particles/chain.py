@@ -15,9 +15,11 @@ from typing import NoReturn
 
 import numpy as np
 
+from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.inference.particles.cloud import Cloud, uniform
+from pgm.inference.particles.guided import Guide
 from pgm.inference.particles.laws import Drawing, Some, States
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.record import Record
@@ -34,14 +36,24 @@ class ParticleChain:
 
     Parameters
     ----------
+    graph : DynamicGraph
+        Of the network, of any number of steps.
     model : ParticleModel
     particles : Particles
     record : Record
         Of what happens on the way.
     """
 
-    def __init__(self, model: ParticleModel, particles: Particles, record: Record) -> None:
+    def __init__(
+        self,
+        graph: DynamicGraph,
+        model: ParticleModel,
+        particles: Particles,
+        record: Record,
+    ) -> None:
         self.model, self.particles, self.record = model, particles, record
+        proposal = particles.proposal
+        self.guide = None if proposal is None else Guide(graph, model, proposal)
 
     def generators(self, step: int, purpose: int = FORWARD) -> Generators:
         """The streams of a step's draws, one a run."""
@@ -69,8 +81,10 @@ class ParticleChain:
         generators = self.generators(step)
         source, starts, log_weights = self._drawn_anew(step, cloud, generators)
         states = np.zeros((self.model.size, int(starts[-1])), dtype=self.particles.dtype)
+        log_weights = log_weights.copy()  # those of guided particles are yet to be weighed
         found = Cloud(states, log_weights, starts, source)
         row = self.model.row(step)
+        guide = self.guide if self.guide is not None and self.guide.reads(step) else None
         for block in found.blocks():
             place = slice(block.first, block.last)
             before = cloud.states[:, place]
@@ -78,6 +92,9 @@ class ParticleChain:
                 before = np.take(cloud.states, source[place], axis=1)
             some = self._some(found, step, block.first, block.last, before)
             drawing = Drawing.of(block, starts, generators)
+            if guide is not None:
+                drawing, log_ratio = guide.steered(row, some, drawing)
+                log_weights[place] += log_ratio
             for law in self.model.transition:
                 some.now[self.model.places[law.cpd.child]] = law.draw(row, some, drawing)
         return found

@@ -57,16 +57,17 @@ class Some(NamedTuple):
         return Some(self.step, self.now[:, which], self.before[:, which], owner)
 
 
-class Drawing(NamedTuple):
+class Drawing:
     """The generators for the particles of a block, in order.
 
-    Attributes
+    Parameters
     ----------
     pieces : sequence of (slice, Generator)
         Places in the block, each of one run.
     """
 
-    pieces: Sequence[tuple[slice, np.random.Generator]]
+    def __init__(self, pieces: Sequence[tuple[slice, np.random.Generator]]) -> None:
+        self.pieces = pieces
 
     @classmethod
     def of(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pgm.boundary import as_mapping
+from pgm.compile import DynamicGraph, compile
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
@@ -17,6 +19,7 @@ from pgm.inference.online import step_evidence
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
+from pgm.inference.particles.guided import require_guidable
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.parts import parts
 from pgm.inference.particles.record import Record
@@ -55,6 +58,9 @@ class OnlineParticleBelief(Immutable):
     _filter: OnlineParticles
     _cloud: Cloud
     _model: ParticleModel
+    # The particles of the step before, and the inputs that moved them: a guided filter moves them
+    # again when it knows the measurements.
+    _before: tuple[Cloud, BoundEvidence] | None
 
     def __init__(
         self,
@@ -65,6 +71,7 @@ class OnlineParticleBelief(Immutable):
         model: ParticleModel,
         log_evidence: Array,
         status: ParticleStatus,
+        before: tuple[Cloud, BoundEvidence] | None = None,
     ) -> None:
         for array in (cloud.states, cloud.log_weights, log_evidence):
             array.flags.writeable = False
@@ -78,6 +85,7 @@ class OnlineParticleBelief(Immutable):
             _filter=filter,
             _cloud=cloud,
             _model=model,
+            _before=before,
         )
 
     def __getitem__(self, variable: Variable) -> ParticleBelief:
@@ -136,6 +144,8 @@ class OnlineParticles(Immutable):
 
     def __init__(self, model: DynamicBayesianNetwork, belief: Particles) -> None:
         self._set(model=model, belief=belief)
+        if belief.proposal is not None:
+            require_guidable(model)
         size = sum(variable.dimension for variable in (*model.states, *model.controls))
         require_room(size, belief, 1, int(np.prod(model.lead)), FILTERED)
 
@@ -186,7 +196,8 @@ class OnlineParticles(Immutable):
         chain, record = self._chain(bound, belief.step)
         cloud = chain.predict(step, before)
         log_evidence = np.broadcast_to(belief.log_evidence, bound.lead).reshape(-1)
-        return self._belief(step, PREDICTED, cloud, chain.model, bound, log_evidence, record)
+        kept = None if self.belief.proposal is None else (before, bound)
+        return self._belief(step, PREDICTED, cloud, chain.model, bound, log_evidence, record, kept)
 
     def update(
         self, belief: OnlineParticleBelief, readings: Mapping[Variable, Any]
@@ -220,6 +231,11 @@ class OnlineParticles(Immutable):
         )
         cloud = self._spread(belief, bound)
         chain, record = self._chain(bound, step)
+        if belief._before is not None:
+            before, moved = belief._before
+            chain, record = self._chain(replace(bound, transition=moved.transition), step - 1)
+            if chain.guide is not None and chain.guide.reads(step):
+                cloud = chain.predict(step, self._spread(belief, bound, before))
         known, log_density = chain.take(step, cloud)
         log_evidence = np.broadcast_to(belief.log_evidence, bound.lead).reshape(-1) + log_density
         record.resampled[step] |= np.broadcast_to(belief.status.resampled[..., -1], bound.lead).flat
@@ -228,11 +244,21 @@ class OnlineParticles(Immutable):
     def _chain(self, bound: BoundEvidence, first: int) -> tuple[ParticleChain, Record]:
         model = ParticleModel(self.model, bound, self.belief.dtype, first)
         record = Record(first + 1, bound.runs)
-        return ParticleChain(model, self.belief, record), record
+        return ParticleChain(self._graph, model, self.belief, record), record
 
-    def _spread(self, belief: OnlineParticleBelief, bound: BoundEvidence) -> Cloud:
-        """The belief's cloud for the runs of the evidence."""
-        cloud, runs = belief._cloud, bound.runs
+    @cached_property
+    def _graph(self) -> DynamicGraph:
+        return compile(self.model, 1)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What was compiled is not part of the value.
+        return {"model": self.model, "belief": self.belief}
+
+    def _spread(
+        self, belief: OnlineParticleBelief, bound: BoundEvidence, cloud: Cloud | None = None
+    ) -> Cloud:
+        """The belief's cloud, or that of the step before, for the runs of the evidence."""
+        cloud, runs = belief._cloud if cloud is None else cloud, bound.runs
         if cloud.runs == runs:
             return cloud
         if cloud.runs > 1:
@@ -264,9 +290,12 @@ class OnlineParticles(Immutable):
         bound: BoundEvidence,
         log_evidence: Array,
         record: Record,
+        before: tuple[Cloud, BoundEvidence] | None = None,
     ) -> OnlineParticleBelief:
         record.effective[step], record.number[step] = cloud.effective, cloud.counts
         status = record.status(bound.lead).at(step)
         status.warn()
         log_evidence = np.array(log_evidence).reshape(bound.lead)
-        return OnlineParticleBelief(self, step, kind, cloud, model, log_evidence, status)
+        return OnlineParticleBelief(
+            self, step, kind, cloud, model, log_evidence, status, before
+        )

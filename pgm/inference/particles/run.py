@@ -12,6 +12,7 @@ from pgm.inference.markov.kinds import kind_of, require_chain
 from pgm.inference.particles.backward import Backward
 from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
+from pgm.inference.particles.guided import require_guidable
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.record import Record
@@ -35,10 +36,12 @@ def run(
     """
     require_chain(graph, "particles")
     kind = kind_of(schedule, "particles")
+    if particles.proposal is not None:
+        require_guidable(graph.model)
     model = ParticleModel(graph.model, bound, particles.dtype)
     require_room(model.size, particles, bound.steps + 1, bound.runs, kind)
     record = Record(bound.steps, bound.runs)
-    chain = ParticleChain(model, particles, record)
+    chain = ParticleChain(graph, model, particles, record)
     sweep.forward(chain, bound.steps, record)
     filtered, clouds, unmoved = tuple(record.clouds), tuple[Cloud, ...](), None
     if kind == FILTERED:

@@ -9,8 +9,10 @@ import numpy as np
 from pgm.boundary import is_number, is_whole
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
+from pgm.inference.checks import require_lineariser
 from pgm.inference.particles.number import KLDSampling
 from pgm.kernels.resampling import RESAMPLERS
+from pgm.linearisers import Lineariser
 
 # The ways on from measurements that no particle explains.
 RAISE, IGNORE, RESTART = "raise", "ignore", "restart"
@@ -26,11 +28,12 @@ class Particles(Immutable):
     - x_t^i: the particles, drawn from the transition, p(x_t | x_{t−1}^i);
     - w_t^i: their weights, w_{t−1}^i p(z_t | x_t^i), normalised.
 
-    This is the bootstrap filter: the weights are the density of the measurements. They are carried
-    from step to step, as logarithms, until they are worth fewer particles than a share of their
-    number, 1 / Σ w² < threshold n; the particles are then drawn anew in proportion to them.
-    Estimates err as 1/√n, whatever the number of components, by a factor that grows quickly with
-    it.
+    This is the bootstrap filter: the weights are the density of the measurements. With a `proposal`
+    q particles are guided, drawn from q(x_t | x_{t−1}^i, z_t), and their weights are
+    w_{t−1}^i p(x_t^i | x_{t−1}^i) p(z_t | x_t^i) / q. They are carried from step to step, as
+    logarithms, until they are worth fewer particles than a share of their number,
+    1 / Σ w² < threshold n; the particles are then drawn anew in proportion to them. Estimates err
+    as 1/√n, whatever the number of components, by a factor that grows quickly with it.
 
     Parameters
     ----------
@@ -39,6 +42,11 @@ class Particles(Immutable):
     seed : int
         Of the draws. Each run and step has a stream of its own: a run's particles are the same in
         any batch in which it has the same place, offline and online.
+    proposal : Lineariser, optional
+        Particles are moved to where the step's measurements are, by Gaussian beliefs that a
+        lineariser makes of each, and weighed exactly for it: for measurements more precise than the
+        motion. Without, they are drawn from the transition. Measurements at step 0, and those of
+        sensors that are not Gaussian, weigh particles but guide none.
     resampling : str
         ``"systematic"``, ``"stratified"``, ``"residual"`` or ``"multinomial"``.
     number : KLDSampling, optional
@@ -79,6 +87,7 @@ class Particles(Immutable):
 
     n: int
     seed: int
+    proposal: Lineariser | None
     resampling: str
     number: KLDSampling | None
     threshold: float
@@ -93,6 +102,7 @@ class Particles(Immutable):
         n: int,
         *,
         seed: int = 0,
+        proposal: Lineariser | None = None,
         resampling: str = "systematic",
         number: KLDSampling | None = None,
         threshold: float = 0.5,
@@ -117,11 +127,14 @@ class Particles(Immutable):
                 f"Particles: number is a pgm.KLDSampling(...), not {number!r}; how many there are "
                 "at the start is n"
             )
+        if proposal is not None:
+            require_lineariser(proposal)
         if dtype not in (np.float64, np.float32):
             raise ModelError(f"Particles: dtype is np.float64 or np.float32, not {dtype!r}")
         self._set(
             n=int(n),
             seed=int(seed),
+            proposal=proposal,
             resampling=resampling,
             number=number,
             threshold=float(threshold),
@@ -147,7 +160,8 @@ class Particles(Immutable):
 
     def __repr__(self) -> str:
         number = "" if self.number is None else f", then {self.number!r}"
+        guided = "" if self.proposal is None else f"guided by {self.proposal!r}, "
         return (
-            f"Particles({self.n:,}{number}, {self.resampling} below {self.threshold:g}, "
+            f"Particles({self.n:,}{number}, {guided}{self.resampling} below {self.threshold:g}, "
             f"seed {self.seed})"
         )
