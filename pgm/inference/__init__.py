@@ -18,6 +18,9 @@ from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.filter import OnlineFilter
 from pgm.inference.particles.belief import ParticleBelief
+from pgm.inference.particles.cells import CellProposal
+from pgm.inference.particles.injection import Injection
+from pgm.inference.particles.likely import LikelihoodSampling
 from pgm.inference.particles.number import KLDSampling
 from pgm.inference.particles.online import OnlineParticleBelief, OnlineParticles
 from pgm.inference.particles.posterior import ParticlePosterior
@@ -40,6 +43,7 @@ from pgm.inference.status import Status
 __all__ = [
     "Audit",
     "Calibration",
+    "CellProposal",
     "ChainPosterior",
     "Filtering",
     "FixedLag",
@@ -48,11 +52,13 @@ __all__ = [
     "GridBelief",
     "GridPosterior",
     "GridStatus",
+    "Injection",
     "Innovations",
     "KLDSampling",
     "KeptPosterior",
     "Kind",
     "LevenbergMarquardt",
+    "LikelihoodSampling",
     "Marginals",
     "MostProbable",
     "OnlineBelief",

@@ -11,7 +11,7 @@ p(z_t | z_0..t−1) without bias (Del Moral, Feynman–Kac formulae, 2004, secti
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -20,15 +20,36 @@ from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.inference.particles.cloud import Cloud, uniform
 from pgm.inference.particles.guided import Guide
+from pgm.inference.particles.injection import Injection
 from pgm.inference.particles.laws import Drawing, Some, States
+from pgm.inference.particles.likely import LikelihoodSampling
 from pgm.inference.particles.model import ParticleModel
+from pgm.inference.particles.number import KLDSampling
 from pgm.inference.particles.record import Record
-from pgm.inference.particles.streams import FORWARD, RESTARTED, stream
+from pgm.inference.particles.streams import FORWARD, INJECTED, RESTARTED, STARTED, stream
 from pgm.inference.particles.value import IGNORE, RAISE, RESTART, Particles
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices
+from pgm.variables import Variable
 
 Generators = list[np.random.Generator]
+
+
+class Placed(NamedTuple):
+    """A state of all particles, drawn elsewhere than from its prior.
+
+    Attributes
+    ----------
+    variable : Variable
+    states : ndarray
+        (d, particles).
+    log_density : ndarray
+        (particles,): of the draws.
+    """
+
+    variable: Variable
+    states: States
+    log_density: Array
 
 
 class ParticleChain:
@@ -62,27 +83,52 @@ class ParticleChain:
         return [stream(self.particles.seed, run, step, purpose) for run in runs]
 
     def start(self) -> Cloud:
-        """The particles of the prior."""
-        return self._prior(np.full(self.model.bound.runs, self.particles.n), self.generators(0))
+        """The particles of the prior, or of the cells that explain the first measurements."""
+        counts = np.full(self.model.bound.runs, self.particles.n)
+        return self._prior(counts, self.generators(0), self._placed(self.particles.n))
 
-    def _prior(self, counts: Integers, generators: Generators) -> Cloud:
+    def _placed(self, count: int) -> Placed | None:
+        """The draws of all runs from cells, where a start from these is due."""
+        cells = self.particles.start
+        if cells is None or not cells.sensors(self.model, 0):
+            return None
+        generators = self.generators(0, STARTED)
+        each = [cells.drawn(self.model, 0, k, count, rng) for k, rng in enumerate(generators)]
+        states, log_densities = zip(*each, strict=True)
+        found = np.concatenate(states, axis=1), np.concatenate(log_densities)
+        return Placed(cells.variable, *found)
+
+    def _prior(
+        self, counts: Integers, generators: Generators, placed: Placed | None = None
+    ) -> Cloud:
+        """Draws of the prior; of a state that was placed, its density over that of the draws."""
         starts = np.concatenate([[0], np.cumsum(counts)])
         states = np.zeros((self.model.size, int(starts[-1])), dtype=self.particles.dtype)
         cloud = Cloud(states, uniform(counts), starts)
         for block in cloud.blocks():
+            place = slice(block.first, block.last)
             some = self._some(cloud, 0, block.first, block.last, states)
             drawing = Drawing.of(block, starts, generators)
             for law in self.model.prior:
-                some.now[self.model.places[law.cpd.child]] = law.draw(0, some, drawing)
+                child = law.cpd.child
+                if placed is None or child is not placed.variable:
+                    some.now[self.model.places[child]] = law.draw(0, some, drawing)
+                    continue
+                some.now[self.model.places[child]] = placed.states[:, place]
+                density = law.log_density(0, some, placed.states[:, place])
+                cloud.log_weights[place] += density - placed.log_density[place]
         return cloud
 
     def predict(self, step: int, cloud: Cloud) -> Cloud:
         """The particles of a step, moved from those of the step before."""
         generators = self.generators(step)
+        number = self.particles.number
+        if isinstance(number, LikelihoodSampling) and self.model.measured(step).any():
+            return self._until_likely(step, cloud, number, generators)
         source, starts, log_weights = self._drawn_anew(step, cloud, generators)
         states = np.zeros((self.model.size, int(starts[-1])), dtype=self.particles.dtype)
         log_weights = log_weights.copy()  # those of guided particles are yet to be weighed
-        found = Cloud(states, log_weights, starts, source)
+        found = Cloud(states, log_weights, starts, source, cloud.averages)
         row = self.model.row(step)
         guide = self.guide if self.guide is not None and self.guide.reads(step) else None
         for block in found.blocks():
@@ -95,8 +141,7 @@ class ParticleChain:
             if guide is not None:
                 drawing, log_ratio = guide.steered(row, some, drawing)
                 log_weights[place] += log_ratio
-            for law in self.model.transition:
-                some.now[self.model.places[law.cpd.child]] = law.draw(row, some, drawing)
+            self._move(row, some, drawing)
         return found
 
     def _drawn_anew(
@@ -107,7 +152,8 @@ class ParticleChain:
         None stands for all of them as they are.
         """
         due = cloud.effective < self.particles.threshold * cloud.counts
-        if self.particles.threshold == 1.0 or self.particles.number is not None:
+        number = self.particles.number
+        if self.particles.threshold == 1.0 or isinstance(number, KLDSampling):
             due = np.ones(cloud.runs, dtype=bool)
         if not due.any():
             return None, cloud.starts, cloud.log_weights
@@ -125,18 +171,56 @@ class ParticleChain:
         starts = np.concatenate([[0], np.cumsum([len(each) for each in source])])
         return np.concatenate(source), starts, np.concatenate(log_weights)
 
+    def _until_likely(
+        self, step: int, cloud: Cloud, number: LikelihoodSampling, generators: Generators
+    ) -> Cloud:
+        """The particles of a step, drawn until they explain its measurements together."""
+        self.record.resampled[step] = True
+        draw, peak = RESAMPLERS[self.particles.resampling], self.model.log_peak(step)
+        states, source = list[States](), list[Integers]()
+        row, measured = self.model.row(step), self.model.measured(step) > 0
+        counts = np.zeros(cloud.runs, dtype=np.intp)
+        for run, rng in enumerate(generators):
+            place, explained = cloud.of(run), 0.0
+            # What nothing is measured of needs as many as it had.
+            due = number.least if measured[run] else int(cloud.counts[run])
+            while due:
+                chosen = place.start + indices(draw(cloud.weights[place], due, rng))
+                owner = None if cloud.runs == 1 else np.full(due, run)
+                now = np.zeros((self.model.size, due), dtype=self.particles.dtype)
+                some = Some(step, now, np.take(cloud.states, chosen, axis=1), owner)
+                self._move(row, some, Drawing([(slice(0, due), rng)]))
+                explained += float(np.exp(self.model.log_likelihood(some) - peak[run]).sum())
+                states.append(now)
+                source.append(chosen)
+                counts[run] += due
+                due = number.more(int(counts[run]), explained) if measured[run] else 0
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        moved = np.concatenate(states, axis=1), uniform(counts), starts, np.concatenate(source)
+        return Cloud(*moved, cloud.averages)
+
+    def _move(self, row: int, some: Some, drawing: Drawing) -> None:
+        for law in self.model.transition:
+            some.now[self.model.places[law.cpd.child]] = law.draw(row, some, drawing)
+
     def _chosen(self, states: States, weights: Array, rng: np.random.Generator) -> Integers:
         """The places of the particles of a run that are drawn anew."""
         draw = RESAMPLERS[self.particles.resampling]
         number = self.particles.number
-        if number is None:
-            return indices(draw(weights, self.particles.n, rng))
+        if not isinstance(number, KLDSampling):
+            return indices(draw(weights, len(weights), rng))
         return number.drawn(states, self.model, lambda count: indices(draw(weights, count, rng)))
 
     def take(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
         """The particles weighed by the measurements of their step, and the log-density of these."""
         if not self.model.read(step):
             return cloud, np.zeros(cloud.runs)
+        known, log_density = self._weighed(step, cloud)
+        if self.particles.injection is not None:
+            known = self._injected(step, known, log_density, self.particles.injection)
+        return known, log_density
+
+    def _weighed(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
         log_weights = cloud.log_weights + self._log_likelihood(step, cloud)
         impossible = np.isneginf(np.maximum.reduceat(log_weights, cloud.starts[:-1]))
         if not impossible.any():
@@ -153,6 +237,29 @@ class ParticleChain:
         known, log_density = _normalised(cloud, log_weights)
         log_density[impossible] = -np.inf
         return known, log_density
+
+    def _injected(self, step: int, cloud: Cloud, log_density: Array, injection: Injection) -> Cloud:
+        """The cloud with some particles drawn afresh, where they explain less than they used to."""
+        measured, cells = self.model.measured(step), injection.cells
+        averages = injection.averaged(cloud.averages, log_density, measured)
+        cloud = replace(cloud, averages=averages)
+        shares = injection.shares(averages)
+        if not shares.any() or (cells.temper > 0.0 and not cells.sensors(self.model, step)):
+            return cloud
+        draw, generators = RESAMPLERS[self.particles.resampling], self.generators(step, INJECTED)
+        rows = self.model.places[cells.variable]
+        states, log_weights = cloud.states.copy(), cloud.log_weights.copy()
+        for run in np.flatnonzero(shares).tolist():
+            rng, place, count = generators[run], cloud.of(run), int(cloud.counts[run])
+            fresh = int(shares[run] * count + rng.random())
+            if not fresh:
+                continue
+            own = cloud.states[:, place][:, indices(draw(cloud.weights[place], count, rng))]
+            which = rng.permutation(count)[:fresh]
+            own[rows, which] = cells.drawn(self.model, step, run, fresh, rng)[0]
+            states[:, place], log_weights[place] = own, -np.log(count)
+            self.record.injected[step, run] += fresh
+        return replace(cloud, states=states, log_weights=log_weights, ancestors=None)
 
     def _log_likelihood(self, step: int, cloud: Cloud) -> Array:
         """The log-density of a step's measurements at all particles."""

@@ -48,13 +48,16 @@ class Cloud:
     starts : ndarray of int
         (runs + 1,): where each run begins, and the end.
     ancestors : ndarray of int or None
-        (particles,): the place of each particle's parent among those of its run a step before.
+        (particles,): the place of each particle's parent, a step before.
+    averages : ndarray or None
+        (2, runs): long-term and short-term averages, of an `Injection`.
     """
 
     states: npt.NDArray[Any]
     log_weights: Array
     starts: Integers
     ancestors: Integers | None = None
+    averages: Array | None = None
 
     @property
     def runs(self) -> int:

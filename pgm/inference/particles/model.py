@@ -15,7 +15,7 @@ from pgm.evidence import BoundEvidence, Reading
 from pgm.inference.particles.laws import GaussianLaw, Law, Some, by_pattern, law
 from pgm.inference.particles.parts import Part, parts
 from pgm.inference.runs import by_run
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
@@ -91,6 +91,22 @@ class ParticleModel:
         """The sensors with measurements at a step."""
         return [s.reading.cpd.child for s in self.sensors if len(s.rows(step))]
 
+    def measured(self, step: int) -> Integers:
+        """The number of components that a step's measurements have, (runs,)."""
+        found = np.zeros(self.bound.runs, dtype=np.intp)
+        for sensor in self.sensors:
+            for row in sensor.rows(step):
+                found += sensor.reading.taken[row].sum(axis=-1)
+        return found
+
+    def log_peak(self, step: int) -> Array:
+        """The largest log-density that a step's measurements could have, (runs,)."""
+        found = np.zeros(self.bound.runs)
+        for sensor in self.sensors:
+            for row in sensor.rows(step):
+                found += sensor.log_peak(row, step, self.bound.runs)
+        return found
+
     def log_likelihood(self, some: Some) -> Array:
         """The log-density of a step's measurements at particles, (m,)."""
         found = np.zeros(some.size)
@@ -137,6 +153,24 @@ class Sensor:
                 total += found
             else:
                 total[which] += found
+
+    def log_peak(self, row: int, step: int, runs: int) -> Array:
+        """The largest log-density that one measurement could have, (runs,)."""
+        found, owner = np.zeros(runs), np.arange(runs)
+        if not isinstance(self.law, GaussianLaw):
+            cpd = self.reading.cpd
+            raise ModelError(
+                f"{cpd!r} does not tell how large its density can be, which a number of particles "
+                "by likelihood is measured against; give number=pgm.KLDSampling(...), or none",
+                variable=cpd.child,
+                cpd=cpd,
+            )
+        root = self.law.root(row, step)
+        for taken, which in by_pattern(self.reading.taken[row], owner):
+            part = root if taken.all() else root.marginal(taken)
+            chosen = np.ones(runs, dtype=bool) if which is None else which
+            found[chosen] = np.broadcast_to(part.constant, runs)[chosen]
+        return found
 
     def _require_whole(self, taken: Mask, step: int) -> None:
         cpd = self.reading.cpd

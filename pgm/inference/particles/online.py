@@ -19,11 +19,11 @@ from pgm.inference.online import step_evidence
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
-from pgm.inference.particles.guided import require_guidable
+from pgm.inference.particles.likely import LikelihoodSampling
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.parts import parts
 from pgm.inference.particles.record import Record
-from pgm.inference.particles.run import require_room
+from pgm.inference.particles.run import require_fitting, require_room
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import require_variable
@@ -58,8 +58,8 @@ class OnlineParticleBelief(Immutable):
     _filter: OnlineParticles
     _cloud: Cloud
     _model: ParticleModel
-    # The particles of the step before, and the inputs that moved them: a guided filter moves them
-    # again when it knows the measurements.
+    # The particles of the step before, and the inputs that moved them, where they are moved again
+    # once the measurements are known.
     _before: tuple[Cloud, BoundEvidence] | None
 
     def __init__(
@@ -144,8 +144,7 @@ class OnlineParticles(Immutable):
 
     def __init__(self, model: DynamicBayesianNetwork, belief: Particles) -> None:
         self._set(model=model, belief=belief)
-        if belief.proposal is not None:
-            require_guidable(model)
+        require_fitting(belief, model)
         size = sum(variable.dimension for variable in (*model.states, *model.controls))
         require_room(size, belief, 1, int(np.prod(model.lead)), FILTERED)
 
@@ -196,7 +195,7 @@ class OnlineParticles(Immutable):
         chain, record = self._chain(bound, belief.step)
         cloud = chain.predict(step, before)
         log_evidence = np.broadcast_to(belief.log_evidence, bound.lead).reshape(-1)
-        kept = None if self.belief.proposal is None else (before, bound)
+        kept = (before, bound) if self._looks else None
         return self._belief(step, PREDICTED, cloud, chain.model, bound, log_evidence, record, kept)
 
     def update(
@@ -231,11 +230,12 @@ class OnlineParticles(Immutable):
         )
         cloud = self._spread(belief, bound)
         chain, record = self._chain(bound, step)
-        if belief._before is not None:
+        if step == 0 and belief.kind == PREDICTED and self.belief.start is not None:
+            cloud = chain.start()
+        elif belief._before is not None:
             before, moved = belief._before
             chain, record = self._chain(replace(bound, transition=moved.transition), step - 1)
-            if chain.guide is not None and chain.guide.reads(step):
-                cloud = chain.predict(step, self._spread(belief, bound, before))
+            cloud = chain.predict(step, self._spread(belief, bound, before))
         known, log_density = chain.take(step, cloud)
         log_evidence = np.broadcast_to(belief.log_evidence, bound.lead).reshape(-1) + log_density
         record.resampled[step] |= np.broadcast_to(belief.status.resampled[..., -1], bound.lead).flat
@@ -245,6 +245,12 @@ class OnlineParticles(Immutable):
         model = ParticleModel(self.model, bound, self.belief.dtype, first)
         record = Record(first + 1, bound.runs)
         return ParticleChain(self._graph, model, self.belief, record), record
+
+    @property
+    def _looks(self) -> bool:
+        """Whether particles are moved by what the measurements of their step are."""
+        by_likelihood = isinstance(self.belief.number, LikelihoodSampling)
+        return self.belief.proposal is not None or by_likelihood
 
     @cached_property
     def _graph(self) -> DynamicGraph:
@@ -270,6 +276,7 @@ class OnlineParticles(Immutable):
             np.tile(cloud.states, runs),
             np.tile(cloud.log_weights, runs),
             np.arange(runs + 1) * len(cloud.log_weights),
+            averages=None if cloud.averages is None else np.tile(cloud.averages, runs),
         )
 
     def _check(self, belief: OnlineParticleBelief) -> None:
@@ -296,6 +303,4 @@ class OnlineParticles(Immutable):
         status = record.status(bound.lead).at(step)
         status.warn()
         log_evidence = np.array(log_evidence).reshape(bound.lead)
-        return OnlineParticleBelief(
-            self, step, kind, cloud, model, log_evidence, status, before
-        )
+        return OnlineParticleBelief(self, step, kind, cloud, model, log_evidence, status, before)

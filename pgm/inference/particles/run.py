@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.compile import DynamicGraph
+from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference import sweep
 from pgm.inference.kind import FILTERED, Kind
@@ -18,6 +19,7 @@ from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.record import Record
 from pgm.inference.particles.value import Particles
 from pgm.inference.schedule import Schedule
+from pgm.networks import DynamicBayesianNetwork
 from pgm.sizes import gibibytes, require_memory
 
 
@@ -36,9 +38,9 @@ def run(
     """
     require_chain(graph, "particles")
     kind = kind_of(schedule, "particles")
-    if particles.proposal is not None:
-        require_guidable(graph.model)
+    require_fitting(particles, graph.model)
     model = ParticleModel(graph.model, bound, particles.dtype)
+    _require_possible(particles, model, kind)
     require_room(model.size, particles, bound.steps + 1, bound.runs, kind)
     record = Record(bound.steps, bound.runs)
     chain = ParticleChain(graph, model, particles, record)
@@ -55,6 +57,33 @@ def run(
     log_evidence = record.log_density.sum(axis=0).reshape(bound.lead)
     places = model.places
     return ParticlePosterior(graph, particles, kind, log_evidence, status, places, clouds, filtered)
+
+
+def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None:
+    """Refuse particles that do not fit a network."""
+    if particles.proposal is not None:
+        require_guidable(model)
+    if particles.start is not None:
+        particles.start.require(model)
+    if particles.injection is not None:
+        particles.injection.cells.require(model)
+
+
+def _require_possible(particles: Particles, model: ParticleModel, kind: Kind) -> None:
+    """Refuse trajectories through injections, and a start for which there are no measurements."""
+    if particles.injection is not None and kind != FILTERED:
+        raise ModelError(
+            f"{particles!r}: injected particles have no past that a smoother could draw: filter, "
+            "or leave injection= out"
+        )
+    if particles.start is not None and not particles.start.sensors(model, 0):
+        raise EvidenceError(
+            f"{particles!r}: start= draws from the measurements at step 0, of a sensor that "
+            f"depends on {particles.start.variable!r} alone; there are none: give them with "
+            "pgm.sightings(values, step=...), or leave start= out",
+            variable=particles.start.variable,
+            step=0,
+        )
 
 
 def require_room(size: int, particles: Particles, steps: int, runs: int, kind: Kind) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 # The purposes of streams, which are independent of each other.
-FORWARD, RESTARTED, BACKWARD = 0, 1, 2
+FORWARD, RESTARTED, BACKWARD, STARTED, INJECTED = range(5)
 
 
 def stream(seed: int, run: int, step: int, purpose: int = FORWARD) -> np.random.Generator:

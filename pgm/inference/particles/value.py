@@ -10,6 +10,9 @@ from pgm.boundary import is_number, is_whole
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.inference.checks import require_lineariser
+from pgm.inference.particles.cells import CellProposal
+from pgm.inference.particles.injection import Injection
+from pgm.inference.particles.likely import LikelihoodSampling
 from pgm.inference.particles.number import KLDSampling
 from pgm.kernels.resampling import RESAMPLERS
 from pgm.linearisers import Lineariser
@@ -49,9 +52,16 @@ class Particles(Immutable):
         sensors that are not Gaussian, weigh particles but guide none.
     resampling : str
         ``"systematic"``, ``"stratified"``, ``"residual"`` or ``"multinomial"``.
-    number : KLDSampling, optional
-        Chooses how many particles a run has after each step's measurements, by how far they spread,
-        n being their number at the start; they are then drawn anew at every step.
+    number : KLDSampling or LikelihoodSampling, optional
+        Chooses how many particles a run has, by how far they spread after each step's measurements,
+        or by how well they explain them, n being their number at the start; they are then drawn
+        anew at every step that it looks at.
+    start : CellProposal, optional
+        Draws of a state at step 0 from the likelihood of its measurements, weighed for its prior:
+        for a robot that may be anywhere.
+    injection : Injection, optional
+        Puts particles elsewhere when measurements are no longer explained: for a robot that may
+        have been carried away. Filters only.
     threshold : float
         The share of effective particles below which they are drawn anew: 1 at every step, 0 never.
     smoothing : str
@@ -89,7 +99,9 @@ class Particles(Immutable):
     seed: int
     proposal: Lineariser | None
     resampling: str
-    number: KLDSampling | None
+    number: KLDSampling | LikelihoodSampling | None
+    start: CellProposal | None
+    injection: Injection | None
     threshold: float
     smoothing: str
     moves: int
@@ -104,7 +116,9 @@ class Particles(Immutable):
         seed: int = 0,
         proposal: Lineariser | None = None,
         resampling: str = "systematic",
-        number: KLDSampling | None = None,
+        number: KLDSampling | LikelihoodSampling | None = None,
+        start: CellProposal | None = None,
+        injection: Injection | None = None,
         threshold: float = 0.5,
         smoothing: str = METROPOLIS,
         moves: int = 30,
@@ -122,13 +136,22 @@ class Particles(Immutable):
         self._one_of("impossible", impossible, (RAISE, IGNORE, RESTART))
         if not is_number(threshold) or not 0.0 <= threshold <= 1.0:
             raise ModelError(f"Particles: threshold is a share from 0 to 1, not {threshold!r}")
-        if number is not None and not isinstance(number, KLDSampling):
+        if not isinstance(number, KLDSampling | LikelihoodSampling | None):
             raise ModelError(
-                f"Particles: number is a pgm.KLDSampling(...), not {number!r}; how many there are "
-                "at the start is n"
+                f"Particles: number is a pgm.KLDSampling(...) or pgm.LikelihoodSampling(...), not "
+                f"{number!r}; how many there are at the start is n"
             )
+        if not isinstance(start, CellProposal | None):
+            raise ModelError(f"Particles: start is a pgm.CellProposal(...), not {start!r}")
+        if not isinstance(injection, Injection | None):
+            raise ModelError(f"Particles: injection is a pgm.Injection(...), not {injection!r}")
         if proposal is not None:
             require_lineariser(proposal)
+            if isinstance(number, LikelihoodSampling):
+                raise ModelError(
+                    "Particles: a LikelihoodSampling counts particles drawn from the transition, "
+                    "not from a proposal; give one of them"
+                )
         if dtype not in (np.float64, np.float32):
             raise ModelError(f"Particles: dtype is np.float64 or np.float32, not {dtype!r}")
         self._set(
@@ -137,6 +160,8 @@ class Particles(Immutable):
             proposal=proposal,
             resampling=resampling,
             number=number,
+            start=start,
+            injection=injection,
             threshold=float(threshold),
             smoothing=smoothing,
             moves=int(moves),
