@@ -39,9 +39,10 @@ from pgm.errors import (
     PgmError,
     PrecisionWarning,
 )
-from pgm.evidence import constant, records, sightings, soft
+from pgm.evidence import constant, records, sightings, soft, unknown
 from pgm.factors import AffineGaussian, CanonicalForm, Gaussian, Table
 from pgm.inference import (
+    Associations,
     Audit,
     Calibration,
     CellProposal,
@@ -127,6 +128,7 @@ def __getattr__(name: str) -> Any:
 __all__ = [
     "LTRIP",
     "AffineGaussian",
+    "Associations",
     "Audit",
     "Balanced",
     "BayesianNetwork",
@@ -228,6 +230,7 @@ __all__ = [
     "stamped",
     "timeline",
     "to_pgmpy",
+    "unknown",
     "variables",
     "write_bif",
     "write_xmlbif",

@@ -36,6 +36,8 @@ class CPD(Immutable):
     given: Scope
     # What kind of variables a CPD is about: mixed networks are not supported.
     discrete: ClassVar[bool] = False
+    # Whether its density takes a child of which components are NaN, as not measured.
+    partial: bool = False
     _origin: CPD | None = None
 
     def _set_scope(

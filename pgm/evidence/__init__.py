@@ -4,6 +4,7 @@ from pgm.evidence.continuous import BoundValues, bind_values
 from pgm.evidence.discrete import BoundStates, bind_discrete
 from pgm.evidence.dynamic import BoundEvidence, Reading, bind
 from pgm.evidence.records import records
+from pgm.evidence.unidentified import Unknown, unknown
 from pgm.evidence.values import Constant, Evidence, Sightings, Soft, constant, sightings, soft
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "Reading",
     "Sightings",
     "Soft",
+    "Unknown",
     "bind",
     "bind_discrete",
     "bind_values",
@@ -22,4 +24,5 @@ __all__ = [
     "records",
     "sightings",
     "soft",
+    "unknown",
 ]

@@ -128,7 +128,7 @@ def as_steps(variable: Variable, step: Any, count: int | None, last: int) -> Int
     return array
 
 
-def unknown(key: object, known: Collection[Variable]) -> EvidenceError:
+def no_evidence_for(key: object, known: Collection[Variable]) -> EvidenceError:
     """The error of evidence whose key is none of the known variables."""
     return EvidenceError(
         f"evidence for {key!r}, {unknown_name(key, known)}",

@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
-from pgm.evidence.arrays import as_rows, require_finite, taken_readings, unknown
+from pgm.evidence.arrays import as_rows, no_evidence_for, require_finite, taken_readings
 from pgm.evidence.values import Constant, Evidence, Sightings
 from pgm.factors.runs import common_runs, flat
 from pgm.kernels.arrays import Array, Mask
@@ -75,7 +75,7 @@ def bind_values(
     masks: dict[Variable, Mask] = {}
     for variable, value in evidence.items():
         if variable not in known:
-            raise unknown(variable, known)
+            raise no_evidence_for(variable, known)
         if isinstance(value, Sightings):
             raise EvidenceError(
                 f"sightings of {variable!r} are for dynamic networks; give the value of "

@@ -11,7 +11,7 @@ import numpy as np
 
 from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
-from pgm.evidence.arrays import unknown
+from pgm.evidence.arrays import no_evidence_for
 from pgm.evidence.values import Constant, Sightings, Soft
 from pgm.factors.indices import as_indices
 from pgm.factors.runs import Place, common_runs, flat, in_run
@@ -68,7 +68,7 @@ def bind_discrete(variables: Iterable[Variable], evidence: Mapping[Any, Any]) ->
     weighted: dict[Discrete, Array] = {}
     for variable, value in evidence.items():
         if variable not in known:
-            raise unknown(variable, known)
+            raise no_evidence_for(variable, known)
         # A single name or index is what most queries are made of: no array is made for it.
         kind = type(value)
         if kind is str and value in variable.states:

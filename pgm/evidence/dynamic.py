@@ -14,7 +14,8 @@ from pgm.boundary import is_whole
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
 from pgm.evidence import states
-from pgm.evidence.arrays import as_rows, as_steps, require_finite, taken_readings, unknown
+from pgm.evidence.arrays import as_rows, as_steps, no_evidence_for, require_finite, taken_readings
+from pgm.evidence.unidentified import Unknown, opened
 from pgm.evidence.values import Constant, Evidence, Sightings
 from pgm.factors.runs import common_runs, flat
 from pgm.factors.scope import listed
@@ -49,6 +50,8 @@ class Reading:
         (M, runs or 1, d): which components were; the others are missing.
     inputs : mapping of Variable to ndarray
         Values of the sensor's observed parents, (M, runs or 1, d).
+    unknown : (Variable, Unknown) or None
+        The parent of which nobody said what it is, and its candidates.
     """
 
     cpd: CPD
@@ -57,6 +60,7 @@ class Reading:
     values: Rows
     taken: Mask
     inputs: Inputs
+    unknown: tuple[Variable, Unknown] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +124,7 @@ def bind(
     *,
     transition_inputs: bool = True,
     drawing: bool = False,
+    identities: bool = False,
 ) -> BoundEvidence:
     """Check evidence against a dynamic network's CPDs and lay it out by step.
 
@@ -136,6 +141,8 @@ def bind(
         Whether the transition is to be used, so that its inputs must be there.
     drawing : bool
         Whether measurements are to be drawn: sightings then have no values.
+    identities : bool
+        Whether sightings may leave open what was seen, with `unknown`.
 
     Raises
     ------
@@ -143,7 +150,7 @@ def bind(
         If evidence is missing, unknown, of a wrong shape, disagrees about T or the runs, or has
         more steps than memory.
     """
-    binder = _Binder(transition, observation, evidence, steps, lead, drawing)
+    binder = _Binder(transition, observation, evidence, steps, lead, drawing, identities)
     return binder.bind(transition if transition_inputs else ())
 
 
@@ -158,8 +165,9 @@ class _Binder:
         steps: int | None,
         lead: tuple[int, ...],
         drawing: bool,
+        identities: bool,
     ) -> None:
-        self.evidence, self.drawing = evidence, drawing
+        self.evidence, self.drawing, self.identities = evidence, drawing, identities
         self.hidden = {cpd.child for cpd in transition}
         self.sensors = {cpd.child: cpd for cpd in observation}
         self._check_known((*transition, *observation))
@@ -191,7 +199,7 @@ class _Binder:
         known = {v for cpd in cpds for v in cpd.scope if not v.lag or v.template not in self.hidden}
         for variable in self.evidence:
             if not isinstance(variable, Variable):
-                raise unknown(variable, known)
+                raise no_evidence_for(variable, known)
             if variable.template in self.hidden:
                 raise EvidenceError(
                     f"evidence for {variable!r}, which is hidden since a CPD of the transition "
@@ -207,7 +215,7 @@ class _Binder:
                     step=variable.step,
                 )
             if variable not in known:
-                raise unknown(variable, known)
+                raise no_evidence_for(variable, known)
 
     def _length(self, steps: int | None) -> int:
         if steps is not None and (not is_whole(steps) or steps < 0):
@@ -287,13 +295,14 @@ class _Binder:
         if not sorted_already:
             order = np.argsort(step, kind="stable")
             step, rows = step[order], rows[..., order, :]
-        inputs = self._inputs(cpd, given, step, None if sorted_already else order)
+        given, unknown = opened(cpd, given, self.identities and not self.drawing)
+        inputs = self._inputs(cpd, given, step, None if sorted_already else order, unknown)
         taken = _taken(sensor, rows, step)
         if taken is None:
             taken = np.ones(rows.shape[-2:], dtype=bool)
         else:
             rows = np.where(taken, rows, rows.dtype.type(0))
-        return Reading(cpd, step, order, rows, taken, inputs)
+        return Reading(cpd, step, order, rows, taken, inputs, unknown)
 
     def _inputs(
         self,
@@ -301,10 +310,11 @@ class _Binder:
         given: Mapping[Variable, Any],
         step: Integers,
         order: Integers | None = None,
+        unknown: tuple[Variable, Unknown] | None = None,
     ) -> Inputs:
         """Values of a CPD's observed parents at rows of some steps, (..., rows, d)."""
         seen = [v for v in cpd.parents if v.template not in self.hidden]
-        for variable in given:
+        for variable in given if unknown is None else [*given, unknown[0]]:
             if variable not in seen:
                 raise EvidenceError(
                     f"sightings of {cpd.child!r} are given {variable!r}, which is no observed "
@@ -321,6 +331,8 @@ class _Binder:
                 )
         inputs = {}
         for variable in seen:
+            if unknown is not None and variable == unknown[0]:
+                continue
             value = given.get(variable, self.evidence.get(variable))
             if value is None:
                 raise EvidenceError(

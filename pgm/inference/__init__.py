@@ -1,5 +1,6 @@
 """Inference: schedules of messages, and what they leave."""
 
+from pgm.inference.associations import Associations
 from pgm.inference.audit import Audit, audit
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.chain.marginals import KeptPosterior, Marginals
@@ -41,6 +42,7 @@ from pgm.inference.schedule import (
 from pgm.inference.status import Status
 
 __all__ = [
+    "Associations",
     "Audit",
     "Calibration",
     "CellProposal",

@@ -141,7 +141,7 @@ def filter(
     """
     schedule = Filtering(iterations, tolerance, damping)
     require_lineariser(lineariser)
-    bound = bind_chain(model, evidence, steps)
+    bound = bind_chain(model, evidence, steps, identities=True)
     graph = compile(model, bound.steps)
     return runner(graph.model, belief)(graph, bound, schedule, lineariser, None, keep, executor)
 
@@ -289,6 +289,6 @@ def smooth(
     rest = iterations, tolerance, damping
     schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)
     require_lineariser(lineariser)
-    bound = bind_chain(model, evidence, steps)
+    bound = bind_chain(model, evidence, steps, identities=True)
     graph = compile(model, bound.steps, method=method)
     return runner(graph.model, belief)(graph, bound, schedule, lineariser, start, keep, executor)

@@ -208,7 +208,7 @@ def infer(
     if isinstance(graph, DynamicGraph):
         if memory is not None:
             raise GraphError(CONTINUOUS)
-        bound = bind_chain(graph.model, evidence, graph.steps)
+        bound = bind_chain(graph.model, evidence, graph.steps, identities=True)
         return runner(graph.model, belief)(
             graph, bound, schedule, lineariser, start, keep, executor
         )

@@ -15,7 +15,7 @@ from pgm.boundary import as_tuple, is_whole
 from pgm.cpds.values import Known, Values
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, Reading, Sightings, bind, bind_values, sightings
-from pgm.evidence.arrays import unknown
+from pgm.evidence.arrays import no_evidence_for
 from pgm.factors.scope import listed
 from pgm.factors.unknown_names import unknown_name
 from pgm.immutable import Immutable
@@ -42,7 +42,7 @@ def draw(
     )
     for variable in inputs:
         if variable not in network.variables:
-            raise unknown(variable, network.variables)
+            raise no_evidence_for(variable, network.variables)
         if variable not in network.inputs:
             raise EvidenceError(
                 f"{variable!r} is no input of the network, whose inputs are "

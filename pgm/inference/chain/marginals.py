@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NoReturn
 
 import numpy as np
@@ -13,6 +13,7 @@ from pgm.compile import DynamicGraph, SliceLayout
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import positions
+from pgm.inference.associations import Found
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.kind import FILTERED, Kind
@@ -117,6 +118,8 @@ class KeptPosterior(Posterior):
         (...).
     log_evidence_kind : str
         ``exact``, ``linearised`` or ``laplace``.
+    associations : mapping of Variable to Associations
+        By sensor, of sightings that left open what was seen, with `unknown`.
 
     Raises
     ------
@@ -130,6 +133,7 @@ class KeptPosterior(Posterior):
     _kept: Mapping[Variable, Gaussian]
     _log_evidence: Array
     _log_evidence_kind: str
+    associations: Found = field(default_factory=dict)
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a variable that was kept, at all its steps or at one.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -14,6 +14,7 @@ from pgm.compile import DynamicGraph, SliceLayout
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names
+from pgm.inference.associations import Found
 from pgm.inference.chain import adjoint, backward
 from pgm.inference.chain.backward import Beliefs, Reverse, backward_messages
 from pgm.inference.chain.careful import Careful
@@ -48,6 +49,8 @@ class ChainPosterior(Posterior):
     log_evidence_kind : str
         ``exact``; ``linearised``, of the linearised model; or ``laplace``, at the fixed point of
         Taylor relinearisation.
+    associations : mapping of Variable to Associations
+        By sensor, of sightings that left open what was seen, with `unknown`.
     """
 
     graph: DynamicGraph
@@ -59,6 +62,7 @@ class ChainPosterior(Posterior):
     _reverse_given: Reverse | None
     _careful: Careful | None = None
     _windows: Windows | None = None
+    associations: Found = field(default_factory=dict)
 
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a hidden variable at all its steps or at one; EvidenceError of others."""

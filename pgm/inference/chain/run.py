@@ -25,13 +25,16 @@ from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
 
 
-def bind_chain(model: Any, evidence: Evidence, steps: int | None) -> BoundEvidence:
-    """Check the evidence of a dynamic network."""
+def bind_chain(
+    model: Any, evidence: Evidence, steps: int | None, *, identities: bool = False
+) -> BoundEvidence:
+    """Check the evidence of a dynamic network; sightings may leave open what was seen, or not."""
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {model!r}")
     if not isinstance(evidence, Mapping):
         raise EvidenceError(f"evidence maps variables to values; found {type(evidence).__name__}")
-    return bind(model.transition, model.observation, evidence, steps, model.lead)
+    cpds = model.transition, model.observation
+    return bind(*cpds, evidence, steps, model.lead, identities=identities)
 
 
 @quiet()

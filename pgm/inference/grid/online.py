@@ -14,6 +14,7 @@ from pgm.boundary import as_mapping
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
+from pgm.inference.associations import by_density
 from pgm.inference.grid.belief import GridBelief, scope_axes
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.run import require_room
@@ -231,7 +232,7 @@ class OnlineGrid(Immutable):
         """
         self._check(belief)
         given = step_evidence.mapping(readings, "update", "sensors to measurements")
-        bound = step_evidence.readings(self.model, belief, given)
+        bound = by_density(step_evidence.readings(self.model, belief, given))
         step = belief.step
         bound = replace(
             bound, readings=tuple(replace(r, step=r.step + step) for r in bound.readings)

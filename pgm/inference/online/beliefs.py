@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cached_property
+from types import MappingProxyType
 from typing import NoReturn
 
 import numpy as np
@@ -11,6 +13,7 @@ from pgm.compile import SliceLayout
 from pgm.errors import EvidenceError, NumericalError
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
+from pgm.inference.associations import NONE, Found
 from pgm.inference.chain import certificate
 from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.plan import ChainPlan
@@ -40,6 +43,8 @@ class OnlineBelief(Immutable):
         deviations lie too far apart for float64 and steps are made in twice the digits.
     kind : Kind
         Which measurements it knows: filtered after an update, predicted before.
+    associations : mapping of Variable to Associations
+        By sensor, of the update's sightings that left open what was seen, with `unknown`.
     """
 
     step: int
@@ -52,6 +57,7 @@ class OnlineBelief(Immutable):
     kind: Kind
     careful: Belief | None
     behind: Trail | Sliding | None
+    associations: Found = NONE
 
     def __init__(
         self,
@@ -105,6 +111,12 @@ class OnlineBelief(Immutable):
             mean, cov = mean[..., places], block(cov, places, places)
         # That of one run is exactly symmetric.
         return Gaussian._make((variable,), mean, symmetric(cov) if self.lead else cov)
+
+    def told(self, associations: Found) -> OnlineBelief:
+        """The same belief, with what sightings were taken for."""
+        found = copy(self)
+        found._set(associations=MappingProxyType(dict(associations)))
+        return found
 
     @cached_property
     def lagged(self) -> OnlineBelief:

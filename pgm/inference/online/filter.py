@@ -23,6 +23,7 @@ from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED
 from pgm.inference.markov.online import online_tables
 from pgm.inference.online import step_evidence
+from pgm.inference.online.associating import associated, leaves_open
 from pgm.inference.online.beliefs import (
     OnlineBelief,
     belief_of,
@@ -308,6 +309,9 @@ class OnlineFilter(Immutable):
         self._check(belief)
         if type(readings) is not dict:
             readings = step_evidence.mapping(readings, "update", "sensors to measurements")
+        if leaves_open(readings):
+            closed, seen = associated(self._graph, self.lineariser, belief, readings)
+            return self.update(belief, closed).told(seen)
         behind = belief.behind
         if isinstance(behind, Sliding):
             bound = step_evidence.readings(self.model, belief, readings)

@@ -84,7 +84,7 @@ def readings(
     """The measurements of an update."""
     evidence = {v: _reading(model, v, value) for v, value in values.items()}
     parts = model.transition, model.observation, evidence, 0, belief.lead
-    return _same_runs(belief, bind(*parts, transition_inputs=False))
+    return _same_runs(belief, bind(*parts, transition_inputs=False, identities=True))
 
 
 def _same_runs(belief: Place, bound: BoundEvidence) -> BoundEvidence:

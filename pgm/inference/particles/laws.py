@@ -158,6 +158,8 @@ class Law:
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all."""
         values = self.given(row, some)
+        if taken is not None and not taken.all():
+            child = np.where(taken[:, None], child, np.nan)
         wide = np.broadcast_to(child, (len(child), some.size)).T
         known = Known(values, (some.size,), (some.size,), some.step)
         return self.cpd._log_density(wide, known)

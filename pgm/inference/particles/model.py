@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from pgm.cpds import CPD, ConditionalGaussian, Noise
+from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.cpds.values import Known
 from pgm.errors import EvidenceError, LinearisationError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.inference.particles.laws import GaussianLaw, Law, Some, by_pattern, law
@@ -154,6 +156,18 @@ class Sensor:
             else:
                 total[which] += found
 
+    def responsibilities(self, row: int, some: Some) -> Array:
+        """The probabilities of what an open sighting may be of, (k + 2, m), at particles."""
+        cpd, reading = self.law.cpd, self.reading
+        assert isinstance(cpd, UnidentifiedCPD)
+        values = np.where(reading.taken[row], reading.values[row], np.nan)
+        owner = 0 if len(values) == 1 or some.owner is None else some.owner
+        child = np.broadcast_to(values[owner], (some.size, values.shape[-1]))
+        known = Known(self.law.given(row, some), (some.size,), (some.size,), some.step)
+        found = cpd.responsibilities(child, known)
+        found[:, np.isnan(child).all(axis=-1)] = np.nan
+        return found
+
     def log_peak(self, row: int, step: int, runs: int) -> Array:
         """The largest log-density that one measurement could have, (runs,)."""
         found, owner = np.zeros(runs), np.arange(runs)
@@ -174,7 +188,7 @@ class Sensor:
 
     def _require_whole(self, taken: Mask, step: int) -> None:
         cpd = self.reading.cpd
-        if not taken.all() and not isinstance(cpd, ConditionalGaussian):
+        if not (taken.all() or cpd.partial or isinstance(cpd, ConditionalGaussian)):
             raise EvidenceError(
                 f"{cpd!r}: a measurement at step {step} has components that are NaN, which the "
                 "density of such a CPD cannot leave out; give all of them, or none",

@@ -14,6 +14,7 @@ from pgm.compile import DynamicGraph, compile
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
+from pgm.inference.associations import by_density
 from pgm.inference.kind import FILTERED, PREDICTED, Kind
 from pgm.inference.online import step_evidence
 from pgm.inference.particles.belief import ParticleBelief
@@ -223,7 +224,7 @@ class OnlineParticles(Immutable):
         """
         self._check(belief)
         given = step_evidence.mapping(readings, "update", "sensors to measurements")
-        bound = step_evidence.readings(self.model, belief, given)
+        bound = by_density(step_evidence.readings(self.model, belief, given))
         step = belief.step
         bound = replace(
             bound, readings=tuple(replace(r, step=r.step + step) for r in bound.readings)

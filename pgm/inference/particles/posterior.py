@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cached_property
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
 
 from pgm.compile import DynamicGraph
+from pgm.cpds.unidentified import UnidentifiedCPD
 from pgm.errors import EvidenceError
 from pgm.factors.scope import as_scope, listed
 from pgm.immutable import Immutable
+from pgm.inference.associations import Found, collected
 from pgm.inference.grid.belief import require_step
 from pgm.inference.kind import FILTERED, Kind
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cloud import Cloud
+from pgm.inference.particles.laws import Some
+from pgm.inference.particles.model import ParticleModel, Sensor
 from pgm.inference.particles.parts import parts
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
@@ -44,7 +51,7 @@ class ParticlePosterior(Immutable):
     kind: Kind
     log_evidence: Array
     status: ParticleStatus
-    _places: dict[Variable, slice]
+    _model: ParticleModel
     _clouds: tuple[Cloud, ...]
     _filtered: tuple[Cloud, ...]
 
@@ -58,7 +65,7 @@ class ParticlePosterior(Immutable):
         kind: Kind,
         log_evidence: Array,
         status: ParticleStatus,
-        places: dict[Variable, slice],
+        model: ParticleModel,
         clouds: tuple[Cloud, ...],
         filtered: tuple[Cloud, ...],
     ) -> None:
@@ -71,7 +78,7 @@ class ParticlePosterior(Immutable):
             kind=kind,
             log_evidence=log_evidence,
             status=status,
-            _places=places,
+            _model=model,
             _clouds=clouds,
             _filtered=filtered,
         )
@@ -80,6 +87,32 @@ class ParticlePosterior(Immutable):
     def log_evidence_kind(self) -> str:
         """``particles``: neither exact nor linearised, but an estimate."""
         return "particles"
+
+    @cached_property
+    def associations(self) -> Found:
+        """What sightings that left it open, with `unknown`, were of: `Associations` by sensor."""
+        lead = self.log_evidence.shape
+        return MappingProxyType(
+            dict(
+                collected(s.reading, self._responsible(s), lead)
+                for s in self._model.sensors
+                if isinstance(s.reading.cpd, UnidentifiedCPD)
+            )
+        )
+
+    def _responsible(self, sensor: Sensor) -> Iterator[Array]:
+        """The probabilities of what each sighting may be of, (runs, k + 2)."""
+        for row, step in enumerate(sensor.reading.step.tolist()):
+            cloud = self._clouds[step]
+            total = list[Array]()
+            for run in range(cloud.runs):
+                place = cloud.of(run)
+                states = cloud.states[:, place]
+                owner = None if cloud.runs == 1 else np.full(states.shape[1], run)
+                found = sensor.responsibilities(row, Some(step, states, states, owner))
+                weighs = cloud.weights[place] > 0.0
+                total.append(found[:, weighs] @ cloud.weights[place][weighs])
+            yield np.stack(total)
 
     @property
     def filtered(self) -> ParticlePosterior:
@@ -92,7 +125,7 @@ class ParticlePosterior(Immutable):
             FILTERED,
             self.log_evidence,
             self.status,
-            self._places,
+            self._model,
             self._filtered,
             self._filtered,
         )
@@ -145,15 +178,15 @@ class ParticlePosterior(Immutable):
             raise EvidenceError("joint takes variables of the network, like x.at(3), m.at(3)")
         scope = as_scope(variables, "a joint")
         for variable in scope:
-            if variable.template not in self._places or variable.lag:
+            if variable.template not in self._model.places or variable.lag:
                 raise EvidenceError(
                     f"{variable!r} is no hidden variable of the network; those are "
-                    f"{listed(self._places)}",
+                    f"{listed(self._model.places)}",
                     variable=variable,
                 )
         runs = self.log_evidence.shape
         each = [require_step(variable, self.graph.steps) for variable in scope]
-        firsts = [self._places[variable.template].start for variable in scope]
+        firsts = [self._model.places[variable.template].start for variable in scope]
         controls = any(variable.template in self.graph.model.controls for variable in scope)
         if set(each) == {None}:
             first = 1 if controls else 0
@@ -180,7 +213,7 @@ class ParticlePosterior(Immutable):
             )
         states, places, end = [], [], 0
         for variable, step in zip(scope, each, strict=True):
-            states.append(self._clouds[step or 0].states[self._places[variable.template]])
+            states.append(self._clouds[step or 0].states[self._model.places[variable.template]])
             places.append((variable, end))
             end += variable.dimension
         first_cloud = self._clouds[0]
@@ -191,6 +224,6 @@ class ParticlePosterior(Immutable):
         runs = self.log_evidence.shape
         which = f", runs {runs}" if runs else ""
         return (
-            f"ParticlePosterior({self.kind}, over {list(self._places)}, {self.particles.n:,} "
+            f"ParticlePosterior({self.kind}, over {list(self._model.places)}, {self.particles.n:,} "
             f"particles, {self.graph.steps + 1} steps{which})"
         )

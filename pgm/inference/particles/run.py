@@ -55,8 +55,8 @@ def run(
     status = record.status(bound.lead, unmoved)
     status.warn()
     log_evidence = record.log_density.sum(axis=0).reshape(bound.lead)
-    places = model.places
-    return ParticlePosterior(graph, particles, kind, log_evidence, status, places, clouds, filtered)
+    told = kind, log_evidence, status
+    return ParticlePosterior(graph, particles, *told, model, clouds, filtered)
 
 
 def require_fitting(particles: Particles, model: DynamicBayesianNetwork) -> None:

@@ -1,0 +1,103 @@
+"""The associations of sightings of which nobody said what was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.evidence import BoundEvidence, Reading, Unknown
+from pgm.evidence.unidentified import SUM
+from pgm.immutable import Immutable
+from pgm.kernels.arrays import Array, Integers
+from pgm.variables import Variable
+
+# Associations that are no candidate's.
+SPURIOUS, NEW = -1, -2
+
+
+class Associations(Immutable):
+    """The associations of one sensor's sightings, in the order of the evidence.
+
+    Attributes
+    ----------
+    step : ndarray of int
+        (M,): the steps of the sightings.
+    probability : ndarray
+        (..., M, k + 2): the probability of each candidate, of a spurious sighting and of a new
+        thing, given the measurements that the belief knows; of Gaussian beliefs, given those before
+        the sighting's own. Leading axes are runs. NaN where nothing was measured.
+    candidate : ndarray of int
+        (..., M): the likeliest, as a row of the candidates; −1 spurious, −2 new. −1 too where
+        nothing was measured, and where all candidates were beyond the gate.
+    """
+
+    step: Integers
+    probability: Array
+    candidate: Integers
+
+    def __init__(self, step: Integers, probability: Array) -> None:
+        likeliest = np.argmax(np.nan_to_num(probability, nan=-1.0), axis=-1)
+        count = probability.shape[-1] - 2
+        candidate = np.where(likeliest < count, likeliest, count - 1 - likeliest)
+        candidate = np.where(np.isnan(probability).any(axis=-1), SPURIOUS, candidate)
+        for array in (step, probability, candidate):
+            array.flags.writeable = False
+        self._set(step=step, probability=probability, candidate=candidate)
+
+    def __repr__(self) -> str:
+        each, count = self.candidate, self.probability.shape[-1] - 2
+        return (
+            f"Associations({each.size:,} sightings: {int((each >= 0).sum()):,} of {count:,} "
+            f"candidates, {int((each == SPURIOUS).sum()):,} spurious, "
+            f"{int((each == NEW).sum()):,} new)"
+        )
+
+
+# By sensor.
+Found = Mapping[Variable, Associations]
+NONE: Found = MappingProxyType({})
+
+
+def is_open(bound: BoundEvidence) -> bool:
+    """Whether some sightings leave open what was seen."""
+    return any(reading.unknown is not None for reading in bound.readings)
+
+
+def by_density(bound: BoundEvidence) -> BoundEvidence:
+    """The same evidence, its open sightings those of sensors that are given by their density."""
+
+    def closed(reading: Reading) -> Reading:
+        if reading.unknown is None:
+            return reading
+        return replace(reading, cpd=unidentified(reading, *reading.unknown), unknown=None)
+
+    return replace(bound, readings=tuple(closed(reading) for reading in bound.readings))
+
+
+def unidentified(reading: Reading, parent: Variable, unknown: Unknown) -> UnidentifiedCPD:
+    """The density of a sensor's open sightings."""
+    return UnidentifiedCPD(
+        reading.cpd,
+        parent,
+        unknown.candidates,
+        unknown.log_shares[:-2],
+        unknown.log_outliers,
+        unknown.gate,
+        unknown.association == SUM,
+    )
+
+
+def collected(
+    reading: Reading, rows: Iterable[Array], lead: tuple[int, ...]
+) -> tuple[Variable, Associations]:
+    """The associations of a reading, from the probabilities of each of its rows, (runs, k + 2)."""
+    found = np.stack(list(rows), axis=1)
+    ordered = np.empty_like(found)
+    ordered[:, reading.order] = found
+    step = np.empty_like(reading.step)
+    step[reading.order] = reading.step
+    return reading.cpd.child, Associations(step, ordered.reshape(*lead, *ordered.shape[1:]))

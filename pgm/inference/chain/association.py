@@ -1,0 +1,258 @@
+r"""Associating sightings, for Gaussian beliefs: each with its likeliest candidate.
+
+At the predicted belief of a step, N(μ, P), a candidate m_k of a sighting z has the innovation
+ν_k = z − ẑ_k with covariance S_k = H_k P H_kᵀ + R_k; it is in question where ν_kᵀ S_k⁻¹ ν_k is
+below the gate, and the likeliest by ln w_k + ln N(ν_k; 0, S_k). Sensors whose sightings are known
+are taken in first. What comes out is ordinary evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtri, logsumexp
+
+from pgm.compile import DynamicGraph
+from pgm.errors import EvidenceError, NumericalError
+from pgm.evidence import BoundEvidence, Reading
+from pgm.evidence.unidentified import SUM
+from pgm.inference.associations import Associations, collected
+from pgm.inference.chain import certificate
+from pgm.inference.chain.moments import MomentChain
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.readings import Moments
+from pgm.inference.chain.vector import vector
+from pgm.inference.schedule import Filtering
+from pgm.kernels import roots
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet
+from pgm.linearisers import Lineariser
+from pgm.variables import Variable
+
+_ONCE = Filtering()
+
+
+class Associated(NamedTuple):
+    """Evidence whose sightings are all known, and what the open ones were taken for.
+
+    Attributes
+    ----------
+    bound : BoundEvidence
+    found : dict of Variable to Associations
+        By sensor.
+    """
+
+    bound: BoundEvidence
+    found: dict[Variable, Associations]
+
+
+@quiet()
+def associated(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser) -> Associated:
+    """The evidence of all steps, associated by a filter that linearises once."""
+    known = replace(bound, readings=tuple(r for r in bound.readings if r.unknown is None))
+    plan = ChainPlan.make(graph, known, lineariser)
+    if certificate.is_flat(plan):
+        raise EvidenceError(
+            "sightings leave open what was seen, and the prior has an infinite variance, under "
+            "which every candidate is as likely: give it a finite one"
+        )
+    chain = MomentChain(plan, _ONCE, keep=False)
+    pending = [_Pending(reading) for reading in bound.readings if reading.unknown is not None]
+    belief = chain.start()
+    for step in range(bound.steps + 1):
+        if step:
+            belief = chain.predict(step, belief)
+        belief, _ = chain.take(step, belief)
+        for each in pending:
+            rows = each.rows(step)
+            if len(rows):
+                each.associate(graph, bound, lineariser, step, rows, belief)
+                belief = _taken(graph, bound, lineariser, step, each.part(rows), belief)
+    closed = {each.reading.cpd.child: each.closed for each in pending}
+    readings = tuple(closed.get(r.cpd.child, r) for r in bound.readings)
+    found = dict(collected(p.reading, p.probability, bound.lead) for p in pending)
+    return Associated(replace(bound, readings=readings), found)
+
+
+@quiet()
+def associated_at(
+    graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, step: int, belief: Moments
+) -> Associated:
+    """The measurements of one step, associated at a belief; `bound` counts steps from zero."""
+    readings, found = list[Reading](), dict[Variable, Associations]()
+    for reading in bound.readings:
+        each = reading
+        if reading.unknown is not None:
+            pending = _Pending(reading)
+            pending.associate(graph, bound, lineariser, step, range(len(reading.step)), belief)
+            each = pending.closed
+            found.update([collected(reading, pending.probability, bound.lead)])
+        readings.append(each)
+    return Associated(replace(bound, readings=tuple(readings)), found)
+
+
+class _Pending:
+    """The open sightings of a sensor, as far as they are associated."""
+
+    def __init__(self, reading: Reading) -> None:
+        assert reading.unknown is not None
+        self.reading = reading
+        self.parent, self.unknown = reading.unknown
+        if self.unknown.association == SUM:
+            raise EvidenceError(
+                f"sightings of {reading.cpd.child!r} leave {self.parent!r} open, to be summed out: "
+                'a Gaussian belief would be a mixture; give association="likelihood", or '
+                "belief=pgm.Particles(...) or pgm.Grid(...)",
+                variable=self.parent,
+                cpd=reading.cpd,
+            )
+        # By row: (runs, k + 2), (runs, d) of the parent, and (runs, d) of what is taken.
+        self.probability = list[Array]()
+        self.values = list[Array]()
+        self.taken = list[Array]()
+
+    def rows(self, step: int) -> range:
+        """The sightings of a step."""
+        first, last = np.searchsorted(self.reading.step, [step, step + 1]).tolist()
+        return range(first, last)
+
+    def associate(
+        self,
+        graph: DynamicGraph,
+        bound: BoundEvidence,
+        lineariser: Lineariser,
+        step: int,
+        rows: range,
+        belief: Moments,
+    ) -> None:
+        """Decide about some sightings at a belief."""
+        runs, unknown = bound.runs, self.unknown
+        density, square, count = _innovations(
+            graph, bound, lineariser, step, self._expanded(rows, runs), belief, len(rows)
+        )
+        terms = density + unknown.log_shares[:-2]
+        if unknown.gate is not None:
+            limit = chdtri(np.maximum(count, 1), 1.0 - unknown.gate)
+            terms = np.where(square > limit, -np.inf, terms)
+        others = np.broadcast_to(unknown.log_outliers, (len(rows), runs, 2))
+        terms = np.concatenate([terms, others], axis=-1)
+        # What no one declared, and no candidate explains, is left out as spurious.
+        terms[np.isneginf(terms).all(axis=-1), -2] = 0.0
+        probability = np.exp(terms - logsumexp(terms, axis=-1, keepdims=True))
+        for row, shares in zip(rows, probability, strict=True):
+            taken = np.broadcast_to(self.reading.taken[row], (runs, self.reading.taken.shape[-1]))
+            shares[~taken.any(axis=-1)] = np.nan
+            likeliest = np.argmax(np.nan_to_num(shares, nan=-1.0), axis=-1)
+            seen = likeliest < len(unknown.candidates)
+            self.probability.append(shares)
+            self.values.append(unknown.candidates[np.where(seen, likeliest, 0)])
+            self.taken.append(taken & seen[:, None])
+
+    def _expanded(self, rows: range, runs: int) -> Reading:
+        """Each sighting with each candidate, as runs of one sighting: rows, runs, candidates."""
+        reading, candidates = self.reading, self.unknown.candidates
+        count, shape = len(candidates), (len(rows), runs, len(candidates))
+
+        def wide(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            some = values[rows.start : rows.stop]
+            each = np.broadcast_to(some[:, :, None], (*shape, some.shape[-1]))
+            return each.reshape(1, -1, some.shape[-1])
+
+        own = np.broadcast_to(candidates, (*shape[:2], *candidates.shape))
+        return replace(
+            reading,
+            step=np.zeros(1, dtype=np.intp),
+            order=np.zeros(1, dtype=np.intp),
+            values=wide(reading.values),
+            taken=wide(reading.taken),
+            inputs={
+                **{v: wide(a) for v, a in reading.inputs.items()},
+                self.parent: own.reshape(1, len(rows) * runs * count, -1),
+            },
+            unknown=None,
+        )
+
+    def part(self, rows: range) -> Reading:
+        """Some sightings, as they were associated, at step zero of evidence of their own."""
+        chosen = slice(rows.start, rows.stop)
+        return replace(
+            self.reading,
+            step=np.zeros(len(rows), dtype=np.intp),
+            order=np.arange(len(rows)),
+            values=self.reading.values[chosen],
+            taken=np.stack(self.taken[chosen]),
+            inputs={
+                **{v: a[chosen] for v, a in self.reading.inputs.items()},
+                self.parent: np.stack(self.values[chosen]),
+            },
+            unknown=None,
+        )
+
+    @property
+    def closed(self) -> Reading:
+        """All sightings, as they were associated."""
+        whole = self.part(range(len(self.reading.step))) if self.values else self.reading
+        inputs = whole.inputs
+        if not self.values:
+            inputs = {**inputs, self.parent: np.zeros((0, 1, self.parent.dimension))}
+        step, order = self.reading.step, self.reading.order
+        return replace(whole, step=step, order=order, inputs=inputs, unknown=None)
+
+
+def _taken(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    step: int,
+    reading: Reading,
+    belief: Moments,
+) -> Moments:
+    """The belief given some measurements of its step."""
+    one = BoundEvidence(0, bound.lead, (), (reading,), bound.first_run)
+    plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
+    chain = MomentChain(plan, _ONCE, keep=False)
+    return chain.taken(chain.readings(0), step, belief)[0]
+
+
+def _innovations(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    step: int,
+    reading: Reading,
+    belief: Moments,
+    rows: int,
+) -> tuple[Array, Array, Integers]:
+    """Log-densities, squared lengths and components of innovations, (rows, runs, candidates)."""
+    every = reading.values.shape[1]
+    one = BoundEvidence(0, (every,), (), (reading,))
+    plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
+    means, covs = belief.by_run
+    of = np.tile(np.repeat(np.arange(bound.runs), every // (rows * bound.runs)), rows)
+    here = Moments.of(plan, means[of], covs[of])
+    parts = MomentChain(plan, _ONCE, keep=False).readings(0)
+    seen = [part.linearise(here.mean, here.cov) for part in parts]
+    for part in parts:
+        part.require_finite()
+    matrix, residual, noise, _ = vector(seen, here.mean)
+    height, size = matrix.shape[:2]
+    wide = matrix.reshape(height, size, -1).transpose(2, 0, 1)
+    innovation = noise.reshape(height, height, -1).transpose(2, 0, 1) + wide @ covs[of] @ wide.mT
+    lower = roots.root(innovation)
+    if not roots.is_proper(lower) or roots.determined(lower).any():
+        raise NumericalError(
+            f"{reading.cpd!r}: at step {step} an innovation has no variance in a component, or two "
+            "that are one, so that candidates cannot be compared; give the sensor some noise",
+            variable=reading.cpd.child,
+            cpd=reading.cpd,
+            step=step,
+        )
+    white = roots.whiten(lower, residual.reshape(height, -1).T)
+    square = np.einsum("bi,bi->b", white, white)
+    count = reading.taken[0].sum(axis=-1)
+    # A missing component is one of unit variance without a residual.
+    density = -0.5 * (square + roots.log_determinant(lower) + count * LOG_2PI)
+    shape = rows, bound.runs, -1
+    return density.reshape(shape), square.reshape(shape), count.reshape(shape)

@@ -1,0 +1,56 @@
+"""Associating the sightings of an online filter's step, before it takes them in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pgm.compile import DynamicGraph
+from pgm.evidence import BoundEvidence, Sightings, Unknown
+from pgm.inference.associations import Found
+from pgm.inference.chain.association import associated_at
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.online import step_evidence
+from pgm.inference.online.beliefs import OnlineBelief, moments_of
+from pgm.linearisers import Lineariser
+from pgm.variables import Variable
+
+
+def leaves_open(readings: Mapping[Variable, Any]) -> bool:
+    """Whether some sightings leave open what was seen."""
+    for value in readings.values():
+        if type(value) is Sightings and value.given:
+            for each in value.given.values():
+                if type(each) is Unknown:
+                    return True
+    return False
+
+
+def associated(
+    graph: DynamicGraph,
+    lineariser: Lineariser,
+    belief: OnlineBelief,
+    readings: Mapping[Variable, Any],
+) -> tuple[dict[Variable, Any], Found]:
+    """Readings that leave nothing open, and what the sightings were taken for."""
+    bound = step_evidence.readings(graph.model, belief, readings)
+    everything = BoundEvidence(0, bound.lead, (), ())
+    plan = ChainPlan.make(graph, everything, lineariser, first=belief.step, prior=False)
+    known = moments_of(belief, plan)
+    closed, found = associated_at(graph, bound, lineariser, belief.step, known)
+    result = dict(readings)
+    for before, reading in zip(bound.readings, closed.readings, strict=True):
+        if before.unknown is not None:
+            sensor, (parent, _) = before.cpd.child, before.unknown
+            taken = np.where(reading.taken, reading.values, np.nan)
+            rest = {**readings[sensor].given, parent: _by_run(reading.inputs[parent], bound.lead)}
+            result[sensor] = Sightings(_by_run(taken, bound.lead), None, rest)
+    return result, found
+
+
+def _by_run(rows: Any, lead: tuple[int, ...]) -> Any:
+    """Values (M, runs, d) with the user's axes first, (*runs, M, d)."""
+    wide = np.broadcast_to(rows, (len(rows), int(np.prod(lead)), rows.shape[-1])).swapaxes(0, 1)
+    return wide.reshape(*lead, *wide.shape[1:])
