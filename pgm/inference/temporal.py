@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
-from pgm.inference.associations import by_density, is_open
-from pgm.inference.chain.association import associated
+from pgm.inference.associations import by_density
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
-from pgm.inference.checks import require_gaussian
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.run import run as run_grid
 from pgm.inference.grid.value import Grid
@@ -45,26 +41,7 @@ def runner(
     if belief is not None:
         require_points(belief, model)
         return partial(_run_points, belief)
-    return _run_tables if model.discrete else _run_gaussians
-
-
-def _run_gaussians(
-    graph: DynamicGraph,
-    bound: BoundEvidence,
-    schedule: Schedule | None,
-    lineariser: Lineariser,
-    start: Start | None,
-    keep: Keep | None,
-    executor: Executor | None,
-) -> ChainPosterior | KeptPosterior:
-    """Moments; sightings that leave open what was seen are associated first."""
-    if not is_open(bound):
-        return run_moments(graph, bound, schedule, lineariser, start, keep, executor)
-    model = graph.model
-    require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
-    bound, found = associated(graph, bound, lineariser)
-    posterior = run_moments(graph, bound, schedule, lineariser, start, keep, executor)
-    return replace(posterior, associations=MappingProxyType(found))
+    return _run_tables if model.discrete else run_moments
 
 
 def _run_points(

@@ -6,7 +6,8 @@ A job is the work on a part, which an executor may do elsewhere.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,6 +17,8 @@ from pgm.errors import EvidenceError, ExecutorError, GraphError, PgmError
 from pgm.evidence import BoundEvidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, as_scope, listed
+from pgm.inference.associations import is_open
+from pgm.inference.chain.association import associated
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import run as run_chain
@@ -61,6 +64,10 @@ def run(
     """
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
+    if is_open(bound):
+        bound, found = associated(graph, bound, lineariser)
+        posterior = run(graph, bound, schedule, lineariser, start, keep, executor)
+        return replace(posterior, associations=MappingProxyType(found))
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)
     workers = Workers(executor)
@@ -91,8 +98,8 @@ def run(
         )
     if share.beliefs:
         return swept_once(graph, bound, lineariser, status, room)
-    found = [result.found for result in results if result.found is not None]
-    return joined(graph, bound, lineariser, status, found)
+    each = [result.found for result in results if result.found is not None]
+    return joined(graph, bound, lineariser, status, each)
 
 
 def _results(
