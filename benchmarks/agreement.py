@@ -46,6 +46,19 @@ def first_beliefs(library: str, ours: tuple[Array, Array], theirs: tuple[Array, 
     beliefs(library, (ours[0][:count], ours[1][:count]), theirs)
 
 
+def drawn_beliefs(library: str, ours: tuple[Array, Array], theirs: tuple[Array, Array]) -> None:
+    """Means to a tenth of a standard deviation, deviations to a tenth: both are of draws.
+
+    Raises
+    ------
+    AssertionError
+        Where they differ.
+    """
+    std, other = (np.sqrt(np.diagonal(each[1], axis1=-2, axis2=-1)) for each in (ours, theirs))
+    _require(library, "means", (theirs[0] - ours[0]) / std, 0.1)
+    _require(library, "deviations", other / std - 1.0, 0.1)
+
+
 def optima(library: str, ours: tuple[Array, Array], theirs: tuple[Array, Array]) -> None:
     """Means to 1e-5 [m, rad], the covariance of each pose to 1e-4 of its size.
 

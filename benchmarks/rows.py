@@ -5,7 +5,7 @@ from __future__ import annotations
 from benchmarks import agreement, cliffs
 from benchmarks.row import Prepare, Row, part
 from benchmarks.timing import least
-from benchmarks.work import chains, repository, robots, rooms, tables, targets
+from benchmarks.work import chains, clouds, repository, robots, rooms, tables, targets
 
 SHORT = {"taylor": "ekf", "unscented": "ukf"}
 QUICK = ("asia", "alarm")  # networks of the quick run
@@ -199,6 +199,45 @@ def on_grid(schedule: str, kind: str = "") -> Row:
     )
 
 
+def bootstrap(functions: str) -> Row:
+    """A million particles, moved and weighed by a range and a bearing a step."""
+    ours = {"": "float64", "_float32": "float32"}
+    return Row(
+        name=f"particles_{functions}",
+        unit="particle and step",
+        work=clouds.draw,
+        contenders={
+            **{
+                f"pgm{name}": part("pgm_clouds", "filtering", functions, dtype)
+                for name, dtype in ours.items()
+            },
+            "particles": part("particles_clouds", "filtering", functions),
+        },
+        check=agreement.drawn_beliefs,
+        size=1_000_000,
+        quick=200_000,
+        timed=least,
+    )
+
+
+def backwards() -> Row:
+    """As many trajectories as particles, drawn backwards by moves, or of all particles."""
+    return Row(
+        name="particles_backwards",
+        unit="trajectory and step",
+        work=clouds.draw,
+        contenders={
+            "pgm": part("pgm_clouds", "smoothing", "metropolis"),
+            "pgm_full": part("pgm_clouds", "smoothing", "full"),
+        },
+        check=agreement.drawn_beliefs,
+        size=10_000,
+        quick=2_000,
+        repeats=3,
+        timed=least,
+    )
+
+
 def discrete(name: str, task: tables.Task) -> Row:
     """New evidence on a compiled discrete network, then all marginals."""
     return Row(
@@ -299,6 +338,8 @@ ROWS = [
     markov_runs(),
     markov_shifts(),
     *(on_grid(each, kind) for kind in rooms.KINDS for each in ("filter", "smoother")),
+    *(bootstrap(functions) for functions in clouds.FUNCTIONS),
+    backwards(),
     *cliffs.ROWS,
     discrete("asia", tables.medical()),
     discrete("random_200", tables.random()),

@@ -22,6 +22,9 @@ FASTER = (  # row, peer, how many times the peer's cost must be ours
     ),
     *((f"sets_{name}", "pyagrum", 20.0) for name in repository.NAMES),
     ("munin1", "pyagrum", 1.0),
+    ("particles_own", "particles", 1.8),
+    ("particles_plain", "particles", 1.4),
+    ("particles_backwards", "pgm_full", 20.0),
     *((f"reading_{name}", "pgmpy", 1.0) for name in (*repository.NAMES, *repository.LARGE)),
 )
 CHEAPER = (  # row, peer, how many times our cost may be the peer's
@@ -35,6 +38,7 @@ FASTEST = (  # row, peer, how many times our cost its fastest way must be
     ("markov_1000", "dynamax", 2.5),
     ("markov_1000", "hmmlearn", 4.0),
 )
+FLOAT32 = (("particles_own", 1.2),)  # row, how many times the cost with float32 ours must be
 NEAR = (  # row, peer, how many times the cost of its fastest way ours may be
     ("markov_100", "dynamax", 1.5),
     ("markov_10", "dynamax", 1.5),
@@ -103,6 +107,11 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
     for row, peer, asked in NEAR:
         for ratio in _to_fastest(summary, row, peer):
             yield Verdict(f"{row}: pgm / fastest of {peer}", ratio, asked, False)
+    for row, asked in FLOAT32:
+        times = summary.get(row, {})
+        if "pgm_float32" in times:
+            ratio = times["pgm"] / times["pgm_float32"]
+            yield Verdict(f"{row}: pgm / pgm with float32", ratio, asked, True)
     for row in COLD:
         times = summary.get(row, {})
         engines = [value for library, value in times.items() if library.startswith("pyagrum")]

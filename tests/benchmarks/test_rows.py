@@ -11,7 +11,14 @@ from benchmarks.rows import ROWS
 from benchmarks.timing import Contender
 from benchmarks.work import robots
 
-TINY = {"linear": 4, "map": 100, "online_taylor": 100}
+TINY = {
+    "linear": 4,
+    "map": 100,
+    "online_taylor": 100,
+    "particles_own": 100_000,
+    "particles_plain": 100_000,
+    "particles_backwards": 2_000,
+}
 COMPILED = (
     "dynamax",
     "dynamax_sequential",
