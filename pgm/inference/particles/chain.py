@@ -58,7 +58,8 @@ class ParticleChain:
         states = np.zeros((self.model.size, int(starts[-1])), dtype=self.particles.dtype)
         cloud = Cloud(states, uniform(counts), starts)
         for block in cloud.blocks():
-            some = self._some(cloud, 0, block.first, block.last, states)
+            place = slice(block.first, block.last)
+            some = self._some(cloud, 0, block.first, block.last, states[:, place])
             drawing = Drawing.of(block, starts, generators)
             for law in self.model.prior:
                 some.now[self.model.places[law.cpd.child]] = law.draw(0, some, drawing)
