@@ -107,8 +107,8 @@ class ConditionalGaussian(CPD):
         residual = np.where(seen, difference(child, center, self.child.angle_mask), 0.0)
         error = normal.INEXACT * (np.abs(np.where(seen, child, 0.0)) + np.abs(center))
         residual = np.broadcast_to(residual, (*lead, child.shape[-1]))
-        found: Array = _log_density(alone, residual, error)
-        return found + 0.5 * LOG_2PI * (~seen).sum(axis=-1).astype(np.float64)
+        found: Array = _log_density(alone, residual, error) + 0.5 * LOG_2PI * (~seen).sum(axis=-1)
+        return found
 
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
         mean, lower = self._law(known)

@@ -107,9 +107,9 @@ class MixtureCPD(CPD):
         total = float(found.sum())
         if not (found > 0.0).all() or not abs(total - 1.0) <= _ROUNDING:
             raise ModelError(
-                f"the weights of a mixture of CPDs of {self.child!r} are positive, and their sum is "
-                f"one; found {found.tolist()}, of sum {total:.12g}: leave out what has no weight, "
-                "and divide by the sum",
+                f"the weights of a mixture of CPDs of {self.child!r} are positive, and their sum "
+                f"is one; found {found.tolist()}, of sum {total:.12g}: leave out what has no "
+                "weight, and divide by the sum",
                 variable=self.child,
                 cpd=self,
             )

@@ -49,8 +49,7 @@ def runs(cpds: Iterable[CPD]) -> tuple[int, ...]:
         return np.broadcast_shapes(*(shape for _, shape in shapes))
     except ValueError:
         raise ModelError(
-            f"the CPDs have axes of runs that do not broadcast: {clash(shapes)}; give "
-            "each the same"
+            f"the CPDs have axes of runs that do not broadcast: {clash(shapes)}; give each the same"
         ) from None
 
 
