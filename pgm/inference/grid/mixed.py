@@ -32,23 +32,27 @@ class Step:
     @property
     def split(self) -> frozenset[int]:
         """The axes that are moved cell by cell."""
-        each = [operator.axes for operator in self.leaves() if isinstance(operator, Split)]
+        each = [operator.axes for _, operator in self.leaves() if isinstance(operator, Split)]
         return frozenset().union(*each)
 
     @property
     def uneven(self) -> Uneven:
-        """The density that is the least even."""
-        each = [operator.uneven for operator in self.leaves() if isinstance(operator, Dense)]
+        """The density that is the least even, by its share in all."""
+        each = [
+            operator.uneven._replace(share=weight * operator.uneven.share)
+            for weight, operator in self.leaves()
+            if isinstance(operator, Dense)
+        ]
         return max(each, key=lambda found: found.share, default=EVEN)
 
-    def leaves(self) -> Iterator[Operator]:
-        """The operators, those of mixtures too."""
+    def leaves(self) -> Iterator[tuple[float, Operator]]:
+        """The operators and their weights, those of mixtures too."""
         for operator in self.operators:
             if isinstance(operator, Mixed):
-                for step in operator.steps:
-                    yield from step.leaves()
+                for weight, step in zip(operator.weights.tolist(), operator.steps, strict=True):
+                    yield from ((weight * share, leaf) for share, leaf in step.leaves())
             else:
-                yield operator
+                yield 1.0, operator
 
     def forward(self, array: Array) -> tuple[Array, Array]:
         """The probabilities in the target window from those in the source.

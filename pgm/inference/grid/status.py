@@ -26,7 +26,7 @@ REMARKABLE = 1e-9
 # From this many deviations between neighbouring centres on a sensor is sharper than half a cell.
 SHARP = 2.0
 # From this share on a density has another shape on the cells.
-ROUGH = 0.05
+ROUGH = 0.1
 # Below this deviation in cells a belief is told to be narrow.
 NARROW = 0.7
 
@@ -91,10 +91,11 @@ class GridStatus(Immutable):
     uneven : Uneven
         The density of a prior or transition, of a CPD that is not Gaussian, for which cells are
         the widest: by what share its sum over centres differs with where between centres it
-        stands, which variable it is of, and at which step. It is made up for by normalising, but
-        the density on the cells has another shape: above a twentieth a `GridWarning` has said so.
-        Of a normal density of s cells it is 4e^(−2π²s²), of Laplace's with scale b cells 1/(8b²),
-        of a uniform one over n cells 1/n.
+        stands, times its weight in a mixture, which variable it is of, and at which step.
+        Normalising makes up for the sum, but on the cells the density has another shape: above a
+        tenth a `GridWarning` has said so. Of a normal density with a deviation of s cells it is
+        4e^(−2π²s²), of Laplace's with a scale of b cells 1/(8b²), of a uniform one over n cells
+        1/n.
     refinements : tuple of Refinement
         Of each resolution, if the grid was refined.
     converged : ndarray of bool
