@@ -34,9 +34,11 @@ from pgm.variables import Variable
 _KEPT = 1 << 24
 # A share of the weights at the bounds above which some may be beyond.
 _EDGE = 1e-14
-# Sources of which the centres are shifted, and by which parts of a cell.
+# Sources of which the centres are shifted, and by which parts of a cell: of any, and of those
+# whose sums are the furthest from one.
 _SHIFTED = 16
-_PARTS = (0.25, 0.5, 0.75)
+_FEW = np.arange(1, 4) / 4.0
+_MANY = np.arange(1, 16) / 16.0
 # A sum that is off by this is that of one.
 _ROUNDING = 1e-9
 # From this on a density has no answer on the lattice.
@@ -288,12 +290,11 @@ class _Maker:
         if rows.size:
             whole[rows] = self._sums(rows, 0.0, True)
         if len(whole):
-            self._shift(
-                np.unique(np.linspace(0, len(whole) - 1, _SHIFTED).astype(int)), whole, near
-            )
+            some = np.linspace(0, len(whole) - 1, _SHIFTED).astype(np.intp)
+            self._shift(np.unique(some), whole, near, _FEW)
         off = np.abs(whole - 1.0) - self._allowed
         if (off > 0.0).any():
-            self._shift(np.argsort(-off)[:_SHIFTED], whole, near)
+            self._shift(np.argsort(-off)[:_SHIFTED], whole, near, _MANY)
         if self.share > _UNEVEN:
             raise ModelError(
                 f"{self._named} is too narrow for the cells at step {self.step}, run {self.run}: "
@@ -343,12 +344,11 @@ class _Maker:
         parts = [rows[k : k + length] for k in range(0, len(rows), length)]
         return np.concatenate([np.exp(self._logs(part, places)).sum(axis=1) for part in parts])
 
-    def _shift(self, rows: Integers, whole: Array, near: Array) -> None:
+    def _shift(self, rows: Integers, whole: Array, near: Array, parts: Array) -> None:
         """Find by how much sums of some rows differ with the shift of the centres."""
         for beyond in (False, True):
             some = rows[near[rows] == beyond]
             if some.size:
-                every = np.stack(
-                    [whole[some], *(self._sums(some, part, beyond) for part in _PARTS)]
-                )
+                shifted = (self._sums(some, part, beyond) for part in parts.tolist())
+                every = np.stack([whole[some], *shifted])
                 self.share = max(self.share, float(np.ptp(every, axis=0).max()))

@@ -41,7 +41,7 @@ def predicted(net, grid):
     ("density", "about", "rough"),
     [
         (laplace, {"loc": 3.0, "scale": 0.4}, 0.005),
-        (norm, {"loc": 4.0, "scale": 0.5}, 1e-6),
+        (norm, {"loc": 4.0, "scale": 0.5}, 5e-4),
         (cauchy, {"scale": 0.3}, 1e-5),  # beyond what is looked at outside the bounds, too
         (uniform, {"loc": 2.0, "scale": 4.0}, 0.02),
         (norm, {"loc": 100.0, "scale": 3.0}, 1e-9),
@@ -76,7 +76,7 @@ def test_a_prior_beyond_the_bounds():
     half = model(prior=[pgm.SampledCPD(x, log_density=lambda y: norm.logpdf(y[..., 0], 4.0))])
     with pytest.warns(pgm.GridWarning, match="left the bounds"):
         found = pgm.OnlineFilter(half, belief=line()).initial()
-    assert_allclose(found.status.outside, norm.sf(1.0), atol=1e-4)
+    assert_allclose(found.status.outside, norm.sf(1.0), atol=5e-4)
     most = model(prior=[pgm.SampledCPD(x, log_density=lambda y: norm.logpdf(y[..., 0], 6.0))])
     with pytest.raises(pgm.ModelError, match="of its probability inside the grid"):
         pgm.OnlineFilter(most, belief=line()).initial()
@@ -106,14 +106,14 @@ def test_a_density_that_is_narrow_for_the_cells_is_told(cells, told):
     assert found.outside < 1e-9  # normalised all the same
 
 
-@pytest.mark.parametrize("scale", [0.3, 0.1, 0.01])
-@pytest.mark.parametrize("offset", [0.0, 0.25, 0.5])
+@pytest.mark.parametrize("scale", [0.3, 0.1, 0.03])
+@pytest.mark.parametrize("offset", [0.0, 0.1, 0.25, 0.5])
 def test_a_density_between_the_centres_is_refused(scale, offset):
     narrow = model(transition=[moved(norm, loc=0.1 * offset, scale=0.1 * scale)])
     with pytest.raises(pgm.ModelError, match="too narrow for the cells at step 1"):
         predicted(narrow, line())
     # As a Gaussian CPD it is moved exactly, in a mixture too.
-    exact = pgm.LinearGaussianCPD(x, {x.previous: 1.0}, 0.1 * offset, cov=(0.1 * scale) ** 2)
+    exact = pgm.LinearGaussianCPD(x, {x.previous: 1.0}, offset=0.1 * offset, cov=(0.1 * scale) ** 2)
     found = predicted(model(transition=[pgm.MixtureCPD([exact, exact], [0.5, 0.5])]), line())
     assert_allclose(found[x].mean, [0.05 + 0.1 * offset], atol=1e-9)
 
@@ -203,7 +203,7 @@ def test_a_scan_is_weighed_some_cells_at_a_time():
     read[0, 30:] = np.nan
     read[1, 1::2] = np.nan
     net = model(observation=[Scan(scan, x, log_density=beams)])
-    cells = 20_000
+    cells = 7000
     grid = line(cells)
     found = pgm.filter(
         net.replace(transition=[pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=1.0)]),
