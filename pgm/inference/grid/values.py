@@ -106,12 +106,12 @@ def root_of(cpd: ConditionalGaussian, cov: Array, step: int) -> Array:
 
 
 def require_noise(cpd: ConditionalGaussian, lower: Array, step: int) -> None:
-    """Refuse noise of a root that is singular, with which no centre need agree."""
+    """Refuse noise of a root that is singular, whose density no centre need meet."""
     if not (np.diagonal(lower) > 0.0).all():
         raise ModelError(
             f"{cpd!r} has no noise in a component, or two that are one, at step {step}: "
-            "no centre of a grid need agree with its measurement; give it the noise of half a "
-            "cell, or more",
+            "no centre of a grid need be where its density is; give it the noise of half a cell, or "
+            "more",
             variable=cpd.child,
             cpd=cpd,
             step=step,

@@ -257,3 +257,27 @@ def test_states_that_depend_on_one_another():
             now /= now.sum()
         assert np.abs(found[p].mean[-1, 0] - a @ now.sum(axis=1)) < 2e-3
         assert np.abs(found[v].mean[-1, 0] - now.sum(axis=0) @ b) < 2e-3
+
+
+def test_parts_of_a_prior_differ_by_run_and_noise_by_input():
+    pair, both = (pgm.Variable(name, components=("a", "b")) for name in ("pair", "both"))
+    cov = np.array([[0.5, 0.3], [0.3, 0.6]])  # wide for the cells, and correlated
+    noise = pgm.noise(lambda u: u[..., None] * np.eye(2), given=u)
+    seen = pgm.LinearGaussianCPD(both, {pair: np.eye(2)}, cov=noise)
+    net = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(pair, [[0.0, 0.5], [1.0, -0.5]], cov)],
+        [pgm.LinearGaussianCPD(pair, {pair.previous: np.eye(2)}, cov=0.2 * np.eye(2))],
+        [seen],
+    )
+    given = {both: [[0.4, 0.1], [0.9, np.nan]], u: [[0.3], [0.5]]}
+    due = pgm.filter(net, given)
+    mixed = pgm.DynamicBayesianNetwork(
+        [pgm.MixtureCPD(net.prior * 2, [0.5, 0.5])],
+        [pgm.MixtureCPD(net.transition * 2, [0.5, 0.5])],
+        [pgm.MixtureCPD([seen, seen], [0.5, 0.5])],
+    )
+    found = pgm.filter(mixed, given, belief=pgm.Grid({"a": (-6, 6, 60), "b": (-6, 6, 60)}))
+    assert found[pair].mean.shape == (2, 3, 2)
+    assert_allclose(found[pair].mean, due[pair].mean, atol=1e-8)
+    assert_allclose(found[pair].cov, due[pair].cov, atol=1e-8)
+    assert_allclose(found.log_evidence, due.log_evidence, atol=1e-8)
