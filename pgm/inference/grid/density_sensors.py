@@ -30,7 +30,8 @@ class DensitySensor(MeasuredSensor):
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
         """The log-densities of one measurement, and about their largest at any centre."""
-        if not self.taken(row, run).any():
+        count = int(self.taken(row, run).sum())
+        if not count:
             return [], 0.0
         bound = self._bound(row, run)
         axes = self._axes(bound[0])
@@ -49,8 +50,8 @@ class DensitySensor(MeasuredSensor):
         cells = np.stack(np.unravel_index(flat, self.lattice.shape), axis=-1)
         parts = np.split(cells, range(length, len(cells), length))
         elsewhere = max(float(self._at(part, row, run, *bound).max()) for part in parts)
-        highest = max(self.shape.highest, float(level.max()), elsewhere)
-        self.shape.highest = highest
+        highest = max(self.shape.highest.get(count, -np.inf), float(level.max()), elsewhere)
+        self.shape.highest[count] = highest
         highest = highest if np.isfinite(highest) else 0.0
         return [Level(level.reshape(shape), highest)], highest
 

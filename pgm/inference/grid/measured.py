@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -49,14 +49,14 @@ class Shape:
         The circles by which it is a sum of two; None as long as that has not been asked.
     tested : bool
         Whether that has been tested at every centre.
-    highest : float
-        Of a density, the largest logarithm that was found at a centre.
+    highest : dict of int to float
+        Of a density, by how many components were taken, its largest logarithm found at a centre.
     """
 
     depended: Dependence
     turning: frozenset[int] | None = None
     tested: bool = False
-    highest: float = -np.inf
+    highest: dict[int, float] = field(default_factory=dict)
 
 
 @dataclass(eq=False)

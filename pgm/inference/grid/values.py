@@ -110,8 +110,8 @@ def require_noise(cpd: ConditionalGaussian, lower: Array, step: int) -> None:
     if not (np.diagonal(lower) > 0.0).all():
         raise ModelError(
             f"{cpd!r} has no noise in a component, or two that are one, at step {step}: "
-            "no centre of a grid need be where its density is; give it the noise of half a cell, or "
-            "more",
+            "no centre of a grid need be where its density is; give it the noise of half a cell, "
+            "or more",
             variable=cpd.child,
             cpd=cpd,
             step=step,
