@@ -164,6 +164,12 @@ def test_particles_agree_with_quadrature():
     found = pgm.smooth(model(), GIVEN, belief=pgm.Particles(40_000, seed=2))
     assert np.abs(found.filtered[x].mean[:, 0] - means).max() < 0.04
     assert abs(found.log_evidence - log_evidence) < 0.04
+    on = pgm.smooth(model(), GIVEN, belief=pgm.Grid({"x": (-9.0, 9.0, 360)}))
+    assert_allclose(on.filtered[x].mean[:, 0], means, atol=1e-6)
+    assert_allclose(on.log_evidence, log_evidence, atol=1e-6)
+    assert np.abs(found[x].mean - on[x].mean).max() < 0.04
+    small = pgm.Particles(1500, seed=2, smoothing="full", dtype=np.float32)
+    assert np.abs(pgm.smooth(model(), GIVEN, belief=small)[x].mean - on[x].mean).max() < 0.15
     robot = pgm.OnlineFilter(model(), belief=pgm.Particles(40_000, seed=3))
     belief = robot.initial()
     for k in range(4):

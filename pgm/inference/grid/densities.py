@@ -176,7 +176,7 @@ class DensityGroup(Members):
         each = (*dense.by, *self.axes) if own else dense.by
         weights = dense.weights.reshape(*(lattice.shape[k] for k in each), -1)
         for place, k in enumerate(each):
-            if window[k].length < lattice.shape[k]:
+            if window[k] != (0, lattice.shape[k]):
                 weights = weights[(slice(None),) * place + (lattice.axes[k].within(window[k]),)]
         groups = math.prod(window[k].length for k in dense.by)
         target = list(window)

@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.testing import assert_allclose
-from scipy.stats import laplace, norm, t
+from scipy.stats import laplace, norm, t, vonmises
 
 import pgm
 
@@ -281,3 +281,36 @@ def test_parts_of_a_prior_differ_by_run_and_noise_by_input():
     assert_allclose(found[pair].mean, due[pair].mean, atol=1e-8)
     assert_allclose(found[pair].cov, due[pair].cov, atol=1e-8)
     assert_allclose(found.log_evidence, due.log_evidence, atol=1e-8)
+
+
+def test_an_angle_alone_on_its_circle():
+    way, seen = pgm.Variable("way", angles=("way",)), pgm.Variable("seen", angles=("seen",))
+
+    def about(kappa, shift=0.0):
+        return lambda y, *x: vonmises.logpdf(sum(x, -y - shift)[..., 0], kappa)
+
+    cells, read = 90, np.array([[-3.0], [-2.5], [-2.4]])
+    c = np.arange(cells) * 2.0 * np.pi / cells - np.pi
+    move = vonmises.pdf(c[:, None] - c + 0.3, 20.0)
+    move /= move.sum(axis=0)
+    for kappa in (4.0, 60.0):  # in a window of all cells, or of some about ±π
+        net = pgm.DynamicBayesianNetwork(
+            [pgm.SampledCPD(way, log_density=about(kappa, -3.0))],
+            [pgm.SampledCPD(way, way.previous, log_density=about(20.0, 0.3))],
+            [pgm.SampledCPD(seen, way, log_density=about(10.0))],
+        )
+        found = pgm.smooth(net, {seen: read}, belief=pgm.Grid({"way": cells}))
+        belief = vonmises.pdf(c - 3.0, kappa) * 2.0 * np.pi / cells
+        beliefs, log_evidence = [belief], 0.0
+        for value in read:
+            belief = (move @ belief) * vonmises.pdf(value - c, 10.0)
+            log_evidence += np.log(belief.sum())
+            belief = belief / belief.sum()
+            beliefs.append(belief)
+        assert_allclose(found.filtered[way].values, beliefs, atol=1e-12)
+        assert_allclose(found.log_evidence, log_evidence, atol=1e-10)
+        after = np.ones(cells)
+        for k in (2, 1, 0):
+            after = move.T @ (vonmises.pdf(read[k] - c, 10.0) * after)
+            both = beliefs[k] * after
+            assert_allclose(found[way.at(k)].values, both / both.sum(), atol=1e-12)
