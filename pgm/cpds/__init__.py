@@ -3,6 +3,7 @@
 from pgm.cpds.base import CPD
 from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.linear import AffineCPD, GaussianCPD, LinearGaussianCPD
+from pgm.cpds.mixture import MixtureCPD
 from pgm.cpds.noise import Noise, noise
 from pgm.cpds.nonlinear import NonlinearGaussianCPD
 from pgm.cpds.sampled import SampledCPD
@@ -16,6 +17,7 @@ __all__ = [
     "GaussianCPD",
     "Kronecker",
     "LinearGaussianCPD",
+    "MixtureCPD",
     "Noise",
     "NonlinearGaussianCPD",
     "SampledCPD",

@@ -36,8 +36,8 @@ class CPD(Immutable):
     given: Scope
     # What kind of variables a CPD is about: mixed networks are not supported.
     discrete: ClassVar[bool] = False
-    # Whether its density takes a child of which components are NaN, as not measured.
     partial: bool = False
+    """Whether its density takes readings in which components are NaN, as not measured."""
     _origin: CPD | None = None
 
     def _set_scope(
@@ -139,6 +139,7 @@ class CPD(Immutable):
           the others is not what these make it by more than rounding: 1e-9 of y and f, or 1e-6 of
           its standard deviation. With R = 0 it is 0 at f, −∞ elsewhere.
         - Of a table, its entry's logarithm; −∞ where the entry is zero.
+        - Of a `SampledCPD`, what its function gives; of a `MixtureCPD`, ln Σ_k w_k p_k.
 
         Parameters
         ----------

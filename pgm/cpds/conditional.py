@@ -17,7 +17,7 @@ from pgm.factors.runs import flat, unflat
 from pgm.factors.scope import Scope
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, quiet
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, independent, quiet, transpose
 from pgm.kernels.checks import IMPROPER
 from pgm.kernels.moments import ROUNDING
 from pgm.linearisers.calls import Call
@@ -34,6 +34,7 @@ class ConditionalGaussian(CPD):
     """
 
     cov: Array | Noise
+    partial = True
 
     def _set_family(
         self,
@@ -80,6 +81,9 @@ class ConditionalGaussian(CPD):
         center, angles = unflat(mean, known.lead, 1), self.child.angle_mask
         if lower.ndim > 2:
             lower = unflat(lower, known.lead, 2)
+        seen = ~np.isnan(child)
+        if not seen.all():
+            return self._marginal(child, known, seen, center, lower)
         error = normal.INEXACT * (np.abs(child) + np.abs(center))
         error = error + ROUNDING * unflat(self._summed(known.values), known.lead, 1)
         value = _log_density(lower, difference(child, center, angles), error)
@@ -88,6 +92,23 @@ class ConditionalGaussian(CPD):
             there = _log_density(lower, child - center, error)
             value = np.where(np.isneginf(value), there, value)
         return value
+
+    def _marginal(
+        self, child: Values, known: Known, seen: Mask, center: Array, lower: Array
+    ) -> Array:
+        """The log-densities of the components that are seen, the others being integrated out."""
+        lead = np.broadcast_shapes(child.shape[:-1], known.lead)
+        pattern = seen.reshape(-1, seen.shape[-1])
+        if (pattern == pattern[0]).all():
+            seen = pattern[0]  # one root serves all
+        # Components of unit variance and no residual have the density of a constant.
+        cov = independent(lower @ transpose(lower), seen)
+        alone = roots.root(cov)
+        residual = np.where(seen, difference(child, center, self.child.angle_mask), 0.0)
+        error = normal.INEXACT * (np.abs(np.where(seen, child, 0.0)) + np.abs(center))
+        residual = np.broadcast_to(residual, (*lead, child.shape[-1]))
+        found: Array = _log_density(alone, residual, error) + 0.5 * LOG_2PI * (~seen).sum(axis=-1)
+        return found
 
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
         mean, lower = self._law(known)

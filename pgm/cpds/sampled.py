@@ -19,7 +19,8 @@ class SampledCPD(CPD):
     """Any density of a continuous child, by a sampler, a log-density, or both.
 
     Networks that have one take ``belief=pgm.Particles(...)``: states are drawn from their
-    transition, and weighed by the density of their sensors.
+    transition, and weighed by the density of their sensors; or ``belief=pgm.Grid(...)``, which
+    asks for the densities of all.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ class SampledCPD(CPD):
     log_density : callable, optional
         ``log_density(child, *given)``: ln p in nats, (...), from arrays (..., dimension) with equal
         leading axes; −∞ where a value is impossible. Without, it cannot be a sensor, nor the
-        transition of a smoother.
+        transition of a smoother, nor stand on a grid.
 
     Raises
     ------

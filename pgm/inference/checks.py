@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from pgm.boundary import is_number, is_whole
-from pgm.cpds import CPD, ConditionalGaussian
+from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, SampledCPD
 from pgm.errors import ModelError
 
 
@@ -34,7 +34,21 @@ def require_gaussian(cpds: Iterable[CPD], beliefs: str) -> None:
         if not isinstance(cpd, ConditionalGaussian):
             raise ModelError(
                 f"{cpd!r} is no Gaussian CPD, of which {beliefs} are made; of a dynamic network "
-                "belief=pgm.Particles(...) takes any density",
+                "belief=pgm.Particles(...) takes any density, and pgm.Grid(...) any that is given",
+                variable=cpd.child,
+                cpd=cpd,
+            )
+
+
+def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
+    """Refuse a CPD that cannot be asked for its density, where beliefs of some kind need it."""
+    for cpd in cpds:
+        if isinstance(cpd, MixtureCPD):
+            require_density(cpd.parts, beliefs)
+        elif isinstance(cpd, SampledCPD) and cpd.density is None:
+            raise ModelError(
+                f"{cpd!r} has no density, by which {beliefs} move and weigh beliefs: give it "
+                "log_density=, or take belief=pgm.Particles(...), which draws a transition",
                 variable=cpd.child,
                 cpd=cpd,
             )

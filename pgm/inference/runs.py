@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from pgm.cpds import CPD, GaussianCPD
+from pgm.cpds import CPD, GaussianCPD, MixtureCPD
 
 C = TypeVar("C", bound=CPD)
 
@@ -19,4 +19,6 @@ def by_run(cpd: C, lead: tuple[int, ...]) -> C:
         mean = np.broadcast_to(cpd.mean, (*lead, size))
         cov = np.broadcast_to(cpd.cov, (*lead, size, size))
         return GaussianCPD(cpd.child, mean, cov)  # type: ignore[return-value]
+    if isinstance(cpd, MixtureCPD) and cpd._lead():
+        return cpd._with(tuple(by_run(part, lead) for part in cpd.parts))
     return cpd

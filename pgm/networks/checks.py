@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from pgm.boundary import as_tuple
-from pgm.cpds import CPD, ConditionalGaussian, GaussianCPD, SampledCPD, TableCPD
+from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, SampledCPD, TableCPD
 from pgm.errors import ModelError
 from pgm.factors.runs import clash
 from pgm.factors.scope import MOST, Scope
@@ -44,13 +44,12 @@ def one_cpd_each(cpds: Iterable[CPD]) -> None:
 
 def runs(cpds: Iterable[CPD]) -> tuple[int, ...]:
     """The axes of runs that the CPDs themselves have; refuses ones that do not broadcast."""
-    shapes = {cpd.child: cpd._lead() for cpd in cpds if isinstance(cpd, GaussianCPD)}
+    shapes = [(cpd.child, cpd._lead()) for cpd in cpds]
     try:
-        return np.broadcast_shapes(*shapes.values())
+        return np.broadcast_shapes(*(shape for _, shape in shapes))
     except ValueError:
         raise ModelError(
-            f"the CPDs have axes of runs that do not broadcast: {clash(shapes.items())}; give "
-            "each the same"
+            f"the CPDs have axes of runs that do not broadcast: {clash(shapes)}; give each the same"
         ) from None
 
 
@@ -114,7 +113,7 @@ def _cycle(before: Sequence[set[int]], left: set[int]) -> list[int]:
 def of_one_kind(cpds: Sequence[CPD]) -> bool:
     """Whether the CPDs of a dynamic network are discrete; refuses mixed ones, and other kinds."""
     for cpd in cpds:
-        if not isinstance(cpd, ConditionalGaussian | SampledCPD | TableCPD):
+        if not isinstance(cpd, ConditionalGaussian | MixtureCPD | SampledCPD | TableCPD):
             raise ModelError(
                 f"{cpd!r}: a dynamic network is of Gaussian CPDs, or of tables",
                 variable=cpd.child,

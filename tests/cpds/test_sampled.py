@@ -151,14 +151,11 @@ def test_a_measurement_is_missing_as_a_whole():
         pgm.filter(model(observation=[both]), {pair: read}, belief=cloud)
 
 
-def test_gaussian_beliefs_and_grids_refuse_it():
-    grid = pgm.Grid({"x": (-5.0, 5.0, 50)})
+def test_gaussian_beliefs_refuse_it():
     for work in (
         lambda: pgm.filter(model(), READ),
         lambda: pgm.smooth(model(), READ, lineariser=pgm.Unscented()),
-        lambda: pgm.filter(model(), READ, belief=grid),
         lambda: pgm.OnlineFilter(model()),
-        lambda: pgm.OnlineFilter(model(), belief=grid).initial(),
         lambda: pgm.infer(pgm.compile(model().unroll(2)), {}),
     ):
         with pytest.raises(pgm.ModelError, match="is no Gaussian CPD"):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from pgm.cpds import ConditionalGaussian
+from pgm.cpds import CPD, ConditionalGaussian
 from pgm.inference.grid.lattice import Lattice
 from pgm.inference.grid.values import Known, covariance_of, mean_at, root_of
 from pgm.kernels.arrays import Array
@@ -38,8 +38,8 @@ class Spread(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
-    """CPDs of states, and of the hidden controls that they share.
+class Members:
+    """CPDs of states that are moved together, and of the hidden controls that they share.
 
     Attributes
     ----------
@@ -52,14 +52,22 @@ class Group:
         Whether this is step 0: displacements are counted from the first cell then.
     first : int
         The step before the first row of these values.
+    place : tuple of int
+        Of a part of a mixture, where it stands in it.
     """
 
     lattice: Lattice
     controls: tuple[ConditionalGaussian, ...]
-    states: tuple[ConditionalGaussian, ...]
+    states: tuple[CPD, ...]
     known: Mapping[Variable, Mapping[Variable, Array]]
     prior: bool
     first: int = 0
+    place: tuple[int, ...] = ()
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What tells them from others of their model."""
+        return (*(cpd.child for cpd in self.states), *self.place)
 
     @property
     def axes(self) -> tuple[int, ...]:
@@ -83,6 +91,13 @@ class Group:
             v: values[step - 1 - self.first, run if values.shape[1] > 1 else 0]
             for v, values in self.known[child].items()
         }
+
+
+@dataclass(frozen=True, eq=False)
+class Group(Members):
+    """Gaussian CPDs, which move by displacements and their noise."""
+
+    states: tuple[ConditionalGaussian, ...]
 
     def spread(self, step: int, run: int) -> Spread:
         """The noise at a step."""
@@ -145,18 +160,6 @@ class Group:
                 cells[..., k] -= count * np.rint(cells[..., k] / count)
         return cells
 
-    def joined(self, others: Sequence[Group]) -> Group:
-        """One group of this one and others."""
-        every = (self, *others)
-        return Group(
-            self.lattice,
-            tuple(dict.fromkeys(cpd for group in every for cpd in group.controls)),
-            tuple(cpd for group in every for cpd in group.states),
-            {v: values for group in every for v, values in group.known.items()},
-            self.prior,
-            self.first,
-        )
-
 
 def parted(cpd: ConditionalGaussian, cov: Array, step: int) -> tuple[Array, Array]:
     """Noise as variances (d,) of the components alone, and the root (d, r) of the rest.
@@ -184,35 +187,3 @@ def parted(cpd: ConditionalGaussian, cov: Array, step: int) -> tuple[Array, Arra
     # What the two leave exactly, so that variances add up to those asked for.
     own[places] -= (root[places] ** 2).sum(axis=1)
     return np.maximum(own, 0.0), root
-
-
-def groups(
-    lattice: Lattice,
-    cpds: Sequence[ConditionalGaussian],
-    known: Sequence[Mapping[Variable, Array]],
-    *,
-    prior: bool,
-    first: int = 0,
-) -> list[Group]:
-    """The groups of a prior or transition: states whose CPDs depend on one control are together."""
-    values = {cpd.child: given for cpd, given in zip(cpds, known, strict=True)}
-    states = [cpd for cpd in cpds if cpd.child in lattice.of]
-    controls = {cpd.child: cpd for cpd in cpds if cpd.child not in lattice.of}
-
-    def needed(cpd: ConditionalGaussian) -> set[Variable]:
-        found = {v for v in cpd.given if v in controls}
-        return found.union(*(needed(controls[v]) for v in found))
-
-    alike: list[tuple[set[Variable], list[ConditionalGaussian]]] = []
-    for cpd in states:
-        need, members = needed(cpd), [cpd]
-        for other in [pair for pair in alike if pair[0] & need]:
-            alike.remove(other)
-            need, members = need | other[0], other[1] + members
-        alike.append((need, members))
-    found = []
-    for need, members in alike:
-        own = tuple(cpd for cpd in cpds if cpd.child in need)
-        family = {cpd.child: values[cpd.child] for cpd in (*own, *members)}
-        found.append(Group(lattice, own, tuple(members), family, prior, first))
-    return found

@@ -13,7 +13,7 @@ from pgm.errors import ModelError
 from pgm.factors.scope import Scope, listed
 from pgm.inference.grid.value import Extent, Grid
 from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import Span
 from pgm.variables import Variable
 
@@ -154,6 +154,20 @@ class Lattice:
     def values(self, points: Array) -> dict[Variable, Array]:
         """The values (n, d) of each state at points (n, axes)."""
         return {v: points[..., list(places)] for v, places in self.of.items()}
+
+
+def spanned(used: Mask, periodic: bool) -> Span:
+    """The shortest span that has all cells in use."""
+    cells = len(used)
+    places: Integers = np.flatnonzero(used)
+    if not places.size:
+        return Span(0, cells)
+    if not periodic:
+        return Span(int(places[0]), int(places[-1] - places[0]) + 1)
+    gaps = np.diff(np.append(places, places[0] + cells))
+    widest = int(gaps.argmax())
+    first = int(places[(widest + 1) % len(places)])
+    return Span(first, cells - int(gaps[widest]) + 1)
 
 
 def resolve(grid: Grid, states: Scope) -> Lattice:

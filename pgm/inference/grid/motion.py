@@ -18,15 +18,18 @@ import networkx as nx
 import numpy as np
 
 from pgm.errors import ModelError
+from pgm.inference.grid.densities import DensityGroup
 from pgm.inference.grid.dependence import MOVED, Dependence, within
-from pgm.inference.grid.groups import Group, Spread
+from pgm.inference.grid.grouping import Kept, joined
+from pgm.inference.grid.groups import Group, Members, Spread
 from pgm.inference.grid.lattice import Axis, Lattice, Window
+from pgm.inference.grid.mixed import Mixed, MixedGroup, Step
 from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
 from pgm.inference.grid.quadrature import quadrature
+from pgm.inference.grid.wide import wide
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import REACH, Span, kernels, reached, tap_count
 from pgm.sizes import require_memory
-from pgm.variables import Variable
 
 # Numbers of the matrices of one move at the most; more are split cell by cell.
 _MATRICES = 1 << 24
@@ -38,45 +41,6 @@ _CIRCLES = 3.0
 _BOUNDS = 20.0
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """The operators of one step, from one window to another.
-
-    Attributes
-    ----------
-    source, target : Window
-    operators : sequence of Operator
-    """
-
-    source: Window
-    target: Window
-    operators: Sequence[Operator]
-
-    @property
-    def split(self) -> frozenset[int]:
-        """The axes that are moved cell by cell."""
-        each = [operator.axes for operator in self.operators if isinstance(operator, Split)]
-        return frozenset().union(*each)
-
-    def forward(self, array: Array) -> tuple[Array, Array]:
-        """The probabilities in the target window from those in the source.
-
-        With them the variance that the lattice has added along each of its axes, in cells.
-        """
-        added = np.zeros(len(self.source))
-        for operator in self.operators:
-            for axis, variance in operator.added(array).items():
-                added[axis] += variance
-            array = operator.forward(array)
-        return array, added
-
-    def backward(self, array: Array) -> Array:
-        """The transpose."""
-        for operator in reversed(self.operators):
-            array = operator.backward(array)
-        return array
-
-
 @dataclass(eq=False)
 class Motion:
     """The groups of a prior or transition, moved one after another.
@@ -84,29 +48,62 @@ class Motion:
     Attributes
     ----------
     lattice : Lattice
-    groups : list of Group
+    groups : list of Members
     known : dict
-        By the states of a group, the axes on which their displacements depend, as far as is known.
+        By the key of a group, the axes on which its displacements depend, as far as is known.
+    kept : dict
+        Weights by density that are the same at all steps.
     """
 
     lattice: Lattice
-    groups: list[Group]
-    known: dict[tuple[Variable, ...], Dependence] = field(default_factory=dict)
+    groups: list[Members]
+    known: dict[tuple[object, ...], Dependence] = field(default_factory=dict)
+    kept: Kept = field(default_factory=dict)
 
     def at(self, step: int, run: int, source: Window) -> Step:
         """The operators of a step, for the probabilities in a window."""
-        window, operators = source, list[Operator]()
+        window, operators = source, list[Operator | Mixed]()
         for group in self._ordered(step, run, source):
-            window, made = _Maker(self, group, step, run, source).operators(window)
-            operators += made
+            made = self._step(group, step, run, source, window)
+            window = made.target
+            operators += made.operators
         return Step(source, window, operators)
+
+    def _step(self, group: Members, step: int, run: int, source: Window, window: Window) -> Step:
+        """The operators of a group, from the window to which those before it lead."""
+        if isinstance(group, MixedGroup):
+            parts = [self._step(part, step, run, source, window) for part in group.parts]
+            mixed = group.mixed(parts)
+            return Step(window, mixed.target, [mixed])
+        if isinstance(group, DensityGroup):
+            made = group.move(step, run, window)
+            return Step(window, made.target, [made])
+        assert isinstance(group, Group)
+        dense = wide(group, run, window) if group.prior else None
+        if dense is not None:
+            return Step(window, dense.target, [dense])
+        target, operators = _Maker(self, group, step, run, source).operators(window)
+        return Step(window, target, operators)
+
+    def _depends(
+        self, group: Members, step: int, run: int, source: Window
+    ) -> tuple[set[int], set[int]]:
+        """The axes of the step before, and of its own, on which a group depends."""
+        if isinstance(group, DensityGroup):
+            return group.depends()
+        before, after = set[int](), set[int]()
+        if isinstance(group, MixedGroup):
+            each = [self._depends(part, step, run, source) for part in group.parts]
+            return before.union(*(b for b, _ in each)), after.union(*(a for _, a in each))
+        assert isinstance(group, Group)
+        found = self.dependence(group, group.spread(step, run), step, run, source)
+        return before.union(*found.before), after.union(*found.after)
 
     def dependence(
         self, group: Group, spread: Spread, step: int, run: int, source: Window
     ) -> Dependence:
         """The axes on which the displacements of a group depend, tested at this step."""
-        key = tuple(cpd.child for cpd in group.states)
-        found = self.known.setdefault(key, Dependence(self.lattice))
+        found = self.known.setdefault(group.key, Dependence(self.lattice))
         drawn = np.random.default_rng(step).standard_normal((2, spread.size))
         noises = [np.zeros(spread.size), *(drawn if spread.size else ())]
 
@@ -128,7 +125,7 @@ class Motion:
         found.look(values, differ, group.later, 3 * step + 1, some)
         return found
 
-    def _ordered(self, step: int, run: int, source: Window) -> list[Group]:
+    def _ordered(self, step: int, run: int, source: Window) -> list[Members]:
         """The groups in an order in which each finds the axes that it depends on as it needs them.
 
         Groups that have no order among themselves are joined.
@@ -140,17 +137,15 @@ class Motion:
             graph.add_nodes_from(range(len(self.groups)))
             mover = {axis: k for k, group in enumerate(self.groups) for axis in group.axes}
             for k, group in enumerate(self.groups):
-                found = self.dependence(group, group.spread(step, run), step, run, source)
-                for before, after in zip(found.before, found.after, strict=True):
-                    graph.add_edges_from((k, mover[a]) for a in before if mover[a] != k)
-                    graph.add_edges_from((mover[a], k) for a in after if mover[a] != k)
+                before, after = self._depends(group, step, run, source)
+                graph.add_edges_from((k, mover[a]) for a in before if mover[a] != k)
+                graph.add_edges_from((mover[a], k) for a in after if mover[a] != k)
             parts = [sorted(part) for part in nx.strongly_connected_components(graph)]
             if all(len(part) == 1 for part in parts):
                 order = nx.lexicographical_topological_sort(graph)
                 return [self.groups[k] for k in order]
             self.groups = [
-                self.groups[part[0]].joined([self.groups[k] for k in part[1:]])
-                for part in sorted(parts)
+                joined([self.groups[k] for k in part], self.kept) for part in sorted(parts)
             ]
             if len(self.groups) == 1:
                 return self.groups

@@ -125,7 +125,7 @@ class OnlineGrid(Immutable):
     Parameters
     ----------
     model : DynamicBayesianNetwork
-        Of Gaussian CPDs.
+        Of continuous CPDs.
     belief : Grid
         Without `refine`, which takes recorded evidence.
 
@@ -153,7 +153,7 @@ class OnlineGrid(Immutable):
 
     @cached_property
     def _tested(self) -> Tested:
-        return Tested({}, {})
+        return Tested.nothing()
 
     def __getstate__(self) -> dict[str, Any]:
         # What was tested is not part of the value.
@@ -299,6 +299,7 @@ class OnlineGrid(Immutable):
         sharpest = max((s.sharpest for s, *_ in found), key=lambda each: each.cells)
         narrowest = min((s.narrowest for s, *_ in found), key=lambda each: each.cells)
         cut = max((s.cut for s, *_ in found), key=lambda each: each.share)
+        uneven = max((s.uneven for s, *_ in found), key=lambda each: each.share)
         added = {
             axis.label: np.array([s.added[k] * axis.width**2 for s, *_ in found]).reshape(lead)
             for k, axis in enumerate(lattice.axes)
@@ -316,7 +317,8 @@ class OnlineGrid(Immutable):
             sharpest = max(sharpest, before.status.sharpest, key=lambda each: each.cells)
             narrowest = min(narrowest, before.status.narrowest, key=lambda each: each.cells)
             cut = max(cut, before.status.cut, key=lambda each: each.share)
-        status = GridStatus(outside, added, sharpest, narrowest, cut, sorted(split))
+            uneven = max(uneven, before.status.uneven, key=lambda each: each.share)
+        status = GridStatus(outside, added, sharpest, narrowest, cut, sorted(split), uneven=uneven)
         status.warn(None if before is None else before.status)
         values = values.reshape(*lead, *lattice.shape)
         return OnlineGridBelief(

@@ -11,9 +11,10 @@ from pgm.compile import DynamicGraph
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference.grid.cut import Cut
+from pgm.inference.grid.densities import EVEN
 from pgm.inference.grid.lattice import Lattice, resolve
+from pgm.inference.grid.measured import Sharpness
 from pgm.inference.grid.posterior import GridPosterior
-from pgm.inference.grid.sensors import Sharpness
 from pgm.inference.grid.slices import GridModel, GridSlices, Narrowness
 from pgm.inference.grid.status import GridStatus, Refinement
 from pgm.inference.grid.value import Grid
@@ -117,6 +118,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
     log_evidence, outside = np.zeros(bound.runs), np.zeros((bound.runs, bound.steps + 1))
     added, sharpest = np.zeros((bound.runs, len(lattice.axes))), Sharpness(0.0, None, 0)
     narrowest, cut, split = Narrowness(np.inf, "", 0), Cut(0.0, 0), frozenset[int]()
+    uneven = EVEN
     for k in range(bound.runs):
         slices = GridSlices(model, k, grid.dtype if smoothing else None)
         chain = _Kept(slices, filtered[k]).run()
@@ -134,6 +136,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
         narrowest = min(narrowest, slices.narrowest, key=lambda each: each.cells)
         split |= slices.split
         cut = max(cut, slices.cut, key=lambda each: each.share)
+        uneven = max(uneven, slices.uneven, key=lambda each: each.share)
     lead = bound.lead
     status = GridStatus(
         outside.reshape(*lead, -1),
@@ -145,6 +148,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
         narrowest,
         cut,
         tuple(axis.label for k, axis in enumerate(lattice.axes) if k in split),
+        uneven=uneven,
     )
     filtered = filtered.reshape(*lead, *shape[1:])
     if smoothed is None:

@@ -8,7 +8,7 @@ of them with each measurement.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -16,37 +16,16 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.cpds import ConditionalGaussian
-from pgm.errors import ModelError
-from pgm.evidence import Reading
-from pgm.inference.grid.dependence import MEASURED, Dependence, Reduced, blocks, centres, within
-from pgm.inference.grid.lattice import Lattice, Window
-from pgm.inference.grid.terms import BLOCK, Joint, Term, exponents
-from pgm.inference.grid.values import covariance_of, mean_at, root_of
+from pgm.inference.grid.dependence import MEASURED, Reduced, blocks, centres, within
+from pgm.inference.grid.lattice import Window
+from pgm.inference.grid.measured import Known, MeasuredSensor, Sharpness
+from pgm.inference.grid.terms import BLOCK, Joint, Residuals, Term, exponents
+from pgm.inference.grid.values import covariance_of, mean_at, require_noise, root_of
 from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
-from pgm.variables import Variable
 
-# Values (d,) of a sensor's observed parents.
-Known = Mapping[Variable, Array]
 # Exponents below this are none: products of such numbers would be slow, denormal ones.
 _LEAST = -600.0
-
-
-class Sharpness(NamedTuple):
-    """The sensor that is the sharpest for the cells.
-
-    Attributes
-    ----------
-    cells : float
-        By how many of its deviations a measurement differs from one cell to the next, where it is
-        the likeliest.
-    variable : Variable or None
-    step : int
-    """
-
-    cells: float
-    variable: Variable | None
-    step: int
 
 
 class Weights(NamedTuple):
@@ -73,38 +52,8 @@ class Weights(NamedTuple):
 
 
 @dataclass(eq=False)
-class Shape:
-    """The shape of a sensor's function, as far as it has been tested.
-
-    Attributes
-    ----------
-    depended : Dependence
-        On which axes it depends.
-    turning : frozenset of int or None
-        The circles by which it is a sum of two; None as long as that has not been asked.
-    tested : bool
-        Whether that has been tested at every centre.
-    """
-
-    depended: Dependence
-    turning: frozenset[int] | None = None
-    tested: bool = False
-
-
-@dataclass(eq=False)
-class GridSensor:
-    """A sensor's measurements, and the shape of its function.
-
-    Attributes
-    ----------
-    lattice : Lattice
-    reading : Reading
-    shape : Shape
-    """
-
-    lattice: Lattice
-    reading: Reading
-    shape: Shape
+class GridSensor(MeasuredSensor):
+    """A sensor of Gaussian noise."""
 
     @property
     def cpd(self) -> ConditionalGaussian:
@@ -118,37 +67,11 @@ class GridSensor:
         """The components that are angles."""
         return self.cpd.child.angle_mask
 
-    def require_covered(self) -> None:
-        """Refuse a sensor of what the grid has not."""
-        for parent in self.cpd.given:
-            if parent not in self.lattice.of and parent not in self.reading.inputs:
-                raise ModelError(
-                    f"{self.cpd!r} measures {parent!r}, a hidden control, which no grid covers; "
-                    "make it a state, with a prior",
-                    variable=self.cpd.child,
-                    cpd=self.cpd,
-                )
-
-    def rows(self, step: int) -> range:
-        """The rows of the measurements of a step."""
-        low, high = np.searchsorted(self.reading.step, [step, step + 1])
-        return range(int(low), int(high))
-
     def values(self, points: Array, known: Known, step: int, run: int) -> Array:
         """The sensor's function at points (n, axes) of the lattice, (n, d)."""
         return mean_at(self.cpd, self.lattice.values(points), known, step, run)
 
-    def known(self, row: int, run: int) -> Known:
-        """The values of its observed parents."""
-        inputs = self.reading.inputs
-        return {v: a[row, run if a.shape[1] > 1 else 0] for v, a in inputs.items()}
-
-    def taken(self, row: int, run: int) -> Mask:
-        """The components of a measurement that were taken, (d,)."""
-        found: Mask = self.reading.taken[row, run if self.reading.taken.shape[1] > 1 else 0]
-        return found
-
-    def terms(self, row: int, run: int, window: Window) -> tuple[list[Term | Joint], float]:
+    def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
         """The residuals of one measurement, and the log-density where these are zero."""
         step, reading = int(self.reading.step[row]), self.reading
         own = run if reading.values.shape[1] > 1 else 0
@@ -158,23 +81,15 @@ class GridSensor:
         known = self.known(row, run)
         cov = covariance_of(self.cpd, {**known}, step, run)[np.ix_(taken, taken)]
         lower = root_of(self.cpd, cov, step)
+        require_noise(self.cpd, lower, step)
         pivots = np.diagonal(lower)
-        if not (pivots > 0.0).all():
-            raise ModelError(
-                f"{self.cpd!r} has no noise in a component, or two that are one, at step {step}: "
-                "no centre of a grid need agree with its measurement; give it the noise of half a "
-                "cell, or more",
-                variable=self.cpd.child,
-                cpd=self.cpd,
-                step=step,
-            )
         constant = -float(np.log(pivots).sum()) - 0.5 * LOG_2PI * len(pivots)
         one, other = self._parts(known, step, run, window)
         one = reading.values[row, own] - one
         one, angles = one[..., taken], self.angles[taken]
         other = None if other is None else other[..., taken]
         if np.array_equal(lower, np.diag(pivots)):
-            found: list[Term | Joint] = []
+            found: list[Residuals] = []
             for k, scale in enumerate((1.0 / pivots).tolist()):
                 part = None if other is None else other[..., k]
                 if part is not None and not part.any():
@@ -284,10 +199,22 @@ class GridSensor:
         whole, one, other = found[:count], found[count : 2 * count], found[2 * count : -1]
         return not self._differ(whole - one, other - found[-1]).any()
 
+    def sharpness(self, row: int, run: int, cell: Integers) -> float:
+        """By how many deviations a measurement differs from a cell to the next, along any axis."""
+        step, known = int(self.reading.step[row]), self.known(row, run)
+        found = self.values(centres(self.lattice, self.around(cell)), known, step, run)
+        gap = found[1 : 1 + len(cell)] - found[0]
+        for place in np.flatnonzero(self.angles):
+            gap[:, place] = wrap(gap[:, place])
+        taken = self.taken(row, run)
+        cov = covariance_of(self.cpd, known, step, run)[np.ix_(taken, taken)]
+        white = np.linalg.solve(root_of(self.cpd, cov, step), gap[:, taken].T)
+        return float(np.sqrt((white * white).sum(axis=0)).max())
 
-def likelihood(sensors: list[GridSensor], step: int, run: int, window: Window) -> Weights:
+
+def likelihood(sensors: Sequence[MeasuredSensor], step: int, run: int, window: Window) -> Weights:
     """The weights of a step's measurements in a window."""
-    terms, scale, read = list[Term | Joint](), 0.0, list[tuple[GridSensor, int]]()
+    terms, scale, read = list[Residuals](), 0.0, list[tuple[MeasuredSensor, int]]()
     for sensor in sensors:
         for row in sensor.rows(step):
             found, constant = sensor.terms(row, run, window)
@@ -314,27 +241,8 @@ def likelihood(sensors: list[GridSensor], step: int, run: int, window: Window) -
             part[low] = 0.0
     for sensor, row in read:
         cells = [index[p] for index, p in zip(sensor.lattice.indices(window), place, strict=True)]
-        sharp = _sharpness(sensor, row, run, cells)
+        sharp = sensor.sharpness(row, run, np.array(cells, dtype=np.intp))
         if sharp > sharpest.cells:
-            sharpest = Sharpness(sharp, sensor.cpd.child, step)
+            sharpest = Sharpness(sharp, sensor.reading.cpd.child, step)
     count = sum(int(sensor.taken(row, run).sum()) for sensor, row in read)
     return Weights(exponent, scale + largest, sharpest, scale, count)
-
-
-def _sharpness(sensor: GridSensor, row: int, run: int, cells: list[Integers]) -> float:
-    """By how many deviations a measurement differs from a cell to the next, along any axis."""
-    lattice, step = sensor.lattice, int(sensor.reading.step[row])
-    here = np.array(cells, dtype=np.intp)
-    others = np.repeat(here[None], len(here) + 1, axis=0)
-    for k, axis in enumerate(lattice.axes):
-        others[k + 1, k] += 1 if axis.angle or here[k] + 1 < axis.cells else -1
-        others[k + 1, k] %= axis.cells
-    known = sensor.known(row, run)
-    found = sensor.values(centres(lattice, others), known, step, run)
-    gap = found[1:] - found[0]
-    for place in np.flatnonzero(sensor.angles):
-        gap[:, place] = wrap(gap[:, place])
-    taken = sensor.taken(row, run)
-    cov = covariance_of(sensor.cpd, known, step, run)[np.ix_(taken, taken)]
-    white = np.linalg.solve(root_of(sensor.cpd, cov, step), gap[:, taken].T)
-    return float(np.sqrt((white * white).sum(axis=0)).max())

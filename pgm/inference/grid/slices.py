@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple, NoReturn, cast
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -12,16 +12,20 @@ from pgm.cpds import ConditionalGaussian
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
-from pgm.inference.checks import require_gaussian
+from pgm.inference.checks import require_density
 from pgm.inference.grid.cut import TINY, Cut, Tails, bound, doubtful
+from pgm.inference.grid.densities import EVEN, Uneven
+from pgm.inference.grid.density_sensors import DensitySensor
 from pgm.inference.grid.dependence import Dependence
-from pgm.inference.grid.groups import Group, groups
-from pgm.inference.grid.lattice import Lattice, Window
+from pgm.inference.grid.grouping import Kept, groups
+from pgm.inference.grid.groups import Members
+from pgm.inference.grid.lattice import Lattice, Window, spanned
+from pgm.inference.grid.measured import MeasuredSensor, Shape, Sharpness
 from pgm.inference.grid.motion import Motion
 from pgm.inference.grid.prior import start
-from pgm.inference.grid.sensors import GridSensor, Shape, Sharpness, likelihood
+from pgm.inference.grid.sensors import GridSensor, likelihood
 from pgm.inference.runs import by_run
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array
 from pgm.kernels.lattice import Span
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -31,10 +35,19 @@ _NONE = 1e-150
 
 
 class Tested(NamedTuple):
-    """The shapes of a model's functions, as far as they have been tested on a lattice."""
+    """The shapes of a model's functions, as far as they have been tested on a lattice.
 
-    motion: dict[tuple[Variable, ...], Dependence]
+    With the weights of densities between its cells, where these are the same at all steps.
+    """
+
+    motion: dict[tuple[object, ...], Dependence]
     sensors: dict[Variable, Shape]
+    kept: Kept
+
+    @classmethod
+    def nothing(cls) -> Tested:
+        """Nothing yet."""
+        return cls({}, {}, {})
 
 
 class GridModel:
@@ -59,25 +72,26 @@ class GridModel:
         tested: Tested | None = None,
         first: int = 0,
     ) -> None:
-        require_gaussian((*model.prior, *model.transition, *model.observation), "grids")
-        tested = tested or Tested({}, {})
+        read = (reading.cpd for reading in bound.readings)
+        require_density((*model.prior, *model.transition, *read), "grids")
+        tested = tested or Tested.nothing()
         self.lattice, self.model, self.bound = lattice, model, bound
-        # Networks of tables have been refused: these are Gaussian.
         prior, transition = (
-            [cast("ConditionalGaussian", by_run(cpd, bound.lead)) for cpd in cpds]
-            for cpds in (model.prior, model.transition)
+            [by_run(cpd, bound.lead) for cpd in cpds] for cpds in (model.prior, model.transition)
         )
-        self.first = groups(lattice, prior, [{}] * len(prior), prior=True)
-        moved: list[Group] = []
+        self.first = groups(lattice, prior, [{}] * len(prior), tested.kept, prior=True)
+        moved: list[Members] = []
         if bound.transition:
-            moved = groups(lattice, transition, bound.transition, prior=False, first=first)
-        self.motion = Motion(lattice, moved, tested.motion)
-        self.sensors = []
+            known = bound.transition
+            moved = groups(lattice, transition, known, tested.kept, prior=False, first=first)
+        self.motion = Motion(lattice, moved, tested.motion, tested.kept)
+        self.sensors = list[MeasuredSensor]()
         for reading in bound.readings:
             blank = Shape(Dependence(lattice))
             shape = tested.sensors.setdefault(reading.cpd.child, blank)
-            seen = replace(reading, cpd=by_run(reading.cpd, bound.lead))
-            self.sensors.append(GridSensor(lattice, seen, shape))
+            cpd = by_run(reading.cpd, bound.lead)
+            kind = GridSensor if isinstance(cpd, ConditionalGaussian) else DensitySensor
+            self.sensors.append(kind(lattice, replace(reading, cpd=cpd), shape))
         for sensor in self.sensors:
             sensor.require_covered()
 
@@ -104,6 +118,8 @@ class GridSlices:
         The axes that were moved cell by cell.
     sharpest : Sharpness
     narrowest : Narrowness
+    uneven : Uneven
+        The density of a prior or transition whose sums over centres are the least those of it.
     cut : Cut
         The belief of which the most may have been cut off.
     """
@@ -118,6 +134,7 @@ class GridSlices:
         self.split: frozenset[int] = frozenset()
         self.sharpest = Sharpness(0.0, None, 0)
         self.narrowest = Narrowness(np.inf, "", 0)
+        self.uneven = EVEN
         self.cut, self._tails = Cut(0.0, 0), Tails(self.lattice)
         # By step, where something was measured: the density of no residuals, and how many numbers.
         self._ceilings: dict[int, tuple[float, int]] = {}
@@ -127,8 +144,9 @@ class GridSlices:
 
     def prior(self) -> Array:
         """The probabilities at step 0."""
-        found, added = start(self.lattice, self.model.first, self.run)
+        found, added, uneven = start(self.lattice, self.model.first, self.run)
         self.added += added
+        self._least_even(uneven)
         total = float(found.sum())
         self.outside[0] = max(1.0 - total, 0.0)
         if not total >= 0.5:
@@ -166,6 +184,10 @@ class GridSlices:
         if share > self.cut.share:
             self.cut = Cut(share, step)
 
+    def _least_even(self, found: Uneven) -> None:
+        if found.share > self.uneven.share:
+            self.uneven = found
+
     def forward(self, step: int, belief: Array) -> Array:
         """The belief over the slice of a step, from that of the step before."""
         source = self.look(step - 1, belief)
@@ -173,6 +195,7 @@ class GridSlices:
         part, added = made.forward(self.lattice.cut(belief, source))
         self.added += added
         self.split |= made.split
+        self._least_even(made.uneven)
         part[part < _NONE] = 0.0
         left = float(part.sum())
         self.outside[step] = max(1.0 - left, 0.0)
@@ -222,7 +245,7 @@ class GridSlices:
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
         """Raise the error of measurements that no cell explains."""
-        read = [s.cpd.child for s in self.model.sensors if len(s.rows(step))]
+        read = [s.reading.cpd.child for s in self.model.sensors if len(s.rows(step))]
         raise EvidenceError(
             f"the measurements of {listed(read)} at step {step}, run {self.run}, are impossible: "
             "no cell that the belief has left explains them in float64; look for a mistaken "
@@ -281,7 +304,7 @@ def active(lattice: Lattice, each: list[Array]) -> tuple[Window, list[float]]:
     window, deviations = [], []
     for axis, marginal in zip(lattice.axes, each, strict=True):
         total = marginal.sum()
-        span = _span(marginal > TINY / axis.cells * total, axis.angle)
+        span = spanned(marginal > TINY / axis.cells * total, axis.angle)
         window.append(span)
         inside = np.take(marginal, np.arange(span.first, span.first + span.length), mode="wrap")
         place = np.arange(span.length) - 0.5 * span.length
@@ -290,17 +313,3 @@ def active(lattice: Lattice, each: list[Array]) -> tuple[Window, list[float]]:
         round_ = axis.angle and span.length == axis.cells
         deviations.append(np.inf if round_ else math.sqrt(max(variance, 0.0)))
     return tuple(window), deviations
-
-
-def _span(used: Mask, periodic: bool) -> Span:
-    """The shortest span that has all cells in use."""
-    cells = len(used)
-    places: Integers = np.flatnonzero(used)
-    if not places.size:
-        return Span(0, cells)
-    if not periodic:
-        return Span(int(places[0]), int(places[-1] - places[0]) + 1)
-    gaps = np.diff(np.append(places, places[0] + cells))
-    widest = int(gaps.argmax())
-    first = int(places[(widest + 1) % len(places)])
-    return Span(first, cells - int(gaps[widest]) + 1)

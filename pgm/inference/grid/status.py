@@ -12,7 +12,8 @@ import numpy as np
 from pgm.errors import GridWarning
 from pgm.immutable import Immutable
 from pgm.inference.grid.cut import Cut
-from pgm.inference.grid.sensors import Sharpness
+from pgm.inference.grid.densities import EVEN, Uneven
+from pgm.inference.grid.measured import Sharpness
 from pgm.inference.grid.slices import Narrowness
 from pgm.inference.status import _levels_to_user
 from pgm.kernels.arrays import Array
@@ -24,6 +25,8 @@ MUCH = 1e-3
 REMARKABLE = 1e-9
 # From this many deviations between neighbouring centres on a sensor is sharper than half a cell.
 SHARP = 2.0
+# From this share on a density has another shape on the cells.
+ROUGH = 0.1
 # Below this deviation in cells a belief is told to be narrow.
 NARROW = 0.7
 
@@ -85,6 +88,14 @@ class GridStatus(Immutable):
         which they depend, as of a rotation. Means and variances are exact all the same, densities
         are not: with noise of two cells' deviation the log-evidence may be off by 10⁻⁴ a step, with
         four cells' by 10⁻⁵; `refine` tells.
+    uneven : Uneven
+        The density of a prior or transition, of a CPD that is not Gaussian, for which cells are
+        the widest: by what share its sum over centres differs with where between centres it
+        stands, times its weight in a mixture, which variable it is of, and at which step.
+        Normalising makes up for the sum, but on the cells the density has another shape: above a
+        tenth a `GridWarning` has said so. Of a normal density with a deviation of s cells it is
+        4e^(−2π²s²), of Laplace's with a scale of b cells 1/(8b²), of a uniform one over n cells
+        1/n.
     refinements : tuple of Refinement
         Of each resolution, if the grid was refined.
     converged : ndarray of bool
@@ -98,6 +109,7 @@ class GridStatus(Immutable):
     narrowest: Narrowness
     cut: Cut
     split: tuple[str, ...]
+    uneven: Uneven
     refinements: tuple[Refinement, ...]
     converged: np.bool_
 
@@ -111,6 +123,7 @@ class GridStatus(Immutable):
         split: Sequence[str] = (),
         refinements: Sequence[Refinement] = (),
         converged: bool = True,
+        uneven: Uneven = EVEN,
     ) -> None:
         added = {name: np.asarray(value) for name, value in added.items()}
         outside = np.asarray(1.0 - np.prod(1.0 - outside_by_step, axis=-1))
@@ -124,6 +137,7 @@ class GridStatus(Immutable):
             narrowest=narrowest,
             cut=cut,
             split=tuple(split),
+            uneven=uneven,
             refinements=tuple(refinements),
             converged=np.bool_(converged),
         )
@@ -151,12 +165,17 @@ class GridStatus(Immutable):
         GridStatus
         """
         found = self.outside_by_step, self.added, self.sharpest, self.narrowest
-        return GridStatus(*found, self.cut, self.split, refinements, converged)
+        return GridStatus(*found, self.cut, self.split, refinements, converged, self.uneven)
 
     @property
     def lost(self) -> bool:
         """Whether so much of a belief may have been cut off that the answer is another one."""
         return self.cut.share > MUCH
+
+    @property
+    def rough(self) -> bool:
+        """Whether a density is so narrow for the cells that it has another shape on them."""
+        return self.uneven.share > ROUGH
 
     def warn(self, before: GridStatus | None = None) -> None:
         """Tell the user of what was lost, and of a figure that has not settled.
@@ -169,9 +188,17 @@ class GridStatus(Immutable):
         Warns
         -----
         GridWarning
-            If more than 10⁻³ has left in a run, or may have been cut off, or refining has not
-            converged.
+            If more than 10⁻³ has left in a run, or may have been cut off, a density is narrow for
+            the cells, or refining has not converged.
         """
+        if self.rough and not (before and before.rough):
+            message = (
+                f"the density of {self.uneven.variable!r} at step {self.uneven.step} is narrow for "
+                f"the cells: its sum over their centres differs by {self.uneven.share:.2g} with "
+                "where between centres it stands (status.uneven): take narrower cells, or a "
+                "Gaussian CPD, or a mixture of such, which is moved by displacements"
+            )
+            warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
         if self.lost and not (before and before.lost):
             message = (
                 f"the evidence at step {self.cut.step} is so far from what was believed that up to "
@@ -220,6 +247,10 @@ class GridStatus(Immutable):
             parts.append(
                 f"{self.narrowest.component} at step {self.narrowest.step} is known to "
                 f"{self.narrowest.cells:.2g} cells"
+            )
+        if self.uneven.share > MUCH:
+            parts.append(
+                f"sums of the density of {self.uneven.variable!r} uneven by {self.uneven.share:.2g}"
             )
         if self.cut.share > REMARKABLE:
             parts.append(f"up to {self.cut.share:.2g} cut off at step {self.cut.step}")

@@ -65,11 +65,32 @@ class Joint(NamedTuple):
         return found
 
 
+class Level(NamedTuple):
+    """The log-density of a measurement by itself, broadcasting to the window.
+
+    Attributes
+    ----------
+    values : ndarray
+    highest : float
+        The number from which it is counted.
+    """
+
+    values: Array
+    highest: float
+
+    def squared(self, first: slice) -> Array:
+        """How far it is below the highest, of some places along the first axis."""
+        return self.highest - _some(self.values, first)
+
+
+Residuals = Term | Joint | Level
+
+
 def _some(array: Array, first: slice) -> Array:
     return array if len(array) == 1 else array[first]
 
 
-def exponents(terms: list[Term | Joint], shape: tuple[int, ...]) -> Array:
+def exponents(terms: list[Residuals], shape: tuple[int, ...]) -> Array:
     """The sum of the terms' exponents, over a window of a shape."""
     found = np.empty(shape)
     length = max(BLOCK * shape[0] // max(found.size, 1), 1)

@@ -30,7 +30,9 @@ class Grid(Immutable):
     - p_k: their probabilities, moved by kernels on the lattice whose means and variances are those
       of the transition, exactly, where its variance is f(1 − f)h² or more: h is the width of a
       cell, and f the part of a cell by which a displacement goes past a whole number of them. What
-      is added where it is less, ``status.added`` tells.
+      is added where it is less, ``status.added`` tells. Where a CPD is not Gaussian, its density
+      is asked for from each centre to each, and normalised; where it is a mixture, that is done
+      part by part.
 
     Costs grow with the number of cells: three components, such as a pose in the plane, are
     practical.

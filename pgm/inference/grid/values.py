@@ -1,14 +1,16 @@
-"""Means and noise of CPDs at many points of a lattice, with a step's evidence bound."""
+"""CPDs at many points of a lattice, with a step's evidence bound: means, noise, densities."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import copy
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from pgm.cpds import AffineCPD, ConditionalGaussian, Noise
+from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, GaussianCPD, MixtureCPD, Noise
+from pgm.cpds import values as cpd_values
 from pgm.cpds.noise import evaluate
-from pgm.errors import LinearisationError, NumericalError
+from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array
 from pgm.kernels.checks import IMPROPER
@@ -16,6 +18,9 @@ from pgm.linearisers.calls import Call
 from pgm.variables import Variable
 
 Known = Mapping[Variable, Array]
+# Numbers of a block of points that a density is asked for, and points at the most.
+_NUMBERS = 1 << 20
+_POINTS = 1 << 16
 
 
 def mean_at(
@@ -98,3 +103,87 @@ def root_of(cpd: ConditionalGaussian, cov: Array, step: int) -> Array:
             step=step,
         )
     return lower
+
+
+def require_noise(cpd: ConditionalGaussian, lower: Array, step: int) -> None:
+    """Refuse noise of a root that is singular, whose density no centre need meet."""
+    if not (np.diagonal(lower) > 0.0).all():
+        raise ModelError(
+            f"{cpd!r} has no noise in a component, or two that are one, at step {step}: "
+            "no centre of a grid need be where its density is; give it the noise of half a cell, "
+            "or more",
+            variable=cpd.child,
+            cpd=cpd,
+            step=step,
+        )
+
+
+def settled(cpd: CPD, known: Known, step: int, run: int) -> CPD:
+    """A CPD with the noise of a step, and of a run, for its density at many points."""
+    if isinstance(cpd, MixtureCPD):
+        return cpd._with(tuple(settled(part, known, step, run) for part in cpd.parts))
+    if isinstance(cpd, GaussianCPD) and cpd._lead():
+        mean = cpd.mean.reshape(-1, cpd.child.dimension)
+        return GaussianCPD(
+            cpd.child, mean[run if len(mean) > 1 else 0], covariance_of(cpd, {}, step, run)
+        )
+    if isinstance(cpd, ConditionalGaussian) and isinstance(cpd.cov, Noise):
+        found = copy.copy(cpd)
+        found._set(cov=covariance_of(cpd, known, step, run))
+        return found
+    return cpd
+
+
+def gaussian_parts(cpd: CPD) -> Iterator[ConditionalGaussian]:
+    """The Gaussian CPDs that a CPD is, or is a mixture of."""
+    if isinstance(cpd, MixtureCPD):
+        for part in cpd.parts:
+            yield from gaussian_parts(part)
+    elif isinstance(cpd, ConditionalGaussian):
+        yield cpd
+
+
+def at_a_time(cpd: CPD) -> int:
+    """The number of points for which a CPD is asked for densities at a time."""
+    return max(min(_NUMBERS // sum(v.dimension for v in cpd.scope), _POINTS), 1)
+
+
+def log_density_at(
+    cpd: CPD, child: Array, points: Known, known: Known, step: int, run: int
+) -> Array:
+    """The log-densities of a CPD at n points, (n,); users' functions are called once with all.
+
+    Parameters
+    ----------
+    cpd : CPD
+        As `settled` gives it.
+    child : ndarray
+        (n, d), or (d,) for all.
+    points : mapping of Variable to ndarray
+        Values of hidden parents, (n, d).
+    known : mapping of Variable to ndarray
+        Values of the parents with evidence, (d,).
+    step, run : int
+        For messages.
+    """
+    hidden = (len(points[parent]) for parent in cpd.parents if parent in points)
+    count = next(hidden, len(child) if child.ndim > 1 else 1)
+    values = {}
+    for parent in cpd.parents:
+        found = points[parent] if parent in points else known[parent]
+        values[parent] = np.broadcast_to(found, (count, parent.dimension))
+    wide = np.broadcast_to(child, (count, cpd.child.dimension))
+    level = cpd._log_density(wide, cpd_values.Known(values, (count,), (count,), step))
+    (bad,) = np.nonzero(np.isnan(level) | (level == np.inf))
+    if bad.size:
+        at = {v: a[bad[0]].tolist() for v, a in {cpd.child: wide, **values}.items()}
+        raise LinearisationError(
+            f"{cpd!r}: at step {step}, run {run}, its log-density is {level[bad[0]]} at {bad.size} "
+            f"of {count} centres of cells, like {at}; it must be a number, or minus infinity where "
+            "it is impossible",
+            variable=cpd.child,
+            cpd=cpd,
+            step=step,
+            run=run,
+        )
+    return level

@@ -107,7 +107,7 @@ class ParticleChain:
         cloud = Cloud(states, uniform(counts), starts)
         for block in cloud.blocks():
             place = slice(block.first, block.last)
-            some = self._some(cloud, 0, block.first, block.last, states)
+            some = self._some(cloud, 0, block.first, block.last, states[:, place])
             drawing = Drawing.of(block, starts, generators)
             for law in self.model.prior:
                 child = law.cpd.child

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise
 from pgm.cpds.noise import evaluate
 from pgm.cpds.values import Known
-from pgm.errors import LinearisationError, NumericalError
+from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.inference.particles.cloud import Block
 from pgm.kernels import roots
 from pgm.kernels.angles import TURN
@@ -81,6 +81,16 @@ class Drawing:
             found.append((slice(first, last), generators[run]))
         return cls(found)
 
+    def chosen(self, which: Mask) -> Drawing:
+        """The generators for a part of them."""
+        found, first = [], 0
+        for place, rng in self.pieces:
+            count = int(which[place].sum())
+            if count:
+                found.append((slice(first, first + count), rng))
+            first += count
+        return Drawing(found)
+
     def white(self, components: int, count: int, dtype: Any) -> States:
         """Independent standard normal numbers, (components, count)."""
         if len(self.pieces) == 1:
@@ -90,19 +100,6 @@ class Drawing:
             shape = components, place.stop - place.start
             found[:, place] = rng.standard_normal(shape, dtype=dtype)
         return found
-
-
-def law(
-    cpd: CPD,
-    inputs: Mapping[Variable, Any],
-    places: Mapping[Variable, slice],
-    dtype: Any,
-    first_run: int,
-) -> Law:
-    """The law of a CPD, for Gaussian noise or for any density."""
-    kind = GaussianLaw if isinstance(cpd, ConditionalGaussian) else Law
-    rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
-    return kind(cpd, rows, places, dtype, first_run)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +160,9 @@ class Law:
         wide = np.broadcast_to(child, (len(child), some.size)).T
         known = Known(values, (some.size,), (some.size,), some.step)
         return self.cpd._log_density(wide, known)
+
+    def require_noise(self, steps: Integers) -> None:
+        """Refuse a sensor that has no noise at one of the steps of its rows, if that is known."""
 
 
 class GaussianLaw(Law):
@@ -242,6 +242,21 @@ class GaussianLaw(Law):
             step=some.step,
             run=run,
         )
+
+    def require_noise(self, steps: Integers) -> None:
+        """Refuse a sensor that has no noise at one of the steps of its rows."""
+        each, rows = np.unique(steps, return_index=True)
+        for step, row in zip(each.tolist(), rows.tolist(), strict=True):
+            if not self.root(row, step).regular:
+                raise ModelError(
+                    f"{self.cpd!r} has no noise in a component, or two that are one, at step "
+                    f"{step}: no particle need agree with its measurement; give it some",
+                    variable=self.cpd.child,
+                    cpd=self.cpd,
+                    step=step,
+                )
+            if not isinstance(self.cpd.cov, Noise):
+                break
 
     def root(self, row: int, step: int) -> Root:
         """The root of the noise at a row."""

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from pgm.cpds import CPD, ConditionalGaussian, Noise
+from pgm.cpds import CPD
 from pgm.cpds.unidentified import UnidentifiedCPD
 from pgm.cpds.values import Known
 from pgm.errors import EvidenceError, LinearisationError, ModelError
 from pgm.evidence import BoundEvidence, Reading
-from pgm.inference.particles.laws import GaussianLaw, Law, Some, by_pattern, law
+from pgm.inference.particles.laws import GaussianLaw, Law, Some, by_pattern
+from pgm.inference.particles.mixed import law
 from pgm.inference.particles.parts import Part, parts
 from pgm.inference.runs import by_run
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -130,11 +131,7 @@ class Sensor:
     def __init__(self, law: Law, reading: Reading) -> None:
         self.law, self.reading = law, reading
         self.values = np.asarray(reading.values, dtype=law.dtype)
-        if isinstance(law, GaussianLaw):
-            for step in np.unique(reading.step).tolist():
-                self._require_noise(step)
-                if not isinstance(law.cpd.cov, Noise):
-                    break
+        law.require_noise(reading.step)
 
     def rows(self, step: int) -> range:
         """The measurements of a step."""
@@ -188,7 +185,7 @@ class Sensor:
 
     def _require_whole(self, taken: Mask, step: int) -> None:
         cpd = self.reading.cpd
-        if not (taken.all() or cpd.partial or isinstance(cpd, ConditionalGaussian)):
+        if not taken.all() and not cpd.partial:
             raise EvidenceError(
                 f"{cpd!r}: a measurement at step {step} has components that are NaN, which the "
                 "density of such a CPD cannot leave out; give all of them, or none",
@@ -213,17 +210,3 @@ class Sensor:
             step=some.step,
             run=run,
         )
-
-    def _require_noise(self, step: int) -> None:
-        law = self.law
-        assert isinstance(law, GaussianLaw)
-        row = self.rows(step)[0]
-        if not law.root(row, step).regular:
-            cpd = self.reading.cpd
-            raise ModelError(
-                f"{cpd!r} has no noise in a component, or two that are one, at step {step}: no "
-                "particle need agree with its measurement; give it some",
-                variable=cpd.child,
-                cpd=cpd,
-                step=step,
-            )

@@ -1,0 +1,188 @@
+"""CPDs that are mixtures of others."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.boundary import as_floats, as_tuple
+from pgm.cpds.base import CPD
+from pgm.cpds.values import Known, Values
+from pgm.errors import ModelError
+from pgm.factors.runs import Shape, clash
+from pgm.factors.scope import Scope
+from pgm.kernels.arrays import Array, Integers, frozen
+
+# Weights whose sum is this far from one are those of no mixture.
+_ROUNDING = 1e-9
+
+
+class MixtureCPD(CPD):
+    r"""A weighted sum of densities of one child: one of some CPDs holds, by chance.
+
+    .. math:: p(y \mid x) = \sum_k w_k \, p_k(y \mid x)
+
+    - p_k: the CPDs of the mixture, each with parents of its own;
+    - w_k: their probabilities, the same whatever the parents are.
+
+    Outliers of a sensor, wheels that slip, a robot that may have been carried away. Networks that
+    have one take ``belief=pgm.Particles(...)`` or ``pgm.Grid(...)``.
+
+    Parameters
+    ----------
+    components : sequence of CPD
+        Of the same continuous child y: Gaussian ones, a `SampledCPD`, mixtures. Its parents are
+        all of theirs, in the order in which they come first.
+    weights : array_like
+        (K,): w_k, positive, of sum one.
+
+    Attributes
+    ----------
+    parts : tuple of CPD
+        The CPDs that are mixed, as given.
+    weights : ndarray
+        (K,).
+
+    Raises
+    ------
+    ModelError
+        If something is no continuous CPD, children differ, there is no weight for each, weights
+        are not positive or do not sum to one, or a variance is infinite.
+
+    References
+    ----------
+    McLachlan & Peel, Finite Mixture Models, 2000.
+
+    Examples
+    --------
+    >>> from pgm import LinearGaussianCPD, Variable
+    >>> x, z = Variable("x"), Variable("z")
+    >>> seldom_wrong = MixtureCPD(
+    ...     [LinearGaussianCPD(z, {x: 1.0}, cov=0.01), LinearGaussianCPD(z, {x: 1.0}, cov=9.0)],
+    ...     weights=[0.95, 0.05],
+    ... )
+    >>> seldom_wrong.log_density([[0.1], [3.0]], {x: 0.0}).round(3)
+    array([ 0.835, -5.513])
+    """
+
+    parts: tuple[CPD, ...]
+    weights: Array
+
+    def __init__(self, components: Iterable[CPD], weights: npt.ArrayLike) -> None:
+        parts = (components,) if isinstance(components, CPD) else as_tuple(components)
+        if not parts:
+            raise ModelError(f"a mixture is of one CPD or more; found {components!r}")
+        for part in parts:
+            if not isinstance(part, CPD) or part.discrete:
+                raise ModelError(f"a mixture is of CPDs of continuous variables; found {part!r}")
+            if part.child != parts[0].child:
+                raise ModelError(
+                    f"a mixture is of CPDs of one child; found {parts[0]!r} and {part!r}",
+                    variable=part.child,
+                    cpd=part,
+                )
+            part.require_proper("a mixture weighs densities, and a flat one has none")
+        noise = tuple(dict.fromkeys(v for part in parts for v in part.noise_given))
+        self._set_scope(
+            parts[0].child, tuple(dict.fromkeys(v for part in parts for v in part.given)), noise
+        )
+        self._set(parts=parts, weights=frozen(self._checked(weights, len(parts))))
+        self._set(partial=all(part.partial for part in parts))
+        self._lead()
+
+    def _checked(self, weights: npt.ArrayLike, count: int) -> Array:
+        """The weights, one for each of some CPDs."""
+        found = as_floats(weights, "the weights of a mixture", cpd=self)
+        if found.shape != (count,):
+            raise ModelError(
+                f"a mixture of {count} CPDs of {self.child!r} has {count} weights; found an array "
+                f"of shape {found.shape}",
+                variable=self.child,
+                cpd=self,
+            )
+        total = float(found.sum())
+        if not (found > 0.0).all() or not abs(total - 1.0) <= _ROUNDING:
+            raise ModelError(
+                f"the weights of a mixture of CPDs of {self.child!r} are positive, and their sum "
+                f"is one; found {found.tolist()}, of sum {total:.12g}: leave out what has no "
+                "weight, and divide by the sum",
+                variable=self.child,
+                cpd=self,
+            )
+        return found
+
+    @property
+    def noise_given(self) -> Scope:
+        """The parents that a noise covariance depends on."""
+        return tuple(dict.fromkeys(v for part in self.parts for v in part.noise_given))
+
+    def require_proper(self, what: str) -> None:
+        """Refuse an infinite variance, of which a mixture has none."""
+
+    def _with(self, parts: tuple[CPD, ...]) -> Self:
+        """The same mixture of other forms of its CPDs."""
+        found = copy.copy(self)
+        found._set(parts=parts)
+        return found
+
+    def _lead(self) -> Shape:
+        shapes = [(part, part._lead()) for part in self.parts]
+        try:
+            return np.broadcast_shapes(*(shape for _, shape in shapes))
+        except ValueError:
+            raise ModelError(
+                f"{self!r}: its CPDs have axes of runs that do not broadcast: {clash(shapes)}; "
+                "give each the same",
+                variable=self.child,
+                cpd=self,
+            ) from None
+
+    def _log_density(self, child: Values, known: Known) -> Array:
+        terms = [part._log_density(child, _of(part, known)) for part in self.parts]
+        return log_mixed(self.weights, np.broadcast_arrays(*terms))
+
+    def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Values:
+        shape = (*size, *known.shape)
+        which = chosen(self.weights, shape, rng)
+        drawn = np.empty((*shape, self.child.dimension))
+        for k, part in enumerate(self.parts):
+            rows = which == k
+            if not rows.any():
+                continue
+            if part._lead():  # each of its runs has a law of its own
+                drawn[rows] = part._draw(_of(part, known), rng, size)[rows]
+                continue
+            own, count = {}, (int(rows.sum()),)
+            for parent in part.parents:
+                value = known.values[parent]
+                own[parent] = np.broadcast_to(value, (*shape, value.shape[-1]))[rows]
+            step = known.step
+            if step is not None and np.ndim(step):
+                step = np.broadcast_to(np.asarray(step), shape)[rows]
+            drawn[rows] = part._draw(Known(own, count, count, step), rng)
+        return drawn
+
+    def _placed(self, step: int) -> dict[str, Any]:
+        return super()._placed(step) | {"parts": tuple(part.at(step) for part in self.parts)}
+
+
+def _of(part: CPD, known: Known) -> Known:
+    """The values of the parents of one CPD of a mixture."""
+    return Known({v: known.values[v] for v in part.parents}, known.lead, known.shape, known.step)
+
+
+def chosen(weights: Array, shape: tuple[int, ...], rng: np.random.Generator) -> Integers:
+    """Which CPD of a mixture holds, for each of some draws."""
+    found: Integers = np.searchsorted(np.cumsum(weights)[:-1], rng.random(shape), side="right")
+    return found
+
+
+def log_mixed(weights: Array, terms: Iterable[Array]) -> Array:
+    """The log-density ln Σ_k w_k e^{t_k} of log-densities t_k; −∞ where all of them are."""
+    stacked = np.stack([np.log(w) + t for w, t in zip(weights, terms, strict=True)])
+    found: Array = np.logaddexp.reduce(stacked, axis=0)
+    return found

@@ -1,0 +1,354 @@
+"""Moves by a density, from each cell to each, and how well sums over centres serve for it.
+
+The weight of a centre is the density there times the volume of a cell. Sums over centres are not
+integrals: by how much is found by shifting the centres by parts of a cell. Within that, weights are
+normalised over the lattice, gone on beyond the bounds; what is missing besides has left them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.cpds import CPD
+from pgm.errors import ModelError
+from pgm.inference.grid.groups import Members
+from pgm.inference.grid.lattice import Window
+from pgm.inference.grid.values import (
+    at_a_time,
+    gaussian_parts,
+    log_density_at,
+    require_noise,
+    settled,
+)
+from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.lattice import Span
+from pgm.sizes import require_memory
+from pgm.variables import Variable
+
+# Numbers of kernels that are kept for all steps, where they are the same.
+_KEPT = 1 << 24
+# A share of the weights at the bounds above which some may be beyond.
+_EDGE = 1e-14
+# Sources of which the centres are shifted, and by which parts of a cell: of any, and of those
+# whose sums are the furthest from one.
+_SHIFTED = 16
+_FEW = np.arange(1, 4) / 4.0
+_MANY = np.arange(1, 16) / 16.0
+# A sum that is off by this is that of one.
+_ROUNDING = 1e-9
+# From this on a density has no answer on the lattice.
+_UNEVEN = 0.5
+
+
+class Uneven(NamedTuple):
+    """The density whose sums over centres differ the most with where between centres it stands.
+
+    Attributes
+    ----------
+    share : float
+        By how much they differ: of one.
+    variable : Variable or None
+    step : int
+    """
+
+    share: float
+    variable: Variable | None
+    step: int
+
+
+EVEN = Uneven(0.0, None, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Dense:
+    """Weights from each cell to each along some axes, for each cell of those depended on.
+
+    Attributes
+    ----------
+    axes : tuple of int
+        Those that are moved.
+    by : tuple of int
+        The other axes on which they depend, ascending; G is the number of their cells.
+    weights : ndarray
+        (G, S, T): S source cells, or 1 where none is depended on, and T target cells.
+    source, target : tuple of Span
+        The windows.
+    uneven : Uneven
+    """
+
+    axes: tuple[int, ...]
+    by: tuple[int, ...]
+    weights: Array
+    source: Window
+    target: Window
+    uneven: Uneven
+
+    def forward(self, array: Array) -> Array:
+        """The probabilities after it."""
+        lines = self._lines(array)
+        if self.weights.shape[1] < lines.shape[2]:
+            lines = lines.sum(axis=2, keepdims=True)
+        return self._whole(lines @ self.weights, self.target)
+
+    def backward(self, array: Array) -> Array:
+        """The transpose."""
+        lines = self._lines(array) @ self.weights.swapaxes(1, 2)
+        count = math.prod(self.source[k].length for k in self.axes)
+        return self._whole(np.broadcast_to(lines, (*lines.shape[:2], count)), self.source)
+
+    def added(self, array: Array) -> dict[int, float]:
+        """By axis, the variance that the lattice adds, of which nothing is known here."""
+        return {}
+
+    @property
+    def _order(self) -> tuple[int, ...]:
+        moved = {*self.axes, *self.by}
+        return (*self.by, *(k for k in range(len(self.source)) if k not in moved), *self.axes)
+
+    def _lines(self, array: Array) -> Array:
+        """An array as (G, cells of the axes that take no part, cells of those that are moved)."""
+        count = math.prod(array.shape[k] for k in self.axes)
+        groups = math.prod(array.shape[k] for k in self.by)
+        return np.ascontiguousarray(array.transpose(self._order)).reshape(groups, -1, count)
+
+    def _whole(self, lines: Array, window: Window) -> Array:
+        shape = [window[k].length for k in self._order]
+        found: Array = lines.reshape(shape).transpose(np.argsort(self._order))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class DensityGroup(Members):
+    """CPDs of any density, which is asked for from each cell to each.
+
+    Attributes
+    ----------
+    kept : dict
+        By key, the weights between all cells, where they are the same at all steps.
+    """
+
+    kept: dict[tuple[object, ...], Dense] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for cpd in self.states:
+            for parent in cpd.parents:
+                known = parent in self.known[cpd.child]
+                if not known and parent.template not in self.lattice.of:
+                    raise ModelError(
+                        f"{cpd!r} depends on {parent!r}, a hidden control, over which a grid sums "
+                        "the displacements of Gaussian CPDs alone; make it a state, with a prior",
+                        variable=cpd.child,
+                        cpd=cpd,
+                    )
+
+    def depends(self) -> tuple[set[int], set[int]]:
+        """The axes of the step before, and of its own step, on which the densities depend."""
+        before, after = set[int](), set[int]()
+        for cpd in self.states:
+            for parent in cpd.parents:
+                if parent.template in self.lattice.of:
+                    (before if parent.lag else after).update(self.lattice.of[parent.template])
+        return before, after
+
+    def move(self, step: int, run: int, window: Window) -> Dense:
+        """The weights of a step from a window."""
+        before, after = self.depends()
+        cells = math.prod(self.lattice.shape[k] for k in self.axes)
+        others = (before | after) - set(self.axes)
+        size = math.prod(self.lattice.shape[k] for k in others) * cells
+        size *= cells if before & set(self.axes) else 1
+        steady = not self.prior and not any(self.known[cpd.child] for cpd in self.states)
+        if not steady or size > _KEPT:
+            return _Maker(self, step, run, window).made()
+        if self.key not in self.kept:
+            self.kept[self.key] = _Maker(self, step, run, self.lattice.whole).made()
+        return self._cut(self.kept[self.key], window)
+
+    def _cut(self, dense: Dense, window: Window) -> Dense:
+        """The weights from a window alone."""
+        lattice = self.lattice
+        own = dense.weights.shape[1] > 1
+        each = (*dense.by, *self.axes) if own else dense.by
+        weights = dense.weights.reshape(*(lattice.shape[k] for k in each), -1)
+        for place, k in enumerate(each):
+            if window[k] != (0, lattice.shape[k]):
+                weights = weights[(slice(None),) * place + (lattice.axes[k].within(window[k]),)]
+        groups = math.prod(window[k].length for k in dense.by)
+        target = list(window)
+        for k in self.axes:
+            target[k] = dense.target[k]
+        weights = weights.reshape(groups, -1, dense.weights.shape[2])
+        return Dense(dense.axes, dense.by, weights, window, tuple(target), dense.uneven)
+
+
+class _Maker:
+    """The weights of one group at one step, from a window."""
+
+    def __init__(self, group: DensityGroup, step: int, run: int, window: Window) -> None:
+        self.group, self.step, self.run, self.window = group, step, run, window
+        self.lattice = group.lattice
+        before, after = group.depends()
+        self.by = tuple(sorted((before | after) - set(group.axes)))
+        self.own = group.axes if before & set(group.axes) else ()
+        self.known = {cpd.child: group.inputs(cpd.child, step, run) for cpd in group.states}
+        self.cpds: list[CPD] = [
+            settled(cpd, self.known[cpd.child], step, run) for cpd in group.states
+        ]
+        for cpd in self.cpds:
+            for part in gaussian_parts(cpd):
+                require_noise(part, part._lower, step)
+        self.share = 0.0
+
+    def made(self) -> Dense:
+        """The weights from a window to all cells."""
+        group, lattice, window = self.group, self.lattice, self.window
+        used = (*self.by, *self.own)
+        count = math.prod(window[k].length for k in used)
+        cells = math.prod(lattice.shape[k] for k in group.axes)
+        require_memory(
+            2 * count * cells,
+            f"the density of {[cpd.child for cpd in group.states]} from each of {count:,} cells to "
+            f"each of {cells:,}",
+            "take wider cells or closer bounds, states of fewer components each, a mixture of "
+            "Gaussian CPDs, which is moved by displacements, or belief=pgm.Particles(...)",
+            variable=group.states[0].child,
+            cpd=group.states[0],
+        )
+        rows = np.arange(count)
+        weights = np.exp(self._logs(rows, self._places()))
+        self._normalise(weights)
+        target = list(window)
+        for k in group.axes:
+            target[k] = Span(0, lattice.axes[k].cells)
+        weights = weights.reshape(math.prod(window[k].length for k in self.by), -1, cells)
+        uneven = Uneven(self.share, group.states[0].child, self.step)
+        return Dense(group.axes, self.by, weights, window, tuple(target), uneven)
+
+    def _places(self, shift: float = 0.0, beyond: bool = False) -> list[Array]:
+        """The places of centres along each axis that is moved, shifted by a part of a cell.
+
+        Beyond the bounds too, by half of what they cover on either side.
+        """
+        found = []
+        for k in self.group.axes:
+            axis = self.lattice.axes[k]
+            more = -(-axis.cells // 2) if beyond and not axis.angle else 0
+            outer = np.arange(1, more + 1) * axis.width
+            centres = [axis.offsets[0] - outer[::-1], axis.offsets, axis.offsets[-1] + outer]
+            found.append(axis.reference + np.concatenate(centres) + shift * axis.width)
+        return found
+
+    def _logs(self, rows: Integers, places: Sequence[Array]) -> Array:
+        """The logarithms (rows, targets) of weights at places along the axes that are moved."""
+        group, window, lattice = self.group, self.window, self.lattice
+        mesh = np.meshgrid(*places, indexing="ij")
+        targets = np.stack([part.reshape(-1) for part in mesh], axis=-1)
+        used = (*self.by, *self.own)
+        indices = lattice.indices(window)
+        lengths = [window[k].length for k in used]
+        middle = np.array(lattice.shape) // 2
+        found = np.empty((len(rows), len(targets)))
+        flat = found.reshape(-1)
+        block = min(at_a_time(cpd) for cpd in self.cpds)
+        for first in range(0, flat.size, block):
+            pairs = np.arange(first, min(first + block, flat.size))
+            row, target = np.divmod(pairs, len(targets))
+            each = np.unravel_index(rows[row], lengths) if used else ()
+            here = [np.full(len(pairs), place) for place in middle]
+            for k, place in zip(used, each, strict=True):
+                here[k] = indices[k][place]
+            base = lattice.points(here)
+            later = base.copy()
+            later[:, list(group.axes)] = targets[target]
+            flat[pairs] = self._log_density(base, later)
+        found += float(np.log(group.widths).sum())
+        return found
+
+    def _log_density(self, base: Array, later: Array) -> Array:
+        """The log-densities (n,) at points (n, axes) of the step before and of its own."""
+        points = dict(self.lattice.values(later))
+        children = dict(points)
+        points |= {v.previous: a for v, a in self.lattice.values(base).items()}
+        total = np.zeros(len(base))
+        for cpd in self.cpds:
+            total += log_density_at(
+                cpd, children[cpd.child], points, self.known[cpd.child], self.step, self.run
+            )
+        return total
+
+    def _normalise(self, weights: Array) -> None:
+        """Normalise weights (rows, targets) over the lattice, as far as that goes on."""
+        sums = weights.sum(axis=1)
+        near = self._near_bounds(weights) > _EDGE * sums
+        (rows,) = np.nonzero(near)
+        whole = sums.copy()
+        if rows.size:
+            whole[rows] = self._sums(rows, 0.0, True)
+        if len(whole):
+            some = np.linspace(0, len(whole) - 1, _SHIFTED).astype(np.intp)
+            self._shift(np.unique(some), whole, near, _FEW)
+        off = np.abs(whole - 1.0) - self._allowed
+        if (off > 0.0).any():
+            self._shift(np.argsort(-off)[:_SHIFTED], whole, near, _MANY)
+        if self.share > _UNEVEN:
+            raise ModelError(
+                f"{self._named} is too narrow for the cells at step {self.step}, run {self.run}: "
+                f"its sum over their centres differs by {self.share:.2g} with where between "
+                "centres it stands; take narrower cells, or a Gaussian CPD, or a mixture of such, "
+                "which is moved by displacements",
+                variable=self.group.states[0].child,
+                cpd=self.group.states[0],
+                step=self.step,
+                run=self.run,
+            )
+        if (whole - 1.0 > self._allowed).any():
+            raise ModelError(
+                f"{self._named} has an integral of {whole.max():.6g} at step {self.step}, run "
+                f"{self.run}, as the sum over the centres of cells: it is no density; let "
+                "log_density= be the logarithm of one whose integral over the child is one",
+                variable=self.group.states[0].child,
+                cpd=self.group.states[0],
+                step=self.step,
+                run=self.run,
+            )
+        # What is missing by more than sums differ has left the bounds, and is not made up for.
+        weights /= np.where(np.abs(whole - 1.0) <= self._allowed, whole, 1.0)[:, None]
+
+    @property
+    def _allowed(self) -> float:
+        """By how much a sum over centres may differ from one."""
+        return 2.0 * self.share + _ROUNDING
+
+    @property
+    def _named(self) -> str:
+        return " and ".join(f"the density of {cpd!r}" for cpd in self.group.states)
+
+    def _near_bounds(self, weights: Array) -> Array:
+        """The weights (rows,) at the last cells within bounds."""
+        shape = [self.lattice.shape[k] for k in self.group.axes]
+        inner = np.zeros(shape, dtype=bool)
+        angles = (self.lattice.axes[k].angle for k in self.group.axes)
+        inner[tuple(slice(None) if angle else slice(1, -1) for angle in angles)] = True
+        found: Array = weights[:, ~inner.reshape(-1)].sum(axis=1)
+        return found
+
+    def _sums(self, rows: Integers, shift: float, beyond: bool) -> Array:
+        """The sums of the weights of some rows, some rows at a time."""
+        places = self._places(shift, beyond)
+        length = max(_KEPT // 16 // math.prod(len(each) for each in places), 1)
+        parts = [rows[k : k + length] for k in range(0, len(rows), length)]
+        return np.concatenate([np.exp(self._logs(part, places)).sum(axis=1) for part in parts])
+
+    def _shift(self, rows: Integers, whole: Array, near: Array, parts: Array) -> None:
+        """Find by how much sums of some rows differ with the shift of the centres."""
+        for beyond in (False, True):
+            some = rows[near[rows] == beyond]
+            if some.size:
+                shifted = (self._sums(some, part, beyond) for part in parts.tolist())
+                every = np.stack([whole[some], *shifted])
+                self.share = max(self.share, float(np.ptp(every, axis=0).max()))

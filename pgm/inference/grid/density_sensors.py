@@ -1,0 +1,104 @@
+"""Sensors by their density, which is asked for at the centres of a window, some at a time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pgm.cpds import CPD
+from pgm.errors import EvidenceError
+from pgm.inference.grid.dependence import centres
+from pgm.inference.grid.lattice import Window
+from pgm.inference.grid.measured import Known, MeasuredSensor
+from pgm.inference.grid.terms import Level, Residuals
+from pgm.inference.grid.values import (
+    at_a_time,
+    gaussian_parts,
+    log_density_at,
+    require_noise,
+    settled,
+)
+from pgm.kernels.arrays import Array, Integers
+
+# Cells of all the lattice at which a density is looked at, that it may be higher elsewhere.
+_ELSEWHERE = 4096
+
+
+class DensitySensor(MeasuredSensor):
+    """A sensor of any density."""
+
+    def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
+        """The log-densities of one measurement, and about their largest at any centre."""
+        count = int(self.taken(row, run).sum())
+        if not count:
+            return [], 0.0
+        bound = self._bound(row, run)
+        axes = self._axes(bound[0])
+        indices, middle = self.lattice.indices(window), np.array(self.lattice.shape) // 2
+        lengths = [window[k].length for k in axes]
+        level, length = np.empty(math.prod(lengths)), at_a_time(bound[0])
+        for first in range(0, level.size, length):
+            flat = np.arange(first, min(first + length, level.size))
+            cells = np.repeat(middle[None], len(flat), axis=0)
+            if axes:
+                for k, place in zip(axes, np.unravel_index(flat, lengths), strict=True):
+                    cells[:, k] = indices[k][place]
+            level[flat] = self._at(cells, row, run, *bound)
+        shape = [window[k].length if k in axes else 1 for k in range(len(window))]
+        flat = np.arange(0, self.lattice.size, max(self.lattice.size // _ELSEWHERE, 1))
+        cells = np.stack(np.unravel_index(flat, self.lattice.shape), axis=-1)
+        parts = np.split(cells, range(length, len(cells), length))
+        elsewhere = max(float(self._at(part, row, run, *bound).max()) for part in parts)
+        highest = max(self.shape.highest.get(count, -np.inf), float(level.max()), elsewhere)
+        self.shape.highest[count] = highest
+        highest = highest if np.isfinite(highest) else 0.0
+        return [Level(level.reshape(shape), highest)], highest
+
+    def sharpness(self, row: int, run: int, cell: Integers) -> float:
+        """By how many deviations a measurement differs from a cell to the next, along any axis.
+
+        They are those of the normal density with the same second difference.
+        """
+        bound = self._bound(row, run)
+        here, *others = self._at(self.around(cell), row, run, *bound).tolist()
+        found = 0.0
+        for one, other in zip(others[: len(cell)], others[len(cell) :], strict=True):
+            near = [level for level in (one, other) if level > -math.inf]
+            if not near:
+                return math.inf
+            found = max(found, 2.0 * here - near[0] - near[-1])
+        return math.sqrt(found)
+
+    def _axes(self, cpd: CPD) -> list[int]:
+        """The axes of its parents."""
+        of = self.lattice.of
+        return sorted(k for parent in cpd.parents if parent in of for k in of[parent])
+
+    def _bound(self, row: int, run: int) -> tuple[CPD, Array, Known]:
+        """The CPD at a row, its measurement, NaN where not taken, and the observed parents."""
+        step, known, cpd = int(self.reading.step[row]), self.known(row, run), self.reading.cpd
+        taken = self.taken(row, run)
+        if not taken.all() and not cpd.partial:
+            raise EvidenceError(
+                f"{cpd!r}: a measurement at step {step} has components that are NaN, which the "
+                "density of such a CPD cannot leave out; give all of them, or none",
+                variable=cpd.child,
+                cpd=cpd,
+                step=step,
+            )
+        values = self.reading.values
+        value = np.where(taken, values[row, run if values.shape[1] > 1 else 0], np.nan)
+        cpd = settled(cpd, known, step, run)
+        for part in gaussian_parts(cpd):
+            require_noise(part, part._lower, step)
+        return cpd, value, known
+
+    def _at(
+        self, cells: Integers, row: int, run: int, cpd: CPD, value: Array, known: Known
+    ) -> Array:
+        """The log-densities (n,) at cells (n, axes)."""
+        points = self.lattice.values(centres(self.lattice, cells))
+        step = int(self.reading.step[row])
+        found = log_density_at(cpd, value, points, known, step, run)
+        return np.broadcast_to(found, len(cells))

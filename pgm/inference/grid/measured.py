@@ -1,0 +1,120 @@
+"""A sensor's measurements on a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.errors import ModelError
+from pgm.evidence import Reading
+from pgm.inference.grid.dependence import Dependence
+from pgm.inference.grid.lattice import Lattice, Window
+from pgm.inference.grid.terms import Residuals
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.variables import Variable
+
+# Values (d,) of a sensor's observed parents.
+Known = Mapping[Variable, Array]
+
+
+class Sharpness(NamedTuple):
+    """The sensor that is the sharpest for the cells.
+
+    Attributes
+    ----------
+    cells : float
+        By how many of its deviations a measurement differs from one cell to the next, where it is
+        the likeliest.
+    variable : Variable or None
+    step : int
+    """
+
+    cells: float
+    variable: Variable | None
+    step: int
+
+
+@dataclass(eq=False)
+class Shape:
+    """The shape of a sensor's function, as far as it has been tested.
+
+    Attributes
+    ----------
+    depended : Dependence
+        On which axes it depends.
+    turning : frozenset of int or None
+        The circles by which it is a sum of two; None as long as that has not been asked.
+    tested : bool
+        Whether that has been tested at every centre.
+    highest : dict of int to float
+        Of a density, by how many components were taken, its largest logarithm found at a centre.
+    """
+
+    depended: Dependence
+    turning: frozenset[int] | None = None
+    tested: bool = False
+    highest: dict[int, float] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
+class MeasuredSensor:
+    """A sensor's measurements, and the shape of its function.
+
+    Attributes
+    ----------
+    lattice : Lattice
+    reading : Reading
+    shape : Shape
+    """
+
+    lattice: Lattice
+    reading: Reading
+    shape: Shape
+
+    def require_covered(self) -> None:
+        """Refuse a sensor of what the grid has not."""
+        cpd = self.reading.cpd
+        for parent in cpd.given:
+            if parent not in self.lattice.of and parent not in self.reading.inputs:
+                raise ModelError(
+                    f"{cpd!r} measures {parent!r}, a hidden control, which no grid covers; "
+                    "make it a state, with a prior",
+                    variable=cpd.child,
+                    cpd=cpd,
+                )
+
+    def rows(self, step: int) -> range:
+        """The rows of the measurements of a step."""
+        low, high = np.searchsorted(self.reading.step, [step, step + 1])
+        return range(int(low), int(high))
+
+    def known(self, row: int, run: int) -> Known:
+        """The values of its observed parents."""
+        inputs = self.reading.inputs
+        return {v: a[row, run if a.shape[1] > 1 else 0] for v, a in inputs.items()}
+
+    def taken(self, row: int, run: int) -> Mask:
+        """The components of a measurement that were taken, (d,)."""
+        found: Mask = self.reading.taken[row, run if self.reading.taken.shape[1] > 1 else 0]
+        return found
+
+    def around(self, cell: Integers) -> Integers:
+        """A cell, the next along each axis, or the one before at an end, and that before."""
+        found = np.repeat(cell[None], 2 * len(cell) + 1, axis=0)
+        for k, axis in enumerate(self.lattice.axes):
+            for row, step in ((k + 1, 1), (k + 1 + len(cell), -1)):
+                inside = axis.angle or 0 <= cell[k] + step < axis.cells
+                found[row, k] += step if inside else -step
+                found[row, k] %= axis.cells
+        return found
+
+    def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
+        """The residuals of one measurement, and the log-density where these are zero."""
+        raise NotImplementedError
+
+    def sharpness(self, row: int, run: int, cell: Integers) -> float:
+        """By how many deviations a measurement differs from a cell to the next, along any axis."""
+        raise NotImplementedError

@@ -1,0 +1,68 @@
+"""The law of a CPD of any kind, and that of a mixture by those of its parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD
+from pgm.cpds.mixture import chosen, log_mixed
+from pgm.inference.particles.laws import Drawing, GaussianLaw, Law, Some, States
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False)
+class MixtureLaw(Law):
+    """A mixture at its rows.
+
+    Attributes
+    ----------
+    parts : tuple of Law
+        Of the CPDs that it mixes.
+    """
+
+    cpd: MixtureCPD
+    parts: tuple[Law, ...]
+
+    def draw(self, row: int, some: Some, drawing: Drawing) -> States:
+        """Draws of the child, (d, m), each of one part."""
+        which = np.empty(some.size, dtype=np.intp)
+        for place, rng in drawing.pieces:
+            which[place] = chosen(self.cpd.weights, (place.stop - place.start,), rng)
+        found = np.empty((self.cpd.child.dimension, some.size), dtype=self.dtype)
+        for k, part in enumerate(self.parts):
+            own = which == k
+            if own.any():
+                found[:, own] = part.draw(row, some.chosen(own), drawing.chosen(own))
+        return found
+
+    def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
+        """The log-densities (m,) of a child (d, m), or (d, 1) for all, or of components taken."""
+        terms = (part.log_density(row, some, child, taken) for part in self.parts)
+        return log_mixed(self.cpd.weights, terms)
+
+    def require_noise(self, steps: Integers) -> None:
+        """Refuse a part without noise."""
+        for part in self.parts:
+            part.require_noise(steps)
+
+
+def law(
+    cpd: CPD,
+    inputs: Mapping[Variable, Any],
+    places: Mapping[Variable, slice],
+    dtype: Any,
+    first_run: int,
+) -> Law:
+    """The law of a CPD: by its Gaussian noise, its parts, or its own sampler and density."""
+    rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
+    about = rows, places, dtype, first_run
+    if isinstance(cpd, ConditionalGaussian):
+        return GaussianLaw(cpd, *about)
+    if isinstance(cpd, MixtureCPD):
+        return MixtureLaw(cpd, *about, tuple(law(part, *about) for part in cpd.parts))
+    return Law(cpd, *about)
