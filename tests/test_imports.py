@@ -14,6 +14,7 @@ LAYERS = [
     {"factors"},
     {"linearisers"},
     {"cpds"},
+    {"maps"},
     {"evidence"},
     {"networks"},
     {"clustergraph"},

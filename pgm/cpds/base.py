@@ -36,6 +36,8 @@ class CPD(Immutable):
     given: Scope
     # What kind of variables a CPD is about: mixed networks are not supported.
     discrete: ClassVar[bool] = False
+    # Whether its density leaves out components of the child that are NaN, not measured.
+    partial: ClassVar[bool] = False
     _origin: CPD | None = None
 
     def _set_scope(

@@ -130,6 +130,8 @@ class Sensor:
             self._require_whole(taken, some.step)
             part = some if which is None else some.chosen(which)
             rows = self.values[row]
+            if self.reading.cpd.partial:
+                rows = np.where(self.reading.taken[row], rows, np.nan)
             child = rows[:1].T if len(rows) == 1 or part.owner is None else rows[part.owner].T
             found = self.law.log_density(row, part, child, taken)
             self._require_density(found, part)
@@ -140,7 +142,7 @@ class Sensor:
 
     def _require_whole(self, taken: Mask, step: int) -> None:
         cpd = self.reading.cpd
-        if not taken.all() and not isinstance(cpd, ConditionalGaussian):
+        if not (taken.all() or cpd.partial or isinstance(cpd, ConditionalGaussian)):
             raise EvidenceError(
                 f"{cpd!r}: a measurement at step {step} has components that are NaN, which the "
                 "density of such a CPD cannot leave out; give all of them, or none",
