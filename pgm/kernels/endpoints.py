@@ -52,29 +52,33 @@ def summed(table: Single, poses: Array, ends: Array) -> Array:
     return found
 
 
-def summed_apart(table: Single, poses: Array, x: Array, y: Array, seen: Mask) -> Array:
+def summed_apart(table: Single, poses: Array, ends: Array, seen: Mask) -> Array:
     """The sums over beams of each pose's own, (m,).
 
     Parameters
     ----------
     table, poses
         As of `summed`.
-    x, y : ndarray
-        (m, beams): where beams end in the frame of their pose, in cells.
+    ends : ndarray
+        (2, m, beams): where beams end in the frame of their pose, in cells.
     seen : ndarray of bool
         (m, beams): which beams count.
     """
-    count, beams = x.shape
+    _, count, beams = ends.shape
     size = min(count, max(BLOCK // max(beams, 1), 1))
     work = _Work(table, (size, beams))
     found = np.empty(count)
     for first in range(0, count, size):
         place = slice(first, min(first + size, count))
-        column, row, turn = poses[place].T[:, :, None]
-        cos, sin = np.cos(turn), np.sin(turn)
+        turn = poses[place, 2]
+        column, row, cos, sin = (
+            each.astype(np.float32)[:, None]
+            for each in (poses[place, 0], poses[place, 1], np.cos(turn), np.sin(turn))
+        )
+        x, y = ends[:, place].astype(np.float32)
         work.cut(len(column))
-        work.column[...] = column + cos * x[place] - sin * y[place]
-        work.row[...] = row + sin * x[place] + cos * y[place]
+        work.column[...] = column + cos * x - sin * y
+        work.row[...] = row + sin * x + cos * y
         found[place] = np.einsum("mb,mb->m", work.taken(), seen[place])
     return found
 
@@ -102,4 +106,5 @@ class _Work:
         np.copyto(self._other, self.row, casting="unsafe")
         np.multiply(self._other, np.int32(width), out=self._other)
         np.add(self._index, self._other, out=self._index)
-        return np.take(self.flat, self._index, out=self.column, mode="clip")
+        found: Single = np.take(self.flat, self._index, out=self.column, mode="clip")
+        return found

@@ -78,7 +78,7 @@ def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array
     which = np.flatnonzero(distance < end)
     rays, flat = rays[:, which], clear.ravel()
     while which.size:
-        x, y, _, _, _, _, right, up, column, row, base, distance, end = rays
+        right, up, column, row, base, distance, end = rays[6:]
         step = np.take(flat, (column * right + row * up + base).astype(np.intp))
         going = np.flatnonzero((step > 0) & (distance < end))
         if going.size < which.size:

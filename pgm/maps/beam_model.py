@@ -25,9 +25,10 @@ class BeamModel(ScanCPD):
 
     on :math:`[0, z_{max})`, and the probability m of a range of :math:`z_{max}` or more.
 
-    - h, s, m, u: `hit`, `short`, `maximum`, `random`, the shares of ranges to the obstacle expected,
-      to an unmapped one before it, to nothing, and of anything else. From within an obstacle,
-      where nothing can be shorter, s goes to `hit`.
+    - h, s, m, u: `hit`, `short`, `maximum`, `random`, the shares of ranges to the obstacle that is
+      expected, to an unmapped one before it, to nothing, and of anything else. Where no obstacle
+      is expected up to :math:`z_{max}`, h goes to m; in an obstacle, where :math:`z^* = 0` and
+      nothing can be shorter, s goes to h.
     - σ, λ, :math:`z_{max}`: `std`, `decay`, `most`.
 
     The log-density of a scan is `weight` times the sum over each `every`-th beam, without those
@@ -78,8 +79,11 @@ class BeamModel(ScanCPD):
     >>> wall = OccupancyMap([[0, 0, 0, 0, 1]] * 5, resolution=1.0)
     >>> scan = BeamModel(z, x, wall, angles=[np.pi / 2, 0.0], most=10.0, std=0.1)
     >>> scan.log_density([10.0, 3.5], {x: [0.5, 2.5, 0.0]}).round(3)
-    np.float64(-1.956)
+    np.float64(0.88)
     >>> scan.sample({x: [0.5, 2.5, 0.0]}, size=3, rng=4).round(2)
+    array([[10.  ,  3.41],
+           [10.  ,  3.51],
+           [10.  ,  3.49]])
     """
 
     std: float
@@ -157,7 +161,7 @@ class BeamModel(ScanCPD):
 
     def _density(self, ranges: Array, expected: Array) -> Array:
         """The densities of ranges, (m, beams); from `most` on their probability."""
-        hit, short = self._shares(expected)
+        hit, short, maximum = self._shares(expected)
         residual = (ranges - expected) / self.std
         low, high = self._ends(expected)
         normal = np.exp(-0.5 * (residual * residual + LOG_2PI)) / self.std
@@ -165,13 +169,15 @@ class BeamModel(ScanCPD):
         exponential = self.decay * np.exp(-self.decay * ranges) / -np.expm1(-self.decay * within)
         found = hit * normal / (high - low) + self.random / self.most
         found += np.where(ranges <= expected, short * exponential, 0.0)
-        found = np.where(ranges < self.most, found, self.maximum)
-        return np.where(ranges < 0.0, 0.0, found)
+        density: Array = np.where(ranges < self.most, found, maximum)
+        return density
 
-    def _shares(self, expected: Array) -> tuple[Array, Array]:
-        """The shares of ranges to the obstacle expected, and to one before it."""
-        none = expected <= 0.0
-        return np.where(none, self.hit + self.short, self.hit), np.where(none, 0.0, self.short)
+    def _shares(self, expected: Array) -> tuple[Array, Array, Array]:
+        """The shares of ranges to the obstacle expected, to one before it, and to none."""
+        inside, nothing = expected <= 0.0, expected >= self.most
+        hit = np.where(nothing, 0.0, self.hit + np.where(inside, self.short, 0.0))
+        short = np.where(inside, 0.0, self.short)
+        return hit, short, self.maximum + np.where(nothing, self.hit, 0.0)
 
     def _ends(self, expected: Array) -> tuple[Array, Array]:
         """The normal probabilities below a range of 0, and below `most`."""
@@ -182,7 +188,7 @@ class BeamModel(ScanCPD):
         expected = self.map._cast(poses, self.angles, self.most, self.through_unknown)
         shape = (*size, *known.shape, len(self.angles))
         expected = np.broadcast_to(expected.reshape(*known.shape, -1), shape)
-        hit, short = self._shares(expected)
+        hit, short, _ = self._shares(expected)
         kind, place = rng.random(shape), rng.random(shape)
         low, high = self._ends(expected)
         near = expected + self.std * ndtri(low + place * (high - low))

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import is_number
-from pgm.errors import FileError, ModelError
+from pgm.errors import FileError
 from pgm.kernels.arrays import Array
-from pgm.maps.occupancy import FREE, OCCUPIED, OccupancyMap
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -20,12 +19,34 @@ if TYPE_CHECKING:
 _KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _MODES = ("trinary", "scale", "raw")
 _SUFFIXES = (".pgm", ".png")
-# Grey values of map_server's map_saver; the last has p = .1961, which is not below .196.
-_GREY = {"free": 254, "obstacles": 0, "unknown": 205}
+# Thresholds of map_server, and grey values of its map_saver: the last one has p = .1961, which is
+# not below the first threshold.
+FREE, OCCUPIED = 0.196, 0.65
+FREE_GREY, OCCUPIED_GREY, UNKNOWN_GREY = 254, 0, 205
 
 
-def read(path: str | PathLike[str]) -> OccupancyMap:
-    """The map of a YAML file."""
+class MapFile(NamedTuple):
+    """The values of a map's files, not yet checked as a map.
+
+    Attributes
+    ----------
+    occupied : ndarray
+        (rows, columns), row 0 at the lowest y.
+    resolution : float
+    origin : object
+    free, above : float
+        The thresholds.
+    """
+
+    occupied: Array
+    resolution: float
+    origin: Any
+    free: float
+    above: float
+
+
+def read(path: str | PathLike[str]) -> MapFile:
+    """The values of a YAML file and its image."""
     path = Path(path)
     keys = _keys(path)
     mode = keys.get("mode", "trinary")
@@ -44,20 +65,17 @@ def read(path: str | PathLike[str]) -> OccupancyMap:
         raise _wrong(path, "image", keys["image"], "the path of an image")
     grey, opaque = _grey(path, path.parent / keys["image"])
     occupied = _occupied(grey, opaque, mode, bool(keys["negate"]), low, high)
-    try:
-        return OccupancyMap(
-            occupied[::-1],
-            _number(path, keys, "resolution"),
-            keys["origin"],
-            free_threshold=low,
-            occupied_threshold=high,
-        )
-    except ModelError as error:
-        raise FileError(f"{path}: {error}", path=str(path)) from error
+    return MapFile(occupied[::-1], _number(path, keys, "resolution"), keys["origin"], low, high)
 
 
-def write(map: OccupancyMap, path: str | PathLike[str], image: str) -> None:
-    """Write a map as a YAML file and an image beside it."""
+def write(
+    path: str | PathLike[str],
+    grey: npt.NDArray[np.uint8],
+    resolution: float,
+    origin: Array,
+    image: str,
+) -> None:
+    """Write grey values, row 0 at the lowest y, as a YAML file and an image beside it."""
     import yaml
     from PIL import Image
 
@@ -67,14 +85,12 @@ def write(map: OccupancyMap, path: str | PathLike[str], image: str) -> None:
     picture = path.with_suffix(image)
     if picture == path:
         raise FileError(f"{path} is to be the YAML file; give it another suffix", path=str(path))
-    grey = np.full(map.shape, _GREY["unknown"], dtype=np.uint8)
-    grey[map.free], grey[map.obstacles] = _GREY["free"], _GREY["obstacles"]
     Image.fromarray(np.ascontiguousarray(grey[::-1])).save(picture)
     keys = {
         "image": picture.name,
         "mode": "trinary",
-        "resolution": map.resolution,
-        "origin": map.origin.tolist(),
+        "resolution": resolution,
+        "origin": origin.tolist(),
         "negate": 0,
         "occupied_thresh": OCCUPIED,
         "free_thresh": FREE,

@@ -104,7 +104,8 @@ class FeatureMap(Immutable):
                     + ("" if self.names else "; its landmarks have no names")
                 )
         if isinstance(names, str):
-            return self.positions[self._places[names]]
+            position: Array = self.positions[self._places[names]]
+            return position
         found: Array = self.positions[[self._places[name] for name in names]]
         return found.reshape(-1, self.positions.shape[1])
 

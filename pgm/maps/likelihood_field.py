@@ -84,7 +84,7 @@ class LikelihoodField(ScanCPD):
     >>> scan = LikelihoodField(z, x, wall, angles=[np.pi / 2, 0.0], most=10.0, std=0.5)
     >>> at = [[0.5, 2.5, 0.0], [2.5, 2.5, 0.0]]
     >>> scan.log_density([10.0, 4.0], {x: at}).round(3)
-    array([-0.271, -5.202])
+    array([-0.271, -5.249])
     """
 
     std: float
@@ -141,7 +141,7 @@ class LikelihoodField(ScanCPD):
         if len(ranges) == 1:
             found = endpoints.summed(self._table, places, ends[:, 0, seen[0]])
         else:
-            found = endpoints.summed_apart(self._table, places, *ends, seen)
+            found = endpoints.summed_apart(self._table, places, ends, seen)
         return self.weight * found.reshape(lead)
 
     @property

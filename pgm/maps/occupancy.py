@@ -4,26 +4,23 @@ from __future__ import annotations
 
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, label
 
 from pgm.boundary import as_floats, is_whole
-from pgm.errors import ModelError
+from pgm.errors import FileError, ModelError
 from pgm.immutable import Immutable
 from pgm.kernels import planar, rays
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
+from pgm.maps import files
+from pgm.maps.files import FREE, OCCUPIED
 from pgm.maps.given import as_angles, as_finite, as_mask, as_pose, as_positive, as_share
+from pgm.maps.uniform import UniformPose
 from pgm.sizes import require_memory
 from pgm.variables import Variable
-
-if TYPE_CHECKING:
-    from pgm.maps.uniform import UniformPose
-
-# Of ROS's map_server.
-FREE, OCCUPIED = 0.196, 0.65
 
 
 class Cells(NamedTuple):
@@ -159,9 +156,17 @@ class OccupancyMap(Immutable):
             If a file is missing or cannot be read, a key is missing or wrong, or the image is in
             colour or of more than eight bits.
         """
-        from pgm.maps.files import read
-
-        return read(path)
+        found = files.read(path)
+        try:
+            return cls(
+                found.occupied,
+                found.resolution,
+                found.origin,
+                free_threshold=found.free,
+                occupied_threshold=found.above,
+            )
+        except ModelError as error:
+            raise FileError(f"{path}: {error}", path=str(path)) from error
 
     def write(self, path: str | PathLike[str], *, image: str = ".pgm") -> None:
         """Write the map as YAML and image, which ROS's map_server and `read` take (trinary).
@@ -181,9 +186,9 @@ class OccupancyMap(Immutable):
         FileError
             If the image is to be of another kind.
         """
-        from pgm.maps.files import write
-
-        write(self, path, image)
+        grey = np.full(self.shape, files.UNKNOWN_GREY, dtype=np.uint8)
+        grey[self.free], grey[self.obstacles] = files.FREE_GREY, files.OCCUPIED_GREY
+        files.write(path, grey, self.resolution, self.origin, image)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -350,8 +355,6 @@ class OccupancyMap(Immutable):
         ModelError
             If the variable or the mask does not fit, or no cell is left.
         """
-        from pgm.maps.uniform import UniformPose
-
         return UniformPose(pose, self, mask)
 
     def cast(

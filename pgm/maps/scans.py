@@ -10,9 +10,9 @@ import numpy.typing as npt
 from pgm.boundary import is_whole
 from pgm.cpds import CPD
 from pgm.cpds.values import Known, Values
-from pgm.errors import LinearisationError, ModelError
+from pgm.errors import EvidenceError, LinearisationError, ModelError
 from pgm.kernels import planar
-from pgm.kernels.arrays import Array, Mask, frozen
+from pgm.kernels.arrays import Array, frozen
 from pgm.maps.given import as_angles, as_pose, as_positive, as_share
 from pgm.maps.occupancy import OccupancyMap
 from pgm.variables import Variable
@@ -97,7 +97,7 @@ class ScanCPD(CPD):
                 variable=child,
                 cpd=self,
             )
-        if not is_whole(every) or not 1 <= every:
+        if not is_whole(every) or every < 1:
             raise ModelError(f"{self!r}: every is a whole number, 1 or more, not {every!r}")
         self._set(
             map=map,
@@ -127,6 +127,14 @@ class ScanCPD(CPD):
             ranges = ranges[(0,) * (child.ndim - 1)][None]
         else:
             ranges = np.broadcast_to(ranges, (*lead, self.beams)).reshape(-1, self.beams)
+        if (ranges < 0.0).any():
+            raise EvidenceError(
+                f"{self!r}: a scan has the range {np.nanmin(ranges)}; ranges are 0 or more, NaN "
+                "where not measured",
+                variable=self.child,
+                cpd=self,
+                step=_step(known),
+            )
         return Scans(ranges, self._sensor_poses(known, known.lead, lead), lead)
 
     def _sensor_poses(self, known: Known, own: tuple[int, ...], lead: tuple[int, ...]) -> Array:
@@ -143,12 +151,11 @@ class ScanCPD(CPD):
                 "the motion makes of it",
                 variable=pose,
                 cpd=self,
-                step=known.step if isinstance(known.step, int) else None,
+                step=_step(known),
             )
         return planar.mounted(poses, self.mount) if self.mount.any() else poses
 
 
-def seen(ranges: Array) -> Mask:
-    """Which beams were measured."""
-    found: Mask = ~np.isnan(ranges)
-    return found
+def _step(known: Known) -> int | None:
+    """The one step of values, for messages."""
+    return known.step if isinstance(known.step, int) else None

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from pgm.boundary import as_tuple
-from pgm.cpds import CPD, GaussianCPD
+from pgm.cpds import CPD, GaussianCPD, TableCPD
 from pgm.errors import ModelError
 from pgm.factors.runs import clash
 from pgm.factors.scope import MOST, Scope
