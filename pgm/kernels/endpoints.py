@@ -18,8 +18,8 @@ BLOCK = 2**15
 MOST_CELLS = 2**31 - 1
 
 
-def summed(table: Single, poses: Array, ends: Array) -> Array:
-    """The sums over beams that all poses share, (m,).
+def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask) -> Array:
+    """The sums over the beams of each pose, (m,).
 
     Parameters
     ----------
@@ -27,59 +27,44 @@ def summed(table: Single, poses: Array, ends: Array) -> Array:
         (rows, columns), contiguous. Ends beyond its edge count as in the cell on the edge.
     poses : ndarray
         (m, 3): column, row and heading.
-    ends : ndarray
-        (2, beams): where beams end in the frame of the pose, in cells.
-    """
-    count, beams = len(poses), ends.shape[1]
-    turn = poses[:, 2]
-    ahead = np.ones((count, 4), dtype=np.float32)
-    ahead[:, 0], ahead[:, 1] = np.cos(turn), np.sin(turn)
-    ahead[:, 2], ahead[:, 3] = poses[:, 0], poses[:, 1]
-    x, y = ends
-    one, none = np.ones(beams), np.zeros(beams)
-    to_column = np.stack([x, -y, one, none]).astype(np.float32)
-    to_row = np.stack([y, x, none, one]).astype(np.float32)
-    size = min(count, max(BLOCK // max(beams, 1), 1))
-    work = _Work(table, (size, beams))
-    found = np.empty(count)
-    ones = np.ones(beams, dtype=np.float32)
-    for first in range(0, count, size):
-        part = ahead[first : first + size]
-        work.cut(len(part))
-        np.matmul(part, to_column, out=work.column)
-        np.matmul(part, to_row, out=work.row)
-        found[first : first + size] = work.taken() @ ones
-    return found
-
-
-def summed_apart(table: Single, poses: Array, ends: Array, seen: Mask) -> Array:
-    """The sums over beams of each pose's own, (m,).
-
-    Parameters
-    ----------
-    table, poses
-        As of `summed`.
-    ends : ndarray
-        (2, m, beams): where beams end in the frame of their pose, in cells.
+    units : ndarray
+        (2, beams): the directions of beams in the frame of their pose.
+    ranges : ndarray
+        (m, beams) in cells, or (1, beams) where all poses share one scan.
     seen : ndarray of bool
-        (m, beams): which beams count.
+        As the ranges: which beams count.
     """
-    _, count, beams = ends.shape
-    size = min(count, max(BLOCK // max(beams, 1), 1))
+    shared = len(ranges) == 1
+    if shared:
+        units = (units * ranges[0])[:, seen[0]]
+    beams = units.shape[1]
+    size = min(len(poses), max(BLOCK // max(beams, 1), 1))
     work = _Work(table, (size, beams))
-    found = np.empty(count)
-    for first in range(0, count, size):
-        place = slice(first, min(first + size, count))
-        turn = poses[place, 2]
-        column, row, cos, sin = (
-            each.astype(np.float32)[:, None]
-            for each in (poses[place, 0], poses[place, 1], np.cos(turn), np.sin(turn))
-        )
-        x, y = ends[:, place].astype(np.float32)
-        work.cut(len(column))
-        work.column[...] = column + cos * x - sin * y
-        work.row[...] = row + sin * x + cos * y
-        found[place] = np.einsum("mb,mb->m", work.taken(), seen[place])
+    # Columns and rows are products of (cos, sin, place) with these, or sums of their parts.
+    x, y = units
+    rest = np.full(beams, 1.0 if shared else 0.0)
+    to_column = np.stack([x, -y, rest]).astype(np.float32)
+    to_row = np.stack([y, x, rest]).astype(np.float32)
+    ones = np.ones(beams, dtype=np.float32)
+    found = np.empty(len(poses))
+    for first in range(0, len(poses), size):
+        place = slice(first, min(first + size, len(poses)))
+        ahead = np.empty((place.stop - first, 3), dtype=np.float32)
+        column, row, heading = poses[place].T
+        ahead[:, 0], ahead[:, 1] = np.cos(heading), np.sin(heading)
+        work.cut(len(ahead))
+        for position, matrix, out in ((column, to_column, work.column), (row, to_row, work.row)):
+            ahead[:, 2] = position
+            np.matmul(ahead, matrix, out=out)
+        if not shared:
+            own = ranges[place].astype(np.float32)
+            for position, out in ((column, work.column), (row, work.row)):
+                np.multiply(out, own, out=out)
+                np.add(out, position.astype(np.float32)[:, None], out=out)
+        values = work.taken()
+        if not shared:
+            np.multiply(values, seen[place], out=values)
+        found[place] = values @ ones
     return found
 
 

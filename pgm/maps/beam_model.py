@@ -157,7 +157,8 @@ class BeamModel(ScanCPD):
         with np.errstate(divide="ignore"):
             logarithm = np.log(density)
         found = np.where(measured, logarithm, 0.0).sum(axis=-1)
-        return self.weight * found.reshape(lead)
+        total: Array = self.weight * found.reshape(lead)
+        return total
 
     def _density(self, ranges: Array, expected: Array) -> Array:
         """The densities of ranges, (m, beams); from `most` on their probability."""

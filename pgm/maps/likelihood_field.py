@@ -137,11 +137,8 @@ class LikelihoodField(ScanCPD):
         places[:, :2] = self.map._to_cells(poses[:, :2]) + self._margin
         places[:, 2] = poses[:, 2] - self.map.origin[2]
         seen = ranges < self.most  # nor is NaN
-        ends = self._units * (np.where(seen, ranges, 0.0) / self.map.resolution)
-        if len(ranges) == 1:
-            found = endpoints.summed(self._table, places, ends[:, 0, seen[0]])
-        else:
-            found = endpoints.summed_apart(self._table, places, ends, seen)
+        cells = np.where(seen, ranges, 0.0) / self.map.resolution
+        found = endpoints.summed(self._table, places, self._units, cells, seen)
         return self.weight * found.reshape(lead)
 
     @property
@@ -151,8 +148,8 @@ class LikelihoodField(ScanCPD):
 
     @cached_property
     def _units(self) -> Array:
-        """The directions of the beams in use, (2, 1, beams)."""
-        return planar.directions(self._angles).T[:, None]
+        """The directions of the beams in use, (2, beams)."""
+        return planar.directions(self._angles).T
 
     @cached_property
     def _table(self) -> endpoints.Single:
