@@ -109,11 +109,11 @@ def test_networks_draw_scans_and_particles_find_the_pose(building, x, z, angles)
     mask = building.connected(building.centres(5, 5))
     start = pgm.GaussianCPD(x, [*building.centres(8, 10), 1.0], np.diag([1e-4] * 3))
     move = pgm.LinearGaussianCPD(x, {x.previous: np.eye(3)}, cov=np.diag([1e-4] * 3))
-    sensor = BeamModel(z, x, building, angles=angles, most=2.5, std=0.05)
+    sensor = BeamModel(z, x, building, angles=angles, most=2.5, std=0.1, weight=0.2)
     model = pgm.DynamicBayesianNetwork([start], [move], [sensor])
     drawn = model.sample({}, steps=6, rng=4)
     lost = model.replace(prior=[building.uniform(x, mask)])
-    found = pgm.filter(lost, drawn.evidence, belief=pgm.Particles(4000, seed=1))
+    found = pgm.filter(lost, drawn.evidence, belief=pgm.Particles(6000, seed=1))
     error = found[x.at(6)].mean - drawn[x][6]
     assert np.hypot(*error[:2]) < 0.1
     assert abs(np.exp(1j * error[2]) - 1.0) < 0.1

@@ -23,7 +23,8 @@ def terms(map, angles, scan, pose):
     """The log-likelihood of each beam of a scan at a pose; 0 of those that say nothing."""
     corners = np.argwhere(map.obstacles)
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    sensor = pose + [cos * MOUNT[0] - sin * MOUNT[1], sin * MOUNT[0] + cos * MOUNT[1], MOUNT[2]]
+    turned = [cos * MOUNT[0] - sin * MOUNT[1], sin * MOUNT[0] + cos * MOUNT[1], MOUNT[2]]
+    sensor = pose + np.array(turned)
     found = []
     for angle, distance in zip(angles, scan, strict=True):
         if np.isnan(distance) or distance >= SET["most"]:
@@ -78,7 +79,7 @@ def test_a_scan_of_its_own_for_each_pose(field, building, angles, scan, poses, x
 
 
 def test_many_poses_are_blocks_of_few(x, z, building, angles, scan):
-    poses = np.random.default_rng(8).normal(size=(9000, 3)) + [6.0, 0.0, 0.0]
+    poses = np.random.default_rng(8).normal([6.0, 0.0, 0.0], size=(9000, 3))
     field = LikelihoodField(z, x, building, angles=angles, **SET)
     found = field.log_density(scan, {x: poses})
     few = [field.log_density(scan, {x: part}) for part in np.array_split(poses, 100)]
@@ -106,7 +107,8 @@ def test_noise_behind_a_wall_costs_no_more_than_before_it(x):
         assert far == pytest.approx(np.log(0.05 / 9.0), abs=1e-6)
 
 
-def test_particles_take_scans_of_which_beams_are_missing(field, building, x, z, scan, angles):
+def test_particles_take_scans_of_which_beams_are_missing(building, x, z, scan, angles):
+    field = LikelihoodField(z, x, building, angles=angles, mount=MOUNT, weight=0.2, **SET)
     move = pgm.LinearGaussianCPD(x, {x.previous: np.eye(3)}, cov=np.diag([1e-3] * 3))
     model = pgm.DynamicBayesianNetwork([building.uniform(x)], [move], [field])
     scans = np.stack([scan, np.full_like(scan, np.nan), np.roll(scan, 1)])
@@ -116,10 +118,10 @@ def test_particles_take_scans_of_which_beams_are_missing(field, building, x, z, 
     # One step is the prior moved, and weighed by single beams.
     beliefs = [found[x.at(step)] for step in (1, 2)]
     states = beliefs[0].states
-    due = np.array([terms(building, angles, scan, pose).sum() for pose in states])
+    due = 0.2 * np.array([terms(building, angles, scan, pose).sum() for pose in states])
     due -= np.logaddexp.reduce(due)
     assert_allclose(np.log(beliefs[0].weights), due, atol=2e-4)
-    assert_allclose(np.sort(beliefs[1].weights), 1.0 / 300)  # nothing was seen
+    assert_allclose(beliefs[1].weights, beliefs[0].weights)  # nothing was seen
     assert len(start[x.at(0)].states) == 300
     runs = np.stack([scans, np.roll(scans, 2, axis=-1)])
     batch = pgm.filter(model, {z: runs}, belief=cloud)
@@ -130,13 +132,13 @@ def test_particles_take_scans_of_which_beams_are_missing(field, building, x, z, 
 
 
 def test_values_that_are_none(field, scan, x):
-    with pytest.raises(LinearisationError, match="a pose is .* look for what the motion"):
+    with pytest.raises(LinearisationError, match=r"a pose is .* look for what the motion"):
         field._log_density(scan, _known(x, [[1.0, np.nan, 0.0]]))
     with pytest.raises(ModelError, match="NaN or infinite"):
         field.log_density(scan, {x: [1.0, np.inf, 0.0]})
     with pytest.raises(ModelError, match="entries that are infinite"):
         field.log_density(np.full_like(scan, np.inf), {x: [1.0, 1.0, 0.0]})
-    with pytest.raises(EvidenceError, match="has the range -0.5"):
+    with pytest.raises(EvidenceError, match=r"has the range -0\.5"):
         field.log_density(np.full_like(scan, -0.5), {x: [1.0, 1.0, 0.0]})
     with pytest.raises(ModelError, match="cannot be drawn from"):
         field.sample({x: [1.0, 1.0, 0.0]}, rng=1)
