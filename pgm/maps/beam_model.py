@@ -10,7 +10,7 @@ from pgm.cpds.values import Known, Values
 from pgm.errors import ModelError
 from pgm.kernels.arrays import LOG_2PI, Array
 from pgm.maps.given import as_positive, as_share
-from pgm.maps.occupancy import OccupancyMap
+from pgm.maps.occupancy import OccupancyMap, blocks
 from pgm.maps.scans import ScanCPD
 from pgm.variables import Variable
 
@@ -150,15 +150,22 @@ class BeamModel(ScanCPD):
 
     def _log_density(self, child: Values, known: Known) -> Array:
         ranges, poses, lead = self._scans(child, known)
-        expected = self.map._cast(poses, self._angles, self.most, self.through_unknown)
-        measured = ~np.isnan(ranges)
-        ranges = np.where(measured, ranges, self.most)
-        density = self._density(ranges, expected)
-        with np.errstate(divide="ignore"):
-            logarithm = np.log(density)
-        found = np.where(measured, logarithm, 0.0).sum(axis=-1)
+        found = np.empty(len(poses))
+        for place in blocks(len(poses), self.beams):
+            own = ranges if len(ranges) == 1 else ranges[place]
+            found[place] = self._summed(own, poses[place])
         total: Array = self.weight * found.reshape(lead)
         return total
+
+    def _summed(self, ranges: Array, poses: Array) -> Array:
+        """The log-densities of scans (m or 1, beams) at the sensor's poses (m, 3)."""
+        expected = self.map._cast(poses, self._angles, self.most, self.through_unknown)
+        measured = ~np.isnan(ranges)
+        density = self._density(np.where(measured, ranges, self.most), expected)
+        with np.errstate(divide="ignore"):
+            logarithm = np.log(density)
+        found: Array = np.where(measured, logarithm, 0.0).sum(axis=-1)
+        return found
 
     def _density(self, ranges: Array, expected: Array) -> Array:
         """The densities of ranges, (m, beams); from `most` on their probability."""

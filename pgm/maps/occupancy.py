@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 from os import PathLike
 from typing import NamedTuple
@@ -403,14 +404,16 @@ class OccupancyMap(Immutable):
 
     def _cast(self, poses: Array, angles: Array, most: float, through_unknown: bool) -> Array:
         """The distances (n, B) of checked poses (n, 3)."""
-        places = self._to_cells(poses[:, :2])
-        turn = (poses[:, 2] - self.origin[2])[:, None] + angles
-        units = planar.directions(turn).reshape(-1, 2).T
-        points = np.repeat(places, angles.size, axis=0).T
         clear = self._clear if through_unknown else self._known_clear
-        reach = rays.cast(clear, points, units, most / self.resolution)
-        found: Array = np.minimum(reach * self.resolution, most)
-        return found.reshape(turn.shape)
+        found = np.empty((len(poses), angles.size))
+        for place in blocks(len(poses), angles.size):
+            part = poses[place]
+            points = np.repeat(self._to_cells(part[:, :2]), angles.size, axis=0).T
+            turns = (part[:, 2] - self.origin[2])[:, None] + angles
+            units = planar.directions(turns.ravel()).T
+            reach = rays.cast(clear, points, units, most / self.resolution)
+            found[place] = np.minimum(reach * self.resolution, most).reshape(turns.shape)
+        return found
 
     def _to_cells(self, points: Array) -> Array:
         """Points (..., 2) as columns and rows, with fractions."""
@@ -448,6 +451,13 @@ class OccupancyMap(Immutable):
             f"OccupancyMap({rows} rows, {columns} columns of {self.resolution:g} m from "
             f"({x:g}, {y:g}){turned})"
         )
+
+
+def blocks(count: int, beams: int) -> Iterator[slice]:
+    """Poses that are worked on together, so that their rays' arrays stay in a core's cache."""
+    size = max(rays.BLOCK // beams, 1)
+    for first in range(0, count, size):
+        yield slice(first, min(first + size, count))
 
 
 def _closed(mask: Mask) -> Mask:

@@ -126,14 +126,15 @@ class Sensor:
 
     def add(self, row: int, some: Some, total: Array) -> None:
         """Add the log-density of one measurement at particles."""
-        for taken, which in by_pattern(self.reading.taken[row], some.owner):
-            self._require_whole(taken, some.step)
+        rows, taken = self.values[row], self.reading.taken[row]
+        patterns = by_pattern(taken, some.owner)
+        if self.reading.cpd.partial and taken.any():
+            rows, patterns = np.where(taken, rows, np.nan), iter([(taken[0], None)])
+        for pattern, which in patterns:
+            self._require_whole(pattern, some.step)
             part = some if which is None else some.chosen(which)
-            rows = self.values[row]
-            if self.reading.cpd.partial:
-                rows = np.where(self.reading.taken[row], rows, np.nan)
             child = rows[:1].T if len(rows) == 1 or part.owner is None else rows[part.owner].T
-            found = self.law.log_density(row, part, child, taken)
+            found = self.law.log_density(row, part, child, pattern)
             self._require_density(found, part)
             if which is None:
                 total += found
