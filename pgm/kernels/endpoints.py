@@ -14,8 +14,8 @@ from pgm.kernels.arrays import Array, Mask
 Single = npt.NDArray[np.float32]
 # Ends that are worked on at a time: their arrays stay in a core's cache.
 BLOCK = 2**15
-# The most cells that an int32 counts.
-MOST_CELLS = 2**31 - 1
+# More cells than an int32 counts.
+_MANY = 2**31
 
 
 def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask) -> Array:
@@ -74,7 +74,8 @@ class _Work:
     def __init__(self, table: Single, shape: tuple[int, int]) -> None:
         self.table, self.flat = table, table.ravel()
         self._floats = np.empty((2, *shape), dtype=np.float32)
-        self._indices = np.empty((2, *shape), dtype=np.int32)
+        kind = np.int32 if table.size < _MANY else np.int64
+        self._indices = np.empty((2, *shape), dtype=kind)
         self.cut(shape[0])
 
     def cut(self, size: int) -> None:
@@ -89,7 +90,7 @@ class _Work:
         np.clip(self.row, np.float32(0.0), np.float32(height - 1), out=self.row)
         np.copyto(self._index, self.column, casting="unsafe")
         np.copyto(self._other, self.row, casting="unsafe")
-        np.multiply(self._other, np.int32(width), out=self._other)
+        np.multiply(self._other, width, out=self._other)
         np.add(self._index, self._other, out=self._index)
         found: Single = np.take(self.flat, self._index, out=self.column, mode="clip")
         return found

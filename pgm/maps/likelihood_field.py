@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import distance_transform_edt
 
 from pgm.cpds.values import Known, Values
 from pgm.errors import ModelError
@@ -31,10 +29,10 @@ class LikelihoodField(ScanCPD):
     - h, u, σ, :math:`z_{max}`, w: `hit`, `random`, `std`, `most`, `weight`.
 
     Beams of `most` or more have met nothing and say nothing: they are left out, as are those that
-    are NaN, not measured. Ends beyond the map and in unknown cells count like others, by their
-    distance: far from obstacles they have the random part alone, while the back of a wall, where
-    noise may put them, is no worse than its front. Beams pass through obstacles unseen. It is a
-    likelihood of poses for a scan, not a normalised density of scans, and cannot be drawn from.
+    are NaN, not measured. Ends beyond the map and in cells that are NaN, of which nothing is known,
+    have the random part alone; cells that are merely uncertain have their distance as others do.
+    Beams pass through obstacles unseen. It is a likelihood of poses for a scan, not a normalised
+    density of scans, and cannot be drawn from.
 
     Beams side by side err together, by what the map has wrong and by people; as independent they
     would make a belief far too certain. ``every=k`` uses each k-th, ``weight`` takes the likelihood
@@ -68,7 +66,7 @@ class LikelihoodField(ScanCPD):
     Raises
     ------
     ModelError
-        If an argument does not fit, or the map has no obstacle or too many cells.
+        If an argument does not fit, or the map has no obstacle.
 
     References
     ----------
@@ -84,7 +82,7 @@ class LikelihoodField(ScanCPD):
     >>> scan = LikelihoodField(z, x, wall, angles=[np.pi / 2, 0.0], most=10.0, std=0.5)
     >>> at = [[0.5, 2.5, 0.0], [2.5, 2.5, 0.0]]
     >>> scan.log_density([10.0, 4.0], {x: at}).round(3)
-    array([-0.271, -5.249])
+    array([-0.271, -5.298])
     """
 
     std: float
@@ -123,28 +121,16 @@ class LikelihoodField(ScanCPD):
             distance=as_positive(distance, f"{self!r}: distance"),
         )
         map._require_obstacle()
-        height, width = (side + 2 * self._margin for side in map.shape)
-        if height * width > endpoints.MOST_CELLS:
-            raise ModelError(
-                f"{self!r}: the map has {height} by {width} cells with a margin of {distance} m, "
-                f"more than {endpoints.MOST_CELLS}; cut it, or make its cells larger",
-                cpd=self,
-            )
 
     def _log_density(self, child: Values, known: Known) -> Array:
         ranges, poses, lead = self._scans(child, known)
         places = np.empty_like(poses)
-        places[:, :2] = self.map._to_cells(poses[:, :2]) + self._margin
+        places[:, :2] = self.map._to_cells(poses[:, :2]) + 1.0
         places[:, 2] = poses[:, 2] - self.map.origin[2]
         seen = ranges < self.most  # nor is NaN
         cells = np.where(seen, ranges, 0.0) / self.map.resolution
         found = endpoints.summed(self._table, places, self._units, cells, seen)
         return self.weight * found.reshape(lead)
-
-    @property
-    def _margin(self) -> int:
-        """How many cells beyond the map have distances of their own."""
-        return math.ceil(self.distance / self.map.resolution) + 1
 
     @cached_property
     def _units(self) -> Array:
@@ -153,10 +139,9 @@ class LikelihoodField(ScanCPD):
 
     @cached_property
     def _table(self) -> endpoints.Single:
-        """The log-likelihood of a beam that ends in a cell, with a margin around the map."""
-        nothing = ~np.pad(self.map.obstacles, self._margin)
-        away = distance_transform_edt(nothing, sampling=self.map.resolution)
-        square = (np.minimum(away, self.distance) / self.std) ** 2
+        """The log-likelihood of a beam that ends in a cell, with one cell around the map."""
+        square = (np.minimum(self.map.distances, self.distance) / self.std) ** 2
         normal = np.exp(-0.5 * (square + LOG_2PI)) / self.std
-        found = np.log(self.hit * normal + self.random / self.most)
-        return np.ascontiguousarray(found, dtype=np.float32)
+        normal[np.isnan(self.map.occupied)] = 0.0
+        density = self.hit * np.pad(normal, 1) + self.random / self.most
+        return np.log(density).astype(np.float32)
