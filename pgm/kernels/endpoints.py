@@ -38,7 +38,7 @@ def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask)
     if shared:
         units = (units * ranges[0])[:, seen[0]]
     beams = units.shape[1]
-    size = min(len(poses), max(BLOCK // max(beams, 1), 1))
+    size = max(min(len(poses), BLOCK // max(beams, 1)), 1)
     work = _Work(table, (size, beams))
     # Columns and rows are products of (cos, sin, place) with these, or sums of their parts.
     x, y = units

@@ -369,7 +369,8 @@ class OccupancyMap(Immutable):
         r"""How far beams get from poses before they enter an obstacle's cell.
 
         The distances are exact for the grid, to rounding: a beam's is that of its first point in
-        the square of an obstacle. It is 0 in one, and `most` where there is none up to there.
+        the square of an obstacle, on its edge. It is 0 in one, and `most` where there is none up to
+        there.
 
         Parameters
         ----------

@@ -132,6 +132,12 @@ def test_particles_take_scans_of_which_beams_are_missing(building, x, z, scan, a
     assert np.isfinite(light.log_evidence)
 
 
+def test_no_poses_and_no_beams(field, scan, x):
+    assert field.log_density(scan, {x: np.zeros((0, 3))}).shape == (0,)
+    assert field.log_density(np.zeros((0, 12)), {x: np.zeros(3)}).shape == (0,)
+    assert field.log_density(np.full(12, np.nan), {x: [6.0, 0.0, 0.0]}) == 0.0
+
+
 def test_values_that_are_none(field, scan, x):
     with pytest.raises(LinearisationError, match=r"a pose is .* look for what the motion"):
         field._log_density(scan, _known(x, [[1.0, np.nan, 0.0]]))
