@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cached_property
 from os import PathLike
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +12,10 @@ from scipy.ndimage import distance_transform_edt, label
 
 from pgm.boundary import as_floats, is_whole
 from pgm.errors import FileError, ModelError
-from pgm.immutable import Immutable
 from pgm.kernels import planar, rays
-from pgm.kernels.arrays import Array, Integers, Mask, frozen
+from pgm.kernels.arrays import Array, Mask, frozen
 from pgm.maps import files
+from pgm.maps.cells import CellGrid
 from pgm.maps.files import FREE, OCCUPIED
 from pgm.maps.given import as_angles, as_finite, as_mask, as_pose, as_positive, as_share
 from pgm.maps.uniform import UniformPose
@@ -24,23 +23,7 @@ from pgm.sizes import require_memory
 from pgm.variables import Variable
 
 
-class Cells(NamedTuple):
-    """Cells of a map.
-
-    Attributes
-    ----------
-    rows, columns : ndarray of int
-        (...): also of points outside, where they are none of the map's.
-    inside : ndarray of bool
-        (...): whether the map has them.
-    """
-
-    rows: Integers
-    columns: Integers
-    inside: Mask
-
-
-class OccupancyMap(Immutable):
+class OccupancyMap(CellGrid):
     r"""A grid of cells with the probability that each is occupied; an immutable value.
 
     The cell in row i and column j is the square from (j, i) to (j + 1, i + 1), times the
@@ -65,6 +48,8 @@ class OccupancyMap(Immutable):
     ----------
     occupied, resolution, origin, free_threshold, occupied_threshold
         As above, arrays read-only.
+    shape : (int, int)
+        Rows and columns.
 
     Raises
     ------
@@ -88,8 +73,6 @@ class OccupancyMap(Immutable):
     """
 
     occupied: Array
-    resolution: float
-    origin: Array
     free_threshold: float
     occupied_threshold: float
 
@@ -123,6 +106,7 @@ class OccupancyMap(Immutable):
             )
         self._set(
             occupied=frozen(array.copy()),
+            shape=array.shape,
             resolution=as_positive(resolution, "the map's resolution"),
             origin=as_pose(origin, "the map's origin"),
             free_threshold=free,
@@ -191,12 +175,6 @@ class OccupancyMap(Immutable):
         grey[self.free], grey[self.obstacles] = files.FREE_GREY, files.OCCUPIED_GREY
         files.write(path, grey, self.resolution, self.origin, image)
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        rows, columns = self.occupied.shape
-        return rows, columns
-
     @cached_property
     def free(self) -> Mask:
         """The mask of cells less likely occupied than `free_threshold`, (rows, columns)."""
@@ -225,46 +203,6 @@ class OccupancyMap(Immutable):
         found: Array = distance_transform_edt(~self.obstacles, sampling=self.resolution)
         return frozen(found)
 
-    def at(self, points: npt.ArrayLike) -> Cells:
-        """The cells that points lie in.
-
-        Parameters
-        ----------
-        points : array_like
-            (..., 2): x and y [m].
-
-        Returns
-        -------
-        Cells
-            Rows, columns, and whether the map has them, (...).
-
-        Raises
-        ------
-        ModelError
-            If points have another shape, or are not finite.
-        """
-        place = np.floor(self._to_cells(as_finite(points, "points", 2)))
-        columns, rows = np.moveaxis(np.clip(place, -(2.0**62), 2.0**62).astype(np.intp), -1, 0)
-        height, width = self.shape
-        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-        return Cells(rows, columns, inside)
-
-    def centres(self, rows: npt.ArrayLike, columns: npt.ArrayLike) -> Array:
-        """The centres of cells [m], (..., 2).
-
-        Parameters
-        ----------
-        rows, columns : array_like
-            (...).
-
-        Returns
-        -------
-        ndarray
-            (..., 2).
-        """
-        place = np.stack([np.asarray(columns, float), np.asarray(rows, float)], axis=-1)
-        return planar.points_out_of(self.origin, (place + 0.5) * self.resolution)
-
     def poses(self, spacing: float, headings: int, mask: npt.ArrayLike | None = None) -> Array:
         """A coarse grid of poses: places in free cells, each with all headings.
 
@@ -291,15 +229,7 @@ class OccupancyMap(Immutable):
         if not is_whole(headings) or headings < 1:
             raise ModelError(f"headings are a whole number, 1 or more, not {headings!r}")
         allowed = self._allowed(mask)
-        height, width = self.shape
-        counts = [max(int(side * self.resolution / spacing), 1) for side in (width, height)]
-        require_memory(counts[0] * counts[1], "places of poses", "set them further apart")
-        axes = [(np.arange(n) + 0.5) * spacing for n in counts]
-        local = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        columns, rows = np.floor(local / self.resolution).astype(np.intp).T
-        inside = (rows < height) & (columns < width)
-        local, rows, columns = local[inside], rows[inside], columns[inside]
-        places = planar.points_out_of(self.origin, local[allowed[rows, columns]])
+        places = self._places(spacing, allowed)
         if not len(places):
             raise ModelError(
                 f"none of the places {spacing} m apart is in a free cell; set them closer"
@@ -414,11 +344,6 @@ class OccupancyMap(Immutable):
             units = planar.directions(turns.ravel()).T
             reach = rays.cast(clear, points, units, most / self.resolution)
             found[place] = np.minimum(reach * self.resolution, most).reshape(turns.shape)
-        return found
-
-    def _to_cells(self, points: Array) -> Array:
-        """Points (..., 2) as columns and rows, with fractions."""
-        found: Array = planar.points_from(self.origin, points) / self.resolution
         return found
 
     def _allowed(self, mask: npt.ArrayLike | None) -> Mask:
