@@ -52,7 +52,7 @@ LAYERS = [
     Layer("clustergraph", "clusters and sepsets"),
     Layer("networks", "static, dynamic"),
     Layer("evidence", "values by row"),
-    Layer("cpds", "means and noises"),
+    Layer("cpds, maps", "means, noises, scans"),
     Layer("linearisers", "slope, value, error"),
     Layer("factors", "public densities"),
     Layer("variables, errors, boundary, immutable, sizes", "names and checks"),

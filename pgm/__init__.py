@@ -117,7 +117,7 @@ __version__ = "0.1.0"
 
 def __getattr__(name: str) -> Any:
     """Load what is slow to import, or seldom wanted, when it is first asked for."""
-    if name in ("comparison", "consistency", "plot"):
+    if name in ("comparison", "consistency", "maps", "plot"):
         return import_module(f"pgm.{name}")
     if name in ("Comparison", "compare"):
         return getattr(import_module("pgm.comparison"), name)

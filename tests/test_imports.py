@@ -13,7 +13,7 @@ LAYERS = [
     {"boundary", "errors", "immutable", "sizes", "variables", "kernels"},
     {"factors"},
     {"linearisers"},
-    {"cpds"},
+    {"cpds", "maps"},
     {"evidence"},
     {"networks"},
     {"clustergraph"},
@@ -160,7 +160,10 @@ def test_importing_pgm_loads_no_plots_and_nothing_of_the_repository():
     code = (
         "import sys, pgm; "
         "heavy = {'matplotlib', 'experiments', 'models', 'pandas', 'gtsam', 'filterpy'}; "
-        "print(sorted({name.split('.')[0] for name in sys.modules} & heavy))"
+        "heavy |= {'yaml', 'PIL'}; "
+        "assert not {'pgm.maps', 'pgm.plot'} & set(sys.modules); "
+        "print(sorted({name.split('.')[0] for name in sys.modules} & heavy)); "
+        "pgm.maps.OccupancyMap"
     )
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", code],

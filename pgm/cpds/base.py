@@ -144,7 +144,8 @@ class CPD(Immutable):
         Parameters
         ----------
         child : array_like
-            (..., d); of a discrete child names or indices of states, (...).
+            (..., d); of a discrete child names or indices of states, (...). NaN is a component that
+            was not measured, of a Gaussian CPD, a mixture of them, or a scan (`partial`).
         parents : mapping of Variable to array_like, optional
             Values (..., d) of all parents, those of the noise too; of discrete ones states (...).
             All leading axes broadcast, those of a `GaussianCPD` itself too. Python numbers are

@@ -71,10 +71,8 @@ class UnidentifiedCPD(CPD):
 
     def _log_density(self, child: Values, known: Known) -> Array:
         terms = self.terms(child, known)
-        if not self.summed:
-            return np.asarray(terms.max(axis=0))
-        found = np.logaddexp.reduce(terms, axis=0)
-        return np.asarray(found)
+        found = np.logaddexp.reduce(terms, axis=0) if self.summed else terms.max(axis=0)
+        return np.where(np.isnan(child).all(axis=-1), 0.0, found)
 
     def responsibilities(self, child: Values, known: Known) -> Array:
         """The probability of each candidate, of a spurious sighting and of a new one, (k + 2, ...).

@@ -78,7 +78,8 @@ def as_values(cpd: CPD, variable: Variable, value: Any) -> Values:
     """Values of a variable of a CPD's family, (..., d), or indices of states (...)."""
     if isinstance(variable, Discrete):
         return as_known(variable, value, f"the value of {variable!r} in {cpd!r}", cpd=cpd)
-    return as_value(variable, value, f"value in {cpd!r}", cpd=cpd)
+    missing = cpd.partial and variable == cpd.child
+    return as_value(variable, value, f"value in {cpd!r}", missing=missing, cpd=cpd)
 
 
 def shape_of(variable: Variable, values: Values) -> Shape:

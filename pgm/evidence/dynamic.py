@@ -15,7 +15,7 @@ from pgm.cpds import CPD
 from pgm.errors import EvidenceError
 from pgm.evidence import states
 from pgm.evidence.arrays import as_rows, as_steps, no_evidence_for, require_finite, taken_readings
-from pgm.evidence.unidentified import Unknown, opened
+from pgm.evidence.unidentified import Unknown, opened, require_whole
 from pgm.evidence.values import Constant, Evidence, Sightings
 from pgm.factors.runs import common_runs, flat
 from pgm.factors.scope import listed
@@ -302,6 +302,7 @@ class _Binder:
             taken = np.ones(rows.shape[-2:], dtype=bool)
         else:
             rows = np.where(taken, rows, rows.dtype.type(0))
+            require_whole(cpd, unknown, taken)
         return Reading(cpd, step, order, rows, taken, inputs, unknown)
 
     def _inputs(

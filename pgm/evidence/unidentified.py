@@ -11,7 +11,7 @@ from pgm.boundary import as_floats, is_number
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
 from pgm.immutable import Immutable
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Discrete, Variable
 
 # The ways of answering for what is not known.
@@ -198,3 +198,17 @@ def opened(
     if why:
         raise EvidenceError(f"{what}: {why}", variable=variable, cpd=cpd)
     return {v: each for v, each in given.items() if v != variable}, found[0]
+
+
+def require_whole(cpd: CPD, unknown: tuple[Variable, Unknown] | None, taken: Mask) -> None:
+    """Refuse open sightings that are measured in part, where some may be of no candidate."""
+    if unknown is None or unknown[1].volume is None:
+        return
+    if (taken.any(axis=-1) != taken.all(axis=-1)).any():
+        raise EvidenceError(
+            f"sightings of {cpd.child!r} leave {unknown[0]!r} open and have components that are "
+            "NaN, whose share of the volume= of spurious and new sightings is not known: give "
+            "all components or none, or neither spurious= nor new=",
+            variable=cpd.child,
+            cpd=cpd,
+        )

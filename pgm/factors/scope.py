@@ -113,10 +113,20 @@ def positions(scope: Sequence[Variable], wanted: Iterable[Variable]) -> Index:
     return as_index(places)
 
 
-def as_value(variable: Variable, value: object, what: str = "value", **about: Any) -> Array:
-    """A value of a variable as an array (..., dimension); a scalar may be a Python number."""
+def as_value(
+    variable: Variable,
+    value: object,
+    what: str = "value",
+    *,
+    missing: bool = False,
+    **about: Any,
+) -> Array:
+    """A value of a variable as an array (..., dimension); a scalar may be a Python number.
+
+    Where entries may be missing they are NaN.
+    """
     what, about = f"{variable!r}: the {what}", {**about, "variable": variable}
-    array = as_floats(value, what, labels=variable.components, **about)
+    array = as_floats(value, what, labels=variable.components, missing=missing, **about)
     if array.ndim == 0 and variable.dimension == 1:
         array = array[None]
     if array.ndim == 0 or array.shape[-1] != variable.dimension:
@@ -126,8 +136,8 @@ def as_value(variable: Variable, value: object, what: str = "value", **about: An
             f"components ({listed(variable.components)}){hint}",
             **about,
         )
-    bad = ~np.isfinite(array)
+    bad = np.isinf(array) if missing else ~np.isfinite(array)
     if bad.any():
-        where = in_run(bad.any(axis=-1))
-        raise ModelError(f"{what} has entries that are NaN or infinite{where}", **about)
+        where, found = in_run(bad.any(axis=-1)), "infinite" if missing else "NaN or infinite"
+        raise ModelError(f"{what} has entries that are {found}{where}", **about)
     return array

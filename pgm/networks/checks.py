@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from pgm.boundary import as_tuple
-from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, SampledCPD, TableCPD
+from pgm.cpds import CPD, TableCPD
 from pgm.errors import ModelError
 from pgm.factors.runs import clash
 from pgm.factors.scope import MOST, Scope
@@ -111,14 +111,8 @@ def _cycle(before: Sequence[set[int]], left: set[int]) -> list[int]:
 
 
 def of_one_kind(cpds: Sequence[CPD]) -> bool:
-    """Whether the CPDs of a dynamic network are discrete; refuses mixed ones, and other kinds."""
+    """Whether the CPDs of a dynamic network are discrete; refuses mixed ones."""
     for cpd in cpds:
-        if not isinstance(cpd, ConditionalGaussian | MixtureCPD | SampledCPD | TableCPD):
-            raise ModelError(
-                f"{cpd!r}: a dynamic network is of Gaussian CPDs, or of tables",
-                variable=cpd.child,
-                cpd=cpd,
-            )
         if cpd.discrete != cpds[0].discrete:
             raise ModelError(
                 f"{cpd!r} stands beside {cpds[0]!r}; a dynamic network is of Gaussian CPDs, or of "

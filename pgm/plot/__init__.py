@@ -8,6 +8,7 @@ from pgm.plot.consistency import coverage, nees, nis, whiteness
 from pgm.plot.graphviz import dot
 from pgm.plot.grid_map import grid_map
 from pgm.plot.networks import network
+from pgm.plot.occupancy import occupancy_map
 from pgm.plot.over_time import errors, kl, rmse
 from pgm.plot.plane import ellipses, trajectory
 from pgm.plot.records import convergence
@@ -29,6 +30,7 @@ __all__ = [
     "nees",
     "network",
     "nis",
+    "occupancy_map",
     "rmse",
     "trajectory",
     "whiteness",

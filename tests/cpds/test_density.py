@@ -372,7 +372,7 @@ FAULTS = {
     "a parent's width": (LINEAR, 1.0, {X: [1.0, 2.0]}, X, r"shape \(2,\); .* 3 components"),
     "a number of three": (LINEAR, 1.0, {X: 1.0}, X, r"shape \(\); .* 3 components"),
     "axes": (LINEAR, np.ones((2, 1)), {X: np.ones((3, 3))}, None, r"the child \(2,\), .* \(3,\)"),
-    "NaN": (LINEAR, [[1.0], [np.nan]], HERE, A, r"NaN or infinite \(first in run 1\)"),
+    "NaN": (LINEAR, 1.0, {X: [1.0, np.nan, 0.0]}, X, "NaN or infinite"),
     "infinity": (LINEAR, 1.0, {X: [1.0, np.inf, 0.0]}, X, "NaN or infinite"),
     "text": (LINEAR, "one", HERE, A, "numbers"),
     "no state": (
@@ -409,6 +409,19 @@ def test_values_that_do_not_fit_are_refused(name):
         and name not in ("axes", "NaN", "infinity", "text")
     ):
         assert repr(cpd.child) in str(caught.value)
+
+
+def test_components_that_are_nan_were_not_measured():
+    cov = np.array([[1.0, 0.6, 0.2], [0.6, 2.0, -0.3], [0.2, -0.3, 1.5]])
+    cpd = pgm.GaussianCPD(X, mean=[0.5, -0.5, 0.25], cov=cov)
+    values = np.array([[1.0, np.nan, 0.3], [np.nan] * 3, [0.1, 0.2, 0.3]])
+    kept = np.ix_([0, 2], [0, 2])
+    expected = [
+        multivariate_normal([0.5, 0.25], cov[kept]).logpdf([1.0, 0.3]),
+        0.0,
+        multivariate_normal([0.5, -0.5, 0.25], cov).logpdf([0.1, 0.2, 0.3]),
+    ]
+    np.testing.assert_allclose(cpd.log_density(values), expected)
 
 
 def test_axes_of_parents_that_do_not_broadcast():

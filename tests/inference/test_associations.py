@@ -256,6 +256,10 @@ def test_what_cannot_be_left_open():
     strange = {m: MARKS[TRUTH], fix: pgm.unknown(MARKS)}
     with pytest.raises(pgm.EvidenceError, match="no observed parent"):
         pgm.filter(robot(), {z: pgm.sightings(SEEN, step=STEP, given=strange)}, steps=3)
+    partly = SEEN.copy()
+    partly[1, 0] = np.nan
+    with pytest.raises(pgm.EvidenceError, match="give all components or none"):
+        pgm.filter(robot(), open_(partly, spurious=0.1, volume=50.0), steps=3)
     with pytest.raises(pgm.EvidenceError, match="alone do that"):
         robot().sample(pgm_steps(open_()), steps=3, rng=1)
     flat = pgm.DynamicBayesianNetwork(

@@ -141,12 +141,16 @@ class Sensor:
 
     def add(self, row: int, some: Some, total: Array) -> None:
         """Add the log-density of one measurement at particles."""
-        for taken, which in by_pattern(self.reading.taken[row], some.owner):
-            self._require_whole(taken, some.step)
+        rows, taken = self.values[row], self.reading.taken[row]
+        patterns = by_pattern(taken, some.owner)
+        if type(self.law) is Law and self.reading.cpd.partial and taken.any():
+            # A density that is told by NaN what was not measured takes all runs at once.
+            rows, patterns = np.where(taken, rows, np.nan), iter([(np.ones_like(taken[0]), None)])
+        for pattern, which in patterns:
+            self._require_whole(pattern, some.step)
             part = some if which is None else some.chosen(which)
-            rows = self.values[row]
             child = rows[:1].T if len(rows) == 1 or part.owner is None else rows[part.owner].T
-            found = self.law.log_density(row, part, child, taken)
+            found = self.law.log_density(row, part, child, pattern)
             self._require_density(found, part)
             if which is None:
                 total += found
