@@ -1,7 +1,8 @@
-"""A bootstrap particle filter beside the Kalman filter, on the linear problem."""
+"""Particles beside the Kalman filter, on the linear problem."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,56 +10,42 @@ import numpy as np
 import numpy.typing as npt
 
 import pgm
-from experiments.differential_drive.problems import DT, MOTIONS, RADIUS, SCALE, Problem
-from experiments.resampling import resampled
+from experiments.differential_drive.problems import MOTIONS, Problem
+from models.networks import wheels
 
 Array = npt.NDArray[np.float64]
 
 
-def particle_means(
-    controls: Array,
-    readings: Array,
-    std: Mapping[str, float],
-    count: int,
-    rng: np.random.Generator,
-) -> Array:
-    """The means of a bootstrap particle filter of problem 1, by its equations, network apart.
-
-    Particles are moved by the model, weighed by each reading, and then drawn anew (Gordon, Salmond
-    & Smith 1993).
+def particle_means(problem: Problem, readings: Array, particles: pgm.Particles) -> Array:
+    """The means of particles, one step at a time: all of the steps would fill the memory.
 
     Parameters
     ----------
-    controls : ndarray
-        (T, 2): wheel speeds [rad/s].
+    problem : Problem
+        The linear one, whose readings have no observed parents.
     readings : ndarray
         (runs, M, 2): after every eighth step.
-    std : mapping of str to float
-        As `problems.deviations` gives them.
-    count : int
-        Of particles.
-    rng : numpy.random.Generator
+    particles : Particles
 
     Returns
     -------
     ndarray
         (runs, T+1, 2) [m].
     """
-    runs, steps = len(readings), len(controls)
-    process = np.sqrt(DT) * np.array([std["w_x"], std["w_y"]])
-    sensor = np.array([std["r_x"], std["r_y"]])
-    x, means = np.zeros((runs, count, 2)), np.zeros((runs, steps + 1, 2))
-    for t in range(1, steps + 1):
-        x += 0.5 * RADIUS * DT * controls[t - 1].sum() + process * rng.standard_normal(x.shape)
-        if t % MOTIONS:
-            means[:, t] = x.mean(axis=1)
-            continue
-        off = (readings[:, t // MOTIONS - 1, None] - SCALE * x) / sensor
-        log_weight = -0.5 * (off**2).sum(axis=-1)
-        weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
-        weight /= weight.sum(axis=1, keepdims=True)
-        means[:, t] = np.einsum("rp,rpn->rn", weight, x)
-        x = np.take_along_axis(x, resampled(weight, rng)[..., None], axis=1)
+    robot = pgm.OnlineFilter(problem.network, belief=particles)
+    belief = robot.initial()
+    means = np.empty((len(readings), problem.steps + 1, problem.state.dimension))
+    means[:, 0] = belief[problem.state].mean
+    with warnings.catch_warnings():
+        # How well a few particles do is the question.
+        warnings.simplefilter("ignore", pgm.ParticleWarning)
+        for t in range(1, problem.steps + 1):
+            # The first belief is of one run, which the first inputs make as many as there are.
+            speeds = np.broadcast_to(problem.controls[t - 1], (len(readings), 2))
+            belief = robot.predict(belief, {wheels: speeds})
+            if t % MOTIONS == 0:
+                belief = robot.update(belief, {problem.reading: readings[:, t // MOTIONS - 1]})
+            means[:, t] = belief[problem.state].mean
     return means
 
 
@@ -66,22 +53,27 @@ def against_kalman(
     problem: Problem,
     truth: Array,
     evidence: Mapping[pgm.Variable, Any],
-    std: Mapping[str, float],
     counts: tuple[int, ...],
-    rng: np.random.Generator,
+    *,
+    drives: int,
+    seed: int,
 ) -> dict[str, Any]:
-    """RMSE [m] of the Kalman filter and of particle filters on the same drives.
+    """RMSE [m] of the Kalman filter and of particles on the same drives, the first of them.
 
-    ``excess`` is a particle filter's mean square error less the Kalman filter's [m²], with its
-    standard error over the runs, and ``worse`` the fraction of runs where it is above 0.
+    ``excess`` is the particles' mean square error less the Kalman filter's [m²], with its standard
+    error over the drives, and ``worse`` the fraction of drives where it is above 0.
     """
     kalman = pgm.filter(problem.network, evidence)[problem.state].mean
-    best = _square_error(kalman, truth)
-    found: dict[str, Any] = {"kalman": float(np.sqrt(best.mean())), "particles": {}}
+    best = _square_error(kalman, truth)[:drives]
+    found: dict[str, Any] = {
+        "kalman": float(np.sqrt(best.mean())),
+        "drives": len(best),
+        "particles": {},
+    }
+    values = evidence[problem.reading].values[:drives]
     for count in counts:
-        values = evidence[problem.reading].values
-        means = particle_means(problem.controls, values, std, count, rng)
-        error = _square_error(means, truth)
+        means = particle_means(problem, values, pgm.Particles(count, seed=seed))
+        error = _square_error(means, truth[:drives])
         excess = error - best
         found["particles"][str(count)] = {
             "rmse": float(np.sqrt(error.mean())),
