@@ -21,8 +21,8 @@ Array = npt.NDArray[np.float64]
 MISSING = packaged.RTB_MISSING.format("the floor plan")
 SHAPE = (397, 596)  # rows, from the lowest up, and columns
 # Neither the file nor the package's documentation says how large a cell is [m]. It is taken from
-# what was drawn: the bath's alcove is 33 or 34 cells long, the garage door 119 without its frame and
-# 124 with it; baths of 5 feet (1.524 m) and double doors of 18 (5.486 m) make 4.4 to 4.6 cm.
+# what was drawn: the bath's alcove is 33 or 34 cells long, the garage door 119 wide, and 124 with
+# its frame; baths of 5 feet (1.524 m) and double doors of 18 (5.486 m) make 4.4 to 4.6 cm.
 RESOLUTION = 0.045
 # The outer walls' outline, as rectangles of cells: first and last row, first and last column.
 OUTLINE = ((8, 268, 8, 365), (268, 310, 270, 365), (208, 268, 365, 421), (8, 240, 345, 588))

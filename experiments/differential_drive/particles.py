@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,37 +17,59 @@ from models.networks import wheels
 Array = npt.NDArray[np.float64]
 
 
-def particle_means(problem: Problem, readings: Array, particles: pgm.Particles) -> Array:
-    """The means of particles, one step at a time: all of the steps would fill the memory.
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Drives followed by particles.
+
+    Attributes
+    ----------
+    mean, cov : ndarray
+        (runs, T+1, n) and (runs, T+1, n, n), given the readings up to each step.
+    log_evidence : ndarray
+        (runs,).
+    number : ndarray of int
+        (runs, T+1): of particles.
+    """
+
+    mean: Array
+    cov: Array
+    log_evidence: Array
+    number: npt.NDArray[np.int_]
+
+
+def follow(problem: Problem, readings: Array, particles: pgm.Particles) -> Followed:
+    """Filter drives with particles, one step at a time: all of the steps would fill the memory.
 
     Parameters
     ----------
     problem : Problem
-        The linear one, whose readings have no observed parents.
     readings : ndarray
         (runs, M, 2): after every eighth step.
     particles : Particles
 
     Returns
     -------
-    ndarray
-        (runs, T+1, 2) [m].
+    Followed
     """
+    runs, n = len(readings), problem.state.dimension
+    mean, cov = np.empty((problem.steps + 1, runs, n)), np.empty((problem.steps + 1, runs, n, n))
+    number = np.empty((problem.steps + 1, runs), dtype=int)
     robot = pgm.OnlineFilter(problem.network, belief=particles)
     belief = robot.initial()
-    means = np.empty((len(readings), problem.steps + 1, problem.state.dimension))
-    means[:, 0] = belief[problem.state].mean
     with warnings.catch_warnings():
         # How well a few particles do is the question.
         warnings.simplefilter("ignore", pgm.ParticleWarning)
-        for t in range(1, problem.steps + 1):
-            # The first belief is of one run, which the first inputs make as many as there are.
-            speeds = np.broadcast_to(problem.controls[t - 1], (len(readings), 2))
-            belief = robot.predict(belief, {wheels: speeds})
-            if t % MOTIONS == 0:
-                belief = robot.update(belief, {problem.reading: readings[:, t // MOTIONS - 1]})
-            means[:, t] = belief[problem.state].mean
-    return means
+        for t in range(problem.steps + 1):
+            if t:
+                # The first belief is of one run, which inputs make as many as there are.
+                speeds = np.broadcast_to(problem.controls[t - 1], (runs, 2))
+                belief = robot.predict(belief, {wheels: speeds})
+            if t and t % MOTIONS == 0:
+                read = {problem.reading: readings[:, t // MOTIONS - 1]}
+                belief = robot.update(belief, read | problem.given)
+            found = belief[problem.state]
+            mean[t], cov[t], number[t] = found.mean, found.cov, found.number
+    return Followed(mean.swapaxes(0, 1), cov.swapaxes(0, 1), belief.log_evidence, number.T)
 
 
 def against_kalman(
@@ -72,7 +95,7 @@ def against_kalman(
     }
     values = evidence[problem.reading].values[:drives]
     for count in counts:
-        means = particle_means(problem, values, pgm.Particles(count, seed=seed))
+        means = follow(problem, values, pgm.Particles(count, seed=seed)).mean
         error = _square_error(means, truth[:drives])
         excess = error - best
         found["particles"][str(count)] = {

@@ -14,7 +14,7 @@ from experiments.differential_drive import page
 from experiments.differential_drive.animation import EVERY
 from experiments.differential_drive.errors import about_landmark
 from experiments.differential_drive.figures import drive_figure
-from experiments.differential_drive.particles import particle_means
+from experiments.differential_drive.particles import follow
 from experiments.differential_drive.problems import DT, NOISE, deviations, loop, problems
 from experiments.differential_drive.results import held_noise, solve, spread
 from experiments.record import Record
@@ -115,7 +115,7 @@ def test_particles_tend_to_the_kalman_filter(linear):
     kalman = linear.posteriors["exact"].filtered[linear.problem.state].mean[:4]
     away = {}
     for count in (100, 3000):
-        means = particle_means(linear.problem, readings, pgm.Particles(count, seed=2))
+        means = follow(linear.problem, readings, pgm.Particles(count, seed=2)).mean
         away[count] = np.sqrt(np.mean((means - kalman) ** 2))
     assert away[3000] < 0.01
     assert 3.0 < away[100] / away[3000] < 10.0  # √30 = 5.5
