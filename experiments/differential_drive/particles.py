@@ -54,7 +54,7 @@ def follow(problem: Problem, readings: Array, particles: pgm.Particles) -> Follo
     runs, n = len(readings), problem.state.dimension
     mean, cov = np.empty((problem.steps + 1, runs, n)), np.empty((problem.steps + 1, runs, n, n))
     number = np.empty((problem.steps + 1, runs), dtype=int)
-    robot = pgm.OnlineFilter(problem.network, belief=particles)
+    robot = pgm.OnlineParticles(problem.network, particles)
     belief = robot.initial()
     with warnings.catch_warnings():
         # How well a few particles do is the question.
@@ -66,7 +66,7 @@ def follow(problem: Problem, readings: Array, particles: pgm.Particles) -> Follo
                 belief = robot.predict(belief, {wheels: speeds})
             if t and t % MOTIONS == 0:
                 read = {problem.reading: readings[:, t // MOTIONS - 1]}
-                belief = robot.update(belief, read | problem.given)
+                belief = robot.update(belief, {**read, **problem.given})
             found = belief[problem.state]
             mean[t], cov[t], number[t] = found.mean, found.cov, found.number
     return Followed(mean.swapaxes(0, 1), cov.swapaxes(0, 1), belief.log_evidence, number.T)

@@ -126,8 +126,8 @@ def load(path: Path | None = None) -> Log:
     if len(scans) < len(poses):
         raise FileError(f"{path}: ends before the scan of {len(poses) - 1}", path=str(path))
     _, start, _, step, most, *_ = setting
-    table = np.array(scans)
-    angles = start + step * np.arange(table.shape[1])
+    table: Array = np.array(scans)
+    angles = start + step * np.arange(table.shape[1], dtype=np.float64)
     return Log(np.array(poses), np.minimum(table, most), angles, most, _as_edges(edges))
 
 

@@ -22,6 +22,7 @@ WIDTHS = {"east": 0.5, "north": 0.5, "heading": 0.2}
 LEAST, MOST = 100, 10_000
 # What is known of an unknown start [m, m, rad].
 UNKNOWN = (3.0, 3.0, 1.0)
+LOST = 8.0  # m, five deviations of the widest belief
 
 
 @dataclass(frozen=True)
@@ -82,20 +83,25 @@ class Adapted:
         (runs, T+1).
     spread : ndarray
         (T+1,): root mean square standard deviation of the position [m].
-    rmse : float
-        Of the position, all steps but the first [m].
+    last : ndarray
+        (runs,): errors of the position at the last step [m].
     """
 
     title: str
     number: npt.NDArray[np.int_]
     spread: Array
-    rmse: float
+    last: Array
 
     @property
     def medians(self) -> tuple[int, int]:
         """The median number after the first step, and at the end."""
         first, last = np.median(self.number[:, [1, -1]], axis=0)
         return int(first), int(last)
+
+    @property
+    def lost(self) -> int:
+        """The number of drives that end where no belief of 2a or 2b reaches."""
+        return int((self.last > LOST).sum())
 
     def numbers(self) -> dict[str, Any]:
         """For a summary."""
@@ -105,7 +111,8 @@ class Adapted:
             "least": self.number.min(axis=0),
             "most": self.number.max(axis=0),
             "spread": self.spread,
-            "rmse": self.rmse,
+            "last": self.last,
+            "lost": self.lost,
         }
 
 
@@ -136,7 +143,7 @@ def adapted(chosen: dict[str, Problem], runs: int, seed: int) -> dict[str, Adapt
             title,
             followed.number,
             np.sqrt(variance.mean(axis=0)),
-            float(np.sqrt(mean_square(followed.mean, truth).mean())),
+            np.linalg.norm((followed.mean - truth)[:, -1, :2], axis=-1),
         )
     return found
 

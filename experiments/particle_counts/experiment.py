@@ -32,7 +32,7 @@ QUICK: dict[str, Any] = {"runs": 20, "seconds": 4, "reference": 2000}
 def run(
     out: Out = None,
     seed: Seed = 0,
-    runs: Annotated[int, typer.Option(min=2, help="Drives of each problem.")] = 60,
+    runs: Annotated[int, typer.Option(min=2, help="Drives of each problem.")] = 40,
     seconds: Annotated[int, typer.Option(min=3, help="Seconds of a drive, at most.")] = 16,
     reference: Annotated[
         int, typer.Option(min=1000, help="Particles that stand for the exact answer of problem 2.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,7 +14,7 @@ import pgm
 import pgm.plot
 from experiments.differential_drive.problems import DT, LANDMARK, SCALE, Problem
 from experiments.particle_counts.choices import Adapted, Drawn
-from experiments.particle_counts.study import KALMAN, Study
+from experiments.particle_counts.study import KALMAN, Study, label
 from models.sensors import range_bearing
 from pgm.plot.colours import INK, MUTED, PALETTE
 
@@ -25,42 +26,40 @@ _PLACE = {"xlabel": "east [m]", "ylabel": "north [m]"}
 
 
 def errors(studies: Mapping[str, Study]) -> Figure:
-    """Distance from the exact answer, and RMSE, by the number of particles."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")
+    """Distance from the exact answer, and RMSE in units of its RMSE, by the number of particles."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5.2), layout="constrained")
     for colour, (name, study) in zip(PALETTE, studies.items(), strict=False):
         found, numbers = study.distances(), study.numbers()
         counts = np.array(list(found))
-        bars = np.array([(each.value, 2.0 * each.error) for each in found.values()]).T
-        style = {"color": colour, "fmt": "o", "markersize": 4, "capsize": 3}
-        left.errorbar(counts, bars[0], bars[1], label=f"problem {name}", **style)
+        distance = np.array([(each.value, 2.0 * each.error) for each in found.values()]).T
+        style: dict[str, Any] = {"color": colour, "fmt": "o", "markersize": 4, "capsize": 3}
+        left.errorbar(counts, *distance, label=f"problem {name}", **style)
         fine = np.geomspace(counts[0], counts[-1])
         left.plot(fine, study.constant() * study.falling(fine), color=colour, lw=0.8)
-        excess = [numbers[f"{count:,} particles"]["excess"] for count in counts]
-        share, error = (np.array([each[key] for each in excess]) for key in ("value", "error"))
-        best = next(iter(numbers.values()))["rmse"]["value"] ** 2
-        right.errorbar(
-            counts,
-            share / best,
-            2.0 * error / best,
-            label=f"problem {name}",
-            ls="-",
-            lw=0.8,
-            **style,
-        )
+        ratios = np.array([study.ratio(numbers[label(count)]) for count in counts]).T
+        right.errorbar(counts, ratios[0], 2.0 * ratios[1], ls="-", lw=0.8, **style)
         for rule in study.kalman:
             if rule != "exact":
-                each = numbers[KALMAN[rule]]["excess"]["value"] / best
                 right.axhline(
-                    each, color=colour, lw=1.2, ls=_STYLES[rule], label=f"{KALMAN[rule]}, {name}"
+                    study.ratio(numbers[KALMAN[rule]])[0],
+                    color=colour,
+                    lw=1.2,
+                    ls=_STYLES[rule],
+                    label=f"{KALMAN[rule]}, {name}",
                 )
-    right.axhline(0.0, color=INK, lw=0.8)
+    right.axhline(1.0, color=INK, lw=0.6, label="exact")
     left.set(xscale="log", yscale="log", ylabel="RMS distance from the exact mean [m]")
-    right.set(xscale="log", ylabel="mean square error above the exact, as a part")
-    right.set_yscale("symlog", linthresh=0.01)
+    right.set(xscale="log", ylabel="RMSE, that of the exact mean being 1")
     for ax in (left, right):
         ax.set_xlabel("particles")
         ax.grid(color=MUTED, alpha=0.25, lw=0.6)
-        ax.legend(frameon=False, fontsize="small")
+    handles, labels = (
+        one + other
+        for one, other in zip(
+            left.get_legend_handles_labels(), right.get_legend_handles_labels(), strict=True
+        )
+    )
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     plt.close(figure)
     return figure
 
@@ -105,6 +104,9 @@ def adapted(found: Mapping[str, Adapted]) -> Figure:
     upper.set(yscale="log", ylabel="particles")
     upper.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(found), frameon=False)
     lower.set(yscale="log", ylabel="deviation of the place [m]", xlabel="time [s]")
+    ticks = (0.2, 0.5, 1.0, 2.0, 5.0)
+    lower.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    lower.minorticks_off()
     for ax in (upper, lower):
         ax.grid(color=MUTED, alpha=0.25, lw=0.6)
     plt.close(figure)
@@ -114,7 +116,7 @@ def adapted(found: Mapping[str, Adapted]) -> Figure:
 def drives(study: Study, count: int) -> Figure:
     """A drive as particles and as a Kalman filter have it: the reference's figure 2."""
     figure, axes = plt.subplots(
-        1, 2, figsize=(11, 5.6), sharex=True, sharey=True, layout="constrained"
+        1, 2, figsize=(11, 5), sharex=True, sharey=True, layout="compressed"
     )
     problem = study.problem
     followed, (rule, kalman) = study.particles[count], list(study.kalman.items())[-1]
@@ -133,15 +135,17 @@ def drives(study: Study, count: int) -> Figure:
         if problem.given:
             ax.plot(*LANDMARK, "^", color=INK, label="landmark")
         ax.set(title=title, **_PLACE)
-        ax.set_aspect("equal", adjustable="datalim")
+        ax.set_aspect("equal", adjustable="box")
         ax.label_outer()
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False
+    )
     plt.close(figure)
     return figure
 
 
 def tracked(study: Study, count: int) -> Figure:
-    """Readings beside those that particles and truth would give: the reference's figures 3 and 4."""
+    """Readings beside those that particles and truth would give: the reference's figures 3, 4."""
     problem, followed = study.problem, study.particles[count]
     names = ("range [m]", "bearing [rad]") if problem.given else ("east [m]", "north [m]")
     steps = np.arange(problem.steps + 1)

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from experiments.differential_drive.problems import NOISE
-from experiments.particle_counts.choices import LEAST, MOST, WIDTHS, Adapted, Drawn
+from experiments.particle_counts.choices import LEAST, LOST, MOST, WIDTHS, Adapted, Drawn
 from experiments.particle_counts.study import KALMAN, Study, label
 from experiments.record import Record
 
 RESAMPLERS = (
-    "Four ways of drawing anew, at every step of problem 1: distance from the Kalman filter's means, "
-    "and error of the log-evidence, with two standard errors over the drives. The same drives "
-    "enter all four, so that the differences are better known than the bars say."
+    "Four ways of drawing anew, at every step of problem 1: distance from the Kalman filter's "
+    "means, and error of the log-evidence, with two standard errors over the drives. The same "
+    "drives enter all four, so that the differences are better known than the bars say."
 )
 ADAPTED = (
     "The numbers of particles that KLD-sampling chose (median and range over drives), and the "
@@ -25,10 +27,10 @@ def readings(record: Record, noise: str, runs: int, reference: int) -> None:
     """How the problems are read, and what is taken for exact."""
     listed = ", ".join(f"{name} {value:g}" for name, value in NOISE.items())
     record.note(
-        f"Problems 1, 2a and 2b of an assignment (ME8135, 2023), with its N(0, ·) read as {noise}s: "
+        f"Problems 1, 2a and 2b of an assignment (ME8135, 2023), its N(0, ·) read as {noise}s: "
         f"{listed}. The experiment differential_drive says how the rest is read. Every estimator "
         f"has the same {runs} drives of each. Exact is, on problem 1, the Kalman filter; on 2a and "
-        f"2b, whose posterior has no formula, {reference:,} particles, which err themselves."
+        f"2b, whose posterior has no formula, {reference:,} particles stand for it."
     )
 
 
@@ -62,7 +64,13 @@ def estimators(
             f"problem {name}, with N^{study.slope():.2f} from {_largest(study)} on"
             for name, study in studies.items()
         )
-        + "."
+        + ". The particles that stand for the exact answer err too, by "
+        + " and ".join(
+            f"{study.own_error():.2g} m in problem {name}"
+            for name, study in studies.items()
+            if study.reference is not None
+        )
+        + " if it goes on so: no distance from them says less."
     )
 
 
@@ -113,14 +121,23 @@ def adapted(record: Record, found: Mapping[str, Adapted]) -> None:
     """What KLD-sampling chose."""
     widths = ", ".join(f"{name} {width:g}" for name, width in WIDTHS.items())
     told = "; ".join(
-        f"{each.title}, {each.medians[0]:,} after the first step, {each.medians[1]:,} at the end, "
-        f"from {each.number[:, 1:].min():,} to {each.number[:, 1:].max():,}, RMSE {each.rmse:.2f} m"
+        f"{each.title}, {each.medians[0]:,} after the first step and {each.medians[1]:,} at the "
+        f"end (all between {each.number[:, 1:].min():,} and {each.number[:, 1:].max():,}), there "
+        f"{np.median(each.last):.2g} m from the truth"
         for each in found.values()
     )
     record.note(
         f"KLD-sampling, bins of {widths} [m, m, rad], from {LEAST:,} to {MOST:,} particles "
-        f"(medians over the drives): {told}. A belief that readings hold together needs few; about "
-        "the one landmark of 2b it grows along the circle, and particles with it."
+        f"(medians over {len(next(iter(found.values())).last)} drives): {told}. A belief that "
+        "readings hold together needs few; about the one landmark of 2b it grows along the circle, "
+        "and particles with it."
+    )
+    lost = [f"{each.lost} of {len(each.last)} ({each.title})" for each in found.values()]
+    record.note(
+        f"Drives lost at the end, more than {LOST:g} m from the truth: {', '.join(lost)}. Bins "
+        "count particles that are there, none that lack: where a first reading leaves a handful of "
+        "a wide belief, they fill few bins, and few are drawn, whose headings may all be wrong. "
+        "Then `least` has to be larger."
     )
 
 
@@ -130,8 +147,8 @@ def errors(studies: Mapping[str, Study]) -> str:
     return (
         "Left: how far the particles' means are from the exact ones, with two standard errors; "
         "lines are c √(1/N + 1/M), M the number that stands for exact, infinite in problem 1, with "
-        f"c = {constants} m of the largest N. Right: mean square errors above the exact answer's, "
-        "as parts of it, on the same drives; the scale is linear within 0.01 of 0."
+        f"c = {constants} m of the largest N. Right: RMSE on the same drives, in units of the exact "
+        "answer's, with two standard errors of the difference."
     )
 
 

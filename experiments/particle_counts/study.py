@@ -105,10 +105,20 @@ class Study:
             }
         return found
 
+    def ratio(self, numbers: dict[str, Any]) -> tuple[float, float]:
+        """An estimator's RMSE in units of the exact answer's, and its standard error, paired."""
+        best = float(mean_square(self.exact, self.truth).mean())
+        ratio = float(np.sqrt(1.0 + numbers["excess"]["value"] / best))
+        return ratio, numbers["excess"]["error"] / (2.0 * ratio * best)
+
     def constant(self) -> float:
         """The c of distances c √(1/N + 1/M), M being the reference's number, of the largest N."""
         count = max(self.particles)
         return self.distances()[count].value / float(self.falling(np.array([count]))[0])
+
+    def own_error(self) -> float:
+        """How far the reference is from the exact means, as `constant` foretells [m]."""
+        return 0.0 if self.reference is None else self.constant() / float(np.sqrt(self.reference))
 
     def slope(self) -> float:
         """The slope of ln distance over ln N, over the three largest numbers.
