@@ -9,6 +9,7 @@ import numpy as np
 
 from experiments.differential_drive.problems import NOISE
 from experiments.particle_counts.choices import LEAST, LOST, MOST, WIDTHS, Adapted, Drawn
+from experiments.particle_counts.figures import HIGHEST
 from experiments.particle_counts.study import KALMAN, Study, label
 from experiments.record import Record
 
@@ -147,8 +148,9 @@ def errors(studies: Mapping[str, Study]) -> str:
     return (
         "Left: how far the particles' means are from the exact ones, with two standard errors; "
         "lines are c √(1/N + 1/M), M the number that stands for exact, infinite in problem 1, with "
-        f"c = {constants} m of the largest N. Right: RMSE on the same drives, in units of the exact "
-        "answer's, with two standard errors of the difference."
+        f"c = {constants} m of the largest N. Right: RMSE on the same drives, in units of the "
+        "exact answer's, with two standard errors of the difference; cut where it is above "
+        f"{HIGHEST:g}."
     )
 
 
