@@ -92,6 +92,13 @@ def test_style_wins(posterior):
     assert points.get_sizes().tolist() == [4.0]
 
 
+def test_a_second_cloud_has_the_next_colour(posterior):
+    ax = pgm.plot.particles(posterior[x.at(0)], ticks=False)
+    pgm.plot.particles(posterior[x.at(1)], ticks=False, ax=ax)
+    one, other = (points.get_facecolor()[0, :3] for points in ax.collections)
+    assert np.abs(one - other).max() > 0.1
+
+
 def test_what_cannot_be_drawn(posterior):
     belief = posterior[x.at(0)]
     faults = [
