@@ -71,7 +71,8 @@ def estimators(
             for name, study in studies.items()
             if study.reference is not None
         )
-        + " if it goes on so: no distance from them says less."
+        + " if it goes on so: no distance from them says less, and an excess below 0 is theirs, or "
+        "chance."
     )
 
 
