@@ -41,19 +41,20 @@ $(PY):
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pgm needs Python 3.11 or newer; name one: make PYTHON=python3.12 $(MAKECMDGOALS)")'
 	$(PYTHON) -m venv $(VENV)
 
-# gtsam brings recordings and a library to be measured against; where it has no wheel everything else
-# still works.
+# gtsam and rtb-data bring recordings, and gtsam is a library to be measured against; where one has no
+# wheel everything else still works.
 define install
-	@$(PIP) --editable '.[$(1),data]' || { echo "gtsam has no wheel for this Python: installing without it"; $(PIP) --editable '.[$(1)]'; }
+	@$(PIP) --editable '.$(1)'
+	@$(PIP) --editable '.[plaza]' || echo "gtsam cannot be installed for this Python: the plaza experiment will say so and stop"
+	@$(PIP) --editable '.[maps]' || echo "rtb-data cannot be installed: no Killian Court recording, no floor plan"
 	@touch $@
 endef
 
 $(VENV)/.demo: pyproject.toml | $(PY)
-	@$(PIP) --editable '.[data]' || { echo "gtsam has no wheel for this Python: the plaza experiment will say so and stop"; $(PIP) --editable .; }
-	@touch $@
+	$(call install,)
 
 $(VENV)/.test: pyproject.toml | $(PY)
-	$(call install,test)
+	$(call install,[test])
 
 $(VENV)/.bench: pyproject.toml | $(PY)
-	$(call install,bench)
+	$(call install,[bench])

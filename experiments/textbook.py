@@ -1,9 +1,9 @@
-"""The Bayes and Kalman filters and their smoothers as textbooks print them, in NumPy alone.
+"""The Bayes, Kalman and particle filters as textbooks print them, and smoothers, in NumPy alone.
 
 One run at a time, and nothing of the engine, whose results are compared with these. Names follow
-Thrun, Burgard and Fox (Probabilistic Robotics, 2005, chapters 2 and 3) and the report's Algorithms
+Thrun, Burgard and Fox (Probabilistic Robotics, 2005, chapters 2 to 4) and the report's Algorithms
 1 to 4, misprints corrected: μ and Σ are the last belief's, μ̄ and Σ̄ the predicted one's. Beliefs of
-finitely many states are arrays of probabilities (K,).
+finitely many states are arrays of probabilities (K,), those of particles arrays of states (M, n).
 """
 
 from __future__ import annotations
@@ -65,8 +65,27 @@ class DiscreteStep(NamedTuple):
     log_density: float
 
 
+class ParticleStep(NamedTuple):
+    """The result of one call of the particle filter, all given the readings so far.
+
+    Attributes
+    ----------
+    predicted, filtered : ndarray
+        (M, n): particles of x_t, before its reading, and drawn anew after it.
+    weights : ndarray
+        (M,): those of the predicted particles given the reading, of sum one.
+    log_density : float
+        ln p(z_t | readings before), estimated.
+    """
+
+    predicted: Array
+    filtered: Array
+    weights: Array
+    log_density: float
+
+
 Known = TypeVar("Known", Belief, Array)
-Found = TypeVar("Found", Step, DiscreteStep)
+Found = TypeVar("Found", Step, DiscreteStep, ParticleStep)
 Given = TypeVar("Given")
 
 
@@ -244,6 +263,60 @@ def rts_smoother(initial: Belief, steps: Sequence[Step]) -> list[Belief]:
         cov = sigma + J @ (smoothed[-1].cov - step.predicted.cov) @ J.T
         smoothed.append(Belief(mean, cov))
     return smoothed[::-1]
+
+
+def particle_filter(
+    particles: Array,
+    u: Array,
+    z: Array,
+    *,
+    sample: Callable[[Array, Array, np.random.Generator], Array],
+    density: Callable[[Array, Array], float],
+    rng: np.random.Generator,
+) -> ParticleStep:
+    """Particle_filter and Monte Carlo localisation (tables 4.3 and 8.2): sample, weigh, resample.
+
+    Parameters
+    ----------
+    particles : ndarray
+        (M, n), of x_{t−1}.
+    u, z : ndarray
+    sample : callable
+        ``sample(x, u, rng)`` draws x_t of p(x_t | u, x_{t−1} = x).
+    density : callable
+        ``density(z, x)``, p(z | x).
+    rng : numpy.random.Generator
+
+    Raises
+    ------
+    ValueError
+        If no particle explains the reading: there is nothing to draw.
+    """
+    moved, weights = np.empty_like(particles), np.empty(len(particles))
+    for m, x in enumerate(particles):
+        moved[m] = sample(x, u, rng)  # line 4
+        weights[m] = density(z, moved[m])  # line 5, the importance factor
+    likelihood = weights.mean()
+    if likelihood <= 0.0:
+        raise ValueError(f"no particle explains the reading {z}")
+    chosen = low_variance_sampler(weights, rng)  # lines 8 to 11
+    weights /= weights.sum()
+    return ParticleStep(moved, moved[chosen], weights, float(np.log(likelihood)))
+
+
+def low_variance_sampler(weights: Array, rng: np.random.Generator) -> list[int]:
+    """Table 4.4: M teeth of a comb, 1/M apart, fall on the particles laid end to end by weight.
+
+    One random number sets the comb; a particle has ⌊M w⌋ or ⌈M w⌉ of the teeth (Madow 1949).
+    """
+    ends, M = np.cumsum(weights), len(weights)
+    i, chosen = 0, []
+    shift = 1.0 - rng.random()  # in (0, 1]: no tooth at 0, where a particle may have no weight
+    for m in range(M):
+        while ends[i] < ends[-1] * ((m + shift) / M):
+            i += 1
+        chosen.append(i)
+    return chosen
 
 
 def log_normal(offset: Array, cov: Array) -> float:

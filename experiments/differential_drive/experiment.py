@@ -17,7 +17,7 @@ import typer
 
 from experiments.differential_drive import page
 from experiments.differential_drive.particles import against_kalman
-from experiments.differential_drive.problems import NOISE, deviations, problems
+from experiments.differential_drive.problems import NOISE, problems
 from experiments.differential_drive.results import held_noise, solve, spread
 from experiments.record import Out, Record, Seed, progress
 from pgm import consistency
@@ -25,6 +25,7 @@ from pgm import consistency
 Meaning = Literal["deviation", "variance"]
 
 PARTICLES = (30, 100, 300)
+PARTICLE_DRIVES = 200  # at most, since particles take longer
 QUICK: dict[str, Any] = {"runs": 300, "seconds": 4}
 
 
@@ -54,9 +55,9 @@ def run(
         one.problem,
         one.truth,
         one.evidence,
-        deviations(noise),
         PARTICLES,
-        np.random.default_rng(seed),
+        drives=PARTICLE_DRIVES,
+        seed=seed,
     )
     held = held_noise(one, noise)
     around = {meaning: spread(by["2b"]) for meaning, by in solved.items()}

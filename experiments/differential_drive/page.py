@@ -69,7 +69,8 @@ def tabulate(record: Record, found: By, runs: int) -> None:
 def tabulate_particles(record: Record, found: dict[str, Any]) -> None:
     """The particle filter beside the Kalman filter."""
     record.table(
-        "Problem 1: bootstrap particle filters beside the Kalman filter, on the same drives",
+        "Problem 1: bootstrap particle filters beside the Kalman filter, on the same "
+        f"{found['drives']} drives",
         ("particles", "RMSE [m]", "excess [m²]", "± s.e.", "worse in"),
         [
             ("Kalman", f"{found['kalman']:.4f}", "", "", ""),

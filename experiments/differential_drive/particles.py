@@ -1,87 +1,102 @@
-"""A bootstrap particle filter beside the Kalman filter, on the linear problem."""
+"""Particles beside the Kalman filter, on the linear problem."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 import pgm
-from experiments.differential_drive.problems import DT, MOTIONS, RADIUS, SCALE, Problem
-from experiments.resampling import resampled
+from experiments.differential_drive.problems import MOTIONS, Problem
+from models.networks import wheels
 
 Array = npt.NDArray[np.float64]
 
 
-def particle_means(
-    controls: Array,
-    readings: Array,
-    std: Mapping[str, float],
-    count: int,
-    rng: np.random.Generator,
-) -> Array:
-    """The means of a bootstrap particle filter of problem 1, by its equations, network apart.
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Drives followed by particles.
 
-    Particles are moved by the model, weighed by each reading, and then drawn anew (Gordon, Salmond
-    & Smith 1993).
+    Attributes
+    ----------
+    mean, cov : ndarray
+        (runs, T+1, n) and (runs, T+1, n, n), given the readings up to each step.
+    log_evidence : ndarray
+        (runs,).
+    number : ndarray of int
+        (runs, T+1): of particles.
+    """
+
+    mean: Array
+    cov: Array
+    log_evidence: Array
+    number: npt.NDArray[np.int_]
+
+
+def follow(problem: Problem, readings: Array, particles: pgm.Particles) -> Followed:
+    """Filter drives with particles, one step at a time: all of the steps would fill the memory.
 
     Parameters
     ----------
-    controls : ndarray
-        (T, 2): wheel speeds [rad/s].
+    problem : Problem
     readings : ndarray
         (runs, M, 2): after every eighth step.
-    std : mapping of str to float
-        As `problems.deviations` gives them.
-    count : int
-        Of particles.
-    rng : numpy.random.Generator
+    particles : Particles
 
     Returns
     -------
-    ndarray
-        (runs, T+1, 2) [m].
+    Followed
     """
-    runs, steps = len(readings), len(controls)
-    process = np.sqrt(DT) * np.array([std["w_x"], std["w_y"]])
-    sensor = np.array([std["r_x"], std["r_y"]])
-    x, means = np.zeros((runs, count, 2)), np.zeros((runs, steps + 1, 2))
-    for t in range(1, steps + 1):
-        x += 0.5 * RADIUS * DT * controls[t - 1].sum() + process * rng.standard_normal(x.shape)
-        if t % MOTIONS:
-            means[:, t] = x.mean(axis=1)
-            continue
-        off = (readings[:, t // MOTIONS - 1, None] - SCALE * x) / sensor
-        log_weight = -0.5 * (off**2).sum(axis=-1)
-        weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
-        weight /= weight.sum(axis=1, keepdims=True)
-        means[:, t] = np.einsum("rp,rpn->rn", weight, x)
-        x = np.take_along_axis(x, resampled(weight, rng)[..., None], axis=1)
-    return means
+    runs, n = len(readings), problem.state.dimension
+    mean, cov = np.empty((problem.steps + 1, runs, n)), np.empty((problem.steps + 1, runs, n, n))
+    number = np.empty((problem.steps + 1, runs), dtype=int)
+    robot = pgm.OnlineParticles(problem.network, particles)
+    belief = robot.initial()
+    with warnings.catch_warnings():
+        # How well a few particles do is the question.
+        warnings.simplefilter("ignore", pgm.ParticleWarning)
+        for t in range(problem.steps + 1):
+            if t:
+                # The first belief is of one run, which inputs make as many as there are.
+                speeds = np.broadcast_to(problem.controls[t - 1], (runs, 2))
+                belief = robot.predict(belief, {wheels: speeds})
+            if t and t % MOTIONS == 0:
+                read = {problem.reading: readings[:, t // MOTIONS - 1]}
+                belief = robot.update(belief, {**read, **problem.given})
+            found = belief[problem.state]
+            mean[t], cov[t], number[t] = found.mean, found.cov, found.number
+    return Followed(mean.swapaxes(0, 1), cov.swapaxes(0, 1), belief.log_evidence, number.T)
 
 
 def against_kalman(
     problem: Problem,
     truth: Array,
     evidence: Mapping[pgm.Variable, Any],
-    std: Mapping[str, float],
     counts: tuple[int, ...],
-    rng: np.random.Generator,
+    *,
+    drives: int,
+    seed: int,
 ) -> dict[str, Any]:
-    """RMSE [m] of the Kalman filter and of particle filters on the same drives.
+    """RMSE [m] of the Kalman filter and of particles on the same drives, the first of them.
 
-    ``excess`` is a particle filter's mean square error less the Kalman filter's [m²], with its
-    standard error over the runs, and ``worse`` the fraction of runs where it is above 0.
+    ``excess`` is the particles' mean square error less the Kalman filter's [m²], with its standard
+    error over the drives, and ``worse`` the fraction of drives where it is above 0.
     """
     kalman = pgm.filter(problem.network, evidence)[problem.state].mean
-    best = _square_error(kalman, truth)
-    found: dict[str, Any] = {"kalman": float(np.sqrt(best.mean())), "particles": {}}
+    best = _square_error(kalman, truth)[:drives]
+    found: dict[str, Any] = {
+        "kalman": float(np.sqrt(best.mean())),
+        "drives": len(best),
+        "particles": {},
+    }
+    values = evidence[problem.reading].values[:drives]
     for count in counts:
-        values = evidence[problem.reading].values
-        means = particle_means(problem.controls, values, std, count, rng)
-        error = _square_error(means, truth)
+        means = follow(problem, values, pgm.Particles(count, seed=seed)).mean
+        error = _square_error(means, truth[:drives])
         excess = error - best
         found["particles"][str(count)] = {
             "rmse": float(np.sqrt(error.mean())),

@@ -80,7 +80,7 @@ def run(
         "the exercise uses no bearings"
     )
     posteriors = {name: smooth(log, grouped=grouped) for name, grouped in STACKED.items()}
-    cloud = particle_filter(log, particles, np.random.default_rng(seed))
+    cloud = particle_filter(log, particles, seed)
     found = {name: divergences(cloud.belief, each) for name, each in posteriors.items()}
     grid = gridded(log)
     tables = {

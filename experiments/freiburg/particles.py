@@ -1,4 +1,4 @@
-"""A bootstrap particle filter of the exercise, by its equations, the network apart."""
+"""The exercise with particles: the posterior as it is, to which filters are compared."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 import pgm
-from experiments.freiburg.exercise import MOTION, SENSOR, START
+from experiments.freiburg import exercise
 from experiments.freiburg.log import Log
-from experiments.resampling import resampled
-from models.networks import pose
+from models.networks import distance, landmark, odometry, pose
 
 Array = npt.NDArray[np.float64]
 
@@ -23,11 +22,12 @@ class Particles:
     Attributes
     ----------
     belief : Gaussian
-        Over steps 0..T: the Gaussian of their weighted mean and covariance.
+        Over steps 0..T: the Gaussian of their weighted mean and covariance, headings unwrapped as
+        those of the filters are.
     cloud : ndarray
-        (T+1, kept, 3): some of them, each as likely as the next.
+        (T+1, kept, 3): some of them, drawn by weight.
     log_evidence : float
-        Σ ln of the mean weight; an estimate of the exact one.
+        An estimate of the exact one.
     effective : ndarray
         (T+1,): 1 / Σ w², the number of particles that carry the weight.
     """
@@ -38,59 +38,44 @@ class Particles:
     effective: Array
 
 
-def particle_filter(log: Log, count: int, rng: np.random.Generator, kept: int = 500) -> Particles:
-    """Move particles by the odometry, weigh them by the ranges, draw them anew, at every step.
+def particle_filter(log: Log, count: int, seed: int, kept: int = 500) -> Particles:
+    """Filter the exercise's network with particles, one step at a time: all would fill the memory.
 
     Parameters
     ----------
     log : Log
     count : int
         Of particles.
-    rng : numpy.random.Generator
+    seed : int
     kept : int
-        Size of the cloud, at most.
+        Size of the cloud.
 
     Returns
     -------
     Particles
-
-    Notes
-    -----
-    Gordon, Salmond & Smith (1993).
     """
-    steps, every = len(log.odometry), max(count // kept, 1)
-    start, drift = (np.sqrt(variances)[:, None] for variances in (START, MOTION))
-    means, covs = np.zeros((steps + 1, 3)), np.zeros((steps + 1, 3, 3))
-    effective, cloud = np.empty(steps + 1), []
-    log_evidence = 0.0
-    x = start * rng.standard_normal((3, count))
+    steps = len(log.odometry)
+    means, covs = np.empty((steps + 1, 3)), np.empty((steps + 1, 3, 3))
+    effective, cloud = np.empty(steps + 1), np.empty((steps + 1, kept, 3))
+    robot = pgm.OnlineParticles(exercise.network(), pgm.Particles(count, seed=seed))
+    belief, rng = robot.initial(), np.random.default_rng(seed)
     for t in range(steps + 1):
         if t:
-            rot1, trans, rot2 = log.odometry[t - 1]
-            course = x[2] + rot1
-            moved = np.stack([trans * np.cos(course), trans * np.sin(course), course - x[2] + rot2])
-            x = x + moved + drift * rng.standard_normal(x.shape)
-        log_weight = np.zeros(count)
-        for (east, north), heard in _heard(log, t):
-            away = heard - np.hypot(east - x[0], north - x[1])
-            log_weight -= 0.5 * (away**2 / SENSOR + np.log(2.0 * np.pi * SENSOR))
-        most = log_weight.max()
-        weight = np.exp(log_weight - most)
-        log_evidence += float(most + np.log(weight.mean()))
-        weight /= weight.sum()
-        means[t] = x @ weight
-        apart = x - means[t][:, None]
-        covs[t] = (weight * apart) @ apart.T
-        effective[t] = 1.0 / (weight @ weight)
-        # Drawn anew also where nothing was heard: a comb of equal weights takes each once.
-        x = x[:, resampled(weight[None], rng)[0]]
-        # A copy: a view would keep all particles of every step.
-        cloud.append(x[:, ::every][:, :kept].T.copy())
-    belief = pgm.Gaussian(pose, means, covs, steps=np.arange(steps + 1))
-    return Particles(belief, np.array(cloud), log_evidence, effective)
+            belief = robot.predict(belief, {odometry: log.odometry[t - 1]})
+        seen = log.step == t
+        if seen.any():
+            ranges = pgm.sightings(log.ranges[seen, None], given={landmark: log.places[seen]})
+            belief = robot.update(belief, {distance: ranges})
+        found = belief[pose]
+        means[t], covs[t] = _moments(found.states, found.weights)
+        cloud[t] = found.sample(kept, rng=rng)
+        effective[t] = float(found.effective)
+    gaussian = pgm.Gaussian(pose, means, covs, steps=np.arange(steps + 1))
+    return Particles(gaussian, cloud, float(belief.log_evidence), effective)
 
 
-def _heard(log: Log, step: int) -> list[tuple[Array, float]]:
-    """Landmarks and their ranges at a step."""
-    at = log.step == step
-    return list(zip(log.places[at], log.ranges[at].tolist(), strict=True))
+def _moments(states: Array, weights: Array) -> tuple[Array, Array]:
+    """Mean (d,) and covariance (d, d) of particles, angles taken for numbers."""
+    mean = weights @ states
+    apart = states - mean
+    return mean, (weights[:, None] * apart).T @ apart

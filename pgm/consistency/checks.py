@@ -9,13 +9,13 @@ import numpy.typing as npt
 from pgm.boundary import as_floats, is_whole
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
-from pgm.inference import GridBelief, Innovations
+from pgm.inference import GridBelief, Innovations, ParticleBelief
 from pgm.kernels.arrays import Array
 
 
 def check_gaussian(belief: Any) -> Gaussian:
     """The Gaussian; refuses anything else."""
-    if isinstance(belief, GridBelief):
+    if isinstance(belief, GridBelief | ParticleBelief):
         raise ModelError(
             f"a belief is a Gaussian, not {belief!r}; belief.gaussian() has its mean and covariance"
         )

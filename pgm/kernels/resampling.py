@@ -14,6 +14,9 @@ import numpy as np
 
 from pgm.kernels.arrays import Array, Integers
 
+# Above one by more than rounding takes from a weight, and by less than anyone would miss.
+_SHORT = 1.0 + 2.0**-40
+
 Resampler = Callable[[Array, int, np.random.Generator], Integers]
 
 
@@ -57,10 +60,12 @@ def residual(weights: Array, count: int, rng: np.random.Generator) -> Integers:
     Parameters and returns are those of `systematic`.
     """
     expected = count * (weights / weights.sum(dtype=np.float64))
-    whole = np.floor(expected).astype(np.intp)
+    # Whole numbers that rounding left a little short are whole: else equal weights, which are to be
+    # drawn once each, would all be left to chance.
+    whole = np.floor(expected * _SHORT).astype(np.intp)
     missing = count - int(whole.sum())
     if missing > 0:
-        left = expected - whole
+        left = np.maximum(expected - whole, 0.0)
         if not left.any():  # rounding alone has kept the sum below the count
             left = expected
         whole += multinomial(left, missing, rng)

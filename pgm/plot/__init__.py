@@ -2,6 +2,7 @@
 
 from pgm.plot.animation import animate_beliefs
 from pgm.plot.cells import belief_map
+from pgm.plot.cloud import particles
 from pgm.plot.clusters import cluster_graph
 from pgm.plot.compared import comparison
 from pgm.plot.consistency import coverage, nees, nis, whiteness
@@ -31,6 +32,7 @@ __all__ = [
     "network",
     "nis",
     "occupancy_map",
+    "particles",
     "rmse",
     "trajectory",
     "whiteness",

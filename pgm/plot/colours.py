@@ -7,7 +7,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection
+from matplotlib.collections import EllipseCollection, PathCollection
 from matplotlib.colors import to_hex
 
 # Okabe and Ito (2008), without black, which is the truth's, and yellow, which white swallows.
@@ -34,11 +34,13 @@ def readable_on(colour: tuple[float, float, float, float]) -> str:
 
 
 def next_colour(ax: Axes) -> str:
-    """The first colour of the palette that no line and no ellipse of an axes has yet."""
+    """The first colour of the palette that no line, ellipse or point of an axes has yet."""
     shown: list[Any] = [line.get_color() for line in ax.lines]
     for collection in ax.collections:
         if isinstance(collection, EllipseCollection):
             shown += list(collection.get_edgecolor()[:1])
+        elif isinstance(collection, PathCollection):
+            shown += list(collection.get_facecolor()[:1])
     used = {to_hex(colour) for colour in shown}
     for colour in PALETTE:
         if to_hex(colour) not in used:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +13,16 @@ from pgm.consistency.checks import check_gaussian
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels, names
+from pgm.inference import ParticleBelief
 from pgm.kernels.arrays import Array
 
 
-def one_run(belief: Gaussian) -> Gaussian:
+def as_gaussian(belief: Any) -> Gaussian:
+    """The Gaussian, that of particles being of their mean and covariance; refuses others."""
+    return belief.gaussian() if isinstance(belief, ParticleBelief) else check_gaussian(belief)
+
+
+def one_run(belief: Any) -> Gaussian:
     """The belief with one leading axis, of steps; refuses several runs.
 
     Raises
@@ -23,7 +30,7 @@ def one_run(belief: Gaussian) -> Gaussian:
     ModelError
         If there are leading axes besides that of the steps.
     """
-    belief = check_gaussian(belief)
+    belief = as_gaussian(belief)
     lead = belief.mean.shape[: -1 if belief.steps is None else -2]
     if math.prod(lead) != 1:
         hint = " (or give steps= if they are steps)" if belief.steps is None else ""

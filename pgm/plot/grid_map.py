@@ -10,12 +10,13 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, LinearSegmentedColormap
 
-from pgm.boundary import as_floats, as_tuple, is_whole
+from pgm.boundary import is_whole
 from pgm.errors import ModelError
 from pgm.inference import GridBelief
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import equal_aspect, given_or_new, name_axes
+from pgm.plot.axes import given_or_new
 from pgm.plot.colours import INK, PALETTE
+from pgm.plot.point_plane import as_landmarks, as_truth, finish, plane_of
 
 # A cell whose arrow would stand for less than this share of the likeliest has none.
 _FAINT = 0.02
@@ -79,42 +80,20 @@ def grid_map(
     """
     if not isinstance(belief, GridBelief):
         raise ModelError(f"grid_map draws a belief on a grid, not a {type(belief).__name__}")
-    if belief.lead:
-        raise ModelError(
-            f"{belief!r} is of several runs or steps; pick one, with [k] or posterior[x.at(k)]"
-        )
     if not is_whole(arrows) or arrows < 0:
         raise ModelError(f"arrows are a whole number, 0 or more, not {arrows!r}")
-    straight = tuple(name for name in belief.components if name not in belief.angles)
-    pair = straight[:2] if components is None else as_tuple(components)
-    if pair is None or len(pair) != 2:
-        raise ModelError(f"a map is of two components, not {components or pair!r}; {belief!r}")
-    plane = belief.marginal(*pair)
-    if heading is None:
-        turning = [name for name in belief.angles if name not in pair]
-        heading = turning[0] if len(turning) == 1 else None
-    if heading is not None and (heading not in belief.angles or heading in pair):
-        raise ModelError(f"heading={heading!r} is no angle of {belief!r} beside {pair}")
-    angle = None if heading is None or not arrows else belief.marginal(*pair, heading)
-    mirrored = belief.components.index(pair[0]) > belief.components.index(pair[1])
-    mark = None if truth is None else _as_truth(belief, truth, pair)
-    marks = None if landmarks is None else as_floats(landmarks, "landmarks")
-    if marks is not None and (marks.ndim != 2 or marks.shape[1] != 2):
-        raise ModelError(f"landmarks have shape {marks.shape}; (L, 2) was due, one a row")
+    plane = plane_of(belief, components, heading)
+    cells = belief.marginal(*plane.pair)
+    mark, marks = as_truth(belief, truth, plane), as_landmarks(landmarks)
 
     ax = given_or_new(ax)
-    edges = [_edges(centres) for centres in plane.centres]
+    edges = [_edges(centres) for centres in cells.centres]
     defaults: dict[str, Any] = {"cmap": _MAP, "vmin": 0.0}
-    ax.pcolormesh(*edges, plane.values.T, **(defaults | style))
-    if angle is not None:
-        _draw_arrows(ax, angle, int(arrows), mirrored)
-    if marks is not None:
-        ax.plot(*marks.T, "^", color=INK, markersize=6, label="landmarks")
-    if mark is not None:
-        ax.plot(*mark, "x", color=INK, markersize=8, markeredgewidth=1.8, label="truth")
-    name_axes(ax, *pair)
-    equal_aspect(ax)
-    return ax
+    ax.pcolormesh(*edges, cells.values.T, **(defaults | style))
+    if plane.heading is not None and arrows:
+        turning = belief.marginal(*plane.pair, plane.heading)
+        _draw_arrows(ax, turning, int(arrows), plane.mirrored)
+    return finish(ax, plane, marks, mark)
 
 
 def _edges(centres: Array) -> Array:
@@ -167,14 +146,3 @@ def _middles(centres: Array, block: int) -> Array:
     last = np.minimum(first + block, len(centres)) - 1
     found: Array = 0.5 * (centres[first] + centres[last])
     return found
-
-
-def _as_truth(belief: GridBelief, truth: npt.ArrayLike, pair: tuple[str, ...]) -> Array:
-    """The two components drawn of a truth."""
-    array = as_floats(truth, "the truth")
-    if array.shape != (len(belief.components),):
-        raise ModelError(
-            f"the truth has shape {array.shape}; one number for each of {list(belief.components)} "
-            "was due"
-        )
-    return array[[belief.components.index(name) for name in pair]]

@@ -12,14 +12,14 @@ from matplotlib.cbook import normalize_kwargs
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import to_rgba
 
-from pgm.consistency.checks import check_gaussian
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels
-from pgm.inference import Kind
+from pgm.inference import Kind, ParticleBelief
 from pgm.plot.axes import equal_aspect, given_or_new, name_axes, plain, useful_legend
 from pgm.plot.colours import INK, next_colour
-from pgm.plot.components import component_places, one_run, truth_columns
+from pgm.plot.components import as_gaussian, component_places, one_run, truth_columns
+from pgm.plot.point_plane import as_landmarks
 
 # An ellipse smaller than this part of the picture is marked by a dot.
 _INVISIBLE = 1e-4
@@ -28,7 +28,7 @@ _ELLIPSES = 25
 
 
 def ellipses(
-    gaussian: Gaussian,
+    gaussian: Gaussian | ParticleBelief,
     *,
     confidence: float = 0.95,
     components: tuple[str, str] | None = None,
@@ -44,8 +44,8 @@ def ellipses(
 
     Parameters
     ----------
-    gaussian : Gaussian
-        With any leading axes.
+    gaussian : Gaussian or ParticleBelief
+        With any leading axes; of particles, the Gaussian of the same mean and covariance.
     confidence : float
         c, the probability of the region, in (0, 1).
     components : pair of str, optional
@@ -66,7 +66,7 @@ def ellipses(
     ModelError
         If `gaussian` is none, or lacks the components, or `confidence` is no probability.
     """
-    gaussian = check_gaussian(gaussian)
+    gaussian = as_gaussian(gaussian)
     found = gaussian.ellipse(confidence, components)
     ax = given_or_new(ax)
     colour = colour or next_colour(ax)
@@ -113,7 +113,7 @@ def ellipses(
 
 
 def trajectory(
-    belief: Gaussian,
+    belief: Gaussian | ParticleBelief,
     *,
     truth: npt.ArrayLike | None = None,
     landmarks: npt.ArrayLike | None = None,
@@ -130,8 +130,9 @@ def trajectory(
 
     Parameters
     ----------
-    belief : Gaussian
-        Over steps, as ``posterior[x]``, or at one step, as ``posterior[x.at(3)]``; of one run.
+    belief : Gaussian or ParticleBelief
+        Over steps, as ``posterior[x]``, or at one step, as ``posterior[x.at(3)]``; of one run. Of
+        particles, the Gaussian of the same mean and covariance.
     truth : array_like, optional
         (..., rows, k), columns in the order of the belief's components; leading axes are drawn
         as further lines.
@@ -174,7 +175,7 @@ def trajectory(
     thinned.ellipse(confidence, components)  # refuses bad arguments before anything is drawn
     places = component_places(belief, pair)
     lines = None if truth is None else truth_columns(belief, truth, places)
-    marks = None if landmarks is None else _as_landmarks(landmarks)
+    marks = as_landmarks(landmarks)
 
     ax = given_or_new(ax)
     colour = colour or next_colour(ax)
@@ -202,10 +203,3 @@ def trajectory(
     equal_aspect(ax)
     useful_legend(ax)
     return ax
-
-
-def _as_landmarks(landmarks: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    array = np.asarray(landmarks, dtype=float)
-    if array.ndim != 2 or array.shape[-1] != 2:
-        raise ModelError(f"landmarks have shape {array.shape}; (L, 2) was due, one a row")
-    return array

@@ -186,7 +186,7 @@ def test_ranges_may_be_linearised_as_one_vector(tmp_path):
 def test_particles_are_right_about_a_short_drive(tmp_path):
     """Against importance sampling: whole paths drawn from the motion, weighed by all ranges."""
     log = recording.load(written(tmp_path))
-    found = particle_filter(log, 100_000, np.random.default_rng(1))
+    found = particle_filter(log, 100_000, 1)
     rng, weight = np.random.default_rng(0), np.ones(400_000)
     x = rng.standard_normal((400_000, 3))
     for t, (rot1, trans, rot2) in enumerate(log.odometry, start=1):
@@ -210,7 +210,7 @@ def test_particles_of_past_steps_are_let_go(tmp_path):
     log = recording.load(written(tmp_path, "ODOMETRY 0.1 0.2 0.001\n" * 60))
     tracemalloc.start()
     try:
-        particle_filter(log, 20_000, np.random.default_rng(1))
+        particle_filter(log, 20_000, 1)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -230,7 +230,7 @@ def test_divergences_are_to_the_reference(tmp_path):
 
 def from_particles(log, count):
     """By way of linearising and lineariser, the divergences of the filters."""
-    reference = particle_filter(log, count, np.random.default_rng(0)).belief
+    reference = particle_filter(log, count, 0).belief
     return {
         name: divergences(reference, smooth(log, grouped=grouped))
         for name, grouped in STACKED.items()

@@ -56,7 +56,9 @@ def test_a_report_on_a_full_disk_has_no_traceback(tmp_path, capsys):
     assert "Traceback" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["localisation", "kalman", "differential_drive", "smoothing"])
+@pytest.mark.parametrize(
+    "name", ["localisation", "kalman", "differential_drive", "particle_counts", "smoothing"]
+)
 @pytest.mark.parametrize("runs", [10**12, 10**30])
 def test_a_huge_number_of_runs(name, runs, tmp_path, monkeypatch, capsys):
     code, line = command([name, "--runs", runs, "--out", tmp_path], monkeypatch, capsys)

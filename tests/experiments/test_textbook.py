@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+import pgm
 from experiments.textbook import (
     Belief,
     bayes_filter,
@@ -14,6 +15,8 @@ from experiments.textbook import (
     extended_kalman_filter,
     kalman_filter,
     log_normal,
+    low_variance_sampler,
+    particle_filter,
     rts_smoother,
     sigma_points,
     unscented_kalman_filter,
@@ -174,3 +177,108 @@ def test_an_impossible_reading_has_no_normaliser():
     stay = np.eye(4)[:, None]
     with pytest.raises(ValueError, match="the reading 1 is impossible given those before"):
         discrete_bayes_filter(known, 0, 1, motion=stay, sensor=SENSOR)
+
+
+M = 150  # particles
+x, v, y = pgm.Variable("x", components=("a", "b")), pgm.Variable("v"), pgm.Variable("y")
+NETWORK = pgm.DynamicBayesianNetwork(
+    prior=[pgm.GaussianCPD(x, mean=INITIAL.mean, cov=INITIAL.cov)],
+    transition=[
+        pgm.LinearGaussianCPD(x, given={x.previous: A, v: B}, cov=NOISE["process_noise"]),
+    ],
+    observation=[pgm.LinearGaussianCPD(y, given={x: C}, cov=NOISE["sensor_noise"])],
+)
+
+
+def textbook_particles(seed):
+    """Weighted means (T, n) of the linear model, and the log-density of all readings."""
+    rng = np.random.default_rng(seed)
+    root = np.linalg.cholesky(NOISE["process_noise"])
+    variance = NOISE["sensor_noise"].item()
+    one_step = partial(
+        particle_filter,
+        sample=lambda x, u, rng: A @ x + B @ u + root @ rng.standard_normal(2),
+        density=lambda z, x: (
+            np.exp(-0.5 * ((z - C @ x) ** 2).item() / variance) / np.sqrt(2.0 * np.pi * variance)
+        ),
+        rng=rng,
+    )
+    initial = rng.multivariate_normal(INITIAL.mean, INITIAL.cov, size=M)
+    steps = bayes_filter(one_step, initial, CONTROLS, READINGS)
+    means = np.array([step.weights @ step.predicted for step in steps])
+    return means, sum(step.log_density for step in steps)
+
+
+def engine_particles(seed):
+    evidence = {v: CONTROLS, y: READINGS}
+    found = pgm.filter(NETWORK, evidence, belief=pgm.Particles(M, seed=seed, threshold=1.0))
+    return found[x].mean[1:], float(found.log_evidence)
+
+
+def test_particles_of_textbook_and_engine_are_exact_within_monte_carlo_errors():
+    """Over seeds each has a mean and a spread; the means are the Kalman filter's, both spreads are.
+
+    A mean over seeds has a bias of order 1/M, far below its standard error of 1/√(80 M).
+    """
+    due = np.array(
+        [
+            step.filtered.mean
+            for step in bayes_filter(FILTERS["kalman"], INITIAL, CONTROLS, READINGS)
+        ]
+    )
+    spreads = []
+    for particles in (textbook_particles, engine_particles):
+        means, log_densities = zip(*map(particles, range(80)), strict=True)
+        spread = np.std(means, axis=0, ddof=1)
+        off = (np.mean(means, axis=0) - due) * np.sqrt(80) / spread
+        assert np.abs(off).max() < 3.7  # of eight numbers, and t₇₉
+        ratio = np.exp(np.array(log_densities) - dense(len(READINGS))[1])  # unbiased
+        assert abs(ratio.mean() - 1.0) < 3.5 * ratio.std(ddof=1) / np.sqrt(80)
+        spreads.append(spread)
+    np.testing.assert_allclose(spreads[0], spreads[1], rtol=0.35)  # each known to 8 %
+
+
+def test_a_step_of_particles_keeps_them_by_weight():
+    """Without motion, the density its own weight: each of the four is there 4 w times."""
+    particles = np.array([[0.5], [0.25], [0.25], [0.0]])
+    step = particle_filter(
+        particles,
+        np.zeros(1),
+        np.zeros(1),
+        sample=lambda x, u, rng: x,
+        density=lambda z, x: 3.0 * x.item(),
+        rng=np.random.default_rng(0),
+    )
+    assert step.weights == pytest.approx(particles[:, 0])
+    assert step.filtered[:, 0].tolist() == [0.5, 0.5, 0.25, 0.25]
+    assert step.log_density == pytest.approx(np.log(3.0 / 4.0))
+    with pytest.raises(ValueError, match="no particle explains the reading"):
+        particle_filter(
+            particles,
+            np.zeros(1),
+            np.zeros(1),
+            sample=lambda x, u, rng: x,
+            density=lambda z, x: 0.0,
+            rng=np.random.default_rng(0),
+        )
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.5, 1.0 - 2.0**-53])
+def test_the_comb_falls_on_weights_alone(offset):
+    """A particle of weight w has M w teeth, rounded either way, and none without weight."""
+
+    class Fixed:
+        random = staticmethod(lambda: offset)
+
+    weights = np.random.default_rng(0).random(10_007)
+    weights[[0, -1]] = 0.0
+    counts = np.bincount(low_variance_sampler(weights, Fixed()), minlength=len(weights))
+    assert counts.sum() == len(weights)
+    assert counts[0] == counts[-1] == 0
+    assert (np.abs(counts - len(weights) * weights / weights.sum()) < 1.0 + 1e-6).all()
+
+
+def test_the_comb_is_unbiased():
+    weights, rng = np.array([0.1, 0.2, 0.3, 0.4]), np.random.default_rng(1)
+    counts = [np.bincount(low_variance_sampler(weights, rng), minlength=4) for _ in range(2000)]
+    np.testing.assert_allclose(np.mean(counts, axis=0), 4.0 * weights, atol=0.05)

@@ -67,6 +67,16 @@ def test_systematic_counts_are_next_to_their_expectation(weights, count, seed):
     assert (np.abs(counts - expected) < 1.0 + 1e-9).all()
 
 
+@pytest.mark.parametrize("name", ["systematic", "stratified", "residual"])
+@pytest.mark.parametrize("count", [3, 100, 300, 1000, 49_999])
+def test_equal_weights_are_drawn_once_each(name, count):
+    """However rounding leaves them, and whole multiples as often: nothing is left to chance."""
+    rng = np.random.default_rng(count)
+    for weights in (np.full(count, 1.0 / count), np.exp(np.full(count, -np.log(count)))):
+        assert (RESAMPLERS[name](weights, count, rng) == 1).all()
+        assert (RESAMPLERS[name](weights, 3 * count, rng) == 3).all()
+
+
 @EVERY
 def test_seeds_reproduce(name):
     weights = np.random.default_rng(0).random(100)

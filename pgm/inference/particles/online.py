@@ -302,6 +302,6 @@ class OnlineParticles(Immutable):
     ) -> OnlineParticleBelief:
         record.effective[step], record.number[step] = cloud.effective, cloud.counts
         status = record.status(bound.lead).at(step)
-        status.warn()
+        status.warn(step)
         log_evidence = np.array(log_evidence).reshape(bound.lead)
         return OnlineParticleBelief(self, step, kind, cloud, model, log_evidence, status, before)

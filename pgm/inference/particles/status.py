@@ -96,8 +96,13 @@ class ParticleStatus(Immutable):
         """Whether no particle explained the measurements of a step."""
         return bool(self.ignored.any() or self.restarted.any())
 
-    def warn(self) -> None:
+    def warn(self, first: int = 0) -> None:
         """Tell the user of weights that are worth too few particles, and of impossible evidence.
+
+        Parameters
+        ----------
+        first : int
+            The step that the first of these stands for.
 
         Warns
         -----
@@ -108,7 +113,7 @@ class ParticleStatus(Immutable):
             runs = int((self.effective < FEW).any(axis=-1).sum())
             message = (
                 f"the weights of the particles are worth {self.effective[least]:.2g} of them at "
-                f"step {int(least[-1])} (status.effective), in {runs} of "
+                f"step {first + int(least[-1])} (status.effective), in {runs} of "
                 f"{int(np.prod(self.effective.shape[:-1]))} runs below {FEW:g}: give more "
                 "particles, or the sensor more noise"
             )
@@ -117,7 +122,7 @@ class ParticleStatus(Immutable):
             where = self.ignored | self.restarted
             place = np.unravel_index(int(where.argmax()), where.shape)
             message = (
-                f"no particle explains the measurements at step {int(place[-1])}, and of "
+                f"no particle explains the measurements at step {first + int(place[-1])}, and of "
                 f"{int(where.sum())} steps in all (status.ignored, status.restarted): beliefs go "
                 "on as they were asked to, and the log-evidence is minus infinity"
             )

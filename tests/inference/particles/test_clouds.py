@@ -134,6 +134,13 @@ def test_weights_far_below_float64_do_no_harm():
     np.testing.assert_allclose(found[x][1].weights.sum(), 1.0)
 
 
+def test_an_online_warning_names_its_step():
+    robot = pgm.OnlineParticles(cart(noise=1e-4), few())
+    belief = robot.predict(robot.predict(robot.initial()))
+    with pytest.warns(pgm.ParticleWarning, match="at step 2 "):
+        robot.update(belief, {z: [40.0]})
+
+
 def impossible():
     """A reading whose distance overflows float64: none of the particles explains it."""
     return {z: pgm.sightings([[1e200]], step=[2])}

@@ -1,0 +1,5 @@
+"""How many particles are enough, beside Kalman filters and exact answers."""
+
+from experiments.particle_counts.experiment import QUICK, run
+
+__all__ = ["QUICK", "run"]
