@@ -108,6 +108,7 @@ def _edges(weights: Array, count: int) -> Array:
 
 def _between(below: Array | Integers) -> Integers:
     """Counts from the numbers of draws below each edge; all are below the last."""
-    counts: Integers = below.astype(np.intp)
-    counts[1:] -= counts[:-1].copy()
+    ends, counts = below.astype(np.intp), np.empty(len(below), dtype=np.intp)
+    counts[:1] = ends[:1]
+    np.subtract(ends[1:], ends[:-1], out=counts[1:])
     return counts

@@ -295,20 +295,25 @@ class ParticleBelief(Immutable):
         weights, count = cloud.weights, len(self._parts)
         mean, apart = np.empty((count, cloud.runs)), np.empty((count, len(weights)))
         for k, part in enumerate(self._parts):
-            values = cloud.states[part.row].astype(np.float64)
-            about = values[cloud.starts[:-1]]
-            if part.angle:
-                sine, cosine = (
-                    cloud.summed(weights * np.sin(values)),
-                    cloud.summed(weights * np.cos(values)),
-                )
-                about = np.arctan2(sine, cosine)
+            values = cloud.states[part.row].astype(np.float64, copy=False)
             # Counted from a place nearby, so that large coordinates cost no digits.
-            offset = values - np.repeat(about, cloud.counts)
+            about = values[cloud.starts[:-1]]
+            offset = np.subtract(values, cloud.spread(about), out=apart[k])
             if part.angle:
                 offset -= TURN * np.rint(offset / TURN)
+                # Within a quarter of a turn no two are so far apart that the middle matters.
+                if max(offset.max(), -offset.min()) > 0.25 * TURN:
+                    sine, cosine = cloud.summed(
+                        weights * np.stack([np.sin(values), np.cos(values)])
+                    )
+                    about = np.arctan2(sine, cosine)
+                    np.subtract(values, cloud.spread(about), out=offset)
+                    offset -= TURN * np.rint(offset / TURN)
             shift = cloud.summed(weights * offset)
-            mean[k], apart[k] = about + shift, offset - np.repeat(shift, cloud.counts)
+            mean[k] = about + shift
+            if part.angle:
+                mean[k] -= TURN * np.floor((mean[k] + np.pi) / TURN)
+            offset -= cloud.spread(shift)
         cov = np.empty((count, count, cloud.runs))
         for i in range(count):
             weighted = weights * apart[i]

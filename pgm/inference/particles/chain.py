@@ -127,10 +127,11 @@ class ParticleChain:
             return self._until_likely(step, cloud, number, generators)
         source, starts, log_weights = self._drawn_anew(step, cloud, generators)
         states = np.zeros((self.model.size, int(starts[-1])), dtype=self.particles.dtype)
-        log_weights = log_weights.copy()  # those of guided particles are yet to be weighed
+        guide = self.guide if self.guide is not None and self.guide.reads(step) else None
+        if guide is not None:
+            log_weights = log_weights.copy()  # to which the proposals' are added
         found = Cloud(states, log_weights, starts, source, cloud.averages)
         row = self.model.row(step)
-        guide = self.guide if self.guide is not None and self.guide.reads(step) else None
         for block in found.blocks():
             place = slice(block.first, block.last)
             before = cloud.states[:, place]
@@ -166,9 +167,12 @@ class ParticleChain:
                 log_weights.append(cloud.log_weights[place])
                 continue
             chosen = self._chosen(cloud.states[:, place], cloud.weights[place], generators[run])
-            source.append(place.start + chosen)
+            chosen += place.start
+            source.append(chosen)
             log_weights.append(np.full(len(chosen), -np.log(len(chosen))))
         starts = np.concatenate([[0], np.cumsum([len(each) for each in source])])
+        if cloud.runs == 1:
+            return source[0], starts, log_weights[0]
         return np.concatenate(source), starts, np.concatenate(log_weights)
 
     def _until_likely(
@@ -224,17 +228,17 @@ class ParticleChain:
         log_weights = cloud.log_weights + self._log_likelihood(step, cloud)
         impossible = np.isneginf(np.maximum.reduceat(log_weights, cloud.starts[:-1]))
         if not impossible.any():
-            return _normalised(cloud, log_weights)
+            return cloud.normalised(log_weights)
         cloud = self._after_impossible(step, cloud, impossible)
         if self.particles.impossible == RESTART:
             log_weights = cloud.log_weights + self._log_likelihood(step, cloud)
             still = np.isneginf(np.maximum.reduceat(log_weights, cloud.starts[:-1]))
             if still.any():
                 self._refuse(step, int(still.argmax()), ", nor of those of the prior,")
-        hopeless = np.repeat(impossible, cloud.counts)
+        hopeless = cloud.spread(impossible)
         if self.particles.impossible == IGNORE:
-            log_weights[hopeless] = cloud.log_weights[hopeless]
-        known, log_density = _normalised(cloud, log_weights)
+            log_weights = np.where(hopeless, cloud.log_weights, log_weights)
+        known, log_density = cloud.normalised(log_weights)
         log_density[impossible] = -np.inf
         return known, log_density
 
@@ -279,7 +283,7 @@ class ParticleChain:
             return cloud
         self.record.restarted[step] |= impossible
         fresh = self._prior(cloud.counts, self.generators(step, RESTARTED))
-        hopeless = np.repeat(impossible, cloud.counts)
+        hopeless = cloud.spread(impossible)
         states = np.where(hopeless, fresh.states, cloud.states)
         log_weights = np.where(hopeless, fresh.log_weights, cloud.log_weights)
         return replace(cloud, states=states, log_weights=log_weights)
@@ -299,11 +303,3 @@ class ParticleChain:
     def _some(self, cloud: Cloud, step: int, first: int, last: int, before: Array) -> Some:
         owner = None if cloud.runs == 1 else cloud.owner[first:last]
         return Some(step, cloud.states[:, first:last], before, owner)
-
-
-def _normalised(cloud: Cloud, log_weights: Array) -> tuple[Cloud, Array]:
-    """The cloud with weights of sum one in each run, and the logarithm of what they were."""
-    largest = np.maximum.reduceat(log_weights, cloud.starts[:-1])
-    shift = np.repeat(largest, cloud.counts)
-    log_sum = largest + np.log(cloud.summed(np.exp(log_weights - shift)))
-    return cloud.weighed(log_weights - np.repeat(log_sum, cloud.counts)), log_sum

@@ -89,6 +89,17 @@ class Cloud:
         """The sums of (..., particles) over the particles of each run, (..., runs)."""
         return np.add.reduceat(values, self.starts[:-1], axis=-1, dtype=np.float64)
 
+    def spread(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """The values of runs, (runs,), at their particles, to which they broadcast."""
+        return values if self.runs == 1 else np.repeat(values, self.counts)
+
+    def normalised(self, log_weights: Array) -> tuple[Cloud, Array]:
+        """The cloud with weights of sum one in each run, and the logarithm of what they were."""
+        largest = np.maximum.reduceat(log_weights, self.starts[:-1])
+        each = log_weights - self.spread(largest)
+        log_total = largest + np.log(self.summed(np.exp(each, out=each)))
+        return self.weighed(log_weights - self.spread(log_total)), log_total
+
     @cached_property
     def effective(self) -> Array:
         """The effective number of particles, 1 / Σ w², (runs,)."""
