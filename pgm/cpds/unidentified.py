@@ -7,9 +7,11 @@ from scipy.special import chdtri, logsumexp
 
 from pgm.cpds.base import CPD
 from pgm.cpds.conditional import ConditionalGaussian
+from pgm.cpds.noise import Noise
 from pgm.cpds.values import Known, Values
 from pgm.errors import ModelError
 from pgm.factors.runs import unflat
+from pgm.kernels import roots
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
@@ -55,6 +57,15 @@ class UnidentifiedCPD(CPD):
             raise ModelError(
                 f"{sensor!r} is no Gaussian CPD, whose residuals have no χ² distribution: leave "
                 "gate= of pgm.unknown(...) out",
+                variable=sensor.child,
+                cpd=sensor,
+            )
+        gaussian = sensor if isinstance(sensor, ConditionalGaussian) else None
+        constant = gaussian is not None and not isinstance(gaussian.cov, Noise)
+        if gaussian is not None and constant and roots.determined(gaussian._lower).any():
+            raise ModelError(
+                f"{sensor!r} has no noise in a component, or two that are one: no particle and no "
+                "cell need agree with its measurement; give it some",
                 variable=sensor.child,
                 cpd=sensor,
             )

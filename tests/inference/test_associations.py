@@ -208,6 +208,42 @@ def test_particles_online():
         np.testing.assert_array_equal(belief[x].states, offline[x][step].states)
 
 
+GRID = pgm.Grid({"east": (-1.5, 3.5, 100), "north": (-1.5, 3.5, 100)})
+
+
+def test_grids_sum_out_what_was_seen():
+    log_evidence, mean = enumerated(0.2, 100.0)
+    evidence = open_(spurious=0.2, volume=100.0, association="sum")
+    found = pgm.filter(robot(), evidence, steps=3, belief=GRID)
+    np.testing.assert_allclose(found.log_evidence, log_evidence, atol=1e-3)
+    np.testing.assert_allclose(found[x].mean[-1], mean, atol=1e-3)
+    drawn = pgm.filter(robot(), evidence, steps=3, belief=PARTICLES)
+    for each, other in (
+        (found, drawn),
+        (pgm.smooth(robot(), evidence, steps=3, belief=GRID), None),
+    ):
+        assert each.associations[z].candidate.tolist() == TRUTH
+        if other is not None:
+            told = other.associations[z].probability
+            np.testing.assert_allclose(each.associations[z].probability, told, atol=0.01)
+
+
+def test_grids_take_the_likeliest_by_cell_in_batches_and_online():
+    runs = np.stack([SEEN, SEEN[[1, 0, 3, 2]] + 0.05])
+    runs[1, 0] = np.nan
+    both = pgm.filter(robot(), open_(runs), steps=3, belief=GRID)
+    exact = pgm.filter(robot(), known(), steps=3)
+    np.testing.assert_allclose(both[x].mean[0], exact[x].mean, atol=2e-3)
+    assert both.associations[z].candidate[0].tolist() == TRUTH
+    assert np.isnan(both.associations[z].probability[1, 0]).all()
+    online = pgm.OnlineFilter(robot(), belief=GRID)
+    belief = online.initial()
+    for step in range(1, 4):
+        read = pgm.sightings(SEEN[step == STEP], given={m: pgm.unknown(MARKS)})
+        belief = online.update(online.predict(belief), {z: read})
+    np.testing.assert_allclose(belief.log_evidence, both.log_evidence[0], atol=1e-9)
+
+
 def test_the_gate_of_points_is_of_residuals():
     """A particle two deviations away is within a gate of three, beyond one of one and a half."""
     near = pgm.unknown([[0.0, 0.0]], gate=float(1.0 - np.exp(-4.5)))
@@ -256,6 +292,11 @@ def test_what_cannot_be_left_open():
     strange = {m: MARKS[TRUTH], fix: pgm.unknown(MARKS)}
     with pytest.raises(pgm.EvidenceError, match="no observed parent"):
         pgm.filter(robot(), {z: pgm.sightings(SEEN, step=STEP, given=strange)}, steps=3)
+    sensor = pgm.LinearGaussianCPD(z, given={m: np.eye(2), x: -np.eye(2)}, cov=np.zeros((2, 2)))
+    sharp = pgm.DynamicBayesianNetwork(robot().prior, robot().transition, [sensor])
+    for belief in (GRID, PARTICLES):
+        with pytest.raises(pgm.ModelError, match="has no noise in a component"):
+            pgm.filter(sharp, open_(), steps=3, belief=belief)
     partly = SEEN.copy()
     partly[1, 0] = np.nan
     with pytest.raises(pgm.EvidenceError, match="give all components or none"):

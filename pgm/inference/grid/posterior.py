@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -9,8 +10,11 @@ import numpy.typing as npt
 
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError
+from pgm.evidence import BoundEvidence
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.immutable import Immutable
+from pgm.inference.associations import Found
+from pgm.inference.grid.associating import associations
 from pgm.inference.grid.belief import GridBelief, require_step, scope_axes
 from pgm.inference.grid.lattice import Lattice
 from pgm.inference.grid.status import GridStatus
@@ -46,6 +50,7 @@ class GridPosterior(Immutable):
     _lattice: Lattice
     _values: npt.NDArray[Any]
     _filtered: npt.NDArray[Any] | None
+    _bound: BoundEvidence
 
     # Python would else iterate by asking for the variables 0, 1, ...
     __iter__: ClassVar[None] = None
@@ -58,6 +63,7 @@ class GridPosterior(Immutable):
         log_evidence: Array,
         status: GridStatus,
         lattice: Lattice,
+        bound: BoundEvidence,
         values: npt.NDArray[Any],
         filtered: npt.NDArray[Any] | None = None,
     ) -> None:
@@ -71,12 +77,19 @@ class GridPosterior(Immutable):
             _lattice=lattice,
             _values=values,
             _filtered=filtered,
+            _bound=bound,
         )
 
     @property
     def log_evidence_kind(self) -> str:
         """``grid``: neither exact nor linearised."""
         return "grid"
+
+    @cached_property
+    def associations(self) -> Found:
+        """What sightings that left it open, with `unknown`, were of: `Associations` by sensor."""
+        values = self._values.reshape(-1, *self._values.shape[self.log_evidence.ndim :])
+        return associations(self._lattice, self._bound, values)
 
     @property
     def filtered(self) -> GridPosterior:
@@ -90,6 +103,7 @@ class GridPosterior(Immutable):
             self.log_evidence,
             self.status,
             self._lattice,
+            self._bound,
             self._filtered,
         )
 

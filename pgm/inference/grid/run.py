@@ -83,6 +83,7 @@ def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) 
         found.log_evidence,
         status,
         found._lattice,
+        bound,
         found._values,
         found._filtered,
     )
@@ -153,11 +154,11 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
     filtered = filtered.reshape(*lead, *shape[1:])
     if smoothed is None:
         return GridPosterior(
-            graph, grid, kind, log_evidence.reshape(lead), status, lattice, filtered
+            graph, grid, kind, log_evidence.reshape(lead), status, lattice, bound, filtered
         )
     smoothed = smoothed.reshape(*lead, *shape[1:])
     return GridPosterior(
-        graph, grid, kind, log_evidence.reshape(lead), status, lattice, smoothed, filtered
+        graph, grid, kind, log_evidence.reshape(lead), status, lattice, bound, smoothed, filtered
     )
 
 

@@ -148,6 +148,20 @@ def at_a_time(cpd: CPD) -> int:
     return max(min(_NUMBERS // sum(v.dimension for v in cpd.scope), _POINTS), 1)
 
 
+def known_at(
+    cpd: CPD, child: Array, points: Known, known: Known, step: int
+) -> tuple[Array, cpd_values.Known]:
+    """The child (n, d) and the parents of a CPD at n points, as of `log_density_at`."""
+    hidden = (len(points[parent]) for parent in cpd.parents if parent in points)
+    count = next(hidden, len(child) if child.ndim > 1 else 1)
+    values = {}
+    for parent in cpd.parents:
+        found = points[parent] if parent in points else known[parent]
+        values[parent] = np.broadcast_to(found, (count, parent.dimension))
+    wide = np.broadcast_to(child, (count, cpd.child.dimension))
+    return wide, cpd_values.Known(values, (count,), (count,), step)
+
+
 def log_density_at(
     cpd: CPD, child: Array, points: Known, known: Known, step: int, run: int
 ) -> Array:
@@ -166,14 +180,8 @@ def log_density_at(
     step, run : int
         For messages.
     """
-    hidden = (len(points[parent]) for parent in cpd.parents if parent in points)
-    count = next(hidden, len(child) if child.ndim > 1 else 1)
-    values = {}
-    for parent in cpd.parents:
-        found = points[parent] if parent in points else known[parent]
-        values[parent] = np.broadcast_to(found, (count, parent.dimension))
-    wide = np.broadcast_to(child, (count, cpd.child.dimension))
-    level = cpd._log_density(wide, cpd_values.Known(values, (count,), (count,), step))
+    wide, given = known_at(cpd, child, points, known, step)
+    level, values, count = cpd._log_density(wide, given), given.values, len(wide)
     (bad,) = np.nonzero(np.isnan(level) | (level == np.inf))
     if bad.size:
         at = {v: a[bad[0]].tolist() for v, a in {cpd.child: wide, **values}.items()}
