@@ -128,8 +128,10 @@ def unknown(
 
     with ``association="sum"``, where what was seen is summed out; with ``"likelihood"`` it is the
     largest of these terms. Beliefs of Gaussians take the likelihood alone: at the predicted belief
-    of each step every sighting is given its likeliest candidate, of ln w_k + ln N(z; ẑ_k, S_k) with
-    the innovation's covariance S_k, and the network is then inferred as if that had been known.
+    of each step, given also what of its measurements leaves nothing open, every sighting is given
+    its likeliest candidate, of ln w_k + ln N(z; ẑ_k, S_k) with the innovation's covariance S_k, and
+    the network is then inferred as if that had been known. One sensor's are taken in before the
+    next one's, in the order of the network.
     ``posterior.associations`` tells what each sighting was taken for. Sightings are associated one
     by one: two of a step may be given the same candidate.
 

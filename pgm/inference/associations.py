@@ -92,12 +92,12 @@ def unidentified(reading: Reading, parent: Variable, unknown: Unknown) -> Uniden
 
 
 def collected(
-    reading: Reading, rows: Iterable[Array], lead: tuple[int, ...]
+    reading: Reading, rows: Iterable[Array], candidates: int, lead: tuple[int, ...]
 ) -> tuple[Variable, Associations]:
     """The associations of a reading, from the probabilities of each of its rows, (runs, k + 2)."""
-    found = np.stack(list(rows), axis=1)
-    ordered = np.empty_like(found)
-    ordered[:, reading.order] = found
+    ordered = np.empty((int(np.prod(lead)), len(reading.step), candidates + 2))
+    for place, row in zip(reading.order.tolist(), rows, strict=True):
+        ordered[:, place] = row
     step = np.empty_like(reading.step)
     step[reading.order] = reading.step
     return reading.cpd.child, Associations(step, ordered.reshape(*lead, *ordered.shape[1:]))

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pgm.boundary import as_floats
+from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.kernels import planar
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -83,14 +85,28 @@ class CellGrid(Immutable):
         -------
         ndarray
             (..., 2).
+
+        Raises
+        ------
+        ModelError
+            If they are no numbers, or their shapes do not broadcast.
         """
-        place = np.stack([np.asarray(columns, float), np.asarray(rows, float)], axis=-1)
+        given = as_floats(rows, "rows of cells"), as_floats(columns, "columns of cells")
+        try:
+            row, column = np.broadcast_arrays(*given)
+        except ValueError:
+            raise ModelError(
+                f"rows have shape {given[0].shape} and columns {given[1].shape}; equal ones were "
+                "due"
+            ) from None
+        place = np.stack([column, row], axis=-1)
         return planar.points_out_of(self.origin, (place + 0.5) * self.resolution)
 
     def _places(self, spacing: float, mask: Mask) -> Array:
         """Places a spacing apart along both axes, in cells of a mask, (n, 2)."""
         height, width = self.shape
-        counts = [max(int(side * self.resolution / spacing), 1) for side in (width, height)]
+        sides = (side * self.resolution / spacing for side in (width, height))
+        counts = [max(int(min(side, 1e300)), 1) for side in sides]
         require_memory(counts[0] * counts[1], "places of poses", "set them further apart")
         axes = [(np.arange(n) + 0.5) * spacing for n in counts]
         local = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -85,7 +86,6 @@ def write(
     picture = path.with_suffix(image)
     if picture == path:
         raise FileError(f"{path} is to be the YAML file; give it another suffix", path=str(path))
-    Image.fromarray(np.ascontiguousarray(grey[::-1])).save(picture)
     keys = {
         "image": picture.name,
         "mode": "trinary",
@@ -95,7 +95,12 @@ def write(
         "occupied_thresh": OCCUPIED,
         "free_thresh": FREE,
     }
-    path.write_text(yaml.safe_dump(keys, sort_keys=False), encoding="utf-8")
+    try:
+        Image.fromarray(np.ascontiguousarray(grey[::-1])).save(picture)
+        path.write_text(yaml.safe_dump(keys, sort_keys=False), encoding="utf-8")
+    except OSError as error:
+        why = error.strerror or error
+        raise FileError(f"{path}: cannot be written: {why}", path=str(path)) from error
 
 
 def _keys(path: Path) -> dict[str, Any]:
@@ -110,6 +115,8 @@ def _keys(path: Path) -> dict[str, Any]:
         raise FileError(
             f"{path}: is no text, but maybe the image itself", path=str(path)
         ) from error
+    except (ValueError, RecursionError) as error:  # of dates and numbers that are none, or brackets
+        raise FileError(f"{path}: no YAML of a map: {error}", path=str(path)) from error
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = None if mark is None else mark.line + 1
@@ -131,7 +138,8 @@ def _number(path: Path, keys: dict[str, Any], key: str) -> float:
 
 
 def _wrong(path: Path, key: str, found: Any, due: str) -> FileError:
-    return FileError(f"{path}: {key} is {found!r}; {due} was due", path=str(path))
+    # Shortened, as a few lines of YAML may stand for more than fits memory.
+    return FileError(f"{path}: {key} is {reprlib.repr(found)}; {due} was due", path=str(path))
 
 
 def _grey(owner: Path, path: Path) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
@@ -143,8 +151,9 @@ def _grey(owner: Path, path: Path) -> tuple[npt.NDArray[np.uint8], npt.NDArray[n
             image.load()
             wide = image.mode in ("I", "F") or image.mode.startswith("I;")
             channels = None if wide else _channels(image)
-    except OSError as error:  # of a missing file, and of one that is no image
-        why = error.strerror or "it is no image, or a broken one"
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        # Of a missing file, one that is no image, a broken one, and one that is too large.
+        why = getattr(error, "strerror", None) or f"it is no image, or a broken one ({error})"
         raise FileError(f"{owner}: image {path} cannot be read: {why}", path=str(owner)) from error
     if channels is None:
         raise FileError(

@@ -97,8 +97,11 @@ class FeatureMap(Immutable):
         ModelError
             If no landmark is called so.
         """
-        for name in (names,) if isinstance(names, str) else (names := tuple(names)):
-            if name not in self._places:
+        wanted = (names,) if isinstance(names, str) else as_tuple(names)
+        if wanted is None:
+            raise ModelError(f"landmarks are asked for by name, or by several, not by {names!r}")
+        for name in wanted:
+            if not isinstance(name, str) or name not in self._places:
                 raise ModelError(
                     f"{self!r} has no landmark called {name!r}"
                     + ("" if self.names else "; its landmarks have no names")
@@ -106,7 +109,7 @@ class FeatureMap(Immutable):
         if isinstance(names, str):
             position: Array = self.positions[self._places[names]]
             return position
-        found: Array = self.positions[[self._places[name] for name in names]]
+        found: Array = self.positions[[self._places[name] for name in wanted]]
         return found.reshape(-1, self.positions.shape[1])
 
     def nearest(self, points: npt.ArrayLike) -> Integers:

@@ -103,26 +103,26 @@ def log_odds_map(
     limits = None if shape is None else _as_shape(shape)
     beams = _traced(poses, scans, angles, most, as_pose(mount, "mount"))
     frame = np.zeros(3) if corner is None else corner
-    begins, ends = (planar.points_from(frame, each) / resolution for each in beams[:2])
+    with np.errstate(over="ignore"):  # refused below
+        begins, ends = (planar.points_from(frame, each) / resolution for each in beams[:2])
     # All cells are counted, and then those that are wanted taken.
     low = np.floor(np.minimum(begins.min(axis=0), ends.min(axis=0)))
     high = np.floor(np.maximum(begins.max(axis=0), ends.max(axis=0)))
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        raise ModelError(f"poses are so far off that cells of {resolution} m cannot be counted")
     width, height = (high - low + 1.0).tolist()
-    require_memory(
-        int(min(width * height, 1e300)) * 4,
-        f"a map of {height:.0f} by {width:.0f} cells, which holds all beams,",
-        "give a larger resolution, or look for poses that are far off",
-    )
+    _require_room(height, width, "which holds all beams")
     counts = _counted(_Beams((begins - low).T, (ends - low).T, beams.hits), int(height), int(width))
     log_odds = odds[0] + counts[0] * (odds[1] - odds[0]) + counts[1] * (odds[2] - odds[0])
     occupied = np.where(counts.any(axis=0), expit(log_odds), np.nan)
     if corner is None:
         corner = np.array([*(low * resolution), 0.0])
-        low = np.zeros(2)
-    else:
-        occupied = _shifted(occupied, low.astype(np.intp))
-    if limits is not None:
-        occupied = _cut(occupied, limits)
+        low, high = np.zeros(2), high - low
+    if limits is None:
+        columns, rows = np.maximum(high + 1.0, 0.0).tolist()
+        limits = int(rows), int(columns)
+    _require_room(*limits, "from its origin on")
+    occupied = _placed(occupied, low, limits)
     if not occupied.size:
         raise ModelError("no beam enters the map, which lies elsewhere; give another origin")
     return OccupancyMap(occupied, resolution, corner)
@@ -187,16 +187,23 @@ def _counted(beams: _Beams, height: int, width: int) -> Array:
     return np.stack([ended, passed]).reshape(2, height, width)
 
 
-def _shifted(occupied: Array, low: npt.NDArray[np.intp]) -> Array:
-    """Cells from row and column 0 on, of ones that begin elsewhere."""
-    column, row = low.tolist()
-    occupied = occupied[max(-row, 0) :, max(-column, 0) :]
-    before = ((max(row, 0), 0), (max(column, 0), 0))
-    return np.pad(occupied, before, constant_values=np.nan)
+def _placed(occupied: Array, low: Array, shape: tuple[int, int]) -> Array:
+    """The cells of rows and columns from zero on, of ones that begin elsewhere; others unknown."""
+    found = np.full(shape, np.nan)
+    own, given = list[slice](), list[slice]()
+    for first, count, due in zip(low[::-1].tolist(), occupied.shape, shape, strict=True):
+        start, skipped = int(min(max(first, 0.0), due)), int(min(max(-first, 0.0), count))
+        length = max(min(due - start, count - skipped), 0)
+        own.append(slice(start, start + length))
+        given.append(slice(skipped, skipped + length))
+    found[tuple(own)] = occupied[tuple(given)]
+    return found
 
 
-def _cut(occupied: Array, shape: tuple[int, int]) -> Array:
-    """A number of rows and columns, unknown ones added."""
-    occupied = occupied[: shape[0], : shape[1]]
-    missing = [(0, due - found) for due, found in zip(shape, occupied.shape, strict=True)]
-    return np.pad(occupied, missing, constant_values=np.nan)
+def _require_room(height: float, width: float, which: str) -> None:
+    """Refuse a map that would not fit memory."""
+    require_memory(
+        int(min(height * width, 1e300)) * 4,
+        f"a map of {height:.0f} by {width:.0f} cells, {which},",
+        "give a larger resolution, or look for poses that are far off",
+    )

@@ -169,7 +169,7 @@ class OccupancyMap(CellGrid):
         Raises
         ------
         FileError
-            If the image is to be of another kind.
+            If the image is to be of another kind, or a file cannot be written.
         """
         grey = np.full(self.shape, files.UNKNOWN_GREY, dtype=np.uint8)
         grey[self.free], grey[self.obstacles] = files.FREE_GREY, files.OCCUPIED_GREY

@@ -8,6 +8,7 @@ are taken in first. What comes out is ordinary evidence.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -68,12 +69,8 @@ def associated(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser
         for each in pending:
             rows = each.rows(step)
             if len(rows):
-                each.associate(graph, bound, lineariser, step, rows, belief)
-                belief = _taken(graph, bound, lineariser, step, each.part(rows), belief)
-    closed = {each.reading.cpd.child: each.closed for each in pending}
-    readings = tuple(closed.get(r.cpd.child, r) for r in bound.readings)
-    found = dict(collected(p.reading, p.probability, bound.lead) for p in pending)
-    return Associated(replace(bound, readings=readings), found)
+                belief = each.associate(graph, bound, lineariser, step, rows, belief)
+    return _closed(bound, pending)
 
 
 @quiet()
@@ -81,16 +78,24 @@ def associated_at(
     graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, step: int, belief: Moments
 ) -> Associated:
     """The measurements of one step, associated at a belief; `bound` counts steps from zero."""
-    readings, found = list[Reading](), dict[Variable, Associations]()
-    for reading in bound.readings:
-        each = reading
-        if reading.unknown is not None:
-            pending = _Pending(reading)
-            pending.associate(graph, bound, lineariser, step, range(len(reading.step)), belief)
-            each = pending.closed
-            found.update([collected(reading, pending.probability, bound.lead)])
-        readings.append(each)
-    return Associated(replace(bound, readings=tuple(readings)), found)
+    pending = [_Pending(reading) for reading in bound.readings if reading.unknown is not None]
+    known = tuple(reading for reading in bound.readings if reading.unknown is None)
+    belief = _taken(graph, bound, lineariser, step, known, belief)
+    for each in pending:
+        rows = range(len(each.reading.step))
+        if len(rows):
+            belief = each.associate(graph, bound, lineariser, step, rows, belief)
+    return _closed(bound, pending)
+
+
+def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
+    """The evidence, its open sightings as they were associated."""
+    closed = {each.reading.cpd.child: each.closed for each in pending}
+    readings = tuple(closed.get(r.cpd.child, r) for r in bound.readings)
+    found = dict(
+        collected(p.reading, p.probability, len(p.unknown.candidates), bound.lead) for p in pending
+    )
+    return Associated(replace(bound, readings=readings), found)
 
 
 class _Pending:
@@ -126,8 +131,8 @@ class _Pending:
         step: int,
         rows: range,
         belief: Moments,
-    ) -> None:
-        """Decide about some sightings at a belief."""
+    ) -> Moments:
+        """Decide about some sightings at a belief, and take them in."""
         runs, unknown = bound.runs, self.unknown
         density, square, count = _innovations(
             graph, bound, lineariser, step, self._expanded(rows, runs), belief, len(rows)
@@ -149,6 +154,7 @@ class _Pending:
             self.probability.append(shares)
             self.values.append(unknown.candidates[np.where(seen, likeliest, 0)])
             self.taken.append(taken & seen[:, None])
+        return _taken(graph, bound, lineariser, step, (self.part(rows),), belief)
 
     def _expanded(self, rows: range, runs: int) -> Reading:
         """Each sighting with each candidate, as runs of one sighting: rows, runs, candidates."""
@@ -206,11 +212,11 @@ def _taken(
     bound: BoundEvidence,
     lineariser: Lineariser,
     step: int,
-    reading: Reading,
+    readings: tuple[Reading, ...],
     belief: Moments,
 ) -> Moments:
-    """The belief given some measurements of its step."""
-    one = BoundEvidence(0, bound.lead, (), (reading,), bound.first_run)
+    """The belief given some measurements of its step, which they count from zero."""
+    one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
     chain = MomentChain(plan, _ONCE, keep=False)
     return chain.taken(chain.readings(0), step, belief)[0]

@@ -25,7 +25,7 @@ from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.streams import BACKWARD, stream
 from pgm.inference.particles.value import FULL, Particles
 from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices, systematic
 
 # Densities that are held at a time, where all pairs are asked for.
@@ -41,6 +41,9 @@ class Backward:
     particles : Particles
     clouds : sequence of Cloud
         Filtered, by step.
+    restarted : ndarray of bool
+        (T+1, runs): where particles were drawn from the prior instead of the step before, of which
+        they tell nothing then.
 
     Attributes
     ----------
@@ -48,8 +51,15 @@ class Backward:
         (T, runs): by step the share of trajectories that stayed at their ancestor.
     """
 
-    def __init__(self, model: ParticleModel, particles: Particles, clouds: Sequence[Cloud]) -> None:
+    def __init__(
+        self,
+        model: ParticleModel,
+        particles: Particles,
+        clouds: Sequence[Cloud],
+        restarted: Mask,
+    ) -> None:
         self.model, self.particles, self.clouds = model, particles, clouds
+        self.restarted = restarted
         runs, count = model.bound.runs, particles.trajectories
         self.unmoved = np.zeros((max(len(clouds) - 1, 0), runs))
         self._counts = np.full(runs, count)
@@ -110,6 +120,9 @@ class Backward:
             moved = chosen != ancestor
         else:
             chosen, moved = self._by_moves(cloud, density, ancestor, generators)
+        for run in np.flatnonzero(self.restarted[step + 1]).tolist():
+            own = self._of(run)
+            chosen[own], moved[own] = self._drawn(cloud, run, generators[run]), True
         self.unmoved[step] = 1.0 - moved.reshape(len(self._counts), -1).mean(axis=1)
         return chosen
 
@@ -123,14 +136,11 @@ class Backward:
         """Places after independent Metropolis moves, and which have moved at all."""
         now, moved = ancestor.copy(), np.zeros(len(ancestor), dtype=bool)
         log_now = density.at(now)
-        weights = [cloud.weights[cloud.of(run)] for run in range(cloud.runs)]
         proposed, level = np.empty_like(now), np.empty(len(now))
         for _ in range(self.particles.moves):
             for run, generator in enumerate(generators):
-                own = slice(int(self._starts[run]), int(self._starts[run + 1]))
-                drawn = indices(systematic(weights[run], own.stop - own.start, generator))
-                # Shuffled, each trajectory has an independent proposal at every move.
-                proposed[own] = cloud.starts[run] + generator.permutation(drawn)
+                own = self._of(run)
+                proposed[own] = self._drawn(cloud, run, generator)
                 level[own] = generator.random(own.stop - own.start)
             log_proposed = density.at(proposed)
             with np.errstate(invalid="ignore", over="ignore"):  # −∞ less −∞ moves nothing
@@ -138,6 +148,17 @@ class Backward:
             now[taken], log_now[taken] = proposed[taken], log_proposed[taken]
             moved |= taken
         return now, moved
+
+    def _of(self, run: int) -> slice:
+        """The place of a run's trajectories."""
+        return slice(int(self._starts[run]), int(self._starts[run + 1]))
+
+    def _drawn(self, cloud: Cloud, run: int, generator: np.random.Generator) -> Integers:
+        """The places of particles drawn by their weights, shuffled: each draw is independent."""
+        weights = cloud.weights[cloud.of(run)]
+        drawn = indices(systematic(weights, int(self._counts[run]), generator))
+        found: Integers = cloud.starts[run] + generator.permutation(drawn)
+        return found
 
     def _in_full(
         self, cloud: Cloud, density: _Density, generators: list[np.random.Generator]
@@ -152,7 +173,9 @@ class Backward:
                 some = np.arange(first, min(first + rows, trajectories.stop))
                 pairs = density.at(np.tile(every, len(some)), np.repeat(some, len(every)))
                 joint = pairs.reshape(len(some), -1) + cloud.log_weights[part]
-                joint -= joint.max(axis=1, keepdims=True)
+                largest = joint.max(axis=1, keepdims=True)
+                # Of a restarted run nothing may be possible, and nothing of this is taken.
+                joint -= np.where(np.isneginf(largest), 0.0, largest)
                 total = np.cumsum(np.exp(joint), axis=1)
                 level = generator.random(len(some)) * total[:, -1]
                 found.append(part.start + (total <= level[:, None]).sum(axis=1))

@@ -254,6 +254,8 @@ class ParticleBelief(Immutable):
         except IndexError as error:
             raise ModelError(f"a belief with the leading axes {self.lead}: {error}") from error
         chosen = np.asarray(chosen)
+        if not chosen.size:
+            raise ModelError(f"a belief with the leading axes {self.lead} has none at {index!r}")
         run, step = np.divmod(chosen, count)
         whole = len(self._runs) == chosen.ndim - 1
         if self.steps is None or not chosen.ndim or (len(np.unique(step)) == 1 and not whole):

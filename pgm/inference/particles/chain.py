@@ -277,11 +277,19 @@ class ParticleChain:
     def _after_impossible(self, step: int, cloud: Cloud, impossible: Mask) -> Cloud:
         """The cloud with which to go on where no particle explains the measurements."""
         if self.particles.impossible == RAISE:
-            self._refuse(step, int(impossible.argmax()))
+            run = int(impossible.argmax())
+            nowhere = np.isneginf(cloud.log_weights[cloud.of(run)]).all()
+            besides = ", all drawn from cells where the prior has no density," if nowhere else ""
+            self._refuse(step, run, besides)
         if self.particles.impossible == IGNORE:
             self.record.ignored[step] |= impossible
-            return cloud
-        self.record.restarted[step] |= impossible
+            # Draws from cells may be impossible under the prior, which alone is left then.
+            largest = np.maximum.reduceat(cloud.log_weights, cloud.starts[:-1])
+            impossible = np.isneginf(largest)
+            if not impossible.any():
+                return cloud
+        else:
+            self.record.restarted[step] |= impossible
         fresh = self._prior(cloud.counts, self.generators(step, RESTARTED))
         hopeless = cloud.spread(impossible)
         states = np.where(hopeless, fresh.states, cloud.states)

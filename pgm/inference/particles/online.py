@@ -127,7 +127,8 @@ class OnlineParticles(Immutable):
     """A particle filter for one step at a time; made by ``OnlineFilter(model, belief=particles)``.
 
     It is immutable, and so are its beliefs: draws are keyed by seed, run and step, so that they are
-    those of `pgm.filter`.
+    those of `pgm.filter`. Where inputs or measurements have runs only from some step on, a belief
+    that was one until then is that of each of them, with the same particles.
 
     Parameters
     ----------
@@ -273,6 +274,9 @@ class OnlineParticles(Immutable):
                 f"evidence of runs {bound.lead} for a belief of runs {belief.lead}",
                 step=belief.step,
             )
+        if belief.step == 0 and belief.kind == PREDICTED:  # each run draws from the prior itself
+            chain, _ = self._chain(BoundEvidence(0, bound.lead, (), ()), 0)
+            return chain.start()
         return Cloud(
             np.tile(cloud.states, runs),
             np.tile(cloud.log_weights, runs),

@@ -94,7 +94,7 @@ class ParticlePosterior(Immutable):
         lead = self.log_evidence.shape
         return MappingProxyType(
             dict(
-                collected(s.reading, self._responsible(s), lead)
+                collected(s.reading, self._responsible(s), len(s.reading.cpd.candidates), lead)
                 for s in self._model.sensors
                 if isinstance(s.reading.cpd, UnidentifiedCPD)
             )

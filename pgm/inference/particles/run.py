@@ -49,7 +49,7 @@ def run(
     if kind == FILTERED:
         clouds = filtered
     else:
-        backward = Backward(model, particles, filtered)
+        backward = Backward(model, particles, filtered, record.restarted)
         clouds = backward.smoothed() if kind.name == "smoothed" else backward.lagged(int(kind.lag))
         unmoved = backward.unmoved
     status = record.status(bound.lead, unmoved)

@@ -13,8 +13,10 @@ from pgm.immutable import Immutable
 from pgm.inference.status import _levels_to_user
 from pgm.kernels.arrays import Array, Integers, Mask
 
-# The effective number of particles below which the user is warned.
+# The effective number of particles below which the user is warned, and by how much rounding may
+# leave that of equal particles below their number.
 FEW = 10.0
+_ROUNDING = 1e-9
 
 
 class ParticleStatus(Immutable):
@@ -89,7 +91,13 @@ class ParticleStatus(Immutable):
     @property
     def few(self) -> bool:
         """Whether the weights of a step are worth fewer than ten particles."""
-        return bool((self.effective < np.minimum(FEW, self.number)).any())
+        return bool(self._few.any())
+
+    @property
+    def _few(self) -> Mask:
+        """Where the weights are worth fewer than ten particles, and than there are."""
+        found: Mask = self.effective < np.minimum(FEW, self.number) * (1.0 - _ROUNDING)
+        return found
 
     @property
     def impossible(self) -> bool:
@@ -109,8 +117,9 @@ class ParticleStatus(Immutable):
         ParticleWarning
         """
         if self.few:
-            least = np.unravel_index(int(self.effective.argmin()), self.effective.shape)
-            runs = int((self.effective < FEW).any(axis=-1).sum())
+            share = np.where(self._few, self.effective, np.inf)
+            least = np.unravel_index(int(share.argmin()), share.shape)
+            runs = int(self._few.any(axis=-1).sum())
             message = (
                 f"the weights of the particles are worth {self.effective[least]:.2g} of them at "
                 f"step {first + int(least[-1])} (status.effective), in {runs} of "

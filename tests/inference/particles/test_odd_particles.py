@@ -1,0 +1,116 @@
+"""Particles where little is left of them: few, impossible ones, restarted ones, runs that fork."""
+
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import pgm
+
+x, z, still = pgm.Variable("x"), pgm.Variable("z"), pgm.Variable("still")
+
+
+def walk():
+    """A walk whose place is read, and something that does not move."""
+    return pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0), pgm.GaussianCPD(still, 0.0, 1.0)],
+        [
+            pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=0.1),
+            pgm.LinearGaussianCPD(still, {still.previous: 1.0}, cov=0.0),
+        ],
+        [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.2)],
+    )
+
+
+def boxed():
+    """The same, read to within a half."""
+
+    def within(z, x):
+        return np.where(np.abs(z - x)[..., 0] < 0.5, 0.0, -np.inf)
+
+    return walk().replace(observation=[pgm.SampledCPD(z, x, log_density=within)])
+
+
+@pytest.mark.parametrize("count", range(1, 13))
+def test_equal_particles_are_worth_their_number(count):
+    """However few, and whatever rounding makes of 1 / Σ w²."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = pgm.filter(walk(), {z: np.full((3, 1), np.nan)}, belief=pgm.Particles(count))
+    assert not found.status.few
+
+
+def test_the_warning_names_the_step_that_is_short_of_particles():
+    """Not one with fewer particles in all, which are all worth something."""
+    shares = np.array([[4.0, 5.0]])
+    zero = np.zeros((1, 2))
+    status = pgm.ParticleStatus(
+        shares, np.array([[4, 900]]), zero > 0, zero.astype(int), zero > 0, zero > 0
+    )
+    with pytest.warns(pgm.ParticleWarning, match="worth 5 of them at step 1 .* in 1 of 1 runs"):
+        status.warn()
+
+
+
+
+@pytest.mark.parametrize("smoothing", ["full", "metropolis"])
+def test_restarted_particles_tell_nothing_of_before(smoothing):
+    """Smoothed beliefs before a restart are those of the measurements before it."""
+    model = boxed()
+    some = pgm.Particles(3000, impossible="restart", smoothing=smoothing, trajectories=600, moves=5)
+    jump = np.array([[0.3], [0.2], [2.95], [2.9]])
+    with pytest.warns(pgm.ParticleWarning, match="no particle explains"):
+        found = pgm.smooth(model, {z: jump}, belief=some)
+    before = pgm.smooth(model, {z: jump[:2]}, belief=some)
+    assert found.status.restarted.tolist() == [False, False, False, True, False]
+    for state in (x, still):
+        assert_allclose(found[state].mean[:3], before[state].mean, atol=0.1)
+        assert_allclose(found[state].std[:3], before[state].std, atol=0.1)
+    # What does not move is one thing before the restart, and another from it on.
+    assert_array_equal(found[still].states[0], found[still].states[2])
+    assert_array_equal(found[still].states[3], found[still].states[4])
+
+
+def cells(low, high):
+    return pgm.CellProposal(x, np.arange(low, high, 0.5)[:, None], widths=[0.5])
+
+
+def test_ignored_measurements_leave_the_prior_where_draws_from_cells_are_impossible():
+    known = walk().replace(
+        prior=[pgm.GaussianCPD(x, 0.1, 0.0), pgm.GaussianCPD(still, 0.0, 1.0)]
+    )
+    seen = {z: pgm.sightings([[0.3]], step=[0])}
+    some = pgm.Particles(200, start=cells(-2, 2), impossible="ignore")
+    with pytest.warns(pgm.ParticleWarning, match="no particle explains"):
+        found = pgm.filter(known, seen, steps=0, belief=some)
+    assert found.log_evidence == -np.inf
+    assert_array_equal(found[x].states, np.full((1, 200, 1), 0.1))
+    assert_allclose(found[still].std, 1.0, rtol=0.3)
+    with pytest.raises(pgm.EvidenceError, match="drawn from cells where the prior has no density"):
+        pgm.filter(known, seen, steps=0, belief=pgm.Particles(200, start=cells(-2, 2)))
+
+
+def test_runs_that_inputs_have_are_those_of_the_filter():
+    """A prior without runs is drawn of each run, offline and online."""
+    u = pgm.Variable("u")
+    model = walk().replace(
+        transition=[
+            pgm.LinearGaussianCPD(x, {x.previous: 1.0, u: 1.0}, cov=0.1),
+            *walk().transition[1:],
+        ]
+    )
+    inputs = np.arange(6.0).reshape(3, 2, 1)
+    offline = pgm.filter(model, {u: inputs}, belief=pgm.Particles(50))
+    online = pgm.OnlineFilter(model, belief=pgm.Particles(50))
+    belief = online.initial()
+    for step in (1, 2):
+        belief = online.predict(belief, {u: inputs[:, step - 1]})
+        assert_array_equal(belief[x].states, offline[x].states[:, step])
+
+
+def test_no_beliefs_are_no_belief():
+    found = pgm.filter(walk(), {z: np.full((2, 3, 1), np.nan)}, belief=pgm.Particles(20))[x]
+    for index in (np.s_[0:0], np.s_[:, 2:2]):
+        with pytest.raises(pgm.ModelError, match="has none at"):
+            found[index]
