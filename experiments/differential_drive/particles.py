@@ -54,7 +54,7 @@ def follow(problem: Problem, readings: Array, particles: pgm.Particles) -> Follo
     runs, n = len(readings), problem.state.dimension
     mean, cov = np.empty((problem.steps + 1, runs, n)), np.empty((problem.steps + 1, runs, n, n))
     number = np.empty((problem.steps + 1, runs), dtype=int)
-    robot = pgm.OnlineParticles(problem.network, particles)
+    robot = pgm.OnlineFilter(problem.network, belief=particles)
     belief = robot.initial()
     with warnings.catch_warnings():
         # How well a few particles do is the question.

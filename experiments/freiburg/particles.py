@@ -57,7 +57,7 @@ def particle_filter(log: Log, count: int, seed: int, kept: int = 500) -> Particl
     steps = len(log.odometry)
     means, covs = np.empty((steps + 1, 3)), np.empty((steps + 1, 3, 3))
     effective, cloud = np.empty(steps + 1), np.empty((steps + 1, kept, 3))
-    robot = pgm.OnlineParticles(exercise.network(), pgm.Particles(count, seed=seed))
+    robot = pgm.OnlineFilter(exercise.network(), belief=pgm.Particles(count, seed=seed))
     belief, rng = robot.initial(), np.random.default_rng(seed)
     for t in range(steps + 1):
         if t:

@@ -23,29 +23,39 @@ _NEGLIGIBLE = 1e-12
 
 def associations(lattice: Lattice, bound: BoundEvidence, values: npt.NDArray[Any]) -> Found:
     """The associations of all sensors, under the beliefs (runs, T + 1, *cells)."""
-    open_ = [reading for reading in bound.readings if isinstance(reading.cpd, UnidentifiedCPD)]
+    every, lead = ((reading, reading.cpd) for reading in bound.readings), bound.lead
+    open_ = [(reading, cpd) for reading, cpd in every if isinstance(cpd, UnidentifiedCPD)]
     return MappingProxyType(
-        dict(collected(r, _by_row(lattice, r, values), bound.lead) for r in open_)
+        dict(
+            collected(reading, _by_row(lattice, reading, cpd, values), len(cpd.candidates), lead)
+            for reading, cpd in open_
+        )
     )
 
 
-def _by_row(lattice: Lattice, reading: Reading, values: npt.NDArray[Any]) -> Iterator[Array]:
+def _by_row(
+    lattice: Lattice, reading: Reading, cpd: UnidentifiedCPD, values: npt.NDArray[Any]
+) -> Iterator[Array]:
     """The probabilities of what each sighting may be of, (runs, k + 2)."""
     for row, step in enumerate(reading.step.tolist()):
-        runs = [_responsible(lattice, reading, row, run, v[step]) for run, v in enumerate(values)]
-        yield np.stack(runs)
+        yield np.stack(
+            [_responsible(lattice, reading, cpd, row, k, v[step]) for k, v in enumerate(values)]
+        )
 
 
 def _responsible(
-    lattice: Lattice, reading: Reading, row: int, run: int, belief: npt.NDArray[Any]
+    lattice: Lattice,
+    reading: Reading,
+    cpd: UnidentifiedCPD,
+    row: int,
+    run: int,
+    belief: npt.NDArray[Any],
 ) -> Array:
     """The probabilities of what a sighting of a run may be of, (k + 2,)."""
 
     def of(rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.asarray(rows[row, run if rows.shape[1] > 1 else 0])
 
-    cpd = reading.cpd
-    assert isinstance(cpd, UnidentifiedCPD)
     total = np.zeros(len(cpd.candidates) + 2)
     if not of(reading.taken).any():
         return np.full(len(total), np.nan)

@@ -17,7 +17,6 @@ from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
-from pgm.inference.checks import require_gaussian
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED
@@ -35,6 +34,7 @@ from pgm.inference.online.beliefs import (
     nothing_to_iterate,
     refuse,
 )
+from pgm.inference.online.settings import require_settings
 from pgm.inference.online.step_evidence import Layouts
 from pgm.inference.online.window import Passed, Sliding, Trail, is_like, look_again, trailing
 from pgm.inference.particles.online import OnlineParticles
@@ -80,8 +80,7 @@ class OnlineFilter(Immutable):
     Raises
     ------
     ModelError
-        If one of these is of a wrong kind, both a schedule and a lag are given, or a prior is
-        improper.
+        If one is of a wrong kind, a schedule and a lag are given, or a prior is improper.
 
     Examples
     --------
@@ -97,50 +96,41 @@ class OnlineFilter(Immutable):
     schedule: Filtering | FixedLag
 
     @overload
-    def __new__(cls, *given: Any, belief: None = None, **named: Any) -> Self: ...
-    @overload
-    def __new__(cls, model: Any, *, belief: Grid) -> OnlineGrid: ...  # type: ignore[misc]
-    @overload
-    def __new__(cls, model: Any, *, belief: Particles) -> OnlineParticles: ...  # type: ignore[misc]
-
-    def __new__(cls, *given: Any, belief: PointMasses | None = None, **named: Any) -> Any:
-        """The filter itself; of point masses, or of tables, one of its own kind."""
-        if belief is not None:
-            return online_points(belief, *given, **named)
-        model = given[0] if given else named.get("model")
-        if isinstance(model, DynamicBayesianNetwork) and model.discrete:
-            return online_tables(*given, **named)
-        return object.__new__(cls)
-
-    def __init__(
-        self,
+    def __new__(
+        cls,
         model: DynamicBayesianNetwork,
         lineariser: Lineariser = TAYLOR,
         schedule: Filtering | FixedLag | None = None,
         lag: int | None = None,
         *,
         belief: None = None,
-    ) -> None:
-        if not isinstance(model, DynamicBayesianNetwork):
-            raise ModelError(f"a dynamic network was due, not {model!r}")
-        if not callable(lineariser) or isinstance(lineariser, type):
-            raise ModelError(f"{lineariser!r} is no lineariser; give one like pgm.Taylor()")
-        if lag is not None and schedule is not None:
-            raise ModelError(
-                f"lag={lag!r} beside {schedule!r}: an online filter takes one of them; a FixedLag "
-                "has iterations of its own"
-            )
-        if schedule is None:
-            schedule = ONCE if lag is None else FixedLag(lag)
-        if not isinstance(schedule, Filtering | FixedLag):
-            raise ModelError(
-                f"an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not {schedule!r}"
-            )
-        every = *model.prior, *model.transition, *model.observation
-        require_gaussian(every, "Gaussian beliefs")
-        for cpd in model.prior:
-            cpd.require_proper("an online filter begins at a belief, which has moments")
-        self._set(model=model, lineariser=lineariser, schedule=schedule)
+    ) -> Self: ...
+    @overload
+    def __new__(cls, model: Any, *, belief: Grid) -> OnlineGrid: ...  # type: ignore[misc]
+    @overload
+    def __new__(cls, model: Any, *, belief: Particles) -> OnlineParticles: ...  # type: ignore[misc]
+
+    def __new__(
+        cls,
+        model: Any,
+        lineariser: Lineariser = TAYLOR,
+        schedule: Any = None,
+        lag: int | None = None,
+        *,
+        belief: PointMasses | None = None,
+    ) -> Any:
+        """The filter itself; of point masses, or of tables, one of its own kind."""
+        if belief is not None:
+            return online_points(belief, model, lineariser, schedule, lag)
+        if isinstance(model, DynamicBayesianNetwork) and model.discrete:
+            return online_tables(model, lineariser, schedule, lag)
+        found = object.__new__(cls)
+        found._set(
+            model=model,
+            lineariser=lineariser,
+            schedule=require_settings(model, lineariser, schedule, lag),
+        )
+        return found
 
     @cached_property
     def _graph(self) -> Any:
@@ -179,9 +169,9 @@ class OnlineFilter(Immutable):
         """Sensors, laid out for each kind of measurements of one robot."""
         return Layouts(self._seen, self._filtering)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __reduce__(self) -> tuple[Any, ...]:
         # What was prepared is not part of the value.
-        return {name: getattr(self, name) for name in ("model", "lineariser", "schedule")}
+        return OnlineFilter, (self.model, self.lineariser, self.schedule)
 
     def __repr__(self) -> str:
         states = [cpd.child for cpd in self.model.prior]
