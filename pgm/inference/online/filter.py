@@ -124,12 +124,9 @@ class OnlineFilter(Immutable):
             return online_points(belief, model, lineariser, schedule, lag)
         if isinstance(model, DynamicBayesianNetwork) and model.discrete:
             return online_tables(model, lineariser, schedule, lag)
+        schedule = require_settings(model, lineariser, schedule, lag)
         found = object.__new__(cls)
-        found._set(
-            model=model,
-            lineariser=lineariser,
-            schedule=require_settings(model, lineariser, schedule, lag),
-        )
+        found._set(model=model, lineariser=lineariser, schedule=schedule)
         return found
 
     @cached_property

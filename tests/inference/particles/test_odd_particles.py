@@ -52,8 +52,6 @@ def test_the_warning_names_the_step_that_is_short_of_particles():
         status.warn()
 
 
-
-
 @pytest.mark.parametrize("smoothing", ["full", "metropolis"])
 def test_restarted_particles_tell_nothing_of_before(smoothing):
     """Smoothed beliefs before a restart are those of the measurements before it."""
@@ -77,9 +75,7 @@ def cells(low, high):
 
 
 def test_ignored_measurements_leave_the_prior_where_draws_from_cells_are_impossible():
-    known = walk().replace(
-        prior=[pgm.GaussianCPD(x, 0.1, 0.0), pgm.GaussianCPD(still, 0.0, 1.0)]
-    )
+    known = walk().replace(prior=[pgm.GaussianCPD(x, 0.1, 0.0), pgm.GaussianCPD(still, 0.0, 1.0)])
     seen = {z: pgm.sightings([[0.3]], step=[0])}
     some = pgm.Particles(200, start=cells(-2, 2), impossible="ignore")
     with pytest.warns(pgm.ParticleWarning, match="no particle explains"):
