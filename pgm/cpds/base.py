@@ -249,6 +249,15 @@ class CPD(Immutable):
         """The log-densities, at checked values whose axes broadcast."""
         raise ModelError(f"{self!r} is of a kind that has no density here", cpd=self)
 
+    def _log_peak(self, child: Values) -> Array:
+        """The largest log-densities that measurements could have, (...); NaN is not measured."""
+        raise ModelError(
+            f"{self!r} does not tell how large its density can be, which a number of particles by "
+            "likelihood is measured against; give number=pgm.KLDSampling(...), or none",
+            variable=self.child,
+            cpd=self,
+        )
+
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Values:
         """Draws of the child, (*size, *known.shape, d) or (*size, *known.shape)."""
         raise ModelError(f"{self!r} is of a kind that cannot be drawn from", cpd=self)

@@ -132,6 +132,11 @@ class LikelihoodField(ScanCPD):
         found = endpoints.summed(self._table, places, self._units, cells, seen)
         return self.weight * found.reshape(lead)
 
+    def _log_peak(self, child: Values) -> Array:
+        """The log-densities of scans whose beams all end at obstacles, (...)."""
+        seen = (child[..., :: self.every] < self.most).sum(axis=-1)  # nor is NaN
+        return np.asarray(self.weight * seen * float(self._table.max()))
+
     @cached_property
     def _units(self) -> Array:
         """The directions of the beams in use, (2, beams)."""

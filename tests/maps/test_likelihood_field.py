@@ -189,3 +189,37 @@ def test_gaussian_beliefs_refuse_it(field, building, x, z, scan):
     model = pgm.DynamicBayesianNetwork([prior], [move], [field])
     with pytest.raises(ModelError, match="is no Gaussian CPD"):
         pgm.filter(model, {z: scan[None]})
+
+
+def test_a_scan_that_fits_needs_few_particles():
+    """Peaks are those of a pose whose beams end at walls, and particles are counted by them."""
+    walls = np.zeros((40, 60))
+    walls[[0, -1]] = walls[:, [0, -1]] = 1.0
+    plan = OccupancyMap(walls, resolution=0.25)
+    angles = np.linspace(-1.5, 1.5, 9)
+    robot = pgm.Variable("robot", components=("x", "y", "heading"), angles=("heading",))
+    scan = pgm.Variable("scan", components=tuple(f"b{k}" for k in range(9)))
+    field = LikelihoodField(scan, robot, plan, angles=angles, most=8.0, std=0.3, weight=0.3)
+    true = np.array([5.0, 5.0, 0.4])
+    ranges = np.minimum(plan.cast(true[None], angles, 8.0)[0] + 0.125, 8.0)
+    ranges[2] = np.nan
+    peak = field._log_peak(ranges)
+    near = field.log_density(ranges, {robot: true})
+    assert peak - 0.5 < near < peak + 1e-6
+    world = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(robot, mean=true, cov=np.diag([0.1, 0.1, 0.02]) ** 2)],
+        transition=[
+            pgm.LinearGaussianCPD(
+                robot, given={robot.previous: np.eye(3)}, cov=np.diag([0.05, 0.05, 0.02]) ** 2
+            )
+        ],
+        observation=[field],
+    )
+    number = pgm.LikelihoodSampling(40.0, least=50, most=2000)
+    belief = pgm.Particles(300, number=number)
+    seen = pgm.filter(world, {scan: ranges[None]}, belief=belief)
+    away = pgm.GaussianCPD(robot, mean=true + 2.0, cov=0.01 * np.eye(3))
+    far = world.replace(prior=[away])
+    lost = pgm.filter(far, {scan: ranges[None]}, belief=belief)
+    assert seen.status.number[1] <= 100
+    assert lost.status.number[1] > 4 * seen.status.number[1]

@@ -15,8 +15,9 @@ class LikelihoodSampling(Immutable):
     .. math:: \sum_i \frac{p(z_t \mid x_t^i)}{\max_x p(z_t \mid x)} \ge L
 
     Few are drawn where all of them are where the measurements say, and many where most are
-    elsewhere. The largest density is that of normal noise at no residual; sensors of other
-    densities have none. At steps without measurements the number stays.
+    elsewhere. The largest density is that of normal noise at no residual, and that of a
+    `LikelihoodField` where all beams end at obstacles; sensors of other densities have none. At
+    steps without measurements the number stays.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ import numpy as np
 from pgm.cpds import CPD
 from pgm.cpds.unidentified import UnidentifiedCPD
 from pgm.cpds.values import Known
-from pgm.errors import EvidenceError, LinearisationError, ModelError
+from pgm.errors import EvidenceError, LinearisationError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.inference.particles.laws import GaussianLaw, Law, Some, by_pattern
 from pgm.inference.particles.mixed import law
@@ -171,18 +171,13 @@ class Sensor:
 
     def log_peak(self, row: int, step: int, runs: int) -> Array:
         """The largest log-density that one measurement could have, (runs,)."""
-        found, owner = np.zeros(runs), np.arange(runs)
+        found, owner, taken = np.zeros(runs), np.arange(runs), self.reading.taken[row]
         if not isinstance(self.law, GaussianLaw):
-            cpd = self.reading.cpd
-            raise ModelError(
-                f"{cpd!r} does not tell how large its density can be, which a number of particles "
-                "by likelihood is measured against; give number=pgm.KLDSampling(...), or none",
-                variable=cpd.child,
-                cpd=cpd,
-            )
+            peaks = self.reading.cpd._log_peak(np.where(taken, self.reading.values[row], np.nan))
+            return np.where(taken.any(axis=-1), peaks, 0.0) + found
         root = self.law.root(row, step)
-        for taken, which in by_pattern(self.reading.taken[row], owner):
-            part = root if taken.all() else root.marginal(taken)
+        for pattern, which in by_pattern(taken, owner):
+            part = root if pattern.all() else root.marginal(pattern)
             chosen = np.ones(runs, dtype=bool) if which is None else which
             found[chosen] = np.broadcast_to(part.constant, runs)[chosen]
         return found
