@@ -245,8 +245,7 @@ class GaussianLaw(Law):
 
     def require_noise(self, steps: Integers) -> None:
         """Refuse a sensor that has no noise at one of the steps of its rows."""
-        each, rows = np.unique(steps, return_index=True)
-        for step, row in zip(each.tolist(), rows.tolist(), strict=True):
+        for row, step in enumerate(steps.tolist()):
             if not self.root(row, step).regular:
                 raise ModelError(
                     f"{self.cpd!r} has no noise in a component, or two that are one, at step "

@@ -114,3 +114,13 @@ def test_no_beliefs_are_no_belief():
     for index in (np.s_[0:0], np.s_[:, 2:2]):
         with pytest.raises(pgm.ModelError, match="has none at"):
             found[index]
+
+
+def test_a_sensor_without_noise_at_a_later_sighting_of_a_step():
+    u = pgm.Variable("u")
+    sharp = pgm.NonlinearGaussianCPD(
+        z, (x, u), lambda x, u: x + 0 * u, cov=pgm.noise(lambda u: u[..., None], given=u)
+    )
+    seen = pgm.sightings([[0.1], [0.2]], step=[1, 1], given={u: [[1.0], [0.0]]})
+    with pytest.raises(pgm.ModelError, match="has no noise in a component.* at step 1"):
+        pgm.filter(walk().replace(observation=[sharp]), {z: seen}, steps=1, belief=pgm.Particles(9))
