@@ -1,4 +1,4 @@
-"""Maps that nobody should give: files that are broken or meant to be, numbers that are too large."""
+"""Hostile and broken maps: files, and numbers that are too large."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ BOMB = "a0: &a0 [x, x]\n" + "".join(
 def test_broken_images(tmp_path, pixels):
     (tmp_path / "plan.pgm").write_bytes(pixels)
     (tmp_path / "plan.yaml").write_text(KEYS)
-    with pytest.raises(FileError, match="plan.pgm cannot be read"):
+    with pytest.raises(FileError, match=r"plan.pgm cannot be read"):
         OccupancyMap.read(tmp_path / "plan.yaml")
 
 
@@ -82,7 +82,7 @@ def test_centres_of_no_cells():
 def test_landmarks_by_what_is_no_name():
     marks = FeatureMap([[0.0, 0.0]], ("door",))
     for names in (5, ["door", ["door"]], [None]):
-        with pytest.raises(ModelError, match="by name|no landmark called"):
+        with pytest.raises(ModelError, match=r"by name|no landmark called"):
             marks.at(names)
 
 

@@ -52,8 +52,6 @@ def test_the_warning_names_the_step_that_is_short_of_particles():
         status.warn()
 
 
-
-
 @pytest.mark.parametrize("smoothing", ["full", "metropolis"])
 def test_restarted_particles_tell_nothing_of_before(smoothing):
     """Smoothed beliefs before a restart are those of the measurements before it."""
@@ -77,9 +75,7 @@ def cells(low, high):
 
 
 def test_ignored_measurements_leave_the_prior_where_draws_from_cells_are_impossible():
-    known = walk().replace(
-        prior=[pgm.GaussianCPD(x, 0.1, 0.0), pgm.GaussianCPD(still, 0.0, 1.0)]
-    )
+    known = walk().replace(prior=[pgm.GaussianCPD(x, 0.1, 0.0), pgm.GaussianCPD(still, 0.0, 1.0)])
     seen = {z: pgm.sightings([[0.3]], step=[0])}
     some = pgm.Particles(200, start=cells(-2, 2), impossible="ignore")
     with pytest.warns(pgm.ParticleWarning, match="no particle explains"):
@@ -122,12 +118,14 @@ def test_a_sensor_without_noise_at_a_later_sighting_of_a_step():
         z, (x, u), lambda x, u: x + 0 * u, cov=pgm.noise(lambda u: u[..., None], given=u)
     )
     seen = pgm.sightings([[0.1], [0.2]], step=[1, 1], given={u: [[1.0], [0.0]]})
-    with pytest.raises(pgm.ModelError, match="has no noise in a component.* at step 1"):
+    with pytest.raises(pgm.ModelError, match=r"has no noise in a component.* at step 1"):
         pgm.filter(walk().replace(observation=[sharp]), {z: seen}, steps=1, belief=pgm.Particles(9))
 
 
 @pytest.mark.parametrize("smoothing", ["full", "metropolis"])
-@pytest.mark.parametrize(("away", "dtype"), [(0.0, np.float32), (5e6, np.float64), (1e9, np.float64)])
+@pytest.mark.parametrize(
+    ("away", "dtype"), [(0.0, np.float32), (5e6, np.float64), (1e9, np.float64)]
+)
 def test_what_does_not_move_stays_far_from_the_origin(smoothing, away, dtype):
     """Particles that are near to one another there, for their size, are not the same."""
     far = walk().replace(prior=[walk().prior[0], pgm.GaussianCPD(still, away, 1.0)])
@@ -149,7 +147,9 @@ def test_headings_of_many_turns_are_those_of_one_trajectory(smoothing, dtype):
     )
     read = pgm.LinearGaussianCPD(z, {h: [[1.0, 0.0]]}, cov=0.2)
     model = pgm.DynamicBayesianNetwork(
-        [pgm.GaussianCPD(h, [0.0, 6.0e3 if dtype == np.float64 else 3.0], np.diag([1.0, 0.3]))], [turn], [read]
+        [pgm.GaussianCPD(h, [0.0, 6.0e3 if dtype == np.float64 else 3.0], np.diag([1.0, 0.3]))],
+        [turn],
+        [read],
     )
     evidence = {z: np.full((2, 4, 1), 0.3), u: np.full((4, 1), 0.7), s: np.ones((2, 4, 1))}
     evidence[s][1] = 0.0
