@@ -59,7 +59,7 @@ class Unknown(Immutable):
         if weights is not None:
             shares = np.array(as_floats(weights, "unknown: weights", EvidenceError))
             fine = shares.shape == (len(values),) and np.isfinite(shares).all()
-            if not fine or (shares < 0.0).any() or not shares.sum() > 0.0:
+            if not fine or (shares < 0.0).any() or not shares.any():
                 raise EvidenceError(
                     f"unknown: weights are {len(values)} numbers, one for each candidate, not "
                     f"negative and not all zero; found {weights!r}"
@@ -86,6 +86,7 @@ class Unknown(Immutable):
             raise EvidenceError(
                 f'unknown: association is "{LIKELIHOOD}" or "{SUM}", not {association!r}'
             )
+        shares = shares / shares.max()  # whose sum is of ordinary size
         with np.errstate(divide="ignore"):
             known = np.log(shares / shares.sum()) + np.log1p(-(spurious + new))
             others = np.log([spurious, new])

@@ -1,5 +1,8 @@
 """Sightings without identity one step at a time: with several sensors, as offline."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -93,3 +96,19 @@ def test_no_sightings_offline(belief):
     found = pgm.filter(robot(), evidence, steps=2, belief=belief)
     assert found.associations[z].probability.shape == (0, 5)
     assert found.log_evidence == 0.0
+
+
+@pytest.mark.parametrize("keep", [None, [x]])
+def test_posteriors_with_associations_are_pickled(keep):
+    evidence = {z: pgm.sightings([[1.0, 1.0]], step=[1], given={m: pgm.unknown(MARKS)})}
+    found = pgm.filter(robot(), evidence, steps=1, keep=keep)
+    for again in (pickle.loads(pickle.dumps(found)), copy.deepcopy(found)):
+        expected = found.associations[z].probability
+        assert_allclose(again.associations[z].probability, expected, atol=0)
+
+
+def test_weights_of_any_size():
+    """Their sum may be more than a float holds."""
+    wide = pgm.unknown(MARKS, weights=[1e308, 1e308, 1e-308])
+    assert_allclose(np.exp(wide.log_shares[:3]), [0.5, 0.5, 0.0])
+    assert_allclose(pgm.unknown(MARKS, weights=[5e-324, 0, 0]).log_shares[0], 0.0)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from pgm.cpds import CPD
+from pgm.cpds.unidentified import UnidentifiedCPD
 from pgm.errors import EvidenceError
 from pgm.inference.grid.dependence import centres
 from pgm.inference.grid.lattice import Window
@@ -14,8 +15,10 @@ from pgm.inference.grid.measured import Known, MeasuredSensor
 from pgm.inference.grid.terms import Level, Residuals
 from pgm.inference.grid.values import (
     at_a_time,
+    deviations,
     gaussian_parts,
     log_density_at,
+    mean_at,
     require_noise,
     settled,
 )
@@ -58,17 +61,37 @@ class DensitySensor(MeasuredSensor):
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
         """By how many deviations a measurement differs from a cell to the next, along any axis.
 
-        They are those of the normal density with the same second difference.
+        They are those of the normal density with the same second difference, and of the Gaussian
+        parts of a mixture, which may be so sharp that no centre meets them.
         """
-        bound = self._bound(row, run)
-        here, *others = self._at(self.around(cell), row, run, *bound).tolist()
-        found = 0.0
+        bound, cells = self._bound(row, run), self.around(cell)
+        found = self._apart(bound[0], cells, bound[2], row, run)
+        here, *others = self._at(cells, row, run, *bound).tolist()
         for one, other in zip(others[: len(cell)], others[len(cell) :], strict=True):
             near = [level for level in (one, other) if level > -math.inf]
             if not near:
                 return math.inf
-            found = max(found, 2.0 * here - near[0] - near[-1])
-        return math.sqrt(found)
+            found = max(found, math.sqrt(max(2.0 * here - near[0] - near[-1], 0.0)))
+        return found
+
+    def _apart(self, cpd: CPD, cells: Integers, known: Known, row: int, run: int) -> float:
+        """By how many deviations a CPD's Gaussian parts differ from the first cell, at most.
+
+        Of an open sighting those are of the candidate with the fewest.
+        """
+        if isinstance(cpd, UnidentifiedCPD):
+            each = ({**known, cpd.parent: candidate} for candidate in cpd.candidates)
+            return min(self._apart(cpd.sensor, cells, own, row, run) for own in each)
+        points, step = (
+            self.lattice.values(centres(self.lattice, cells)),
+            int(self.reading.step[row]),
+        )
+        found = 0.0
+        for part in gaussian_parts(cpd):
+            means = mean_at(part, points, known, step, run)
+            own = deviations(part, means[1:] - means[0], self.taken(row, run), known, step, run)
+            found = max(found, own)
+        return found
 
     def _axes(self, cpd: CPD) -> list[int]:
         """The axes of its parents."""

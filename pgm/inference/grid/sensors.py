@@ -20,7 +20,7 @@ from pgm.inference.grid.dependence import MEASURED, Reduced, blocks, centres, wi
 from pgm.inference.grid.lattice import Window
 from pgm.inference.grid.measured import Known, MeasuredSensor, Sharpness
 from pgm.inference.grid.terms import BLOCK, Joint, Residuals, Term, exponents
-from pgm.inference.grid.values import covariance_of, mean_at, require_noise, root_of
+from pgm.inference.grid.values import covariance_of, deviations, mean_at, require_noise, root_of
 from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 
@@ -203,13 +203,8 @@ class GridSensor(MeasuredSensor):
         """By how many deviations a measurement differs from a cell to the next, along any axis."""
         step, known = int(self.reading.step[row]), self.known(row, run)
         found = self.values(centres(self.lattice, self.around(cell)), known, step, run)
-        gap = found[1 : 1 + len(cell)] - found[0]
-        for place in np.flatnonzero(self.angles):
-            gap[:, place] = wrap(gap[:, place])
-        taken = self.taken(row, run)
-        cov = covariance_of(self.cpd, known, step, run)[np.ix_(taken, taken)]
-        white = np.linalg.solve(root_of(self.cpd, cov, step), gap[:, taken].T)
-        return float(np.sqrt((white * white).sum(axis=0)).max())
+        gaps = found[1 : 1 + len(cell)] - found[0]
+        return deviations(self.cpd, gaps, self.taken(row, run), known, step, run)
 
 
 def likelihood(sensors: Sequence[MeasuredSensor], step: int, run: int, window: Window) -> Weights:

@@ -12,7 +12,8 @@ from pgm.cpds import values as cpd_values
 from pgm.cpds.noise import evaluate
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array
+from pgm.kernels.angles import wrap
+from pgm.kernels.arrays import Array, Mask
 from pgm.kernels.checks import IMPROPER
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
@@ -141,6 +142,19 @@ def gaussian_parts(cpd: CPD) -> Iterator[ConditionalGaussian]:
             yield from gaussian_parts(part)
     elif isinstance(cpd, ConditionalGaussian):
         yield cpd
+
+
+def deviations(
+    cpd: ConditionalGaussian, gaps: Array, taken: Mask, known: Known, step: int, run: int
+) -> float:
+    """The most deviations of its noise, in components taken, that differences (n, d) come to."""
+    gaps = np.where(cpd.child.angle_mask, wrap(gaps), gaps)[:, taken]
+    cov = covariance_of(cpd, known, step, run)[np.ix_(taken, taken)]
+    lower = root_of(cpd, cov, step)
+    if roots.determined(lower).any():
+        return float("inf")
+    white = np.linalg.solve(lower, gaps.T)
+    return float(np.sqrt((white * white).sum(axis=0)).max())
 
 
 def at_a_time(cpd: CPD) -> int:

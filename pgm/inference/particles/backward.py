@@ -116,7 +116,7 @@ class Backward:
         ancestor = place if later.ancestors is None else later.ancestors[place]
         density = _Density(self.model, step + 1, cloud, after, self._owner)
         if self.particles.smoothing == FULL:
-            chosen = self._in_full(cloud, density, generators)
+            chosen = self._in_full(cloud, density, ancestor, generators)
             moved = chosen != ancestor
         else:
             chosen, moved = self._by_moves(cloud, density, ancestor, generators)
@@ -161,7 +161,11 @@ class Backward:
         return found
 
     def _in_full(
-        self, cloud: Cloud, density: _Density, generators: list[np.random.Generator]
+        self,
+        cloud: Cloud,
+        density: _Density,
+        ancestor: Integers,
+        generators: list[np.random.Generator],
     ) -> Integers:
         """Places drawn from all particles."""
         found = []
@@ -173,12 +177,14 @@ class Backward:
                 some = np.arange(first, min(first + rows, trajectories.stop))
                 pairs = density.at(np.tile(every, len(some)), np.repeat(some, len(every)))
                 joint = pairs.reshape(len(some), -1) + cloud.log_weights[part]
-                largest = joint.max(axis=1, keepdims=True)
-                # Of a restarted run nothing may be possible, and nothing of this is taken.
-                joint -= np.where(np.isneginf(largest), 0.0, largest)
+                largest = joint.max(axis=1)
+                # Rounding may hide what made a particle: its own ancestor has.
+                lost = np.isneginf(largest)
+                joint -= np.where(lost, 0.0, largest)[:, None]
                 total = np.cumsum(np.exp(joint), axis=1)
                 level = generator.random(len(some)) * total[:, -1]
-                found.append(part.start + (total <= level[:, None]).sum(axis=1))
+                drawn = part.start + (total <= level[:, None]).sum(axis=1)
+                found.append(np.where(lost, ancestor[some], drawn))
         return np.concatenate(found)
 
 

@@ -18,7 +18,7 @@ from pgm.cpds.noise import evaluate
 from pgm.cpds.values import Known
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.inference.particles.cloud import Block
-from pgm.kernels import roots
+from pgm.kernels import normal, roots
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 from pgm.kernels.checks import IMPROPER
@@ -161,6 +161,10 @@ class Law:
         known = Known(values, (some.size,), (some.size,), some.step)
         return self.cpd._log_density(wide, known)
 
+    def open(self, row: int, step: int) -> Integers:
+        """The number of components with noise of their own, (runs or 1,): all, as far as known."""
+        return np.array([self.cpd.child.dimension])
+
     def require_noise(self, steps: Integers) -> None:
         """Refuse a sensor that has no noise at one of the steps of its rows, if that is known."""
 
@@ -187,7 +191,7 @@ class GaussianLaw(Law):
         """The log-densities (m,) of a child (d, m), or (d, 1) for all, or of components taken."""
         root = self.root(row, some.step)
         if not root.regular:
-            return super().log_density(row, some, child)
+            return self._within(root, row, some, child)
         mean, angles = self.mean(row, some), self.cpd.child.angle_mask
         if taken is not None and not taken.all():
             mean, child, angles = mean[taken], child[taken], angles[taken]
@@ -196,6 +200,23 @@ class GaussianLaw(Law):
         for k in np.flatnonzero(angles):
             residual[k] -= TURN * np.rint(residual[k] / TURN)
         return root.log_density(residual, some)
+
+    def _within(self, root: Root, row: int, some: Some, child: States) -> Array:
+        """The log-densities (m,) where some components have no noise; −∞ beyond rounding."""
+        # That of the child alone: a particle is what the law made of another, and others are near.
+        mean, error = self.mean(row, some), np.finfo(self.dtype).eps * np.abs(child)
+        residual = np.subtract(child, mean, dtype=np.float64)
+        found = root.within(residual, error, some)
+        if self.cpd.child.angle_mask.any():
+            wrapped = residual.copy()
+            for k in np.flatnonzero(self.cpd.child.angle_mask):
+                wrapped[k] -= TURN * np.rint(wrapped[k] / TURN)
+            found = np.where(np.isneginf(found), root.within(wrapped, error, some), found)
+        return found
+
+    def open(self, row: int, step: int) -> Integers:
+        """The number of components with noise of their own, (runs or 1,)."""
+        return self.root(row, step).open
 
     def mean(self, row: int, some: Some) -> States:
         """The means, (d, m), or (d, 1) where they are equal."""
@@ -245,8 +266,7 @@ class GaussianLaw(Law):
 
     def require_noise(self, steps: Integers) -> None:
         """Refuse a sensor that has no noise at one of the steps of its rows."""
-        each, rows = np.unique(steps, return_index=True)
-        for step, row in zip(each.tolist(), rows.tolist(), strict=True):
+        for row, step in enumerate(steps.tolist()):
             if not self.root(row, step).regular:
                 raise ModelError(
                     f"{self.cpd!r} has no noise in a component, or two that are one, at step "
@@ -307,6 +327,8 @@ class Root:
         (d, runs or 1): deviations, where components are independent.
     regular : bool
         Whether all components have noise of their own.
+    open : ndarray of int
+        (runs or 1,): how many have.
     """
 
     def __init__(self, lower: Array, dtype: Any) -> None:
@@ -315,6 +337,7 @@ class Root:
         independent = np.array_equal(lower, deviations[..., None] * np.eye(lower.shape[-1]))
         self.diagonal = deviations.T.astype(dtype) if independent else None
         self.regular = bool((deviations > 0.0).all())
+        self.open: Integers = (deviations > 0.0).sum(axis=-1)
         self._pivots = deviations
 
     def of(self, some: Some) -> Integers:
@@ -347,6 +370,18 @@ class Root:
         square = np.einsum("im,im->m", residual, residual)
         found: Array = self.constant[which] - 0.5 * square
         return found
+
+    def within(self, residual: Array, error: Array, some: Some) -> Array:
+        """The log-densities of residuals (d, m), −∞ of those that the noise cannot make."""
+        lower = self.lower[0] if len(self.lower) == 1 else self.lower[self.of(some)]
+        points = (-1, 1, len(residual)) if lower.ndim > 2 else (-1, len(residual))
+        wide = np.broadcast_to(residual, (len(residual), some.size)).T.reshape(points)
+        white, left = normal.whitened(lower, wide)
+        found = normal.log_density(lower, white)
+        if left is not None:
+            errors = np.broadcast_to(error, (len(error), some.size)).T.reshape(points)
+            found = np.where(normal.off(lower, left, errors), -np.inf, found)
+        return found.reshape(-1)
 
 
 def by_pattern(taken: Mask, owner: Integers | None) -> Iterator[tuple[Mask, Mask | None]]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD
 from pgm.cpds.mixture import chosen, log_mixed
+from pgm.errors import ModelError
 from pgm.inference.particles.laws import Drawing, GaussianLaw, Law, Some, States
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
@@ -42,8 +43,23 @@ class MixtureLaw(Law):
 
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
         """The log-densities (m,) of a child (d, m), or (d, 1) for all, or of components taken."""
+        self.open(row, some.step)
         terms = (part.log_density(row, some, child, taken) for part in self.parts)
         return log_mixed(self.cpd.weights, terms)
+
+    def open(self, row: int, step: int) -> Integers:
+        """The number of components with noise of their own; refused where parts differ in it."""
+        first, *others = (part.open(row, step) for part in self.parts)
+        if any((other != first).any() for other in others):
+            raise ModelError(
+                f"{self.cpd!r} has parts without noise in a component and others with, at step "
+                f"{step}: they have no density in common, which particles are weighed by here; "
+                "give each some noise, or none",
+                variable=self.cpd.child,
+                cpd=self.cpd,
+                step=step,
+            )
+        return first
 
     def require_noise(self, steps: Integers) -> None:
         """Refuse a part without noise."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -67,7 +66,7 @@ def run(
     if is_open(bound):
         bound, found = associated(graph, bound, lineariser)
         posterior = run(graph, bound, schedule, lineariser, start, keep, executor)
-        return replace(posterior, associations=MappingProxyType(found))
+        return replace(posterior, associations=found)
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)
     workers = Workers(executor)

@@ -110,3 +110,71 @@ def test_no_beliefs_are_no_belief():
     for index in (np.s_[0:0], np.s_[:, 2:2]):
         with pytest.raises(pgm.ModelError, match="has none at"):
             found[index]
+
+
+def test_a_sensor_without_noise_at_a_later_sighting_of_a_step():
+    u = pgm.Variable("u")
+    sharp = pgm.NonlinearGaussianCPD(
+        z, (x, u), lambda x, u: x + 0 * u, cov=pgm.noise(lambda u: u[..., None], given=u)
+    )
+    seen = pgm.sightings([[0.1], [0.2]], step=[1, 1], given={u: [[1.0], [0.0]]})
+    with pytest.raises(pgm.ModelError, match=r"has no noise in a component.* at step 1"):
+        pgm.filter(walk().replace(observation=[sharp]), {z: seen}, steps=1, belief=pgm.Particles(9))
+
+
+@pytest.mark.parametrize("smoothing", ["full", "metropolis"])
+@pytest.mark.parametrize(
+    ("away", "dtype"), [(0.0, np.float32), (5e6, np.float64), (1e9, np.float64)]
+)
+def test_what_does_not_move_stays_far_from_the_origin(smoothing, away, dtype):
+    """Particles that are near to one another there, for their size, are not the same."""
+    far = walk().replace(prior=[walk().prior[0], pgm.GaussianCPD(still, away, 1.0)])
+    some = pgm.Particles(500, smoothing=smoothing, trajectories=100, moves=5, dtype=dtype)
+    path = pgm.smooth(far, {z: np.full((4, 1), 0.3)}, belief=some)[still].states
+    assert_array_equal(path, np.broadcast_to(path[0], path.shape))
+
+
+@pytest.mark.parametrize("smoothing", ["full", "metropolis"])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_headings_of_many_turns_are_those_of_one_trajectory(smoothing, dtype):
+    """A heading that turns exactly as told; runs whose noise differs, zero in one of them."""
+    h, u, s = pgm.Variable("h", components=("e", "h"), angles=("h",)), x, pgm.Variable("s")
+    turn = pgm.NonlinearGaussianCPD(
+        h,
+        (h.previous, u),
+        lambda h, u: h + np.concatenate([np.sin(h[..., 1:]), u], axis=-1),
+        cov=pgm.noise(lambda s: np.stack([s, 0.0 * s], -1) * np.eye(2), given=s),
+    )
+    read = pgm.LinearGaussianCPD(z, {h: [[1.0, 0.0]]}, cov=0.2)
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(h, [0.0, 6.0e3 if dtype == np.float64 else 3.0], np.diag([1.0, 0.3]))],
+        [turn],
+        [read],
+    )
+    evidence = {z: np.full((2, 4, 1), 0.3), u: np.full((4, 1), 0.7), s: np.ones((2, 4, 1))}
+    evidence[s][1] = 0.0
+    some = pgm.Particles(400, smoothing=smoothing, trajectories=100, moves=5, dtype=dtype)
+    path = pgm.smooth(model, evidence, belief=some)[h].states
+    made = path[:, :-1, :, 1:] + dtype(0.7)
+    assert_array_equal(path[:, 1:, :, 1:], made)
+    rest = path[1, 1:, :, 0] - path[1, :-1, :, 0] - np.sin(path[1, :-1, :, 1])
+    assert np.abs(rest).max() < (1e-12 if dtype == np.float64 else 1e-5)
+
+
+@pytest.mark.parametrize("smoothing", ["full", "metropolis"])
+def test_parts_of_a_mixture_have_a_density_in_common_or_none(smoothing):
+    stay = pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=0.0)
+    either = pgm.MixtureCPD([stay, walk().transition[0]], [0.5, 0.5])
+    model = walk().replace(transition=[either, walk().transition[1]])
+    some = pgm.Particles(50, smoothing=smoothing)
+    seen = {z: np.full((2, 1), np.nan)}
+    assert np.isfinite(pgm.filter(model, seen, belief=some)[x].mean).all()
+    with pytest.raises(pgm.ModelError, match="no density in common"):
+        pgm.smooth(model, seen, belief=some)
+    jump = pgm.LinearGaussianCPD(x, {x.previous: 1.0}, offset=3.0, cov=0.0)
+    both = walk().replace(
+        transition=[pgm.MixtureCPD([stay, jump], [0.5, 0.5]), walk().transition[1]]
+    )
+    path = pgm.smooth(both, seen, belief=some)[x].states[..., 0]
+    steps = np.diff(path, axis=0)
+    assert_allclose(steps, np.where(steps > 1.5, 3.0, 0.0), atol=1e-12)
