@@ -22,11 +22,10 @@ Array = npt.NDArray[np.float64]
 
 RESOLUTION = 0.1  # m
 START_STD = (0.05, 0.05, 0.02)  # m, m, rad
-# Of the scans' likelihood: what the map has wrong [m], each which ray is used, and of how many of
-# these the errors are taken to be independent. A pose that is not known is looked for in cells of
-# half a metre, for which the sensor is told to be twice as wide.
+# Of the scans' likelihood: the deviation of rays' ends from the map [m], twice as wide where cells of
+# a quarter or half a metre are searched; one ray in so many, of which a tenth count as independent.
 STD, STRAY_STD, EVERY, WEIGHT = 0.1, 0.2, 3, 0.1
-# Deviations of what is a map's place from an edge's motion, [m, m, rad], which edges tell.
+# A motion from scan to scan.
 step_made = pgm.Variable("u", components=("ahead", "left", "turn"))
 
 
