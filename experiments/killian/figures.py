@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 import pgm
@@ -22,17 +23,18 @@ Array = npt.NDArray[np.float64]
 
 _FOUND, _RECKONED, _SCAN = PALETTE[0], PALETTE[1], PALETTE[2]
 MARGIN = 5.0  # m
-ZOOM = 40  # steps
+ZOOM = 12  # steps
+SEEN = 1e-3  # of the likeliest cell's probability
 
 
 def overview(drive: Drive, followed: Followed) -> Figure:
     """The map, the path that particles find, and that of the motions alone."""
     figure, ax = plt.subplots(figsize=(9, 8.2), layout="constrained")
-    pgm.plot.occupancy_map(drive.map, ax=ax)
+    _map(drive, ax)
     ax.plot(*drive.dead_reckoning[:, :2].T, color=_RECKONED, lw=0.9, label="odometry alone")
     ax.plot(*drive.poses[:, :2].T, color=INK, lw=2.2, label="poses of the recording")
     ax.plot(*followed.belief.mean[:, :2].T, color=_FOUND, lw=1.0, label="particles")
-    _around(ax, np.concatenate([drive.dead_reckoning, drive.poses]))
+    _around(drive, ax, np.concatenate([drive.dead_reckoning, drive.poses]))
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
     plt.close(figure)
     return figure
@@ -70,15 +72,10 @@ def zoom(drive: Drive, followed: Followed) -> Figure:
     first = max(min(worst - ZOOM // 2, len(drive.motions) - ZOOM), 0)
     steps = slice(first, first + ZOOM + 1)
     figure, ax = plt.subplots(figsize=(9, 7), layout="constrained")
-    pgm.plot.occupancy_map(drive.map, ax=ax)
-    pgm.plot.trajectory(
-        followed.belief[steps],
-        truth=drive.poses[steps],
-        every=2,
-        label="particles, 95 %",
-        colour=_FOUND,
-        ax=ax,
-    )
+    _map(drive, ax)
+    ax.plot(*drive.poses[steps, :2].T, "o-", color=INK, lw=1.0, ms=3.0, label="the recording")
+    belief = followed.belief[steps]
+    pgm.plot.trajectory(belief, every=1, label="particles, 95 %", colour=_FOUND, ax=ax)
     east, north, heading = followed.belief.mean[worst]
     ranges, angles = drive.scans[worst], drive.log.angles
     met = ranges < drive.log.most
@@ -87,9 +84,8 @@ def zoom(drive: Drive, followed: Followed) -> Figure:
         [np.cos(course), np.sin(course)], axis=-1
     )
     ax.plot(*ends.T, ".", color=_SCAN, ms=4.0, label=f"scan of step {worst}, where it is found")
-    ax.plot(east, north, "o", color=_SCAN, ms=6.0)
     ax.legend(loc="best", fontsize="small")
-    _around(ax, drive.poses[steps])
+    _around(drive, ax, drive.poses[steps])
     plt.close(figure)
     return figure
 
@@ -101,7 +97,7 @@ def stray(drive: Drive, found: Stray) -> Figure:
     )
     for ax, step in zip(axes.flat, SHOWN, strict=True):
         cloud = found.clouds[step]
-        pgm.plot.occupancy_map(drive.map, ax=ax)
+        _map(drive, ax)
         pgm.plot.particles(
             cloud, ticks=False, truth=drive.poses[found.first + step], colour=_FOUND, ax=ax
         )
@@ -109,7 +105,7 @@ def stray(drive: Drive, found: Stray) -> Figure:
         ax.label_outer()
         if (legend := ax.get_legend()) is not None:
             legend.remove()
-    _around(axes[0, 0], drive.poses)
+    _around(drive, axes[0, 0], drive.poses)
     plt.close(figure)
     return figure
 
@@ -136,18 +132,22 @@ def strays(found: Sequence[Stray]) -> Figure:
 
 def grid(drive: Drive, found: Gridded) -> Figure:
     """The grid's beliefs of the place at the first steps, and errors beside the particles'."""
-    figure, axes = plt.subplots(1, 3, figsize=(13, 5.4), layout="constrained")
-    for ax, step in zip(axes[:2], (0, 1), strict=True):
-        pgm.plot.occupancy_map(drive.map, ax=ax)
-        belief = found.grid[pose.at(step)].marginal("east", "north")
-        shown = np.ma.masked_less(belief.values / belief.values.max(), 1e-3)
-        drawn = ax.pcolormesh(*belief.centres, shown.T, cmap="viridis", vmin=0.0, vmax=1.0)
-        ax.plot(*drive.poses[found.first + step, :2], "x", color=_RECKONED, ms=9, mew=2)
+    figure, axes = plt.subplots(1, 3, figsize=(14, 4.8), layout="constrained")
+    beliefs = [found.grid[pose.at(step)].marginal("east", "north") for step in (0, 1)]
+    levels = [belief.values / belief.values.max() for belief in beliefs]
+    cells = np.argwhere(levels[0] > SEEN)
+    likely = np.stack([axis[k] for axis, k in zip(beliefs[0].centres, cells.T, strict=True)], axis=1)
+    place = drive.poses[found.first : found.first + 2, :2]
+    for step, (ax, level) in enumerate(zip(axes, levels, strict=False)):
+        _map(drive, ax)
+        shown = np.ma.masked_less(level, SEEN)
+        drawn = ax.pcolormesh(
+            *beliefs[step].centres, shown.T, cmap="viridis_r", norm=LogNorm(SEEN, 1.0)
+        )
+        ax.plot(*place[step], "o", color=_RECKONED, ms=16, mew=1.5, mfc="none")
         ax.set_title(f"step {step}")
-        centres = [(each.min(), each.max()) for each in belief.centres]
-        ax.set(xlim=centres[0], ylim=centres[1])
-        drawn.set_rasterized(True)
-    axes[1].label_outer()
+        _around(drive, ax, np.concatenate([likely, place]))
+    axes[1].set_ylabel("")
     figure.colorbar(drawn, ax=axes[:2], label="probability, the largest being 1", shrink=0.8)
     for colour, (name, each) in zip(PALETTE, found.followed.items(), strict=False):
         axes[2].plot(each.distance, color=colour, label=name)
@@ -158,7 +158,17 @@ def grid(drive: Drive, found: Gridded) -> Figure:
     return figure
 
 
-def _around(ax: Axes, poses: Array) -> None:
-    """Cut a picture to poses and some metres around."""
-    low, high = poses[:, :2].min(axis=0) - MARGIN, poses[:, :2].max(axis=0) + MARGIN
+def _map(drive: Drive, ax: Axes) -> None:
+    pgm.plot.occupancy_map(drive.map, ax=ax)
+    ax.set(xlabel="east [m]", ylabel="north [m]")
+
+
+def _around(drive: Drive, ax: Axes, poses: Array) -> None:
+    """Cut a picture to poses and some metres around, as far as the map goes."""
+    corner, shape = drive.map.origin[:2], np.array(drive.map.shape[::-1])
+    low = np.maximum(poses[:, :2].min(axis=0) - MARGIN, corner)
+    high = np.minimum(
+        poses[:, :2].max(axis=0) + MARGIN, corner + drive.map.resolution * shape
+    )
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    ax.set_aspect("equal", adjustable="box")
