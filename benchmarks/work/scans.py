@@ -23,6 +23,7 @@ START_STD = (0.1, 0.1, 0.03)  # m, m, rad
 MOTION_STD = (0.05, 0.05, 0.02)
 # Of the field, with the shares of rays that end at obstacles and anywhere [m].
 STD, HIT, RANDOM = 0.2, 0.95, 0.05
+WEIGHT = 0.1  # as if one beam in ten were independent; it costs nothing
 odometry = pgm.Variable("u", components=("ahead", "left", "turn"))
 scan = pgm.Variable("z", components=tuple(f"ray {k}" for k in range(made_up.RAYS)))
 
@@ -75,6 +76,7 @@ class Scans:
             hit=HIT,
             random=RANDOM,
             every=EVERY,
+            weight=WEIGHT,
         )
         return pgm.DynamicBayesianNetwork(
             [pgm.GaussianCPD(pose, self.poses[0], start)],

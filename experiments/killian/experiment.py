@@ -22,7 +22,6 @@ from experiments.killian.graph import Fit, differing, fitted
 from experiments.killian.localise import (
     CELL,
     LOST,
-    STRAY,
     TURNS,
     Gridded,
     Stray,
@@ -34,7 +33,13 @@ from experiments.killian.localise import (
 )
 from experiments.record import Out, Record, Seed, note
 
-QUICK: dict[str, Any] = {"simulated": True, "particles": 500, "starts": 3, "part": 10}
+QUICK: dict[str, Any] = {
+    "simulated": True,
+    "particles": 500,
+    "starts": 3,
+    "stray": 10_000,
+    "part": 10,
+}
 
 
 def run(
@@ -53,6 +58,7 @@ def run(
     starts: Annotated[
         int, typer.Option(min=1, help="Starts of a robot that may be anywhere.")
     ] = 20,
+    stray: Annotated[int, typer.Option(min=1000, help="Particles at each of these.")] = 100_000,
     part: Annotated[
         int, typer.Option(min=0, help="The step with which the grid's part of the drive begins.")
     ] = 570,
@@ -69,6 +75,7 @@ def run(
         simulated=simulated,
         particles=particles,
         starts=starts,
+        stray=stray,
         part=part,
         resolution=RESOLUTION,
         every=EVERY,
@@ -79,9 +86,11 @@ def run(
     fit = fitted(recording)
     drive = driven(recording)
     known = tracked(drive, particles, seed)
-    lost = strays(drive, starts, seed)
-    cells = gridded(drive, part, seed)
+    lost = strays(drive, starts, stray, seed)
+    cells = gridded(drive, part, stray, seed)
 
+    if simulated:
+        record.note("The drive is made up, and no recording: two laps around a block of corridors.")
     _poses(record, drive, fit)
     record.figure(
         figures.overview(drive, known.followed),
@@ -100,7 +109,7 @@ def run(
         "zoom",
         "Around the largest error: what the particles believe, and the scan in the map.",
     )
-    _strays(record, lost)
+    _strays(record, lost, stray)
     shown = next((each for each in lost if each.found_at is not None), lost[0])
     record.figure(
         figures.stray(drive, shown),
@@ -109,7 +118,7 @@ def run(
         "pose.",
     )
     record.figure(figures.strays(lost), "starts", "All starts from anywhere.")
-    _gridded(record, cells)
+    _gridded(record, cells, stray)
     record.figure(
         figures.grid(drive, cells),
         "grid",
@@ -193,31 +202,38 @@ def _tracked(record: Record, known: Tracked, count: int, reckoned: dict[str, flo
     )
 
 
-def _strays(record: Record, lost: list[Stray]) -> None:
+def _strays(record: Record, lost: list[Stray], count: int) -> None:
     found = [each.found_at for each in lost]
-    within = [
-        sum(step is not None and step <= limit for step in found) for limit in (0, 1, 2, 5, 10)
-    ]
     last = len(lost[0].followed.error) - 1
+    limits = (0, 1, 2, 5, 10, last)
     record.table(
-        f"Starts from anywhere in the map: found (within {LOST:g} m from there on) by step",
-        ("of", "0", "1", "2", "5", "10", str(last)),
-        [(len(lost), *within, sum(step is not None for step in found))],
+        f"Starts from anywhere: how many stay within {LOST:g} m from a step on",
+        ("of", *(f"step {limit}" for limit in limits)),
+        [
+            (
+                len(lost),
+                *(sum(step is not None and step <= limit for step in found) for limit in limits),
+            )
+        ],
     )
     seconds = np.mean([each.followed.seconds for each in lost])
-    record.note(
-        f"{STRAY:,} particles are drawn from the first scan's likelihood over all cells and "
-        f"headings, and as many as KLD-sampling says are kept: {seconds:.2f} s for {last} steps. "
-        "Starts that are not found follow another corridor that fits as well at first; scans that "
-        "the map explains badly, of people and doors, then leave too few particles at the right "
-        "place, and none finds back."
+    text = (
+        f"{count:,} particles are drawn from the first scan's likelihood over all cells and "
+        f"headings, and as many as KLD-sampling says are kept: {seconds:.2f} s for {last} steps."
     )
+    if None in found:
+        text += (
+            " Starts that are not found follow another corridor. Where they are, the map explains "
+            "some scans badly, as of people, doors and glass; others fit better for some steps, "
+            "and when they no longer do, no particle is left where the robot is."
+        )
+    record.note(text)
 
 
-def _gridded(record: Record, cells: Gridded) -> None:
+def _gridded(record: Record, cells: Gridded, count: int) -> None:
     record.table(
         f"{len(cells.followed['grid'].error) - 1} steps from step {cells.first} on, from anywhere "
-        "in that part of the map",
+        "near",
         ("", "RMSE [m]", "median", "largest", "heading [rad]", "ln p(z)", "seconds"),
         [
             (
@@ -231,6 +247,7 @@ def _gridded(record: Record, cells: Gridded) -> None:
     )
     record.note(
         f"The grid has {cells.cells:,} cells, {CELL:g} m and {360 / TURNS:g} degrees wide, which "
-        f"is wide for these motions: the lattice adds a deviation of {cells.added:.2f} m over all "
-        f"steps. {STRAY:,} particles start there."
+        f"is wide for these motions and scans: the lattice adds a deviation of {cells.added:.2f} m "
+        "over all steps, and the field is read at centres alone, so that its ln p(z) is another "
+        f"one. {count:,} particles are drawn over the same part of the map, and stay as many."
     )

@@ -136,7 +136,9 @@ def grid(drive: Drive, found: Gridded) -> Figure:
     beliefs = [found.grid[pose.at(step)].marginal("east", "north") for step in (0, 1)]
     levels = [belief.values / belief.values.max() for belief in beliefs]
     cells = np.argwhere(levels[0] > SEEN)
-    likely = np.stack([axis[k] for axis, k in zip(beliefs[0].centres, cells.T, strict=True)], axis=1)
+    likely = np.stack(
+        [axis[k] for axis, k in zip(beliefs[0].centres, cells.T, strict=True)], axis=1
+    )
     place = drive.poses[found.first : found.first + 2, :2]
     for step, (ax, level) in enumerate(zip(axes, levels, strict=False)):
         _map(drive, ax)
@@ -167,8 +169,6 @@ def _around(drive: Drive, ax: Axes, poses: Array) -> None:
     """Cut a picture to poses and some metres around, as far as the map goes."""
     corner, shape = drive.map.origin[:2], np.array(drive.map.shape[::-1])
     low = np.maximum(poses[:, :2].min(axis=0) - MARGIN, corner)
-    high = np.minimum(
-        poses[:, :2].max(axis=0) + MARGIN, corner + drive.map.resolution * shape
-    )
+    high = np.minimum(poses[:, :2].max(axis=0) + MARGIN, corner + drive.map.resolution * shape)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     ax.set_aspect("equal", adjustable="box")

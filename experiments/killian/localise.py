@@ -21,9 +21,10 @@ Found = TypeVar("Found")
 
 # Cells of a first scan's likelihood, over the whole map: half a metre, and headings a turn.
 SPACING, HEADINGS, TEMPER = 0.5, 72, 0.5
-STRAY = 50_000  # particles at the start, of which few are enough later
-WIDTHS = {"east": 0.5, "north": 0.5, "heading": 0.1}
-LEAST, MOST = 500, 20_000
+# Particles after the first scan: bins of the place and the heading, and how many at the least and
+# at the most, as a part of those at the start.
+WIDTHS = {"east": 0.25, "north": 0.25, "heading": 0.05}
+LEAST, MOST = 0.02, 0.5
 # Steps after a start from anywhere, and of a grid; from which distance on a pose is lost [m].
 LASTING, LOST = 40, 1.0
 SHOWN = (0, 1, 2, 5)
@@ -130,18 +131,18 @@ class Stray:
         return after if after < len(self.followed.distance) else None
 
 
-def strays(drive: Drive, starts: int, seed: int) -> list[Stray]:
+def strays(drive: Drive, starts: int, count: int, seed: int) -> list[Stray]:
     """Particles that are told nothing but the map, at steps that are evenly apart."""
     cells = drive.map.poses(SPACING, HEADINGS, drive.within)
     widths = (SPACING, SPACING, 2.0 * np.pi / HEADINGS)
     start = pgm.CellProposal(pose, cells, widths, temper=TEMPER)
-    number = pgm.KLDSampling(WIDTHS, least=LEAST, most=MOST)
+    number = pgm.KLDSampling(WIDTHS, least=int(LEAST * count), most=int(MOST * count))
     network = drive.network(drive.map.uniform(pose, drive.within))
     steps = len(drive.motions)
     lasting = min(LASTING, steps)
     found = []
     for k, first in enumerate(np.linspace(0, steps - lasting, starts).astype(int).tolist()):
-        particles = pgm.Particles(STRAY, seed=seed + k, start=start, number=number)
+        particles = pgm.Particles(count, seed=seed + k, start=start, number=number)
         evidence = drive.evidence(first, first + lasting)
         posterior, seconds = _timed(_filtering(network, evidence, particles))
         clouds = {step: posterior[pose.at(step)] for step in SHOWN}
@@ -178,7 +179,7 @@ class Gridded:
         return float(np.sqrt(max(float(status[name].max()) for name in ("east", "north"))))
 
 
-def gridded(drive: Drive, first: int, seed: int) -> Gridded:
+def gridded(drive: Drive, first: int, count: int, seed: int) -> Gridded:
     """A grid over the part of the map around some steps; scans and prior are the strays'."""
     last = min(first + LASTING, len(drive.motions))
     if last - first < 1:
@@ -193,21 +194,19 @@ def gridded(drive: Drive, first: int, seed: int) -> Gridded:
     part = drive.within & ((centres > low) & (centres < high)).all(axis=-1)
     network = drive.network(drive.map.uniform(pose, part))
     low, high = low - BEYOND, high + BEYOND
-    count = np.ceil((high - low) / CELL).astype(int).tolist()
+    across, up = np.ceil((high - low) / CELL).astype(int).tolist()
     grid = pgm.Grid(
         {
-            "east": (low[0], low[0] + CELL * count[0], count[0]),
-            "north": (low[1], low[1] + CELL * count[1], count[1]),
+            "east": (low[0], low[0] + CELL * across, across),
+            "north": (low[1], low[1] + CELL * up, up),
             "heading": TURNS,
         },
         dtype=np.float32,
     )
     evidence = drive.evidence(first, last)
     cells = drive.map.poses(SPACING, HEADINGS, part)
-    start = pgm.CellProposal(
-        pose, cells, (SPACING, SPACING, 2.0 * np.pi / HEADINGS), temper=TEMPER
-    )
-    particles = pgm.Particles(STRAY, seed=seed, start=start)
+    start = pgm.CellProposal(pose, cells, (SPACING, SPACING, 2.0 * np.pi / HEADINGS), temper=TEMPER)
+    particles = pgm.Particles(count, seed=seed, start=start)
     posterior, seconds = _timed(_filtering(network, evidence, grid))
     cloud, spent = _timed(_filtering(network, evidence, particles))
     return Gridded(
@@ -220,7 +219,9 @@ def gridded(drive: Drive, first: int, seed: int) -> Gridded:
     )
 
 
-def _filtering(network: pgm.DynamicBayesianNetwork, evidence: Any, belief: Any) -> Callable[[], Any]:
+def _filtering(
+    network: pgm.DynamicBayesianNetwork, evidence: Any, belief: Any
+) -> Callable[[], Any]:
     return lambda: pgm.filter(network, evidence, belief=belief)
 
 

@@ -18,6 +18,7 @@ TINY = {
     "particles_own": 100_000,
     "particles_plain": 100_000,
     "particles_backwards": 2_000,
+    "likelihood_field": 2_000,
 }
 COMPILED = (
     "dynamax",
