@@ -20,10 +20,12 @@ from pgm.maps import LikelihoodField, OccupancyMap, log_odds_map
 
 Array = npt.NDArray[np.float64]
 
+LEAST = 20  # poses
 RESOLUTION = 0.1  # m
 START_STD = (0.05, 0.05, 0.02)  # m, m, rad
-# Of the scans' likelihood: the deviation of rays' ends from the map [m], twice as wide where cells of
-# a quarter or half a metre are searched; one ray in so many, of which a tenth count as independent.
+# Of the scans' likelihood: the deviation of rays' ends from the map [m], twice as wide where cells
+# of a quarter or half a metre are searched; one ray in so many is used, and of these a tenth count
+# as independent.
 STD, STRAY_STD, EVERY, WEIGHT = 0.1, 0.2, 3, 0.1
 # A motion from scan to scan.
 step_made = pgm.Variable("u", components=("ahead", "left", "turn"))
@@ -121,7 +123,7 @@ def driven(log: Log) -> Drive:
     Raises
     ------
     FileError
-        If there are fewer than four poses, or no edges from each to the next.
+        If there are fewer than twenty poses, or not one edge from each to the next.
     """
     motions, cov = _between(log)
     began = time.perf_counter()
@@ -142,10 +144,10 @@ def _between(log: Log) -> tuple[Array, Array]:
     edges, steps = log.edges, len(log.poses) - 1
     chosen = np.flatnonzero(edges.second - edges.first == 1)
     chosen = chosen[np.argsort(edges.first[chosen], kind="stable")]
-    if steps < 3 or edges.first[chosen].tolist() != list(range(steps)):
+    if steps < LEAST - 1 or edges.first[chosen].tolist() != list(range(steps)):
         raise FileError(
             f"the recording has {steps + 1} poses and {len(chosen)} edges from one to the next; "
-            "four poses or more, and one edge between each two, were due"
+            f"{LEAST} poses or more, and one edge between each two, were due"
         )
     covs = np.linalg.inv(edges.information[chosen])
     return edges.motions[chosen], covs.mean(axis=0)

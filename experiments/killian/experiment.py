@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+import pgm
 from experiments.killian import figures, log, made_up
 from experiments.killian.drive import EVERY, RESOLUTION, STD, STRAY_STD, WEIGHT, Drive, driven
 from experiments.killian.graph import Fit, differing, fitted
@@ -64,6 +65,8 @@ def run(
     ] = 570,
 ) -> None:
     """Find a recorded robot by its laser in a map that its other scans have made."""
+    if simulated and path is not None:
+        raise pgm.EvidenceError("--path names a recording, --simulated none: give one of them")
     if not simulated and path is None and log.find() is None:
         note(f"killian: {log.MISSING}")
         return
