@@ -21,7 +21,6 @@ from experiments.killian import figures, log, made_up
 from experiments.killian.drive import EVERY, RESOLUTION, STD, STRAY_STD, WEIGHT, Drive, driven
 from experiments.killian.graph import Fit, differing, fitted
 from experiments.killian.localise import (
-    CELL,
     LOST,
     TURNS,
     Gridded,
@@ -39,7 +38,8 @@ QUICK: dict[str, Any] = {
     "particles": 500,
     "starts": 3,
     "stray": 10_000,
-    "part": 10,
+    "part": 50,
+    "cell": 0.5,
 }
 
 
@@ -63,6 +63,7 @@ def run(
     part: Annotated[
         int, typer.Option(min=0, help="The step with which the grid's part of the drive begins.")
     ] = 570,
+    cell: Annotated[float, typer.Option(min=0.05, help="Width of the grid's cells [m].")] = 0.25,
 ) -> None:
     """Find a recorded robot by its laser in a map that its other scans have made."""
     if simulated and path is not None:
@@ -80,6 +81,7 @@ def run(
         starts=starts,
         stray=stray,
         part=part,
+        cell=cell,
         resolution=RESOLUTION,
         every=EVERY,
         weight=WEIGHT,
@@ -90,7 +92,7 @@ def run(
     drive = driven(recording)
     known = tracked(drive, particles, seed)
     lost = strays(drive, starts, stray, seed)
-    cells = gridded(drive, part, stray, seed)
+    cells = gridded(drive, part, cell, stray, seed)
 
     if simulated:
         record.note("The drive is made up, and no recording: two laps around a block of corridors.")
@@ -121,7 +123,7 @@ def run(
         "pose.",
     )
     record.figure(figures.strays(lost), "starts", "All starts from anywhere.")
-    _gridded(record, cells, stray)
+    _gridded(record, cells, cell, stray)
     record.figure(
         figures.grid(drive, cells),
         "grid",
@@ -226,14 +228,13 @@ def _strays(record: Record, lost: list[Stray], count: int) -> None:
     )
     if None in found:
         text += (
-            " Starts that are not found follow another corridor. Where they are, the map explains "
-            "some scans badly, as of people, doors and glass; others fit better for some steps, "
-            "and when they no longer do, no particle is left where the robot is."
+            " Starts that are not found follow another place: it explains scans better for some "
+            "steps, and when it no longer does, no particle is left where the robot is."
         )
     record.note(text)
 
 
-def _gridded(record: Record, cells: Gridded, count: int) -> None:
+def _gridded(record: Record, cells: Gridded, cell: float, count: int) -> None:
     record.table(
         f"{len(cells.followed['grid'].error) - 1} steps from step {cells.first} on, from anywhere "
         "near",
@@ -249,7 +250,7 @@ def _gridded(record: Record, cells: Gridded, count: int) -> None:
         ],
     )
     record.note(
-        f"The grid has {cells.cells:,} cells, {CELL:g} m and {360 / TURNS:g} degrees wide, which "
+        f"The grid has {cells.cells:,} cells, {cell:g} m and {360 / TURNS:g} degrees wide, which "
         f"is wide for these motions and scans: the lattice adds a deviation of {cells.added:.2f} m "
         "over all steps, and the field is read at centres alone, so that its ln p(z) is another "
         f"one. {count:,} particles are drawn over the same part of the map, and stay as many."

@@ -144,7 +144,11 @@ def grid(drive: Drive, found: Gridded) -> Figure:
         _map(drive, ax)
         shown = np.ma.masked_less(level, SEEN)
         drawn = ax.pcolormesh(
-            *beliefs[step].centres, shown.T, cmap="viridis_r", norm=LogNorm(SEEN, 1.0)
+            *beliefs[step].centres,
+            shown.T,
+            cmap="viridis_r",
+            norm=LogNorm(SEEN, 1.0),
+            rasterized=True,
         )
         ax.plot(*place[step], "o", color=_RECKONED, ms=16, mew=1.5, mfc="none")
         ax.set_title(f"step {step}")

@@ -28,9 +28,9 @@ LEAST, MOST = 0.02, 0.5
 # Steps after a start from anywhere, and of a grid; from which distance on a pose is lost [m].
 LASTING, LOST = 40, 1.0
 SHOWN = (0, 1, 2, 5)
-# Cells of the grid [m], headings a turn, and how far beyond the poses its part of the map reaches,
-# and the grid beyond that [m].
-CELL, TURNS, AROUND, BEYOND = 0.25, 90, 4.0, 1.5
+# Headings of the grid a turn, how far beyond the poses its part of the map reaches, and the grid
+# beyond that [m].
+TURNS, AROUND, BEYOND = 90, 4.0, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +179,7 @@ class Gridded:
         return float(np.sqrt(max(float(status[name].max()) for name in ("east", "north"))))
 
 
-def gridded(drive: Drive, first: int, count: int, seed: int) -> Gridded:
+def gridded(drive: Drive, first: int, cell: float, count: int, seed: int) -> Gridded:
     """A grid over the part of the map around some steps; scans and prior are the strays'."""
     last = min(first + LASTING, len(drive.motions))
     if last - first < 1:
@@ -194,11 +194,11 @@ def gridded(drive: Drive, first: int, count: int, seed: int) -> Gridded:
     part = drive.within & ((centres > low) & (centres < high)).all(axis=-1)
     network = drive.network(drive.map.uniform(pose, part))
     low, high = low - BEYOND, high + BEYOND
-    across, up = np.ceil((high - low) / CELL).astype(int).tolist()
+    across, up = np.ceil((high - low) / cell).astype(int).tolist()
     grid = pgm.Grid(
         {
-            "east": (low[0], low[0] + CELL * across, across),
-            "north": (low[1], low[1] + CELL * up, up),
+            "east": (low[0], low[0] + cell * across, across),
+            "north": (low[1], low[1] + cell * up, up),
             "heading": TURNS,
         },
         dtype=np.float32,

@@ -187,7 +187,7 @@ def test_scans_hold_the_drive_where_odometry_does_not(done):
     assert found["graph"]["after"] == pytest.approx(found["graph"]["before"])
     assert set(found["part"]) == {"grid", "particles"}
     for each in found["part"].values():
-        assert each["median"] < 0.3
+        assert each["median"] < 0.4
     assert sum(step is not None for step in found["starts"].values()) >= 2
 
 
@@ -216,7 +216,7 @@ def test_what_cannot_be_run_is_refused(tmp_path, driven):
     with pytest.raises(pgm.EvidenceError, match="--path names a recording, --simulated none"):
         killian.run(out=tmp_path, seed=0, simulated=True, path=tmp_path)
     with pytest.raises(pgm.EvidenceError, match="begins at step 67, and the drive has 67 steps"):
-        localise.gridded(driven, 67, 1000, 0)
+        localise.gridded(driven, 67, 0.5, 1000, 0)
 
 
 def test_the_recording_s_poses_are_an_optimum():
