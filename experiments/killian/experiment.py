@@ -38,8 +38,7 @@ QUICK: dict[str, Any] = {
     "particles": 500,
     "starts": 3,
     "stray": 10_000,
-    "part": 50,
-    "cell": 0.5,
+    "part": 59,
 }
 
 

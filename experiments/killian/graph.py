@@ -53,7 +53,8 @@ def fitted(log: Log) -> Fit:
     G. Grisetti, R. Kümmerle, C. Stachniss, W. Burgard: A tutorial on graph-based SLAM, 2010.
     """
     edges, poses = log.edges, log.poses.copy()
-    factors: Array = np.linalg.cholesky(edges.information).swapaxes(-1, -2)
+    lower = np.asarray(np.linalg.cholesky(edges.information), dtype=np.float64)
+    factors = lower.swapaxes(-1, -2)
     for _ in range(ITERATIONS):
         weighted = np.einsum("eij,ej->ei", factors, residuals(poses, edges))
         slopes = _slopes(poses, edges, factors)
