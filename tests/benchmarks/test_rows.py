@@ -97,9 +97,9 @@ def test_optima_are_held_to_metres_and_to_each_poses_own_size():
 
 def test_places_are_held_to_three_tenths_of_a_metre():
     ours = np.array([5.0, 2.0, 0.5])
-    agreement.places("close", ours, ours + [0.29, -0.29, 0.09])
+    agreement.places("close", ours, ours + np.array([0.29, -0.29, 0.09]))
     for off in ([0.31, 0.0, 0.0], [0.0, -0.31, 0.0], [0.0, 0.0, 0.11]):
-        with pytest.raises(AssertionError, match="poses, in units of .3 m and .1 rad, of off"):
+        with pytest.raises(AssertionError, match=r"poses.* of off"):
             agreement.places("off", ours, ours + off)
 
 
