@@ -11,7 +11,7 @@ and seconds; ``starts`` by start from anywhere the step from which on it is foun
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -34,7 +34,7 @@ from experiments.killian.localise import (
 from experiments.record import Out, Record, Seed, note
 
 QUICK: dict[str, Any] = {
-    "simulated": True,
+    "data": "made_up",
     "particles": 500,
     "starts": 3,
     "stray": 10_000,
@@ -49,9 +49,9 @@ def run(
         Path | None,
         typer.Option(help="The .g2o file, or its .zip; that of rtb-data without.", exists=True),
     ] = None,
-    simulated: Annotated[
-        bool, typer.Option(help="A small made-up drive in place of the recording.")
-    ] = False,
+    data: Annotated[
+        Literal["recorded", "made_up"], typer.Option(help="The recording, or a small drive.")
+    ] = "recorded",
     particles: Annotated[
         int, typer.Option(min=100, help="Particles of the robot that knows where it began.")
     ] = 2000,
@@ -65,8 +65,9 @@ def run(
     cell: Annotated[float, typer.Option(min=0.05, help="Width of the grid's cells [m].")] = 0.25,
 ) -> None:
     """Find a recorded robot by its laser in a map that its other scans have made."""
+    simulated = data == "made_up"
     if simulated and path is not None:
-        raise pgm.EvidenceError("--path names a recording, --simulated none: give one of them")
+        raise pgm.EvidenceError("--path names a recording, --data made_up none: give one of them")
     if not simulated and path is None and log.find() is None:
         note(f"killian: {log.MISSING}")
         return
@@ -75,7 +76,7 @@ def run(
         "killian",
         out,
         seed=seed,
-        simulated=simulated,
+        data=data,
         particles=particles,
         starts=starts,
         stray=stray,

@@ -213,8 +213,8 @@ def test_without_the_recording_it_says_so(monkeypatch, capsys, tmp_path):
 
 
 def test_what_cannot_be_run_is_refused(tmp_path, driven):
-    with pytest.raises(pgm.EvidenceError, match="--path names a recording, --simulated none"):
-        killian.run(out=tmp_path, seed=0, simulated=True, path=tmp_path)
+    with pytest.raises(pgm.EvidenceError, match="--path names a recording, --data made_up none"):
+        killian.run(out=tmp_path, seed=0, data="made_up", path=tmp_path)
     with pytest.raises(pgm.EvidenceError, match="begins at step 67, and the drive has 67 steps"):
         localise.gridded(driven, 67, 0.5, 1000, 0)
 
