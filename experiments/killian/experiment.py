@@ -38,7 +38,7 @@ QUICK: dict[str, Any] = {
     "particles": 500,
     "starts": 3,
     "stray": 10_000,
-    "part": 59,
+    "part": 62,
 }
 
 
