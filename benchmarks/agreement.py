@@ -59,6 +59,17 @@ def drawn_beliefs(library: str, ours: tuple[Array, Array], theirs: tuple[Array, 
     _require(library, "deviations", other / std - 1.0, 0.1)
 
 
+def places(library: str, ours: Array, theirs: Array) -> None:
+    """Poses to .3 m and .1 rad: both are means of draws, of models that are not the same.
+
+    Raises
+    ------
+    AssertionError
+        Where they differ.
+    """
+    _require(library, "poses, in units of .3 m and .1 rad,", (theirs - ours) / [0.3, 0.3, 0.1], 1.0)
+
+
 def optima(library: str, ours: tuple[Array, Array], theirs: tuple[Array, Array]) -> None:
     """Means to 1e-5 [m, rad], the covariance of each pose to 1e-4 of its size.
 

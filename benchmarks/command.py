@@ -27,6 +27,8 @@ PEERS = (
     "gtsam",
     "pyagrum",
     "pgmpy",
+    "particles",
+    "amcl",
 )
 
 

@@ -5,7 +5,16 @@ from __future__ import annotations
 from benchmarks import agreement, cliffs
 from benchmarks.row import Prepare, Row, part
 from benchmarks.timing import least
-from benchmarks.work import chains, clouds, repository, robots, rooms, tables, targets
+from benchmarks.work import (
+    chains,
+    clouds,
+    repository,
+    robots,
+    rooms,
+    scans,
+    tables,
+    targets,
+)
 
 SHORT = {"taylor": "ekf", "unscented": "ukf"}
 QUICK = ("asia", "alarm")  # networks of the quick run
@@ -238,6 +247,27 @@ def backwards() -> Row:
     )
 
 
+def likelihood_field() -> Row:
+    """Particles that a laser's scans weigh in a map: whole steps, of which scans take the most.
+
+    The peer's sensor cannot be called alone, so it is a step of both: motion, 60 beams by a
+    likelihood field, and particles drawn anew. The peer's model of the sensor is another one.
+    """
+    return Row(
+        name="likelihood_field",
+        unit="particle, beam and step",
+        work=scans.draw,
+        contenders={
+            "pgm": part("pgm_scans", "filtering"),
+            "amcl": part("amcl_scans", "filtering"),
+        },
+        check=agreement.places,
+        size=5_000,
+        quick=5_000,
+        timed=least,
+    )
+
+
 def discrete(name: str, task: tables.Task) -> Row:
     """New evidence on a compiled discrete network, then all marginals."""
     return Row(
@@ -340,6 +370,7 @@ ROWS = [
     *(on_grid(each, kind) for kind in rooms.KINDS for each in ("filter", "smoother")),
     *(bootstrap(functions) for functions in clouds.FUNCTIONS),
     backwards(),
+    likelihood_field(),
     *cliffs.ROWS,
     discrete("asia", tables.medical()),
     discrete("random_200", tables.random()),

@@ -25,6 +25,7 @@ FASTER = (  # row, peer, how many times the peer's cost must be ours
     ("particles_own", "particles", 1.8),
     ("particles_plain", "particles", 1.4),
     ("particles_backwards", "pgm_full", 20.0),
+    ("likelihood_field", "amcl", 10.0),
     *((f"reading_{name}", "pgmpy", 1.0) for name in (*repository.NAMES, *repository.LARGE)),
 )
 CHEAPER = (  # row, peer, how many times our cost may be the peer's

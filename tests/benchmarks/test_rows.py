@@ -18,6 +18,7 @@ TINY = {
     "particles_own": 100_000,
     "particles_plain": 100_000,
     "particles_backwards": 2_000,
+    "likelihood_field": 2_000,
 }
 COMPILED = (
     "dynamax",
@@ -92,6 +93,14 @@ def test_optima_are_held_to_metres_and_to_each_poses_own_size():
         agreement.optima("off", ours, (ours[0] + 1.1e-5, covs))
     with pytest.raises(AssertionError, match="covariances of off"):
         agreement.optima("off", ours, (ours[0], covs * np.array([1.0, 1.0002])[:, None, None]))
+
+
+def test_places_are_held_to_three_tenths_of_a_metre():
+    ours = np.array([5.0, 2.0, 0.5])
+    agreement.places("close", ours, ours + np.array([0.29, -0.29, 0.09]))
+    for off in ([0.31, 0.0, 0.0], [0.0, -0.31, 0.0], [0.0, 0.0, 0.11]):
+        with pytest.raises(AssertionError, match=r"poses.* of off"):
+            agreement.places("off", ours, ours + off)
 
 
 def test_probabilities_must_agree_too():

@@ -5,7 +5,8 @@ import pytest
 
 import pgm
 from benchmarks import command
-from benchmarks.work import repository, robots, tables, targets
+from benchmarks.libraries import pgm_scans
+from benchmarks.work import repository, robots, scans, tables, targets
 from models import sensors
 
 
@@ -55,6 +56,16 @@ def test_targets_move_as_their_network_says():
     motion += 2 * targets.DT * p.motion_cov[0, 2] * -1 + targets.DT**2 * p.motion_cov[2, 2]
     expected = motion + 6.0 * p.sensor_cov[0, 0]
     np.testing.assert_allclose(second.var(axis=0), expected, rtol=0.15)
+
+
+def test_scans_are_of_sixty_beams_where_the_robot_is():
+    work = scans.draw(100)
+    assert work.beams == 60
+    assert work.units == 100 * 60 * (scans.STEPS + 1)
+    met = work.map.cast(work.poses, work.angles, 50.0)
+    assert np.median(np.abs(met - work.scans)) < 0.1
+    last = pgm_scans.filtering(scans.draw(2_000)).call()
+    np.testing.assert_allclose(last, work.poses[-1], atol=0.3)
 
 
 def test_sets_are_of_five_leaves_and_each_of_its_own():
