@@ -26,6 +26,7 @@ Out = Annotated[Path | None, typer.Option(help="Folder for results; results/NAME
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything that is drawn.")]
 
 SUMMARY = "summary.json"
+DPI = 150  # of figures as PNG
 Item = TypeVar("Item")
 
 _console = Console()
@@ -72,7 +73,7 @@ class Record:
         """Write a figure as PNG and PDF; the caption stands below it in the report."""
         for ending in ("png", "pdf"):
             with self.file(f"{name}.{ending}") as path:
-                figure.savefig(path, dpi=150, bbox_inches="tight")
+                figure.savefig(path, dpi=DPI, bbox_inches="tight")
             figure.set_layout_engine("none")  # one layout is enough for both, and is slow to find
         self.picture(f"{name}.png", caption)
 

@@ -17,7 +17,7 @@ TINY = {
     "online_taylor": 100,
     "particles_own": 100_000,
     "particles_plain": 100_000,
-    "particles_backwards": 2_000,
+    "particles_backwards": 1_000,
     "likelihood_field": 2_000,
 }
 COMPILED = (
