@@ -1,0 +1,1 @@
+"""A robot that knows the house, but not where in it it is."""
