@@ -19,14 +19,14 @@ Array = npt.NDArray[np.float64]
 
 # What the odometer says: forward and left [m], turned [rad].
 moved = pgm.Variable("u", components=("forward", "left", "turn"))
-BEAMS, MOST = 36, 5.0  # all round, and how far they see [m]
+BEAMS, MOST = 36, 10.0  # all round, and how far they see [m]
 ANGLES = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False)
 scan = pgm.Variable("z", components=tuple(f"beam {k}" for k in range(BEAMS)))
 STEP = 0.4  # m
 # Of the odometer, a step [m, m, rad]: half a cell of the grid, which then adds no variance.
 MOTION_STD = (0.1, 0.1, np.deg2rad(3.75))
 # The laser as it is: deviation [m], and the shares of ranges.
-LASER = {"std": 0.05, "hit": 0.8, "short": 0.1, "maximum": 0.05, "random": 0.05}
+LASER = {"std": 0.05, "hit": 0.95, "short": 0.02, "maximum": 0.01, "random": 0.02}
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,9 @@ class World:
         """The laser that scans are drawn of."""
         return pgm.maps.BeamModel(scan, pose, self.map, angles=ANGLES, most=MOST, **LASER)
 
-    def network(self, sensor: pgm.maps.LikelihoodField | pgm.maps.BeamModel):
+    def network(
+        self, sensor: pgm.maps.LikelihoodField | pgm.maps.BeamModel
+    ) -> pgm.DynamicBayesianNetwork:
         """The robot, which may be anywhere in the house, with a model of its laser."""
         return pgm.DynamicBayesianNetwork(
             prior=[self.map.uniform(pose, self.indoors)],
