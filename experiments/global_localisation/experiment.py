@@ -19,7 +19,7 @@ import typer
 import pgm
 from experiments import house
 from experiments.global_localisation import figures, ways
-from experiments.global_localisation.filters import follow
+from experiments.global_localisation.filters import Way, follow
 from experiments.global_localisation.places import NEAR, TURNED, Share, right
 from experiments.global_localisation.shown import Shown, animate
 from experiments.global_localisation.ways import BEAMS, FIELDS, GRID, KLD, Sizes
@@ -67,14 +67,14 @@ def run(
     field, beams = (world.network(each) for each in (ways.field(world), ways.beams(world)))
     start = ways.cells(world, spacing, headings)
     wide = ways.cells(world, 2.0 * spacing, headings)
-    known = {
+    known: dict[str, Way] = {
         GRID: (field, sizes.grid()),
         FIELDS: (field, pgm.Particles(particles, seed=seed, start=start)),
         KLD: (field, pgm.Particles(particles, seed=seed, start=start, number=sizes.numbers())),
         BEAMS: (beams, pgm.Particles(particles // 2, seed=seed, start=wide)),
     }
     found = {
-        name: follow(known[name][0], drives, known[name][1])
+        name: follow(known[name], drives)
         for name in progress(list(known), "global_localisation")
     }
     other = choices(world, drives, sizes, seed)
@@ -166,7 +166,8 @@ def choices(world: World, drives: Drives, sizes: Sizes, seed: int) -> dict[str, 
     }
     found = {}
     for name, (changes, particles) in cases.items():
-        followed = follow(world.network(ways.field(world, **changes)), drives, particles)
+        network = world.network(ways.field(world, **changes))
+        followed = follow((network, particles), drives)
         found[name] = Share.of(right(followed.poses, drives.truth)[:, -1])
     return found
 

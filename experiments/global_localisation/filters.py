@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,8 +20,7 @@ from models.networks import pose
 Array = npt.NDArray[np.float64]
 
 
-Robot = Any  # an online filter, of particles or on a grid
-First = Any
+Way = tuple[pgm.DynamicBayesianNetwork, pgm.Particles | pgm.Grid]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +42,25 @@ class Followed:
     seconds: float
 
 
-def beliefs(
-    robot: Robot, first: First, drives: Drives
-) -> Iterator[pgm.OnlineParticleBelief | pgm.OnlineGridBelief]:
-    """The beliefs of all drives step by step, of which all at once would fill the memory."""
+@contextmanager
+def unwarned() -> Iterator[None]:
+    """Say nothing of few particles or wide cells: how well these do is the question."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pgm.ParticleWarning)
+        warnings.simplefilter("ignore", pgm.GridWarning)
+        yield
+
+
+def beliefs(robot: Any, first: Any, drives: Drives) -> Iterator[Any]:
+    """The beliefs of all drives step by step, of which all at once would fill the memory.
+
+    Parameters
+    ----------
+    robot : OnlineParticles or OnlineGrid
+    first : OnlineParticleBelief or OnlineGridBelief
+        The robot's ``initial()``, which takes a while on a grid.
+    drives : Drives
+    """
     held = first
     for t in range(drives.steps + 1):
         if t:
@@ -54,20 +69,16 @@ def beliefs(
         yield held
 
 
-def follow(
-    network: pgm.DynamicBayesianNetwork, drives: Drives, belief: pgm.Particles | pgm.Grid
-) -> Followed:
+def follow(way: Way, drives: Drives) -> Followed:
     """Follow drives; a grid does so one drive at a time."""
     began = time.perf_counter()
+    network, belief = way
     shape = drives.scans.shape[:2]
     poses = np.empty((*shape, 3))
     number, injected = np.zeros(shape, dtype=int), np.zeros(shape, dtype=int)
     robot = pgm.OnlineFilter(network, belief=belief)
     first = robot.initial()
-    with warnings.catch_warnings():
-        # How well a few particles, or wide cells, do is the question.
-        warnings.simplefilter("ignore", pgm.ParticleWarning)
-        warnings.simplefilter("ignore", pgm.GridWarning)
+    with unwarned():
         if isinstance(belief, pgm.Grid):
             for run in range(shape[0]):
                 alone = drives.some(slice(run, run + 1))

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 from matplotlib.animation import PillowWriter
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
 
 import pgm
 import pgm.plot
-from experiments.global_localisation.filters import beliefs
+from experiments.global_localisation.filters import Way, beliefs, unwarned
 from experiments.global_localisation.ways import BOUNDS
 from experiments.global_localisation.world import Array, Drives, World
 from models.networks import pose
 from pgm.plot.colours import PALETTE
 
-Way = tuple[pgm.DynamicBayesianNetwork, pgm.Particles | pgm.Grid]
-
 _RATE = 2  # pictures a second
+WALLS = 0.75  # how dark they are, below beliefs
 # From nothing, which shows the map, to the colour of the grid.
-_CLEAR = LinearSegmentedColormap.from_list("clear", [(*_c, _a) for _c, _a in (
-    ((0.84, 0.37, 0.0), 0.0), ((0.84, 0.37, 0.0), 0.7), ((0.6, 0.2, 0.0), 1.0))])
+_CLEAR = LinearSegmentedColormap.from_list(
+    "clear", [to_rgba(PALETTE[1], 0.0), to_rgba(PALETTE[1], 1.0)]
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +49,7 @@ class Shown:
     @staticmethod
     def of(world: World, drive: Drives, grid: Way, particles: Way) -> Shown:
         """Follow a drive, the only one of its kind, by both."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", pgm.ParticleWarning)
-            warnings.simplefilter("ignore", pgm.GridWarning)
+        with unwarned():
             each = [
                 [held[pose][0] for held in beliefs(robot, robot.initial(), drive)]
                 for robot in (pgm.OnlineFilter(way[0], belief=way[1]) for way in (grid, particles))
@@ -62,15 +59,11 @@ class Shown:
 
     def draw_particles(self, step: int, ax: Axes) -> None:
         """The particles of a step."""
-        draw_map(self.world, ax)
-        pgm.plot.particles(
-            self.particles[step], truth=self.truth[step], colour=PALETTE[0], ticks=False, ax=ax
-        )
-        within(ax)
+        draw_particles(self.world, self.particles[step], self.truth[step], ax)
 
     def draw_grid(self, step: int, ax: Axes) -> None:
         """The grid of a step: darkest where the robot most likely is."""
-        draw_map(self.world, ax)
+        pgm.plot.occupancy_map(self.world.map, ax=ax, alpha=WALLS)
         belief = self.grid[step]
         (east, north), values = belief.centres, belief.values
         sides = [c[1] - c[0] for c in (east, north)]
@@ -90,20 +83,22 @@ class Shown:
         within(ax)
 
 
-def draw_map(world: World, ax: Axes) -> None:
-    """The house, in grey."""
-    pgm.plot.occupancy_map(world.map, ax=ax, alpha=0.75)
+def draw_particles(world: World, belief: pgm.ParticleBelief, truth: Array, ax: Axes) -> None:
+    """Particles in the house, and a cross where the robot is."""
+    pgm.plot.occupancy_map(world.map, ax=ax, alpha=WALLS)
+    pgm.plot.particles(belief, truth=truth, colour=PALETTE[0], ticks=False, ax=ax)
+    within(ax)
 
 
 def within(ax: Axes) -> None:
     """The house alone, all of it."""
+    ax.set_aspect("equal", adjustable="box")
     (left, right), (low, high) = BOUNDS.values()
     ax.set(
         xlim=(left - 0.5, right + 0.5),
         ylim=(low - 0.5, high + 0.5),
         xlabel="east [m]",
         ylabel="north [m]",
-        aspect="equal",
     )
 
 
