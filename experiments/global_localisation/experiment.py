@@ -4,8 +4,8 @@ Drives between random places of a house, past which a laser scans. Nothing is kn
 pose but that it is indoors. Particles are drawn from the likelihood of the first scan over cells;
 the grid filter, of the same network, is what they could do at best. In summary.json
 ``success.<way>`` has the share of drives whose last estimate is right, with Wilson's interval of
-95 %, and ``relative``, that share over the grid's; ``by_step`` the shares by step; ``choices`` those
-of other settings of the particles; ``seconds`` what each way took, ``number`` the mean number of
+95 %, and ``relative``, that share over the grid's; ``by_step`` the shares by step; ``choices`` of
+other settings of the particles; ``seconds`` what each way took, ``number`` the mean number of
 particles by step.
 """
 
@@ -44,8 +44,8 @@ LASER_WORDS = (
 def run(
     out: Out = None,
     seed: Seed = 0,
-    runs: Annotated[int, typer.Option(min=2, help="Drives.")] = 200,
-    steps: Annotated[int, typer.Option(min=3, help="Steps of a drive, of 40 cm.")] = 20,
+    runs: Annotated[int, typer.Option(min=2, max=10_000, help="Drives.")] = 200,
+    steps: Annotated[int, typer.Option(min=3, max=60, help="Steps of a drive, of 40 cm.")] = 20,
     particles: Annotated[int, typer.Option(min=10, help="Particles of a drive.")] = 2000,
     spacing: Annotated[
         float, typer.Option(min=0.1, help="Between the cells that a start is drawn from [m].")
@@ -59,9 +59,7 @@ def run(
         note(f"global_localisation: {house.MISSING}")
         return
     sizes = Sizes(particles, spacing, headings, cell, turns)
-    record = Record(
-        "global_localisation", out, seed=seed, runs=runs, steps=steps, **vars(sizes)
-    )
+    record = Record("global_localisation", out, seed=seed, runs=runs, steps=steps, **vars(sizes))
     world = World(house.load())
     drives = world.drives(runs, steps, np.random.default_rng(seed))
     field, beams = (world.network(each) for each in (ways.field(world), ways.beams(world)))
@@ -74,12 +72,12 @@ def run(
         BEAMS: (beams, pgm.Particles(particles // 2, seed=seed, start=wide)),
     }
     found = {
-        name: follow(known[name], drives)
-        for name in progress(list(known), "global_localisation")
+        name: follow(known[name], drives) for name in progress(list(known), "global_localisation")
     }
     other = choices(world, drives, sizes, seed)
 
-    judged = {name: Share.of(right(each.poses, drives.truth)[:, -1]) for name, each in found.items()}
+    correct = {name: right(each.poses, drives.truth) for name, each in found.items()}
+    judged = {name: Share.of(each[:, -1]) for name, each in correct.items()}
     ceiling = judged[GRID]
 
     record.note(
@@ -141,9 +139,7 @@ def run(
             name: vars(share) | {"relative": relative(share, ceiling)}
             for name, share in judged.items()
         },
-        by_step={
-            name: right(each.poses, drives.truth).mean(axis=0) for name, each in found.items()
-        },
+        by_step={name: each.mean(axis=0) for name, each in correct.items()},
         choices={name: vars(share) for name, share in other.items()},
         seconds={name: each.seconds for name, each in found.items()},
         number={name: each.number.mean(axis=0) for name, each in found.items()},

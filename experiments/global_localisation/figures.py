@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.global_localisation.places import NEAR, Share, off, right
@@ -61,14 +60,10 @@ def errors(
         ax.grid(color=MUTED, alpha=0.25, lw=0.6)
         if event is not None:
             ax.axvline(event, color=MUTED, lw=0.8, ls="--")
-    figure.legend(*_labels(left), loc="outside lower center", ncols=len(poses), frameon=False)
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(poses), frameon=False)
     plt.close(figure)
     return figure
-
-
-def _labels(ax: Axes) -> tuple[list[object], list[str]]:
-    handles, labels = ax.get_legend_handles_labels()
-    return list(handles), [str(label) for label in labels]
 
 
 def maps(shown: Shown, steps: Sequence[int]) -> Figure:

@@ -42,6 +42,14 @@ class Followed:
     seconds: float
 
 
+def online(way: Way) -> pgm.OnlineParticles | pgm.OnlineGrid:
+    """The online filter of a way."""
+    network, belief = way
+    if isinstance(belief, pgm.Grid):
+        return pgm.OnlineGrid(network, belief)
+    return pgm.OnlineParticles(network, belief)
+
+
 @contextmanager
 def unwarned() -> Iterator[None]:
     """Say nothing of few particles or wide cells: how well these do is the question."""
@@ -72,14 +80,13 @@ def beliefs(robot: Any, first: Any, drives: Drives) -> Iterator[Any]:
 def follow(way: Way, drives: Drives) -> Followed:
     """Follow drives; a grid does so one drive at a time."""
     began = time.perf_counter()
-    network, belief = way
     shape = drives.scans.shape[:2]
     poses = np.empty((*shape, 3))
     number, injected = np.zeros(shape, dtype=int), np.zeros(shape, dtype=int)
-    robot = pgm.OnlineFilter(network, belief=belief)
+    robot = online(way)
     first = robot.initial()
     with unwarned():
-        if isinstance(belief, pgm.Grid):
+        if isinstance(robot, pgm.OnlineGrid):
             for run in range(shape[0]):
                 alone = drives.some(slice(run, run + 1))
                 for t, held in enumerate(beliefs(robot, first, alone)):

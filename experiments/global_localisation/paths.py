@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d, label
@@ -9,6 +11,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 import pgm.maps
+from pgm.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 
@@ -17,6 +20,7 @@ CLEARANCE = 0.25  # m, from the robot's centre to any wall
 STRIDE = 2
 # How far off walls a path keeps where it has the room [m], and how long its bends are [m].
 WISHED, BEND = 0.6, 0.3
+TRIES = 100
 _NEXT = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
@@ -39,7 +43,7 @@ class Paths:
         number = np.full(allowed.shape, -1)
         number[rows, columns] = np.arange(len(rows))
         self.places = map.centres(rows * STRIDE, columns * STRIDE)
-        self._graph = _graph(number, np.minimum(clear, WISHED), STRIDE * map.resolution)
+        self._graph: Any = _graph(number, np.minimum(clear, WISHED), STRIDE * map.resolution)
 
     def draw(self, length: float, rng: np.random.Generator) -> Array:
         """Points (n, 2) of a path between two random places, some cm apart, of a length or more.
@@ -47,10 +51,15 @@ class Paths:
         Parameters
         ----------
         length : float
-            [m], no more than what the house has room for.
+            [m].
         rng : numpy.random.Generator
+
+        Raises
+        ------
+        ModelError
+            If the house has no room for it.
         """
-        while True:
+        for _ in range(TRIES):
             first = int(rng.integers(len(self.places)))
             cost, before = dijkstra(self._graph, indices=first, return_predecessors=True)
             # A path is no longer than it costs.
@@ -59,6 +68,9 @@ class Paths:
                 points = self._smooth(_back(before, last))
                 if np.linalg.norm(np.diff(points, axis=0), axis=1).sum() >= length:
                     return points
+        raise ModelError(
+            f"no path of {length:g} m was found in the house from {TRIES} places; ask for fewer steps"
+        )
 
     def _smooth(self, nodes: list[int]) -> Array:
         points = self.places[nodes[::-1]]

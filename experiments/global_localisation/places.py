@@ -71,7 +71,8 @@ def off(estimates: Array, truth: Array) -> tuple[Array, Array]:
 def right(estimates: Array, truth: Array) -> npt.NDArray[np.bool_]:
     """Whether estimates (..., 3) are right."""
     place, heading = off(estimates, truth)
-    return (place < NEAR) & (heading < TURNED)
+    found: npt.NDArray[np.bool_] = (place < NEAR) & (heading < TURNED)
+    return found
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_rgba
 
 import pgm
 import pgm.plot
-from experiments.global_localisation.filters import Way, beliefs, unwarned
+from experiments.global_localisation.filters import Way, beliefs, online, unwarned
 from experiments.global_localisation.ways import BOUNDS
 from experiments.global_localisation.world import Array, Drives, World
 from models.networks import pose
@@ -52,7 +52,7 @@ class Shown:
         with unwarned():
             each = [
                 [held[pose][0] for held in beliefs(robot, robot.initial(), drive)]
-                for robot in (pgm.OnlineFilter(way[0], belief=way[1]) for way in (grid, particles))
+                for robot in map(online, (grid, particles))
             ]
         plane = [belief.marginal("east", "north") for belief in each[0]]
         return Shown(world, drive.truth[0], plane, each[1])

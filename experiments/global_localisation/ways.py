@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +14,9 @@ from models.networks import pose
 
 # The likelihood field: ranges of a start's cells are off by some decimetres, which `std` and
 # `weight` allow for; what the map has wrong, and beams that it cannot tell from others, `random`.
-FIELD = {"std": 0.2, "hit": 0.5, "random": 0.5, "weight": 0.3}
+FIELD: dict[str, Any] = {"std": 0.2, "hit": 0.5, "random": 0.5, "weight": 0.3}
 # The beam model is of every third beam: casting takes its time.
-BEAM = {"std": 0.2, "hit": 0.7, "short": 0.1, "maximum": 0.05, "random": 0.15}
+BEAM: dict[str, Any] = {"std": 0.2, "hit": 0.7, "short": 0.1, "maximum": 0.05, "random": 0.15}
 EVERY, BEAM_WEIGHT = 3, 0.5
 # Where the house is [m].
 BOUNDS = {"east": (0.3, 26.7), "north": (0.3, 14.1)}
@@ -52,7 +53,7 @@ class Sizes:
 
     def grid(self) -> pgm.Grid:
         """The grid."""
-        axes = {
+        axes: dict[str | pgm.Variable, Any] = {
             name: (low, high, round((high - low) / self.cell))
             for name, (low, high) in BOUNDS.items()
         }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +27,7 @@ STEP = 0.4  # m
 # Of the odometer, a step [m, m, rad]: half a cell of the grid, which then adds no variance.
 MOTION_STD = (0.1, 0.1, np.deg2rad(3.75))
 # The laser as it is: deviation [m], and the shares of ranges.
-LASER = {"std": 0.05, "hit": 0.95, "short": 0.02, "maximum": 0.01, "random": 0.02}
+LASER: dict[str, Any] = {"std": 0.05, "hit": 0.95, "short": 0.02, "maximum": 0.01, "random": 0.02}
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ class Drives:
     @property
     def steps(self) -> int:
         """T."""
-        return self.odometry.shape[1]
+        return int(self.odometry.shape[1])
 
     def some(self, runs: slice, first: int = 0) -> Drives:
         """Some of the drives, from a step on."""

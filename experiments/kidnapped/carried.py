@@ -10,9 +10,7 @@ from experiments.global_localisation.world import STEP, Drives, World, odometry
 FAR = 3.0  # m, at least, that it is carried
 
 
-def carried(
-    world: World, runs: int, before: int, after: int, rng: np.random.Generator
-) -> Drives:
+def carried(world: World, runs: int, before: int, after: int, rng: np.random.Generator) -> Drives:
     """Drives of `before` and `after` steps.
 
     At step `before` the robot is where the second part begins, while the odometer tells of a step

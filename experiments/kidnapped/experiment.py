@@ -45,9 +45,11 @@ FRESH = "fresh"
 def run(
     out: Out = None,
     seed: Seed = 0,
-    runs: Annotated[int, typer.Option(min=2, help="Drives.")] = 200,
-    before: Annotated[int, typer.Option(min=2, help="Steps until the robot is carried.")] = 12,
-    after: Annotated[int, typer.Option(min=2, help="Steps from there on.")] = 18,
+    runs: Annotated[int, typer.Option(min=2, max=10_000, help="Drives.")] = 200,
+    before: Annotated[
+        int, typer.Option(min=2, max=60, help="Steps until the robot is carried.")
+    ] = 12,
+    after: Annotated[int, typer.Option(min=2, max=60, help="Steps from there on.")] = 18,
     particles: Annotated[int, typer.Option(min=10, help="Particles of a drive.")] = 2000,
     spacing: Annotated[
         float, typer.Option(min=0.1, help="Between the cells that are drawn from [m].")
@@ -74,10 +76,7 @@ def run(
     world = World(house.load())
     drives = carried(world, runs, before, after, np.random.default_rng(seed))
     known = policies(world, particles, spacing, headings, seed)
-    found = {
-        name: follow(known[name], drives)
-        for name in progress(list(known), "kidnapped")
-    }
+    found = {name: follow(known[name], drives) for name in progress(list(known), "kidnapped")}
     fresh = follow(known["none"], drives.some(slice(None), before))
     poses = {name: each.poses for name, each in found.items()}
     poses[FRESH] = np.full_like(drives.truth, np.nan)
@@ -141,9 +140,7 @@ def run(
     )
 
 
-def policies(
-    world: World, count: int, spacing: float, headings: int, seed: int
-) -> dict[str, Way]:
+def policies(world: World, count: int, spacing: float, headings: int, seed: int) -> dict[str, Way]:
     """Particles of the likelihood field by what is put elsewhere, their start being the same."""
     network = world.network(ways.field(world))
     likely, anywhere = (ways.cells(world, spacing, headings, temper) for temper in (1.0, 0.0))

@@ -8,8 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-import pgm
-from experiments.global_localisation.filters import Way, beliefs, unwarned
+from experiments.global_localisation.filters import Way, beliefs, online, unwarned
 from experiments.global_localisation.shown import draw_particles
 from experiments.global_localisation.world import Array, Drives, World
 from models.networks import pose
@@ -42,8 +41,8 @@ def maps(world: World, drive: Drives, known: Mapping[str, Way], before: int) -> 
         squeeze=False,
         layout="constrained",
     )
-    for row, (name, (network, particles)) in zip(axes, known.items(), strict=True):
-        robot = pgm.OnlineFilter(network, belief=particles)
+    for row, (name, way) in zip(axes, known.items(), strict=True):
+        robot = online(way)
         with unwarned():
             each = [held[pose][0] for held in beliefs(robot, robot.initial(), drive)]
         for ax, step in zip(row, steps, strict=True):
