@@ -61,7 +61,8 @@ class Paths:
         """
         for _ in range(TRIES):
             first = int(rng.integers(len(self.places)))
-            cost, before = dijkstra(self._graph, indices=first, return_predecessors=True)
+            costs, befores = dijkstra(self._graph, indices=[first], return_predecessors=True)
+            cost, before = costs[0], befores[0]
             # A path is no longer than it costs.
             far = np.flatnonzero(np.isfinite(cost) & (cost > length))
             for last in rng.permutation(far)[:10].tolist():
@@ -69,7 +70,8 @@ class Paths:
                 if np.linalg.norm(np.diff(points, axis=0), axis=1).sum() >= length:
                     return points
         raise ModelError(
-            f"no path of {length:g} m was found in the house from {TRIES} places; ask for fewer steps"
+            f"no path of {length:g} m was found in the house from {TRIES} places; ask for fewer "
+            "steps"
         )
 
     def _smooth(self, nodes: list[int]) -> Array:

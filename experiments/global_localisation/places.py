@@ -17,6 +17,7 @@ NEAR, TURNED = 0.5, np.deg2rad(20.0)
 # Bins among which the heaviest is looked for, and how far the mode reaches from there.
 _BINS = np.array([0.5, 0.5, np.deg2rad(30.0)])
 _REACH = 2.0  # bins
+_LOOKED = 5
 # Cells of a grid below this share of the likeliest say nothing.
 _LEAST = 1e-3
 
@@ -24,23 +25,31 @@ _LEAST = 1e-3
 def heaviest(points: Array, weights: Array) -> Array:
     """The mean (3,) of the heaviest mode of weighted poses (n, 3).
 
-    The mode is what lies within two bins of the heaviest bin's mean.
+    A mode is what lies within two bins of a bin's mean; the heaviest bins are looked at, since the
+    edges of bins may divide one.
     """
-    keys = np.floor(points / _BINS).astype(np.int64)
-    _, place = np.unique(keys @ [1, 10**4, 10**8], return_inverse=True)
-    best = place == np.bincount(place, weights).argmax()
-    centre = _mean(points[best], weights[best], points[best][0])
-    away = points - centre
-    away[:, 2] = wrap(away[:, 2])
-    near = (np.abs(away) < _REACH * _BINS).all(axis=1)
-    return _mean(points[near], weights[near], centre)
+    keys = np.floor(points / _BINS).astype(np.int64) @ [1, 10**4, 10**8]
+    _, place = np.unique(keys, return_inverse=True)
+    total = np.bincount(place, weights)
+    best, most = points[0], 0.0
+    for one in np.argsort(total)[: -_LOOKED - 1 : -1]:
+        inside = place == one
+        centre = _mean(points[inside], weights[inside], points[inside][0])
+        near = (np.abs(_away(points, centre)) < _REACH * _BINS).all(axis=1)
+        if (weight := float(weights[near].sum())) > most:
+            best, most = _mean(points[near], weights[near], centre), weight
+    return best
 
 
 def _mean(points: Array, weights: Array, about: Array) -> Array:
+    found: Array = about + weights @ _away(points, about) / weights.sum()
+    return found
+
+
+def _away(points: Array, about: Array) -> Array:
     away = points - about
     away[:, 2] = wrap(away[:, 2])
-    found: Array = about + weights @ away / weights.sum()
-    return found
+    return away
 
 
 def of_particles(belief: pgm.ParticleBelief) -> Array:
@@ -101,7 +110,9 @@ class Share:
         p = count / n
         centre = (p + z * z / (2 * n)) / (1 + z * z / n)
         half = z / (1 + z * z / n) * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-        return Share(p, max(float(centre - half), 0.0), min(float(centre + half), 1.0), count, n)
+        low, high = float(centre - half), float(centre + half)
+        # Rounding leaves no interval that the share is not in.
+        return Share(p, max(min(low, p), 0.0), min(max(high, p), 1.0), count, n)
 
     @property
     def interval(self) -> str:
