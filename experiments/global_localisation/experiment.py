@@ -122,7 +122,8 @@ def run(
     record.figure(
         figures.errors({name: each.poses for name, each in found.items()}, drives.truth),
         "errors",
-        "The share of drives that are right, and the estimates' errors: median and 90 % quantile.",
+        "The share of drives that are right, and the estimates' errors: median, and 90 % quantile "
+        "dotted.",
     )
     shown = Shown.of(world, drives.some(slice(0, 1)), known[GRID], known[FIELDS])
     moments = sorted({0, 1, steps // 4, steps})
