@@ -8,12 +8,14 @@ from experiments import (
     cluster_graph,
     differential_drive,
     freiburg,
+    global_localisation,
     grid_localisation,
     grid_world,
     hallway,
     imu_heading,
     iterated,
     kalman,
+    kidnapped,
     killian,
     linearisers,
     localisation,
@@ -48,6 +50,8 @@ EXPERIMENTS: dict[str, ModuleType] = {
     "maze": maze,
     "topological": topological,
     "grid_localisation": grid_localisation,
+    "global_localisation": global_localisation,
+    "kidnapped": kidnapped,
 }
 
 
