@@ -14,6 +14,9 @@ from pgm.maps.occupancy import OccupancyMap, blocks
 from pgm.maps.scans import ScanCPD
 from pgm.variables import Variable
 
+# From so many times the largest range on, a deviation leaves no digits of its normal density there.
+_FLAT = 1e6
+
 
 class BeamModel(ScanCPD):
     r"""A scan given a pose, each range by that which the map lets expect.
@@ -121,8 +124,15 @@ class BeamModel(ScanCPD):
                 f"{self!r}: the shares {shares} sum to {sum(shares.values()):g}; 1 was due",
                 cpd=self,
             )
+        deviation = as_positive(std, f"{self!r}: std")
+        if deviation > _FLAT * self.most:
+            raise ModelError(
+                f"{self!r}: std is {deviation} m, where ranges are {self.most} m at the most: such "
+                "ranges are as good as uniform; give random= their share",
+                cpd=self,
+            )
         self._set(
-            std=as_positive(std, f"{self!r}: std"),
+            std=deviation,
             decay=as_positive(decay, f"{self!r}: decay"),
             through_unknown=bool(through_unknown),
             **shares,
@@ -172,7 +182,8 @@ class BeamModel(ScanCPD):
         hit, short, maximum = self._shares(expected)
         residual = (ranges - expected) / self.std
         low, high = self._ends(expected)
-        normal = np.exp(-0.5 * (residual * residual + LOG_2PI)) / self.std
+        with np.errstate(over="ignore"):  # of what is far off, and impossible
+            normal = np.exp(-0.5 * (residual * residual + LOG_2PI)) / self.std
         within = np.where(expected > 0.0, expected, 1.0)
         exponential = self.decay * np.exp(-self.decay * ranges) / -np.expm1(-self.decay * within)
         found = hit * normal / (high - low) + self.random / self.most

@@ -125,7 +125,11 @@ class LikelihoodField(ScanCPD):
     def _log_density(self, child: Values, known: Known) -> Array:
         ranges, poses, lead = self._scans(child, known)
         places = np.empty_like(poses)
-        places[:, :2] = self.map._to_cells(poses[:, :2]) + 1.0
+        # From further away no beam gets to the map: float32 need not hold the distance.
+        far = self.most / self.map.resolution + 2.0
+        edge = np.array(self.map.shape[::-1]) + far
+        with np.errstate(over="ignore"):
+            places[:, :2] = np.clip(self.map._to_cells(poses[:, :2]), -far, edge) + 1.0
         places[:, 2] = poses[:, 2] - self.map.origin[2]
         seen = ranges < self.most  # nor is NaN
         cells = np.where(seen, ranges, 0.0) / self.map.resolution

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
+from pgm import Variable
 from pgm.errors import FileError, ModelError
-from pgm.maps import FeatureMap, OccupancyMap, log_odds_map
+from pgm.maps import BeamModel, FeatureMap, LikelihoodField, OccupancyMap, log_odds_map
 
 PIXELS = b"P5\n3 2\n255\n" + bytes([0, 254, 205, 0, 254, 205])
 KEYS = (
@@ -118,3 +119,28 @@ def test_maps_of_any_origin_and_shape():
 def test_maps_that_are_too_large_or_elsewhere(given, message):
     with pytest.raises(ModelError, match=message):
         beam(**given)
+
+
+X = Variable("x", components=("east", "north", "heading"), angles=("heading",))
+Z = Variable("z", components=("ahead", "left"))
+WALLS = OccupancyMap([[0.0, 1.0], [0.0, 1.0]], 0.5, origin=[1.0, 2.0, 0.4])
+
+
+def test_poses_far_outside_see_nothing_of_the_map():
+    """Also where float32, in which ends of beams are looked up, does not hold their places."""
+    field = LikelihoodField(Z, X, WALLS, angles=[0.0, 1.5], most=4.0, std=0.2)
+    away = [[1e300, 0.0, 0.0], [1e40, -1e40, 1e20], [-1e9, 5.0, 0.0], [0.0, 9.0, 0.0]]
+    found = field.log_density([3.0, 3.0], {X: away})
+    assert_allclose(found, 2.0 * np.log(0.05 / 4.0), rtol=1e-6)
+
+
+def test_deviations_of_beams_beyond_sense():
+    scan = {"angles": [0.0, 1.5], "most": 4.0}
+    with pytest.raises(ModelError, match="as good as uniform; give random= their share"):
+        BeamModel(Z, X, WALLS, std=1e300, **scan)
+    sharp = BeamModel(Z, X, WALLS, std=1e-300, **scan)
+    at = [1.25, 2.25, 0.4]
+    found = sharp.log_density([0.3, 0.6], {X: at})
+    # Neither is where the map has it: random both, and short the one, before the wall it misses.
+    wide = BeamModel(Z, X, WALLS, std=1e-3, **scan)
+    assert_allclose(found, wide.log_density([0.3, 0.6], {X: at}), rtol=1e-9)

@@ -260,7 +260,12 @@ class ParticleChain:
                 continue
             own = cloud.states[:, place][:, indices(draw(cloud.weights[place], count, rng))]
             which = rng.permutation(count)[:fresh]
-            own[rows, which] = cells.drawn(self.model, step, run, fresh, rng)[0]
+            try:
+                own[rows, which] = cells.drawn(self.model, step, run, fresh, rng)[0]
+            except EvidenceError:
+                if self.record.ignored[step, run]:  # nor does a cell explain what was left out
+                    continue
+                raise
             states[:, place], log_weights[place] = own, -np.log(count)
             self.record.injected[step, run] += fresh
         return replace(cloud, states=states, log_weights=log_weights, ancestors=None)

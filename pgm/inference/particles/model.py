@@ -130,7 +130,8 @@ class Sensor:
 
     def __init__(self, law: Law, reading: Reading) -> None:
         self.law, self.reading = law, reading
-        self.values = np.asarray(reading.values, dtype=law.dtype)
+        with np.errstate(over="ignore"):  # what float32 does not hold is infinitely far
+            self.values = np.asarray(reading.values, dtype=law.dtype)
         law.require_noise(reading.step)
 
     def rows(self, step: int) -> range:

@@ -178,3 +178,21 @@ def test_parts_of_a_mixture_have_a_density_in_common_or_none(smoothing):
     path = pgm.smooth(both, seen, belief=some)[x].states[..., 0]
     steps = np.diff(path, axis=0)
     assert_allclose(steps, np.where(steps > 1.5, 3.0, 0.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_measurements_that_no_cell_explains_are_ignored_as_was_asked(dtype):
+    """By the injection too; one that cells explain puts particles there."""
+    inject = pgm.Injection(cells(-9, 9), slow=0.1, fast=0.9)
+    some = pgm.Particles(100, injection=inject, impossible="ignore", dtype=dtype)
+    seen = np.array([[0.1], [1e200], [0.2]])
+    with pytest.warns(pgm.ParticleWarning, match="no particle explains"):
+        found = pgm.filter(walk(), {z: seen}, belief=some)
+    assert found.status.ignored.tolist() == [False, False, True, False]
+    assert not found.status.injected[2]
+    assert np.abs(found[x].mean[2]) < 1.0
+    seen[1] = 8.0
+    with pytest.warns(pgm.ParticleWarning, match="no particle explains"):
+        found = pgm.filter(boxed(), {z: seen[:2]}, belief=some)
+    assert found.status.injected[2] > 50
+    assert found[x].mean[2] > 4.0
