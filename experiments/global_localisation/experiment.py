@@ -5,7 +5,7 @@ pose but that it is indoors. Particles are drawn from the likelihood of the firs
 the grid filter, of the same network, is what they could do at best. In summary.json
 ``success.<way>`` has the share of drives whose last estimate is right, with Wilson's interval of
 95 %, and ``relative``, that share over the grid's; ``by_step`` the shares by step; ``choices`` of
-other settings of the particles; ``seconds`` what each way took, ``number`` the mean number of
+other settings of the particles; ``seconds`` of a processor that each way took, ``number`` the mean number of
 particles by step.
 """
 
@@ -91,7 +91,7 @@ def run(
     )
     record.table(
         "The last pose",
-        ("way", "particles", "right", "95 %", "over the grid's", "seconds"),
+        ("way", "particles", "right", "95 %", "over the grid's", "CPU [s]"),
         [
             (
                 name,
@@ -116,9 +116,9 @@ def run(
         "The grid has the same network as the particles of the likelihood field, so that it is "
         "their ceiling. The field is no density of scans: it rates places full of obstacles too "
         "high, and at first there are many that explain a scan better than the true one. A mode "
-        "that few particles are left of is lost for good, while the grid comes back to it; hence "
-        "a small weight, and a start that is not tempered. The beam model, which knows that beams "
-        "do not pass walls, tells places apart at once, at a price in time."
+        "that few particles are left of is lost for good, while the grid comes back to it. A start "
+        "drawn of the prior puts too few particles at each place. The beam model, which knows that "
+        "beams do not pass walls, tells places apart sooner, at a price in time."
     )
     record.figure(
         figures.success(judged), "success", "Drives that end right, and Wilson's intervals of 95 %."
