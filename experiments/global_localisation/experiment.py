@@ -5,8 +5,8 @@ pose but that it is indoors. Particles are drawn from the likelihood of the firs
 the grid filter, of the same network, is what they could do at best. In summary.json
 ``success.<way>`` has the share of drives whose last estimate is right, with Wilson's interval of
 95 %, and ``relative``, that share over the grid's; ``by_step`` the shares by step; ``choices`` of
-other settings of the particles; ``seconds`` of a processor that each way took, ``number`` the mean number of
-particles by step.
+other settings of the particles; ``seconds`` of a processor that each way took; ``number`` the
+mean number of particles by step; ``shown`` which drive is drawn.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
+import numpy.typing as npt
 import typer
 
 import pgm
@@ -129,17 +130,22 @@ def run(
         "The share of drives that are right, and the estimates' errors: median, and 90 % quantile "
         "dotted.",
     )
-    shown = Shown.of(world, drives.some(slice(0, 1)), known[GRID], known[FIELDS])
-    moments = sorted({0, 1, steps // 4, steps})
+    latest = int(found_at(correct[GRID]).argmax())
+    alone = drives.some(slice(latest, latest + 1))
+    shown = Shown.of(world, alone, known[GRID], known[FIELDS])
+    last = max(int(found_at(correct[GRID])[latest]), 2)
+    moments = sorted({0, last // 2, last, steps})
     record.figure(
         figures.maps(shown, moments),
         "map",
-        "The first of the drives: particles above, the grid below; the cross is the robot.",
+        "The drive that the grid was longest to find: particles above, the grid below; the cross is "
+        "the robot.",
     )
     with record.file("drive.gif") as path:
         animate(shown, path)
     record.picture("drive.gif", "The same drive, step by step.")
     record.summary(
+        shown=latest,
         success={
             name: vars(share) | {"relative": relative(share, ceiling)}
             for name, share in judged.items()
@@ -149,6 +155,14 @@ def run(
         seconds={name: each.seconds for name, each in found.items()},
         number={name: each.number.mean(axis=0) for name, each in found.items()},
     )
+
+
+def found_at(correct: npt.NDArray[np.bool_]) -> npt.NDArray[np.int_]:
+    """The step from which on each drive (runs, T+1) is right; 0 where it does not end so."""
+    from_end = np.argmin(correct[:, ::-1], axis=1)
+    always = correct.all(axis=1)
+    found = np.where(always | ~correct[:, -1], 0, correct.shape[1] - from_end)
+    return found
 
 
 def choices(world: World, drives: Drives, sizes: Sizes, seed: int) -> dict[str, Share]:
