@@ -138,8 +138,8 @@ def run(
     record.figure(
         figures.maps(shown, moments),
         "map",
-        "The drive that the grid was longest to find: particles above, the grid below; the cross is "
-        "the robot.",
+        "The drive that the grid took longest to find: particles above, the grid below; the cross "
+        "is the robot.",
     )
     with record.file("drive.gif") as path:
         animate(shown, path)
@@ -161,7 +161,7 @@ def found_at(correct: npt.NDArray[np.bool_]) -> npt.NDArray[np.int_]:
     """The step from which on each drive (runs, T+1) is right; 0 where it does not end so."""
     from_end = np.argmin(correct[:, ::-1], axis=1)
     always = correct.all(axis=1)
-    found = np.where(always | ~correct[:, -1], 0, correct.shape[1] - from_end)
+    found: npt.NDArray[np.int_] = np.where(always | ~correct[:, -1], 0, correct.shape[1] - from_end)
     return found
 
 
