@@ -34,6 +34,8 @@ def heaviest(points: Array, weights: Array) -> Array:
     best: Array = points[0]
     most = 0.0
     for one in np.argsort(total)[: -_LOOKED - 1 : -1]:
+        if not total[one]:
+            break  # the others, too, are of particles that weigh nothing
         inside = place == one
         centre = _mean(points[inside], weights[inside], points[inside][0])
         near = (np.abs(_away(points, centre)) < _REACH * _BINS).all(axis=1)
