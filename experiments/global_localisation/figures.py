@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from experiments.global_localisation.places import NEAR, Share, off, right
 from experiments.global_localisation.shown import Shown
@@ -58,6 +59,7 @@ def errors(
     left.set(ylim=(0.0, 1.02), ylabel="share of drives that are right")
     for ax in (left, right_):
         ax.set_xlabel("step")
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.grid(color=MUTED, alpha=0.25, lw=0.6)
         if event is not None:
             ax.axvline(event, color=MUTED, lw=0.8, ls="--")

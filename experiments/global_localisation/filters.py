@@ -34,6 +34,7 @@ class Followed:
     number, injected : ndarray of int
         (runs, T+1): of particles, and of those put elsewhere; zeros of a grid.
     seconds : float
+        Of a processor.
     """
 
     poses: Array
@@ -79,7 +80,7 @@ def beliefs(robot: Any, first: Any, drives: Drives) -> Iterator[Any]:
 
 def follow(way: Way, drives: Drives) -> Followed:
     """Follow drives; a grid does so one drive at a time."""
-    began = time.perf_counter()
+    began = time.process_time()
     shape = drives.scans.shape[:2]
     poses = np.empty((*shape, 3))
     number, injected = np.zeros(shape, dtype=int), np.zeros(shape, dtype=int)
@@ -96,4 +97,4 @@ def follow(way: Way, drives: Drives) -> Followed:
                 poses[:, t] = places.of_particles(held[pose])
                 number[:, t] = held[pose].number
                 injected[:, t] = held.status.injected[:, -1]
-    return Followed(poses, number, injected, time.perf_counter() - began)
+    return Followed(poses, number, injected, time.process_time() - began)

@@ -31,8 +31,11 @@ def heaviest(points: Array, weights: Array) -> Array:
     keys = np.floor(points / _BINS).astype(np.int64) @ [1, 10**4, 10**8]
     _, place = np.unique(keys, return_inverse=True)
     total = np.bincount(place, weights)
-    best, most = points[0], 0.0
+    best: Array = points[0]
+    most = 0.0
     for one in np.argsort(total)[: -_LOOKED - 1 : -1]:
+        if not total[one]:
+            break  # the others, too, are of particles that weigh nothing
         inside = place == one
         centre = _mean(points[inside], weights[inside], points[inside][0])
         near = (np.abs(_away(points, centre)) < _REACH * _BINS).all(axis=1)

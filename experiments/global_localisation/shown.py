@@ -72,7 +72,7 @@ class Shown:
             for c, side in zip((east, north), sides, strict=True)
         ]
         ax.imshow(
-            (values / values.max()).T ** 0.5,
+            (values / values.max()).T ** 0.4,
             origin="lower",
             extent=(*ends[0], *ends[1]),
             cmap=_CLEAR,

@@ -26,7 +26,9 @@ scan = pgm.Variable("z", components=tuple(f"beam {k}" for k in range(BEAMS)))
 STEP = 0.4  # m
 # Of the odometer, a step [m, m, rad]: half a cell of the grid, which then adds no variance.
 MOTION_STD = (0.1, 0.1, np.deg2rad(3.75))
-# The laser as it is: deviation [m], and the shares of ranges.
+# The laser as it is: deviation [m], and the shares of ranges. With 5 m, and a tenth of the beams
+# on what is not on the map, a likelihood field is misled: of 40 drives the grid found a quarter to
+# a third, particles a tenth.
 LASER: dict[str, Any] = {"std": 0.05, "hit": 0.95, "short": 0.02, "maximum": 0.01, "random": 0.02}
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from experiments.global_localisation.filters import Way, beliefs, online, unwarned
 from experiments.global_localisation.shown import draw_particles
@@ -23,6 +24,7 @@ def injected(shares: Mapping[str, Array], event: int) -> Figure:
     ax.axvline(event, color=MUTED, lw=0.8, ls="--")
     ax.set(xlabel="step", ylabel="share of particles, mean over drives")
     ax.set_ylim(bottom=0.0)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.legend(frameon=False)
     ax.grid(color=MUTED, alpha=0.25, lw=0.6)
     plt.close(figure)

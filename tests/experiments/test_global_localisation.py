@@ -10,6 +10,7 @@ from scipy.stats import binomtest
 import pgm
 from experiments import global_localisation, house, kidnapped
 from experiments.global_localisation import ways
+from experiments.global_localisation.experiment import found_at
 from experiments.global_localisation.filters import follow
 from experiments.global_localisation.paths import CLEARANCE, Paths, along
 from experiments.global_localisation.places import (
@@ -62,6 +63,16 @@ def test_the_heaviest_mode_is_not_the_mean():
     assert_allclose(np.cos(found[2]), -1.0, atol=1e-3)
     weights = np.concatenate([np.full(60, 1.0), np.full(90, 1.0)])
     assert_allclose(heaviest(points, weights)[:2], far[:, :2].mean(axis=0), atol=1e-9)
+
+
+def test_particles_that_weigh_nothing_are_no_mode():
+    points = np.array([[1.0, 1.0, 0.0], [5.0, 5.0, 0.0], [9.0, 9.0, 0.0]])
+    assert heaviest(points, np.array([0.0, 1.0, 0.0])).tolist() == [5.0, 5.0, 0.0]
+
+
+def test_a_drive_is_found_where_it_stays_right():
+    rows = [[0, 1, 0, 1, 1], [1, 1, 1, 1, 1], [1, 1, 1, 1, 0], [0, 0, 0, 0, 1]]
+    assert found_at(np.array(rows, dtype=bool)).tolist() == [3, 0, 0, 4]
 
 
 def test_right_is_near_and_turned_little():
