@@ -1,4 +1,4 @@
-"""pgm with particles: the graph is compiled beforehand, evidence goes in with the call."""
+"""pgm with particles: models are made beforehand, evidence goes in with the call."""
 
 from __future__ import annotations
 
@@ -10,18 +10,26 @@ import pgm
 from benchmarks.timing import Contender
 from benchmarks.work.clouds import Clouds
 from benchmarks.work.robots import Array, pose
+from models.networks import landmark, sighting, velocity
 
 
 def filtering(functions: str, dtype: str, work: Clouds) -> Contender:
-    """The mean and covariance at the last step, by the bootstrap filter."""
+    """The mean and covariance at the last step, by the bootstrap filter, one step at a time.
+
+    As the package particles does, it holds one step's particles; `pgm.filter` keeps all.
+    """
     network = work.plain() if functions == "plain" else work.robots.network
-    graph = pgm.compile(network, work.robots.steps)
     belief = pgm.Particles(work.count, dtype=getattr(np, dtype))
+    robot, run = pgm.OnlineFilter(network, belief=belief), work.robots
 
     def call() -> tuple[Array, Array]:
-        given = work.robots.evidence(0)
-        found = pgm.infer(graph, given, schedule=pgm.Filtering(), belief=belief)
-        last = found[pose][-1]
+        now = robot.initial()
+        for control, marks, readings in zip(
+            run.controls, run.landmarks, run.readings[0], strict=True
+        ):
+            now = robot.predict(now, {velocity: control})
+            now = robot.update(now, {sighting: pgm.sightings(readings, given={landmark: marks})})
+        last = now[pose]
         return last.mean, last.cov
 
     return Contender(call, work.units)
