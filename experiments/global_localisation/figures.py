@@ -83,7 +83,8 @@ def maps(shown: Shown, steps: Sequence[int]) -> Figure:
     for (upper, lower), step in zip(axes.T, steps, strict=True):
         shown.draw_particles(step, upper)
         shown.draw_grid(step, lower)
-        upper.set_title(f"step {step}")
+        upper.set_title(f"particles, step {step}")
+        lower.set_title(f"grid, step {step}")
     for ax in axes.flat:
         ax.label_outer()
     plt.close(figure)

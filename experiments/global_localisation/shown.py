@@ -72,14 +72,22 @@ class Shown:
             for c, side in zip((east, north), sides, strict=True)
         ]
         ax.imshow(
-            (values / values.max()).T ** 0.4,
+            (values / values.max()).T ** 0.25,
             origin="lower",
             extent=(*ends[0], *ends[1]),
             cmap=_CLEAR,
             vmin=0.0,
             vmax=1.0,
         )
-        ax.plot(*self.truth[step, :2], "x", color="black", markersize=8, markeredgewidth=1.8)
+        # A ring, since the few cells of a robot that is found would be lost below a cross.
+        ax.plot(
+            *self.truth[step, :2],
+            "o",
+            color="black",
+            markersize=11,
+            markeredgewidth=1.5,
+            markerfacecolor="none",
+        )
         within(ax)
 
 
