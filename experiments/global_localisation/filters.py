@@ -46,9 +46,7 @@ class Followed:
 def online(way: Way) -> pgm.OnlineParticles | pgm.OnlineGrid:
     """The online filter of a way."""
     network, belief = way
-    if isinstance(belief, pgm.Grid):
-        return pgm.OnlineGrid(network, belief)
-    return pgm.OnlineParticles(network, belief)
+    return pgm.OnlineFilter(network, belief=belief)
 
 
 @contextmanager

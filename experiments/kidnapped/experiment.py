@@ -112,9 +112,8 @@ def run(
         f"{success['uniform'].value:.1%} of the drives end right with them, "
         f"{success['likelihood'].value:.1%} with draws from the scan's likelihood, "
         f"{success[FRESH].value:.1%} with a start that is told of it. The share put elsewhere is "
-        "how far the likelihood of a beam has fallen, which the field's weight makes little of: at "
-        f"the step of carrying {shares['likelihood'][before]:.0%}, with an average that follows at "
-        f"once (fast={FAST:g})."
+        f"how far the likelihood of a beam has fallen: at the step of carrying "
+        f"{shares['likelihood'][before]:.0%}, with an average that follows at once (fast={FAST:g})."
     )
     record.figure(
         figures.errors(poses, drives.truth, event=before),

@@ -15,7 +15,7 @@ from pgm.cpds.values import Known, Values, as_parents, as_values, common, shape_
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each
 from pgm.immutable import Immutable
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Mask
 from pgm.sizes import require_memory
 from pgm.variables import Discrete, Variable
 
@@ -248,6 +248,10 @@ class CPD(Immutable):
     def _log_density(self, child: Values, known: Known) -> Array:
         """The log-densities, at checked values whose axes broadcast."""
         raise ModelError(f"{self!r} is of a kind that has no density here", cpd=self)
+
+    def _counted(self, taken: Mask) -> Array:
+        """The number of components that a density weighs, of those taken (..., d)."""
+        return np.asarray(taken.sum(axis=-1), dtype=np.float64)
 
     def _log_peak(self, child: Values) -> Array:
         """The largest log-densities that measurements could have, (...); NaN is not measured."""

@@ -78,23 +78,23 @@ class ConditionalGaussian(CPD):
     @quiet()  # what is too far off to be squared has no density that float64 can hold
     def _log_density(self, child: Values, known: Known) -> Array:
         mean, lower = self._law(known)
-        center, angles = unflat(mean, known.lead, 1), self.child.angle_mask
+        centre, angles = unflat(mean, known.lead, 1), self.child.angle_mask
         if lower.ndim > 2:
             lower = unflat(lower, known.lead, 2)
         seen = ~np.isnan(child)
         if not seen.all():
-            return self._marginal(child, known, seen, center, lower)
-        error = normal.INEXACT * (np.abs(child) + np.abs(center))
+            return self._marginal(child, known, seen, centre, lower)
+        error = normal.INEXACT * (np.abs(child) + np.abs(centre))
         error = error + ROUNDING * unflat(self._summed(known.values), known.lead, 1)
-        value = _log_density(lower, difference(child, center, angles), error)
+        value = _log_density(lower, difference(child, centre, angles), error)
         if angles.any() and roots.determined(lower).any():
             # Wrapped, an angle may leave the subspace on which the noise is.
-            there = _log_density(lower, child - center, error)
+            there = _log_density(lower, child - centre, error)
             value = np.where(np.isneginf(value), there, value)
         return value
 
     def _marginal(
-        self, child: Values, known: Known, seen: Mask, center: Array, lower: Array
+        self, child: Values, known: Known, seen: Mask, centre: Array, lower: Array
     ) -> Array:
         """The log-densities of the components that are seen, the others being integrated out."""
         lead = np.broadcast_shapes(child.shape[:-1], known.lead)
@@ -104,8 +104,8 @@ class ConditionalGaussian(CPD):
         # Components of unit variance and no residual have the density of a constant.
         cov = independent(lower @ transpose(lower), seen)
         alone = roots.root(cov)
-        residual = np.where(seen, difference(child, center, self.child.angle_mask), 0.0)
-        error = normal.INEXACT * (np.abs(np.where(seen, child, 0.0)) + np.abs(center))
+        residual = np.where(seen, difference(child, centre, self.child.angle_mask), 0.0)
+        error = normal.INEXACT * (np.abs(np.where(seen, child, 0.0)) + np.abs(centre))
         residual = np.broadcast_to(residual, (*lead, child.shape[-1]))
         found: Array = _log_density(alone, residual, error) + 0.5 * LOG_2PI * (~seen).sum(axis=-1)
         return found

@@ -14,7 +14,8 @@ from pgm.boundary import is_whole
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
 from pgm.evidence import states
-from pgm.evidence.arrays import as_rows, as_steps, no_evidence_for, require_finite, taken_readings
+from pgm.evidence.arrays import as_steps, no_evidence_for
+from pgm.evidence.rows import Rows, complete, constant_row, rows_of, taken_of
 from pgm.evidence.unidentified import Unknown, opened, require_whole
 from pgm.evidence.values import Constant, Evidence, Sightings
 from pgm.factors.runs import common_runs, flat
@@ -23,12 +24,9 @@ from pgm.kernels.arrays import Integers, Mask
 from pgm.sizes import require_memory
 from pgm.variables import Discrete, Variable
 
-# Numbers (..., d), or indices of states (..., 1).
-Rows = npt.NDArray[Any]
 # Values of parents with evidence, (rows, runs or 1, d): a row is a step or a sighting.
 Inputs = Mapping[Variable, Rows]
 Kind = TypeVar("Kind", bound=np.generic)
-WHOLE = "only a sensor's measurement may be missing, or components of it, as NaN"
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +176,7 @@ class _Binder:
         }
         for variable, value in evidence.items():
             if isinstance(value, Constant):
-                _constant_row(variable, value)
+                constant_row(variable, value)
         self.steps = self._length(steps)
         self.span = np.arange(1, self.steps + 1)
         self.shapes: list[tuple[str, tuple[int, ...]]] = [("the model's priors", lead)]
@@ -297,7 +295,7 @@ class _Binder:
             step, rows = step[order], rows[..., order, :]
         given, unknown = opened(cpd, given, self.identities and not self.drawing)
         inputs = self._inputs(cpd, given, step, None if sorted_already else order, unknown)
-        taken = _taken(sensor, rows, step)
+        taken = taken_of(sensor, rows, step)
         if taken is None:
             taken = np.ones(rows.shape[-2:], dtype=bool)
         else:
@@ -343,7 +341,7 @@ class _Binder:
                     cpd=cpd,
                 )
             if isinstance(value, Constant):
-                row = _constant_row(variable, value)[..., None, :]
+                row = constant_row(variable, value)[..., None, :]
                 rows = np.broadcast_to(row, (*row.shape[:-2], step.size, row.shape[-1]))
             elif variable in given:
                 rows = rows_of(variable, value, "M")
@@ -356,7 +354,7 @@ class _Binder:
                     )
                 if order is not None:
                     rows = rows[..., order, :]
-                rows = _complete(variable, rows, step)
+                rows = complete(variable, rows, step)
             else:
                 if step.size and step[0] == 0:
                     raise EvidenceError(
@@ -366,7 +364,7 @@ class _Binder:
                         cpd=cpd,
                         step=0,
                     )
-                rows = _complete(variable, self.arrays[variable], self.span)
+                rows = complete(variable, self.arrays[variable], self.span)
                 if step is not self.span:
                     rows = rows[..., step - 1, :]
             self.shapes.append((repr(variable), rows.shape[:-2]))
@@ -379,32 +377,3 @@ def _sensor_of(variable: Variable) -> str:
     if isinstance(variable, Discrete):
         return f"TableCPD(reading, given={variable.name}, table=...)"
     return f"LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, ...)"
-
-
-def _constant_row(variable: Variable, value: Constant) -> Rows:
-    """A constant's value, (..., d)."""
-    return _complete(variable, rows_of(variable, value.value, None))
-
-
-def rows_of(variable: Variable, value: Any, axis: str | None) -> Rows:
-    """Evidence as an array (..., rows, d), or (..., d) where there is no axis of rows.
-
-    Of a discrete variable d is one, the index of a state, or as many weights as there are states.
-    """
-    if isinstance(variable, Discrete):
-        return states.as_rows(variable, value, axis)
-    return as_rows(variable, value, axis)
-
-
-def _complete(variable: Variable, rows: Rows, step: Integers | None = None) -> Rows:
-    """Refuse evidence of an input of which something is missing."""
-    if isinstance(variable, Discrete):
-        return states.require_known(variable, rows, step)
-    return require_finite(variable, rows, step, WHOLE)
-
-
-def _taken(variable: Variable, rows: Rows, step: Integers) -> Mask | None:
-    """The mask of what was measured, (..., rows, d); None for all."""
-    if isinstance(variable, Discrete):
-        return states.taken(rows)
-    return taken_readings(variable, rows, step)

@@ -147,11 +147,13 @@ def unknown(
         that is no candidate.
     volume : float
         V, over which such sightings are uniform: the product of the ranges of the measurement's
-        components, in its units. Due with `spurious` or `new`.
+        components, in its units; 188 m rad of ranges up to 30 m all round. Due with `spurious` or
+        `new`.
     gate : float, optional
-        The probability of the χ² distribution beyond whose quantile a candidate is out of the
-        question, by the squared Mahalanobis distance of the innovation; of grids and particles that
-        of the residual, at each point. A sighting without a candidate is spurious or new, whichever
+        A probability, .999 for instance: a candidate is out of the question where the squared
+        Mahalanobis distance of the innovation exceeds the χ² quantile of that probability, with as
+        many degrees of freedom as components were measured; of grids and particles that of the
+        residual, at each point. A sighting without a candidate is spurious or new, whichever
         was likelier; where neither is declared Gaussian beliefs leave it out of the density, and to
         point masses it is impossible.
     association : str

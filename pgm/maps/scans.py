@@ -12,7 +12,7 @@ from pgm.cpds import CPD
 from pgm.cpds.values import Known, Values
 from pgm.errors import EvidenceError, LinearisationError, ModelError
 from pgm.kernels import planar
-from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.arrays import Array, Mask, frozen
 from pgm.maps.given import as_angles, as_pose, as_positive, as_share
 from pgm.maps.occupancy import OccupancyMap
 from pgm.variables import Variable
@@ -117,6 +117,10 @@ class ScanCPD(CPD):
     def _angles(self) -> Array:
         """The angles of the beams in use."""
         return frozen(self.angles[:: self.every])
+
+    def _counted(self, taken: Mask) -> Array:
+        """The beams in use, each by its weight."""
+        return np.asarray(self.weight * taken[..., :: self.every].sum(axis=-1))
 
     def _scans(self, child: Values, known: Known) -> Scans:
         """Scans and poses, flattened together; a scan that all share stays one."""

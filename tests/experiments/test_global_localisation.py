@@ -217,3 +217,21 @@ def test_without_the_floor_plan_they_say_so(experiment, tmp_path, monkeypatch, c
     experiment.run(out=tmp_path / "out", seed=0, **experiment.QUICK)
     assert "pip install 'rtb-data" in capsys.readouterr().out
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+@needs_house
+def test_at_full_size_particles_find_what_the_grid_finds(tmp_path):
+    """2,000 particles, begun from the first scan, against what the grid finds in 200 drives."""
+    global_localisation.run(out=tmp_path, seed=0)
+    success = json.loads((tmp_path / "summary.json").read_text())["success"]
+    assert success["particles, field"]["relative"] >= 0.95
+
+
+@pytest.mark.slow
+@needs_house
+def test_at_full_size_the_scan_finds_who_was_carried_elsewhere(tmp_path):
+    kidnapped.run(out=tmp_path, seed=0)
+    success = json.loads((tmp_path / "summary.json").read_text())["success"]
+    assert success["likelihood"]["relative"] >= 0.9
+    assert success["none"]["relative"] < 0.1

@@ -223,3 +223,36 @@ def test_a_scan_that_fits_needs_few_particles():
     lost = pgm.filter(far, {scan: ranges[None]}, belief=belief)
     assert seen.status.number[1] <= 100
     assert lost.status.number[1] > 4 * seen.status.number[1]
+
+
+def test_an_injection_counts_the_beams_in_use():
+    """Each third beam of a scan injects as a scan of these beams does."""
+    walls = np.zeros((40, 60))
+    walls[[0, -1]] = walls[:, [0, -1]] = walls[15, 10:40] = 1.0
+    plan = OccupancyMap(walls, resolution=0.25)
+    angles = np.linspace(-1.5, 1.5, 30)
+    robot = pgm.Variable("robot", components=("x", "y", "heading"), angles=("heading",))
+    cells = pgm.CellProposal(robot, plan.poses(1.0, 8), [1.0, 1.0, np.pi / 4])
+    injection = pgm.Injection(cells, slow=0.1, fast=0.9)
+    places = np.array([[5.0, 7.0, 0.4]] * 2 + [[12.0, 2.0, -1.0]] * 2)
+    ranges = plan.cast(places, angles, 8.0)
+
+    def injected(beams, every):
+        scan = pgm.Variable("scan", components=tuple(f"b{k}" for k in range(len(beams))))
+        field = LikelihoodField(scan, robot, plan, angles=beams, most=8.0, std=0.3, every=every)
+        world = pgm.DynamicBayesianNetwork(
+            prior=[pgm.GaussianCPD(robot, mean=places[0], cov=0.01 * np.eye(3))],
+            transition=[
+                pgm.LinearGaussianCPD(
+                    robot, given={robot.previous: np.eye(3)}, cov=0.001 * np.eye(3)
+                )
+            ],
+            observation=[field],
+        )
+        scans = ranges if every == 3 else ranges[:, ::3]
+        belief = pgm.Particles(400, injection=injection)
+        return pgm.filter(world, {scan: scans}, belief=belief).status.injected
+
+    few = injected(angles[::3], 1)
+    assert few.sum() > 50
+    np.testing.assert_array_equal(injected(angles, 3), few)

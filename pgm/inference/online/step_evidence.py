@@ -17,7 +17,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
 from pgm.evidence.arrays import as_rows
 from pgm.evidence.discrete import as_weights
-from pgm.evidence.dynamic import rows_of
+from pgm.evidence.rows import rows_of
 from pgm.evidence.values import Soft, soft
 from pgm.factors.indices import as_indices
 from pgm.immutable import set_writeable

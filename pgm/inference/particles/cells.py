@@ -37,6 +37,9 @@ class CellProposal(Immutable):
       the likelihood at their centres says too much of them.
 
     Measurements that take part are those of sensors that depend on this state, and on no other.
+    Cells stand along the axes of the state, and cover wherever it may be: where none is, nothing is
+    drawn, and as the start of a filter what the prior has there is missing. Of a map that is turned
+    in the world, cells of its poses would overlap.
 
     Parameters
     ----------

@@ -10,31 +10,35 @@ from pgm.boundary import is_number
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.inference.particles.cells import CellProposal
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array
 
 
 class Injection(Immutable):
     r"""A share of particles drawn afresh, when measurements are explained worse than they used to.
 
-    .. math:: w_t = \Big( \sum_i w_t^i \, p(z_t \mid x_t^i) \Big)^{1/b}, \qquad
-        s_t = s_{t-1} + α_s (w_t - s_{t-1}), \qquad f_t = f_{t-1} + α_f (w_t - f_{t-1})
+    .. math:: \ell_t = \Big( \sum_i w_{t-1}^i \, p(z_t \mid x_t^i) \Big)^{1/b}, \qquad
+        s_t = s_{t-1} + α_s (\ell_t - s_{t-1}), \qquad f_t = f_{t-1} + α_f (\ell_t - f_{t-1})
 
-    - w_t: the likelihood of the step's measurements, the mean of a component: b are measured, the
-      beams of a scan for instance;
+    - ℓ_t: the likelihood of the step's measurements, as its geometric mean over the b components
+      that were measured; of a scan b is the beams in use times their weight;
     - s, f: its long-term and short-term averages, begun at the first measurements.
 
-    A share of 1 − f / s of the particles, none if that is negative, is replaced by draws of a
-    `CellProposal` once the measurements have been taken; other states than its own are those of
-    particles drawn anew. Weights are equal then. This is for a robot that was carried elsewhere,
-    which the model does not know of: the log-evidence is that of the belief before, and nothing can
-    be smoothed.
+    A share of the particles,
+
+    .. math:: \max(0, 1 - f_t / s_t),
+
+    is replaced by draws of a `CellProposal` once the measurements have been taken; other states
+    than its own are those of particles drawn anew. Weights are equal then. This is for a robot that
+    was carried elsewhere, which the model does not know of: the log-evidence is that of the belief
+    before, and nothing can be smoothed.
 
     Parameters
     ----------
     cells : CellProposal
         With ``temper=0`` draws are uniform.
     slow, fast : float
-        α_s and α_f, 0 < slow < fast <= 1.
+        α_s and α_f, 0 < slow < fast <= 1: with a large `fast` one bad scan injects at once, with a
+        small one several have to come together.
     most : float
         The largest share, 0 < most <= 1.
 
@@ -76,7 +80,7 @@ class Injection(Immutable):
             raise ModelError(f"Injection: most is a share, 0 < most <= 1, not {most!r}")
         self._set(cells=cells, slow=float(slow), fast=float(fast), most=float(most))
 
-    def averaged(self, before: Array | None, log_density: Array, measured: Integers) -> Array:
+    def averaged(self, before: Array | None, log_density: Array, measured: Array) -> Array:
         """The logarithms of long-term and short-term averages, (2, runs), with one more step.
 
         Parameters
@@ -85,13 +89,13 @@ class Injection(Immutable):
             Those of the step before; NaN in runs without any.
         log_density : ndarray
             (runs,): of the step's measurements.
-        measured : ndarray of int
-            (runs,): their components; of runs with none the averages stay.
+        measured : ndarray
+            (runs,): the number of their components; of runs with none the averages stay.
         """
         runs = len(log_density)
         if before is None:
             before = np.full((2, runs), np.nan)
-        level = np.where(measured > 0, log_density / np.maximum(measured, 1), np.nan)
+        level = np.where(measured > 0, log_density / np.where(measured > 0, measured, 1.0), np.nan)
         share = np.log([[self.slow], [self.fast]])
         with np.errstate(invalid="ignore", divide="ignore"):
             later = np.logaddexp(np.log1p(-np.exp(share)) + before, share + level)

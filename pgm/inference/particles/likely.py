@@ -16,13 +16,14 @@ class LikelihoodSampling(Immutable):
 
     Few are drawn where all of them are where the measurements say, and many where most are
     elsewhere. The largest density is that of normal noise at no residual, and that of a
-    `LikelihoodField` where all beams end at obstacles; sensors of other densities have none. At
-    steps without measurements the number stays.
+    `LikelihoodField` where all beams end at obstacles; sensors of other densities are
+    refused. At steps without measurements the number stays.
 
     Parameters
     ----------
     total : float
-        L, the number of particles that would do if each explained everything.
+        L, the number of particles that would do if each explained everything: some tens of them
+        leave means that err by a tenth or two of a standard deviation.
     least, most : int
         Bounds of the number of particles of a run.
 

@@ -18,7 +18,7 @@ from pgm.inference.particles.laws import GaussianLaw, Law, Some, by_pattern
 from pgm.inference.particles.mixed import law
 from pgm.inference.particles.parts import Part, parts
 from pgm.inference.runs import by_run
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Mask
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
@@ -94,12 +94,12 @@ class ParticleModel:
         """The sensors with measurements at a step."""
         return [s.reading.cpd.child for s in self.sensors if len(s.rows(step))]
 
-    def measured(self, step: int) -> Integers:
-        """The number of components that a step's measurements have, (runs,)."""
-        found = np.zeros(self.bound.runs, dtype=np.intp)
+    def measured(self, step: int) -> Array:
+        """The number of components that a step's measurements have, (runs,), as densities weigh."""
+        found = np.zeros(self.bound.runs)
         for sensor in self.sensors:
             for row in sensor.rows(step):
-                found += sensor.reading.taken[row].sum(axis=-1)
+                found += sensor.reading.cpd._counted(sensor.reading.taken[row])
         return found
 
     def log_peak(self, step: int) -> Array:

@@ -185,8 +185,9 @@ class Particles(Immutable):
 
     def __repr__(self) -> str:
         number = "" if self.number is None else f", then {self.number!r}"
-        guided = "" if self.proposal is None else f"guided by {self.proposal!r}, "
-        return (
-            f"Particles({self.n:,}{number}, {guided}{self.resampling} below {self.threshold:g}, "
-            f"seed {self.seed})"
-        )
+        named = ["begun in cells"] * (self.start is not None)
+        named += ["injected"] * (self.injection is not None)
+        if self.proposal is not None:
+            named.append(f"guided by {self.proposal!r}")
+        named += [f"{self.resampling} below {self.threshold:g}", f"seed {self.seed}"]
+        return f"Particles({self.n:,}{number}, {', '.join(named)})"
