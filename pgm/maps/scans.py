@@ -1,4 +1,4 @@
-"""What sensors that scan an occupancy grid by beams have in common."""
+"""The base of sensors that scan an occupancy grid by beams."""
 
 from __future__ import annotations
 

@@ -202,7 +202,9 @@ def test_the_quick_form_leaves_what_it_promises(experiment, ways_due, files, tmp
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert set(summary["success"]) == ways_due
     for share in summary["success"].values():
-        assert share["low"] <= share["value"] <= share["high"]
+        wilson = binomtest(share["count"], share["runs"]).proportion_ci(method="wilson")
+        assert_allclose([share["low"], share["high"]], wilson, atol=1e-9)
+        assert share["value"] == share["count"] / share["runs"]
         assert share["runs"] == experiment.QUICK["runs"]
     assert set(summary["by_step"]) == ways_due
     for name in files:

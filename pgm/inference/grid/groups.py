@@ -66,7 +66,7 @@ class Members:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What tells them from others of their model."""
+        """The states and their place, which tell these members from others of their model."""
         return (*(cpd.child for cpd in self.states), *self.place)
 
     @property

@@ -87,7 +87,7 @@ class GridPosterior(Immutable):
 
     @cached_property
     def associations(self) -> Found:
-        """What sightings that left it open, with `unknown`, were of: `Associations` by sensor."""
+        """The `Associations` by sensor, of sightings whose parent was `unknown`."""
         values = self._values.reshape(-1, *self._values.shape[self.log_evidence.ndim :])
         return associations(self._lattice, self._bound, values)
 

@@ -17,7 +17,7 @@ from pgm.immutable import Immutable
 from pgm.inference.components import places_of, whole_variables
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.parts import Part
-from pgm.kernels.angles import TURN
+from pgm.kernels.angles import TURN, wrap
 from pgm.kernels.arrays import Array, Integers
 
 
@@ -183,7 +183,7 @@ class ParticleBelief(Immutable):
         points = self.states[:, places].astype(np.float64)
         angles = [k for k, place in enumerate(places) if self._parts[place].angle]
         for k in angles:
-            points[:, k] -= TURN * np.floor((points[:, k] + np.pi) / TURN)
+            points[:, k] = wrap(points[:, k])
         try:
             if range is None and angles and np.ndim(bins) == 0:
                 low, high = points.min(axis=0), points.max(axis=0)
@@ -314,7 +314,7 @@ class ParticleBelief(Immutable):
             shift = cloud.summed(weights * offset)
             mean[k] = about + shift
             if part.angle:
-                mean[k] -= TURN * np.floor((mean[k] + np.pi) / TURN)
+                mean[k] = wrap(mean[k])
             offset -= cloud.spread(shift)
         cov = np.empty((count, count, cloud.runs))
         for i in range(count):

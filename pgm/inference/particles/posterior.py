@@ -90,7 +90,7 @@ class ParticlePosterior(Immutable):
 
     @cached_property
     def associations(self) -> Found:
-        """What sightings that left it open, with `unknown`, were of: `Associations` by sensor."""
+        """The `Associations` by sensor, of sightings whose parent was `unknown`."""
         lead = self.log_evidence.shape
         return MappingProxyType(
             dict(
