@@ -17,7 +17,8 @@ class Finding:
     ----------
     question : str
     sentence : str
-        A template. ``{rmse/Taylor/filter:.2f}`` is the number at that path of summary.json, and
+        A template. ``{rmse/Taylor/filter:.2f}`` is the number at that path of summary.json, where
+        ``*`` is the first of all keys, and
         ``{rmse/smoother against rmse/filter:+.0%}`` how far the first number is from the second,
         as a part of the second.
     figure : str
@@ -87,8 +88,9 @@ FINDINGS = {
     ),
     "belief_propagation": Finding(
         "How far are loopy beliefs from exact ones?",
-        "In random discrete networks on a 4 × 4 grid a marginal on the Bethe graph is off by "
-        "{methods/discrete/grid 4×4/Bethe/error_mean:.4f} in the mean; on a robot's loop with "
+        "In random discrete networks on a {settings/side} × {settings/side} grid a marginal on the "
+        "Bethe graph is off by "
+        "{methods/discrete/*/Bethe/error_mean:.4f} in the mean; on a robot's loop with "
         "unknown landmarks means agree within "
         "{localisation/bethe/residual/mean_error:.0e} exact deviations, and deviations are "
         "{localisation/bethe/residual/std_ratio_min:.3f} to "
@@ -174,8 +176,9 @@ FINDINGS = {
     ),
     "maze": Finding(
         "Does one wrong reading mislead a robot in a maze?",
-        "Of {possible/0} cells {possible/4} are left after four steps, one of them misread; beliefs "
-        "differ from the textbook's filter and smoother by {largest_difference:.0e} at most.",
+        "Of {possible/0} cells {possible/4} are left after four steps, one of them misread; "
+        "beliefs differ from the textbook's filter and smoother by {largest_difference:.0e} at "
+        "most.",
     ),
     "topological": Finding(
         "Do doors and junctions tell a robot where it is?",
@@ -219,5 +222,7 @@ def value(path: str, summary: Mapping[str, Any]) -> Any:
         return one / other - 1.0
     found: Any = summary
     for key in path.split("/"):
+        if key == "*":
+            key = next(iter(found))
         found = found[int(key)] if isinstance(found, list) else found[key]
     return found

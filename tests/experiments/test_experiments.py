@@ -48,7 +48,9 @@ def test_the_list_has_a_line_for_each(words):
     for line, (name, experiment) in zip(each, EXPERIMENTS.items(), strict=True):
         needs = f" [{NEEDS[name]}]" if name in NEEDS else ""
         assert line.endswith(f"  {summary_line(experiment)}{needs}")
-    starts = [line.index(summary_line(e)) for line, e in zip(each, EXPERIMENTS.values())]
+    starts = [
+        line.index(summary_line(e)) for line, e in zip(each, EXPERIMENTS.values(), strict=True)
+    ]
     assert len(set(starts)) == 1
 
 
