@@ -205,8 +205,8 @@ def _tracked(record: Record, known: Tracked, count: int, reckoned: dict[str, flo
             ),
         ],
         about="RMS, median and largest distance [m] and the RMS error of the heading [rad] over "
-        "all steps; own: the particles' RMS deviation [m]; NEES: 3 in the mean where a belief is right "
-        "about itself.",
+        "all steps; own: the particles' RMS deviation [m]; NEES: 3 in the mean where a belief is "
+        "right about itself.",
     )
     steps = len(known.followed.error) - 1
     record.note(
