@@ -61,7 +61,6 @@ def estimators(
             "exact answer's, on the same drives, and the share of drives in which it is above 0. "
             "From exact: how far the means are from the exact answer's (RMS). Blank where the row "
             "is the exact answer.",
-            best={"RMSE [m]": -np.inf},
         )
     record.note(winner(found["1"], shown))
     record.note(

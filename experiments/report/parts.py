@@ -61,7 +61,7 @@ def table(entry: Mapping[str, Any]) -> str:
     body = "\n".join(line("td", row, r) for r, row in enumerate(rows))
     about = entry.get("about", "")
     if best:
-        about = f"{about} {_BEST}{_grouped(entry)}.".strip()
+        about = f"{about} {_BEST}{_grouped(entry)}; near ones may differ by chance.".strip()
     words = f"<p class=about>{escape(about)}</p>\n" if about else ""
     inside = (
         f"{words}<div class=table><table>\n<thead>{line('th', columns)}</thead>\n"
