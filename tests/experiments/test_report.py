@@ -411,7 +411,7 @@ def number_at(path, summary):
         if isinstance(summary, list):
             summary = summary[int(key)]
         else:
-            summary = list(summary.values())[0] if key == "*" else summary[key]
+            summary = next(iter(summary.values())) if key == "*" else summary[key]
     return summary
 
 
