@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from typing import cast
@@ -11,6 +12,7 @@ import numpy as np
 
 from pgm.clustergraph.checks import Edge
 from pgm.plot.diagrams.canvas import Size
+from pgm.plot.diagrams.folding import folded, gaps
 from pgm.plot.diagrams.layered import layered, rooted
 from pgm.plot.diagrams.layout import GAP, PAGE, Layout, Node, best, packed
 
@@ -39,7 +41,8 @@ def arrange(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> L
         elif graph.is_directed():
             root = next(node for node in nodes if not graph.in_degree(node))
             halves = _halves(nx.dfs_edges(graph, root))
-            parts.append(_along(piece, rooted(halves, sizes, room, gap=1.2 * GAP)))
+            drawn = _along(piece, rooted(halves, sizes, room, gap=1.2 * GAP))
+            parts.append(folded(drawn, sizes, gaps(drawn, sizes), room))
         else:
             parts.append(_layers(piece, sizes, room))
     return packed(parts, sizes, room)
@@ -81,9 +84,10 @@ def _chain(order: list[int], sizes: Mapping[Node, Size], room: Size | None) -> L
 
 
 def _per_row(count: int, across: float, down: float, room: Size | None) -> int:
-    if room is None:
-        widest = max(1, int(PAGE.width // across))
-    else:
+    widest = max(1, int(PAGE.width // across))
+    if room is not None or down * math.ceil(count / widest) > PAGE.height:
+        # As large as can be in the room, or in a page.
+        room = room or PAGE
         scales = [
             min(room.width / (across * n), room.height / (down * -(-count // n)))
             for n in range(1, count + 1)
@@ -99,7 +103,8 @@ def _layers(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> L
         layered(_halves(directed.edges), sizes, room, gap=1.2 * GAP)
         for directed in _directions(graph)
     )
-    return _along(graph, best(layouts, sizes, room, _BETTER))
+    drawn = _along(graph, best(layouts, sizes, room, _BETTER))
+    return folded(drawn, sizes, gaps(drawn, sizes), room)
 
 
 def _halves(arrows: Iterable[Edge]) -> nx.DiGraph:
