@@ -38,7 +38,8 @@ def as_covariance(
     size = dimension(scope)
     cov = matrices(given, size).copy()
     if cov.shape[-2:] != (size, size) or (cov.ndim > 2 and not runs):
-        raise ModelError(f"{what} has shape {given.shape}; {_due(scope, given.ndim, runs)}", **about)
+        due = _due(scope, given.ndim, runs)
+        raise ModelError(f"{what} has shape {given.shape}; {due}", **about)
     cov = symmetrised(cov)
     proper = _closed(cov, what, **about) if flat and (cov == np.inf).any() else cov
     if fault := covariance_fault(proper):

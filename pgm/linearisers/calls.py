@@ -92,9 +92,7 @@ class Call:
             fault = str(error).removeprefix("it ")
             raise self.error(fault, self._first(function, arguments)) from error.__cause__
         if array.shape != due:
-            raise self.error(
-                f"returned shape {array.shape} where {due} was due; {advice}"
-            )
+            raise self.error(f"returned shape {array.shape} where {due} was due; {advice}")
         return array
 
     def _first(

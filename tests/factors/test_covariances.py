@@ -1,5 +1,7 @@
 """Covariances as a variance, the variance of each component, or a matrix."""
 
+import re
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -62,8 +64,8 @@ def test_rows_of_variances_are_never_taken_for_runs():
     """Three rows of variances of three components look as a matrix, and are one."""
     rows = np.ones((3, 3)) + np.diag([0.0, 1.0, 2.0])
     assert pgm.GaussianCPD(x, np.zeros((3, 3)), rows).cov.shape == (3, 3)
-    told = r"variances \(\.\.\., n\) of each run are matrices as cov\[\.\.\., None\] \* np\.eye\(n\)"
-    with pytest.raises(pgm.ModelError, match=told):
+    told = "variances (..., n) of each run are matrices as cov[..., None] * np.eye(n)"
+    with pytest.raises(pgm.ModelError, match=re.escape(told)):
         pgm.GaussianCPD(x, np.zeros((5, 3)), np.ones((5, 3)))
     each = np.ones((5, 3))[..., None] * np.eye(3)
     assert pgm.GaussianCPD(x, np.zeros((5, 3)), each).cov.shape == (5, 3, 3)
