@@ -7,9 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain, repeat
 from types import MappingProxyType
-from typing import Any, TypeVar
-
-import networkx as nx
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pgm.boundary import as_tuple, is_whole
 from pgm.clustergraph.assignment import assign, spanning_tree
@@ -26,6 +24,9 @@ from pgm.factors.scope import MOST, Scope, as_scope, listed
 from pgm.immutable import Immutable
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 T = TypeVar("T")
 Places = tuple[int, ...]
@@ -331,6 +332,8 @@ class ClusterGraph(Immutable):
         networkx.Graph
             Nodes are indices with the attribute ``cluster``; edges have ``sepset``.
         """
+        import networkx as nx  # here, since it is slow to import
+
         graph = nx.Graph()
         graph.add_nodes_from((cluster.index, {"cluster": cluster}) for cluster in self.clusters)
         graph.add_edges_from((i, j, {"sepset": scope}) for (i, j), scope in self.sepsets.items())

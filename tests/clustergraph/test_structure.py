@@ -79,7 +79,7 @@ def test_every_graph_gives_its_clusters_by_index_or_value(make):
     for stranger in (-1, last + 1, 1.0, graph.cluster(last).scope):
         with pytest.raises(pgm.GraphError, match=rf"there is no .*; clusters are 0\.\.{last}"):
             graph.cluster(stranger)
-    with pytest.raises(pgm.GraphError, match="of another graph|there is no cluster Cluster"):
+    with pytest.raises(pgm.GraphError, match=r"of another graph|there is no cluster Cluster"):
         graph.cluster(pgm.Cluster(last, (STRANGER,), (), ()))
 
 
