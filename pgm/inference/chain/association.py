@@ -30,6 +30,7 @@ from pgm.kernels import normal, roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet
 from pgm.kernels.semirings import log_sum
 from pgm.linearisers import Lineariser
+from pgm.progress import counted
 from pgm.variables import Variable
 
 _ONCE = Filtering()
@@ -62,7 +63,7 @@ def associated(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser
     chain = MomentChain(plan, _ONCE, keep=False)
     pending = [_Pending(reading) for reading in bound.readings if reading.unknown is not None]
     belief = chain.start()
-    for step in range(bound.steps + 1):
+    for step in counted(range(bound.steps + 1), "associations"):
         if step:
             belief = chain.predict(step, belief)
         belief, _ = chain.take(step, belief)
