@@ -51,7 +51,7 @@ define install
 endef
 
 $(VENV)/.demo: pyproject.toml | $(PY)
-	$(call install,)
+	$(call install,[experiments])
 
 $(VENV)/.test: pyproject.toml | $(PY)
 	$(call install,[test])

@@ -66,9 +66,7 @@ class DynamicGraph(ClusterGraph, ABC):
         """The largest number of variables in a cluster, less one."""
         return max(len(cluster.scope) for cluster, _ in self._alike) - 1
 
-    def cluster(self, index: int) -> Cluster:
-        """The `Cluster` of an index from 0 to ``len(graph) - 1``; GraphError of others."""
-        index = self.index(index)
+    def _view(self, index: int) -> Cluster:
         cpds = self.model.cpds_at(index)
         families = tuple(tuple(v.at(index) for v in cpd.scope) for cpd in cpds)
         hidden = self.layout.pair if index else self.layout.states
@@ -116,8 +114,8 @@ class _Clusters(Sequence[Cluster]):
     def __getitem__(self, index: Any) -> Any:
         found = range(len(self))[index]
         if isinstance(found, range):
-            return tuple(map(self._graph.cluster, found))
-        return self._graph.cluster(found)
+            return tuple(map(self._graph._view, found))
+        return self._graph._view(found)
 
     def __repr__(self) -> str:
         return f"<clusters 0..{len(self) - 1}>"
@@ -185,9 +183,9 @@ class SliceGraph(DynamicGraph):
 
     @property
     def _alike(self) -> Iterator[tuple[Cluster, int]]:
-        yield self.cluster(0), 1
+        yield self._view(0), 1
         if self.steps:
-            yield self.cluster(1), self.steps
+            yield self._view(1), self.steps
 
     def __repr__(self) -> str:
         return f"SliceGraph(clusters 0..{self.steps}, sepsets of {list(self.model.states)})"

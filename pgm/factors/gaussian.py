@@ -19,14 +19,15 @@ from pgm.boundary import (
     is_whole,
 )
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import as_matrix, as_points, as_vector
+from pgm.factors.arrays import as_points, as_vector
+from pgm.factors.covariance import as_covariance
 from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, labels, names, positions
 from pgm.factors.stacking import lead_index
 from pgm.immutable import Immutable
 from pgm.kernels import moments, normal, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, block, deviation, frozen
-from pgm.kernels.checks import IMPROPER, covariance_fault
+from pgm.kernels.checks import IMPROPER
 from pgm.sizes import require_memory
 from pgm.variables import Variable
 
@@ -63,7 +64,9 @@ class Gaussian(Immutable):
     Parameters
     ----------
     scope : Variable or sequence of Variable
-    mean, cov : array_like
+    mean : array_like
+    cov : array_like
+        (..., n, n); or (n,), the variance of each component; or one variance for all of them.
     steps : array_like of int, optional
         The steps that the last leading axis stands for.
 
@@ -75,7 +78,7 @@ class Gaussian(Immutable):
     Examples
     --------
     >>> x = Variable("x", components=("east", "north"))
-    >>> belief = Gaussian(x, mean=[1.0, 2.0], cov=[[4.0, 0.0], [0.0, 1.0]])
+    >>> belief = Gaussian(x, mean=[1.0, 2.0], cov=[4.0, 1.0])
     >>> belief.std
     array([2., 1.])
     """
@@ -99,18 +102,13 @@ class Gaussian(Immutable):
         size = dimension(scope)
         what = f"Gaussian over {names(scope)}: the"
         mean = as_vector(scope, mean, f"{what} mean")
-        cov = as_matrix(scope, cov, f"{what} covariance")
-        if mean.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
-            raise ModelError(
-                f"Gaussian over {names(scope)}: the mean has shape {mean.shape} and the "
-                f"covariance {cov.shape}; they must end in ({size},) and ({size}, {size})"
-            )
+        if mean.shape[-1:] != (size,):
+            raise ModelError(f"{what} mean has shape {mean.shape}; it must end in ({size},)")
         if not np.isfinite(mean).all():
             raise ModelError(
                 f"Gaussian over {names(scope)}: the mean has entries that are NaN or infinite"
             )
-        if fault := covariance_fault(cov):
-            raise ModelError(f"Gaussian over {names(scope)}: the covariance {fault}")
+        cov = as_covariance(scope, cov, f"{what} covariance")
         try:
             lead = np.broadcast_shapes(mean.shape[:-1], cov.shape[:-2])
         except ValueError:
