@@ -28,6 +28,7 @@ from pgm.cpds import (
     shifts,
 )
 from pgm.errors import (
+    ArrayError,
     EvidenceError,
     ExecutorError,
     FileError,
@@ -129,6 +130,7 @@ def __getattr__(name: str) -> Any:
 __all__ = [
     "LTRIP",
     "AffineGaussian",
+    "ArrayError",
     "Associations",
     "Audit",
     "Balanced",

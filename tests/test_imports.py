@@ -10,7 +10,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "pgm"
 LAYERS = [
-    {"boundary", "errors", "immutable", "sizes", "variables", "kernels"},
+    {"boundary", "display", "errors", "immutable", "sizes", "variables", "kernels"},
     {"factors"},
     {"linearisers"},
     {"cpds", "maps"},
