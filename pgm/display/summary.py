@@ -29,15 +29,18 @@ class Listing:
         Cells; None stands for rows that are left out.
     names : int
         How many of the columns, from the left, are words.
+    cell : int
+        The most letters of a cell.
     """
 
     heads: Sequence[str]
     rows: Sequence[Row]
     names: int = 1
+    cell: int = CELL
 
     def lines(self, width: int) -> list[str]:
         """The lines of the table, those columns left out that would not fit."""
-        table = [[cell_text(cell) for cell in row] for row in self._filled()]
+        table = self._filled()
         if not any(map(any, table[:1])):
             table = table[1:]
         wide = [max(map(len, column)) for column in zip(*table, strict=True)]
@@ -55,12 +58,13 @@ class Listing:
 
     def html(self) -> str:
         """The table in HTML."""
-        head = "".join(f"<th>{escape(cell_text(cell))}</th>" for cell in self.heads)
+        heads, *table = self._filled()
+        head = "".join(f"<th>{escape(cell)}</th>" for cell in heads)
         rows = []
-        for row in self._filled()[1:]:
+        for row in table:
             cells = [
                 f'<td style="text-align: {"left" if k < self.names else "right"}">'
-                f"{escape(cell_text(cell))}</td>"
+                f"{escape(cell)}</td>"
                 for k, cell in enumerate(row)
             ]
             rows.append(f"<tr>{''.join(cells)}</tr>")
@@ -68,10 +72,11 @@ class Listing:
         top = f"<thead><tr>{head}</tr></thead>" if any(self.heads) else ""
         return f"<table>{top}<tbody>{body}</tbody></table>"
 
-    def _filled(self) -> list[Sequence[str]]:
-        """All rows, the heads first."""
+    def _filled(self) -> list[list[str]]:
+        """The cells of all rows, the heads first."""
         blank = [LEFT_OUT, *[""] * (len(self.heads) - 1)]
-        return [self.heads, *(blank if row is None else row for row in self.rows)]
+        rows = [self.heads, *(blank if row is None else row for row in self.rows)]
+        return [[one_line(cell, self.cell) for cell in row] for row in rows]
 
 
 @dataclass(frozen=True)
@@ -117,11 +122,6 @@ def one_line(text: str, most: int | None = None) -> str:
     """A text without line breaks and other letters that would move the cursor."""
     line = "".join(letter if letter.isprintable() else _code(letter) for letter in text)
     return line if most is None or len(line) <= most else line[: most - 3] + LEFT_OUT
-
-
-def cell_text(text: str) -> str:
-    """The text of one cell, cut where it is long."""
-    return one_line(text, CELL)
 
 
 def _code(letter: str) -> str:

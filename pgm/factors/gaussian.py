@@ -268,8 +268,8 @@ class Gaussian(Shown, NoArray, Immutable):
         lead = self.mean.ndim - 1 - (self.steps is not None)
         if not all(map(is_whole, index)):
             raise ModelError(
-                f"a run of {self._title} is given by whole numbers, not by {index}; several are taken "
-                "by belief[places]"
+                f"a run of {self._title} is given by whole numbers, not by {index}; several are "
+                "taken by belief[places]"
             )
         if len(index) > lead:
             raise ModelError(f"{self._title} has {lead} axes of runs, not {len(index)}")

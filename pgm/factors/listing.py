@@ -27,7 +27,7 @@ def title(scope: States, lead: tuple[int, ...]) -> str:
 
 def summary(scope: States, values: Array, log_scale: Array) -> Summary:
     """A table with its entries: a row for the states of all variables but the last."""
-    lead, sizes_before = log_scale.shape, values.shape[:-1]
+    lead = log_scale.shape
     if not scope:
         return _numbers(log_scale, values)
     if len(scope) == 1 and not lead:
