@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.display.numbers import beside, count
-from pgm.display.places import Place, few, places
+from pgm.display.places import ALL, Place, few, places
 from pgm.display.summary import LEFT_OUT, Listing
 
 Array = npt.NDArray[np.float64]
@@ -44,6 +44,7 @@ def stacked(
     lead: tuple[int, ...],
     steps: Sequence[int] | npt.NDArray[Any] | None,
     moments: Callable[[Place], tuple[Array, Array]],
+    most: int = ALL,
 ) -> Listing:
     """Many beliefs: a row each of the first and the last, with means and deviations.
 
@@ -57,8 +58,10 @@ def stacked(
         The steps that the last of them stands for.
     moments : callable
         The mean and covariance at a place of the leading axes; only those shown are asked for.
+    most : int
+        Rows.
     """
-    shown = places(lead)
+    shown = places(lead, most)
     found = {place: moments(place) for place in shown if place is not None}
     columns = []
     for k in range(min(len(names), WIDE)):

@@ -8,8 +8,8 @@ from itertools import product
 
 # Rows of which all are shown, and the most that are shown of more.
 ALL = 12
-# Of two axes: the places at either end of an inner one, and of an outer one.
-INNER, OUTER = 2, 1
+# Rows of the ends of one run: its first and last step, and what is between.
+ENDS = 3
 
 Place = tuple[int, ...]
 
@@ -26,19 +26,19 @@ def places(shape: Sequence[int], most: int = ALL) -> list[Place | None]:
     """The places along several axes, those in the middle left out; None stands for them."""
     if math.prod(shape) <= most:
         return list(product(*map(range, shape)))
-    if len(shape) == 1:
-        return [None if place is None else (place,) for place in few(shape[0], most - 1)]
-    rows = [size for size in shape[:-1] if size > 1]
-    inner = few(shape[-1], 2 * INNER if rows else most - 1)
-    outer: list[Place | None] = [(0,) * (len(shape) - 1)]
-    if rows:
-        if math.prod(shape[:-1]) > 2 * OUTER:
-            outer.append(None)
-        outer.append(tuple(size - 1 for size in shape[:-1]))
+    *outer, inner = shape
+    runs, first = math.prod(outer), (0,) * len(outer)
+    if runs == 1:
+        return [None if step is None else (*first, step) for step in few(inner, most - 1)]
+    # The first and the last run, with both ends of their steps; or of the first alone.
+    ends: list[Place | None] = [first, None]
+    if most >= 2 * ENDS:
+        ends = [first, *[None] * (runs > 2), tuple(size - 1 for size in outer)]
+    steps = few(inner, 4 if most >= ALL else 2)
     found: list[Place | None] = []
-    for run in outer:
+    for run in ends:
         if run is None:
             found.append(None)
         else:
-            found += [None if step is None else (*run, step) for step in inner]
+            found += [None if step is None else (*run, step) for step in steps]
     return found

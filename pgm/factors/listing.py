@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pgm.display import Listing, Summary, column, few, places
 from pgm.display.places import Place
 from pgm.display.summary import LEFT_OUT
@@ -72,6 +74,11 @@ def _entries(values: Array, log_scale: Array) -> tuple[Array, str]:
     if abs(log_scale) < SCALE:
         return entries(values, log_scale), ""
     return values, f"exp({log_scale:.6g})"
+
+
+def states_of(table: Any, run: tuple[int, ...] = ()) -> str:
+    """The first states of the only variable of a table, of one of its runs."""
+    return _row(table.scope, table.values[run], table.log_scale[run])
 
 
 def _row(scope: States, values: Array, log_scale: Array) -> str:
