@@ -5,10 +5,11 @@ from pgm.display.matrices import matrix
 from pgm.display.moments import axes, by_component, stacked, whereabouts
 from pgm.display.numbers import beside, column, count, number
 from pgm.display.places import few, places
-from pgm.display.shown import InCode, NoArray, Shown
-from pgm.display.summary import TITLE, Listing, Summary
+from pgm.display.shown import InCode, NoArray, Shown, titled
+from pgm.display.summary import LEFT_OUT, TITLE, Listing, Summary
 
 __all__ = [
+    "LEFT_OUT",
     "TITLE",
     "InCode",
     "Listing",
@@ -28,6 +29,7 @@ __all__ = [
     "places",
     "stacked",
     "table",
+    "titled",
     "vector",
     "whereabouts",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import Any, ClassVar, NoReturn
 
+from pgm.display.brief import brief
 from pgm.display.summary import Summary
 from pgm.errors import ArrayError
 
@@ -30,6 +31,11 @@ class Shown:
 
     def _repr_html_(self) -> str:
         return self._summary().html()
+
+
+def titled(value: object) -> str:
+    """A value of any kind in one line, for messages."""
+    return value._title if isinstance(value, Shown) else brief(value)
 
 
 class InCode:

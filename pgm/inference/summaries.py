@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 
 from pgm.compile import SliceLayout
-from pgm.display import Listing, Summary, beside, few, number, places, stacked, whereabouts
+from pgm.display import (
+    Listing,
+    Summary,
+    beside,
+    by_component,
+    few,
+    number,
+    places,
+    stacked,
+    whereabouts,
+)
 from pgm.display.places import Place
 from pgm.errors import PgmError
 from pgm.factors import Gaussian, Table
@@ -72,6 +82,15 @@ def ends(
     return parts
 
 
+def at_a_step(
+    title: str, belief: Any, variables: Sequence[Variable], runs: tuple[int, ...]
+) -> Summary:
+    """The summary of an online belief: its log-evidence, status and variables."""
+    parts: list[str | Listing] = [f"log-evidence {spread(np.asarray(belief.log_evidence))}"]
+    parts.append(belief.status._title)
+    return Summary(title, [*parts, *by_variable(belief, variables, runs)])
+
+
 def of_network(
     title: str, posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...]
 ) -> Summary:
@@ -86,7 +105,13 @@ def of_network(
         Those without evidence, which are asked for in this order.
     runs : tuple of int
     """
-    parts: list[str | Listing] = list(figures(posterior))
+    return Summary(title, [*figures(posterior), *by_variable(posterior, variables, runs)])
+
+
+def by_variable(
+    posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...]
+) -> list[str | Listing]:
+    """The beliefs of the first and last variables, of the first runs beside each other."""
     picked = [place for place in places(runs, RUNS) if place is not None][:RUNS]
     rows: list[Sequence[str] | None] = []
     for k in few(len(variables), NETWORK_ROWS) if picked else ():
@@ -100,9 +125,20 @@ def of_network(
             continue
         rows += _of_variable(found, picked)
     heads = ["", *(f"run {', '.join(map(str, place))}" if place else "" for place in picked)]
-    if rows:
-        parts.append(Listing(heads, rows[: NETWORK_ROWS + 1]))
-    return Summary(title, parts)
+    return [Listing(heads, rows[: NETWORK_ROWS + 1], cell=60)] if rows else []
+
+
+def moments_of(belief: Any) -> Listing:
+    """The means and deviations of a belief of point masses, of the runs and steps shown alone."""
+    names = [f"{c} [rad]" if c in belief.angles else c for c in belief.components]
+    if not belief.lead:
+        return by_component(names, belief.mean, belief.cov)
+
+    def moments(place: Place) -> tuple[Array, Array]:
+        found = belief[place]
+        return found.mean, found.cov
+
+    return stacked(names, belief.lead, belief.steps, moments)
 
 
 def figures(posterior: Any) -> Iterable[str]:
