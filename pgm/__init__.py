@@ -28,6 +28,7 @@ from pgm.cpds import (
     shifts,
 )
 from pgm.errors import (
+    ArrayError,
     EvidenceError,
     ExecutorError,
     FileError,
@@ -151,6 +152,7 @@ def __dir__() -> list[str]:
 __all__ = [
     "LTRIP",
     "AffineGaussian",
+    "ArrayError",
     "Associations",
     "Audit",
     "Balanced",

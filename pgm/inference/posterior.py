@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from typing import ClassVar, overload
 
 from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.display import NoArray, Shown
 from pgm.errors import EvidenceError
 from pgm.factors import CanonicalForm, Gaussian, Table
 from pgm.inference.status import Status
@@ -13,7 +14,7 @@ from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 
 
-class Posterior(ABC):
+class Posterior(Shown, NoArray, ABC):
     """The beliefs of a cluster graph after a schedule of messages; leading axes are runs.
 
     Marginals and joints are a `Gaussian` for continuous variables, a `Table` for discrete ones;
@@ -28,6 +29,8 @@ class Posterior(ABC):
 
     graph: ClusterGraph
     status: Status
+
+    _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
 
     # Python would else iterate by asking for the variables 0, 1, ...
     __iter__: ClassVar[None] = None

@@ -64,5 +64,5 @@ def test_it_is_a_copy_that_functions_cannot_write_into(lead):
 def test_sightings_show_what_they_are():
     mark = pgm.Variable("mark")
     told = pgm.sightings(np.zeros((4, 1)), step=range(4), given={mark: np.zeros((4, 1))})
-    assert repr(told) == "Sightings(of shape (4, 1), given [mark])"
+    assert repr(told).splitlines()[0] == "Sightings(of shape (4, 1), given [mark])"
     assert repr(pgm.sightings([[1.0], [2.0]], step=[0, 1])) == "Sightings([[1.0], [2.0]], given [])"

@@ -11,6 +11,7 @@ import numpy as np
 
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph, SliceLayout
+from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names
@@ -27,12 +28,13 @@ from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
+from pgm.inference.summaries import over_time
 from pgm.kernels import canonical
 from pgm.kernels.arrays import Array, Integers, block, quiet, transpose
 from pgm.variables import Variable
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ChainPosterior(Posterior):
     """The beliefs of a chain of clusters after a schedule of messages.
 
@@ -319,10 +321,15 @@ class ChainPosterior(Posterior):
             scope, *(part.reshape((*lead, *part.shape[1:])) for part in parts)
         )
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         lead = self._planned.lead
         runs = f", runs {lead}" if lead else ""
         return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"
+
+    def _summary(self) -> Summary:
+        hidden, last = self.graph.layout.slice, self.graph.steps
+        return over_time(self._title, self, hidden, self._planned.lead, last)
 
 
 # Rows that are mirrored at once: a block and its mirror image stay in the processor's cache.

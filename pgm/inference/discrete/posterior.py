@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
 from pgm.factors.axes import States, sizes
@@ -22,11 +23,12 @@ from pgm.inference.discrete.storage import sepset_between
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
+from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Discrete, Variable
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DiscretePosterior(Posterior):
     """The beliefs of a discrete network; leading axes are runs.
 
@@ -200,6 +202,12 @@ class DiscretePosterior(Posterior):
         """The kind of `log_evidence`: exact, of a tree whose messages have settled, or bethe."""
         return "exact" if self.graph.is_tree and self.status.converged.all() else "bethe"
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         lead = self._beliefs.evidence.lead
-        return f"DiscretePosterior({self.graph!r}{f', runs {lead}' if lead else ''})"
+        return f"DiscretePosterior({self.graph._title}{f', runs {lead}' if lead else ''})"
+
+    def _summary(self) -> Summary:
+        states = self._beliefs.evidence.states
+        hidden = [v for v in self.graph.network.variables if np.min(states.get(v, -1)) < 0]
+        return of_network(self._title, self, hidden, self._beliefs.evidence.lead)
