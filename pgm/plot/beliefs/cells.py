@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.plot.axes import given_or_new, name_axes
-from pgm.plot.chances import as_index, as_places, chances, name_states
+from pgm.plot.beliefs.chances import as_index, as_places, chances, name_states
 from pgm.plot.colours import CHANCE, MUTED, PALETTE, readable_on
 
 # Numbers in more cells than this cannot be read, and lines between more hide the cells.

@@ -10,10 +10,10 @@ import networkx as nx
 import numpy as np
 
 from pgm.kernels.arrays import Array
-from pgm.plot.canvas import Size
-from pgm.plot.curves import lines
-from pgm.plot.layering import Layers, along, layers, ordered, ranks
-from pgm.plot.layout import GAP, Layout, Node, best, packed
+from pgm.plot.diagrams.canvas import Size
+from pgm.plot.diagrams.curves import lines
+from pgm.plot.diagrams.layering import Layers, along, layers, ordered, ranks
+from pgm.plot.diagrams.layout import GAP, Layout, Node, best, packed
 
 # Between layers that shallow lines join there is more room, up to this.
 _STEEPNESS = 0.14

@@ -11,8 +11,8 @@ from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.plot.colours import CLUSTER, INK, MUTED, OBSERVED, SEPSET
-from pgm.plot.contents import contents, joined, shown
-from pgm.plot.graphs import Network, directed, in_slices
+from pgm.plot.diagrams.contents import contents, joined, shown
+from pgm.plot.diagrams.graphs import Network, directed, in_slices
 from pgm.variables import Variable
 
 

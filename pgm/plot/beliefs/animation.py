@@ -18,9 +18,9 @@ from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.inference import GridBelief
 from pgm.io.whole import whole
-from pgm.plot.cells import belief_map
-from pgm.plot.chances import chances
-from pgm.plot.grid_map import grid_map
+from pgm.plot.beliefs.cells import belief_map
+from pgm.plot.beliefs.chances import chances
+from pgm.plot.beliefs.grid_map import grid_map
 
 _WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
 

@@ -14,7 +14,7 @@ from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.inference import Kind
 from pgm.plot.axes import given_or_new, name_axes, plain, useful_legend
-from pgm.plot.chances import as_index, chances, name_states
+from pgm.plot.beliefs.chances import as_index, chances, name_states
 from pgm.plot.colours import INK, MUTED, PALETTE
 from pgm.variables import Discrete
 

@@ -17,9 +17,9 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import Kind, ParticleBelief
 from pgm.plot.axes import equal_aspect, given_or_new, name_axes, plain, useful_legend
+from pgm.plot.beliefs.point_plane import as_landmarks
 from pgm.plot.colours import INK, next_colour
 from pgm.plot.components import as_gaussian, component_places, one_run, truth_columns
-from pgm.plot.point_plane import as_landmarks
 
 # An ellipse smaller than this part of the picture is marked by a dot.
 _INVISIBLE = 1e-4

@@ -17,13 +17,13 @@ from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array
-from pgm.plot.arrangement import arrange
-from pgm.plot.canvas import Box, Canvas, Point, Size, open_canvas, room, slack, text_size
 from pgm.plot.colours import CLUSTER, INK, MUTED, SEPSET, readable_on
-from pgm.plot.contents import contents, joined, links, shown
-from pgm.plot.layout import GAP, Layout, Node
-from pgm.plot.segments import distances
-from pgm.plot.shading import Shading, by_residual, by_size
+from pgm.plot.diagrams.arrangement import arrange
+from pgm.plot.diagrams.canvas import Box, Canvas, Point, Size, open_canvas, room, slack, text_size
+from pgm.plot.diagrams.contents import contents, joined, links, shown
+from pgm.plot.diagrams.layout import GAP, Layout, Node
+from pgm.plot.diagrams.segments import distances
+from pgm.plot.diagrams.shading import Shading, by_residual, by_size
 
 _MOST = 200
 _STUB = 30.0

@@ -13,8 +13,8 @@ from pgm.errors import ModelError
 from pgm.inference import ParticleBelief
 from pgm.kernels.arrays import Array
 from pgm.plot.axes import given_or_new
+from pgm.plot.beliefs.point_plane import as_landmarks, as_truth, finish, plane_of
 from pgm.plot.colours import next_colour
-from pgm.plot.point_plane import as_landmarks, as_truth, finish, plane_of
 
 # The area of a particle of mean weight [pt²], and how many times that one is drawn at the most.
 _AREA, _LARGEST = 7.0, 25.0

@@ -14,9 +14,9 @@ from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence, bind
 from pgm.factors.scope import Scope
-from pgm.plot.graphs import last
-from pgm.plot.labels import cluster_label, scope_label
-from pgm.plot.layout import Node
+from pgm.plot.diagrams.graphs import last
+from pgm.plot.diagrams.labels import cluster_label, scope_label
+from pgm.plot.diagrams.layout import Node
 from pgm.variables import Variable
 
 # How many variables a cluster names, in graphs of up to so many clusters.

@@ -18,7 +18,7 @@ from scipy.optimize import linprog
 from scipy.sparse import csr_array
 
 from pgm.kernels.arrays import Array, Integers
-from pgm.plot.layout import Node
+from pgm.plot.diagrams.layout import Node
 
 Arrow = tuple[Node, Node]
 # What a link's slope costs, by how many of its ends are nodes: long arrows are to be straight.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgm.kernels.arrays import Array
-from pgm.plot.canvas import Box, Point, Size
+from pgm.plot.diagrams.canvas import Box, Point, Size
 
 Node = Hashable
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 
 from pgm.clustergraph import Cluster
-from pgm.plot.canvas import text_size
+from pgm.plot.diagrams.canvas import text_size
 from pgm.variables import Variable
 
 # A line wider than this, in points, is broken.

@@ -15,8 +15,8 @@ from pgm.errors import ModelError
 from pgm.inference import GridBelief
 from pgm.kernels.arrays import Array
 from pgm.plot.axes import given_or_new
+from pgm.plot.beliefs.point_plane import as_landmarks, as_truth, finish, plane_of
 from pgm.plot.colours import INK, PALETTE
-from pgm.plot.point_plane import as_landmarks, as_truth, finish, plane_of
 
 # A cell whose arrow would stand for less than this share of the likeliest has none.
 _FAINT = 0.02

@@ -16,9 +16,9 @@ from pgm.clustergraph.checks import Edge
 from pgm.clustergraph.size import is_discrete, size
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope
-from pgm.plot.canvas import FONT, Box, Canvas
 from pgm.plot.colours import INK, SCALE
-from pgm.plot.layout import Node
+from pgm.plot.diagrams.canvas import FONT, Box, Canvas
+from pgm.plot.diagrams.layout import Node
 
 # Sizes that differ by more than this factor have a logarithmic scale.
 _WIDE = 30.0

@@ -11,8 +11,8 @@ import networkx as nx
 import numpy as np
 
 from pgm.kernels.arrays import Array, Integers
-from pgm.plot.canvas import Point
-from pgm.plot.segments import crossings, distances
+from pgm.plot.diagrams.canvas import Point
+from pgm.plot.diagrams.segments import crossings, distances
 from pgm.variables import Variable
 
 # More nodes than this in a row make a slice too wide.

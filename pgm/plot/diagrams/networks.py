@@ -15,14 +15,14 @@ from matplotlib.path import Path
 from pgm.errors import ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.networks.static import density
-from pgm.plot.canvas import FONT, Canvas, Point, Size, open_canvas, room, slack, text_size
 from pgm.plot.colours import OBSERVED
-from pgm.plot.columns import place
-from pgm.plot.graphs import Network, directed, in_slices
-from pgm.plot.labels import node_label
-from pgm.plot.layered import layered
-from pgm.plot.layout import Layout, Node
-from pgm.plot.segments import distances
+from pgm.plot.diagrams.canvas import FONT, Canvas, Point, Size, open_canvas, room, slack, text_size
+from pgm.plot.diagrams.columns import place
+from pgm.plot.diagrams.graphs import Network, directed, in_slices
+from pgm.plot.diagrams.labels import node_label
+from pgm.plot.diagrams.layered import layered
+from pgm.plot.diagrams.layout import Layout, Node
+from pgm.plot.diagrams.segments import distances
 from pgm.variables import Variable
 
 _SMALLEST = 15.0

@@ -10,9 +10,9 @@ import networkx as nx
 import numpy as np
 
 from pgm.clustergraph.checks import Edge
-from pgm.plot.canvas import Size
-from pgm.plot.layered import layered, rooted
-from pgm.plot.layout import GAP, PAGE, Layout, Node, best, packed
+from pgm.plot.diagrams.canvas import Size
+from pgm.plot.diagrams.layered import layered, rooted
+from pgm.plot.diagrams.layout import GAP, PAGE, Layout, Node, best, packed
 
 # Another way to draw a graph must be better by this factor to be taken.
 _BETTER = 1.1
