@@ -9,6 +9,7 @@ from pgm.plot.beliefs.plane import ellipses, trajectory
 from pgm.plot.beliefs.stacks import beliefs_over_time
 from pgm.plot.diagrams.clusters import cluster_graph
 from pgm.plot.diagrams.graphviz import dot
+from pgm.plot.diagrams.markov import markov_network
 from pgm.plot.diagrams.networks import network
 from pgm.plot.statistics.compared import comparison
 from pgm.plot.statistics.consistency import coverage, nees, nis, whiteness
@@ -28,6 +29,7 @@ __all__ = [
     "errors",
     "grid_map",
     "kl",
+    "markov_network",
     "nees",
     "network",
     "nis",

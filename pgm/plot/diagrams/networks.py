@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import pairwise
 
 import networkx as nx
@@ -13,6 +13,7 @@ from matplotlib.patches import Circle, Ellipse
 from matplotlib.path import Path
 
 from pgm.errors import ModelError
+from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.networks.static import density
 from pgm.plot.colours import OBSERVED
@@ -82,7 +83,7 @@ def network(
     graph = directed(model, steps, evidence)
     slices = isinstance(model, DynamicBayesianNetwork) or in_slices(graph)
     texts = densities(model, graph) if cpds else {}
-    return (_slices if slices else _layers)(graph, texts, ax)
+    return (_slices if slices else in_layers)(graph, texts, ax)
 
 
 def _slices(graph: nx.DiGraph, beside: dict[Variable, str], ax: Axes | None) -> Axes:
@@ -110,8 +111,27 @@ def _slices(graph: nx.DiGraph, beside: dict[Variable, str], ax: Axes | None) -> 
     return canvas.ax
 
 
-def _layers(graph: nx.DiGraph, below: dict[Variable, str], ax: Axes | None) -> Axes:
-    """Ellipses as wide as their names, and as the texts below some of these."""
+def _pointed(canvas: Canvas, edge: Arrow, curve: Array) -> None:
+    canvas.arrow(path=Path(curve))
+
+
+def in_layers(
+    graph: nx.DiGraph,
+    below: dict[Variable, str],
+    ax: Axes | None,
+    join: Callable[[Canvas, Arrow, Array], None] = _pointed,
+) -> Axes:
+    """Ellipses as wide as their names, and as the texts below some of these.
+
+    Parameters
+    ----------
+    graph : networkx.DiGraph
+        Nodes have the attribute ``observed``.
+    below : dict of Variable to str
+    ax : matplotlib.axes.Axes or None
+    join : callable
+        Draws an edge along a curve (P, 2); an arrow without.
+    """
     labels = {node: "\n".join(filter(None, (node_label(node), below.get(node)))) for node in graph}
     texts = {node: text_size(label) for node, label in labels.items()}
     least = 2.0 * _SMALLEST
@@ -123,8 +143,8 @@ def _layers(graph: nx.DiGraph, below: dict[Variable, str], ax: Axes | None) -> A
     for node, at in layout.points.items():
         canvas.shape(Ellipse(at, *sizes[node]), _FILL[graph.nodes[node]["observed"]], 1.0)
         canvas.text(at, labels[node])
-    for curve in layout.lines.values():
-        canvas.arrow(path=Path(curve))
+    for edge, curve in layout.lines.items():
+        join(canvas, edge, curve)
     return canvas.ax
 
 
