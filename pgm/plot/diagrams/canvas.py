@@ -25,8 +25,10 @@ _LINE = 1.25 * FONT
 _MARGIN = 8.0
 # Small diagrams are not blown up to more than this part of their own size.
 _LARGEST = 1.6
-# The longest side of a figure that is made, in points; larger diagrams shrink to it.
-_LONGEST = 18.0 * 72.0
+# The longest side of a figure that is made, in points; larger diagrams shrink to it, but not so
+# far that texts become smaller than these letters, until the figure is as large as can be.
+_LONGEST, _LARGEST_SIDE = 18.0 * 72.0, 120.0 * 72.0
+LEGIBLE = 5.5
 _TITLE = 24.0
 # How much of its ellipse a text may fill.
 _FULL = 0.92
@@ -110,10 +112,17 @@ class Canvas:
             zorder=4.0,
         )
 
-    def line(self, route: Array | Sequence[Point], style: Any = "-") -> None:
+    def line(
+        self,
+        route: Array | Sequence[Point],
+        style: Any = "-",
+        *,
+        colour: str = MUTED,
+        width: float = 1.0,
+    ) -> None:
         """Draw a line below all shapes."""
         x, y = np.array(route).T
-        self.ax.plot(x, y, color=MUTED, linewidth=self.width(1.0), linestyle=style, zorder=1.0)
+        self.ax.plot(x, y, color=colour, linewidth=self.width(width), linestyle=style, zorder=1.0)
 
     def arrow(self, *, head: float = 9.0, zorder: float = 2.0, **between: Any) -> None:
         """Draw an arrow, as of the keywords of a `FancyArrowPatch`, with a head of some size."""
@@ -145,7 +154,10 @@ def open_canvas(ax: Axes | None, box: Box, letters: float = 1.0) -> Canvas:
     """
     size, paper = box.size, room(ax)
     if ax is None or paper is None:
-        scale = min(1.0, _LONGEST / max(size))
+        scale = max(
+            _LONGEST / max(size), min(LEGIBLE / (FONT * letters), _LARGEST_SIDE / max(size))
+        )
+        scale = min(1.0, scale)
         width, height = max(size.width * scale, 72.0), max(size.height * scale, 36.0)
         ax = plt.subplots(
             figsize=(width / 72.0, (height + _TITLE) / 72.0),

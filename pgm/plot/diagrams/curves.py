@@ -17,6 +17,8 @@ _STEP = 3.0
 # How far from the middle of a node's border a bent line may leave it, as a part of its half-axis.
 _PORT = 0.7
 _MANY = 8
+# How far from a corner a rounded line leaves its straight pieces.
+_CORNER = 7.0
 
 
 def lines(
@@ -52,7 +54,7 @@ def lines(
         ends = [route[0], route[-1]]
         if curve is None or not bent.isdisjoint(ends):
             curve = _bent(route, at, half, band)
-        result.append(_clipped(curve, at[ends], half[ends]))
+        result.append(clipped(curve, at[ends], half[ends]))
     return result
 
 
@@ -64,10 +66,27 @@ def _straight(route: Sequence[int], nodes: Array, half: Array, at: Array) -> Arr
         return None
     t = np.linspace(0.0, 1.0, 3 + int(np.linalg.norm(whole) / _STEP))[:, None]
     curve: Array = at[start] + t * whole
-    others = np.delete(np.arange(len(nodes)), [start, end])
+    return curve if clear(curve, nodes, half, (start, end)) else None
+
+
+def clear(curve: Array, at: Array, half: Array, ends: tuple[int, int]) -> bool:
+    """Whether a line (P, 2) keeps its distance from all nodes (n, 2) but its ends."""
+    others = np.delete(np.arange(len(at)), ends)
     # The third power bulges towards the corners, since some nodes are rectangles.
-    offset = (curve[:, None] - nodes[others]) / (half[others] + _CLEAR)
-    return curve if ((np.abs(offset) ** 3).sum(axis=-1) > 1.0).all() else None
+    offset = (curve[:, None] - at[others]) / (half[others] + _CLEAR)
+    return bool(((np.abs(offset) ** 3).sum(axis=-1) > 1.0).all())
+
+
+def rounded(corners: Array) -> Array:
+    """A line (P, 2) along straight pieces, its corners rounded."""
+    pieces = [corners[:1]]
+    t = np.linspace(0.0, 1.0, 6)[:, None]
+    for before, here, after in zip(corners, corners[1:], corners[2:], strict=False):
+        legs = np.array([before, after]) - here
+        lengths = np.linalg.norm(legs, axis=-1, keepdims=True)
+        start, end = here + legs * np.minimum(_CORNER / np.maximum(lengths, 1e-9), 0.5)
+        pieces.append((1.0 - t) ** 2 * start + 2.0 * t * (1.0 - t) * here + t * t * end)
+    return np.concatenate([*pieces, corners[-1:]])
 
 
 def _bent(route: Sequence[int], at: Array, half: Array, band: Array) -> Array:
@@ -91,8 +110,8 @@ def _exit(sideways: float, half: Array) -> Array:
     return np.array([x, half[1] * np.sqrt(1.0 - (x / half[0]) ** 2)])
 
 
-def _clipped(curve: Array, at: Array, half: Array) -> Array:
-    """The part of a line (P, 2) between two ellipses, from border to border."""
+def clipped(curve: Array, at: Array, half: Array) -> Array:
+    """The part of a line (P, 2) between two ellipses, (2, 2) each, from border to border."""
     for centre, axes in zip(at, half, strict=True):
         scaled = (curve - centre) / axes
         outside = np.flatnonzero((scaled * scaled).sum(axis=-1) > 1.0 + 1e-9)

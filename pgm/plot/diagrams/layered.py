@@ -12,18 +12,26 @@ import numpy as np
 from pgm.kernels.arrays import Array
 from pgm.plot.diagrams.canvas import Size
 from pgm.plot.diagrams.curves import lines
+from pgm.plot.diagrams.folding import folded, gaps
 from pgm.plot.diagrams.layering import Layers, along, layers, ordered, ranks
 from pgm.plot.diagrams.layout import GAP, Layout, Node, best, packed
 
 # Between layers that shallow lines join there is more room, up to this.
 _STEEPNESS = 0.14
 _WIDEST_GAP = 72.0
+# What a line that passes a layer takes of it.
+_LANE = 9.0
 # A layout other than the plain one must be better by this factor to be taken.
 _BETTER = 1.15
 
 
 def layered(
-    graph: nx.DiGraph, sizes: Mapping[Node, Size], room: Size | None, *, gap: float = 24.0
+    graph: nx.DiGraph,
+    sizes: Mapping[Node, Size],
+    room: Size | None,
+    *,
+    gap: float = 24.0,
+    fold: bool = False,
 ) -> Layout:
     """Layers from top to bottom, or from left to right where that makes better use of the room.
 
@@ -38,6 +46,8 @@ def layered(
         Of the axes; None for a page.
     gap : float
         Between layers, in points, where no line is shallow.
+    fold : bool
+        Whether layers that would run far to the right may be folded.
     """
     pieces = []
     for nodes in nx.weakly_connected_components(graph):
@@ -57,6 +67,8 @@ def layered(
         choices = [_order(piece, rank) for piece, rank in zip(pieces, found, strict=True)]
         for across in (False, True):
             parts = [_place(*one, sizes, gap, across) for one in choices]
+            if fold and across and len(parts) == 1:
+                parts = [folded(parts[0], sizes, gaps(parts[0], sizes), room)]
             layouts.append(packed(parts, sizes, room))
     return best(layouts, sizes, room, _BETTER)
 
@@ -81,6 +93,13 @@ def rooted(
     return best(layouts, sizes, room, _BETTER)
 
 
+def in_layers(
+    graph: nx.DiGraph, rank: Mapping[Node, int], sizes: Mapping[Node, Size], *, gap: float
+) -> Layout:
+    """The layers that are given, from top to bottom; few arrows cross."""
+    return _place(*_order(graph, rank), sizes, gap, False)
+
+
 def _order(graph: nx.DiGraph, rank: Mapping[Node, int]) -> tuple[Layers, int]:
     """Its layers in the order that makes few arrows cross, and how many do."""
     parts = layers(graph, rank)
@@ -99,7 +118,8 @@ def _place(
     if across:
         half = half[:, ::-1]
     at = np.zeros((total, 2))
-    at[:, 0] = along(order, parts.links, 2.0 * half[:, 0] + GAP, count)
+    apart = np.where(np.arange(total) < count, GAP, _LANE)
+    at[:, 0] = along(order, parts.links, 2.0 * half[:, 0] + apart, count)
 
     band = np.zeros(total)
     level = -gap

@@ -32,24 +32,28 @@ class Layout:
         (P, 2): what joins them.
     crossings : int
         How many lines cross.
+    loose : list of ndarray
+        (P, 2): parts of lines that begin or go on elsewhere, in pictures that are folded.
     """
 
     points: dict[Node, Point] = field(default_factory=dict)
     lines: dict[Node, Array] = field(default_factory=dict)
     crossings: int = 0
+    loose: list[Array] = field(default_factory=list)
 
     def add(self, other: Layout, x: float, y: float) -> None:
         """Take in another layout, moved."""
         self.points |= {node: (at[0] + x, at[1] + y) for node, at in other.points.items()}
         shift = np.array([x, y])
         self.lines |= {edge: curve + shift for edge, curve in other.lines.items()}
+        self.loose += [curve + shift for curve in other.loose]
         self.crossings += other.crossings
 
     def box(self, sizes: Mapping[Node, Size]) -> Box:
         """The bounds of everything."""
         at = np.array(list(self.points.values()))
         half = 0.5 * np.array([sizes[node] for node in self.points])
-        corners = np.concatenate([at - half, at + half, *self.lines.values()])
+        corners = np.concatenate([at - half, at + half, *self.lines.values(), *self.loose])
         return Box(*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
 
     def worth(self, sizes: Mapping[Node, Size], room: Size | None) -> float:

@@ -14,8 +14,8 @@ from pgm.errors import ModelError
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.plot.diagrams.canvas import Canvas
-from pgm.plot.diagrams.graphs import directed, named
-from pgm.plot.diagrams.networks import Arrow, in_layers
+from pgm.plot.diagrams.graphs import directed, in_slices, named
+from pgm.plot.diagrams.networks import Edge, draw_graph
 from pgm.variables import Variable
 
 _DASHES = (0.0, (4.0, 3.0))
@@ -71,14 +71,15 @@ def markov_network(
     """
     if isinstance(model, BayesianNetwork | DynamicBayesianNetwork):
         graph = directed(model, steps, evidence)
+        slices = isinstance(model, DynamicBayesianNetwork) or in_slices(graph)
         _marry(graph)
     else:
-        graph = _joined(model, steps, evidence)
-    return in_layers(graph, {}, ax, lambda canvas, edge, curve: _line(canvas, graph, edge, curve))
+        graph, slices = _joined(model, steps, evidence), False
 
+    def line(canvas: Canvas, edge: Edge, curve: Array) -> None:
+        canvas.line(curve, _DASHES if graph.edges[edge].get("married") else "-")
 
-def _line(canvas: Canvas, graph: nx.DiGraph, edge: Arrow, curve: Array) -> None:
-    canvas.line(curve, _DASHES if graph.edges[edge].get("married") else "-")
+    return draw_graph(graph, {}, ax, slices, line, fold=False)
 
 
 def _marry(graph: nx.DiGraph) -> None:

@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
-from matplotlib.patches import Circle, Ellipse, FancyArrowPatch
+from matplotlib.patches import Ellipse, FancyArrowPatch
 
 import pgm
 import pgm.plot
@@ -90,7 +90,7 @@ def ends(line, nodes):
 
 
 @pytest.mark.parametrize("name", NETWORKS)
-@pytest.mark.parametrize("size", [None, (9.0, 2.5)])
+@pytest.mark.parametrize("size", [None, (12.0, 2.5)])
 def test_all_is_there_in_order_and_nothing_lies_on_anything(name, size):
     parents = NETWORKS[name]
     ax = None if size is None else plt.subplots(figsize=size)[1]
@@ -189,7 +189,7 @@ def test_a_network_at_steps_runs_left_to_right_a_column_a_step():
     net, z = unrolled(6)
     ax = pgm.plot.network(net, evidence=[z])
     circles = {text.get_position(): text.get_text() for text in ax.texts}
-    nodes = {circles[p.center]: p for p in ax.patches if isinstance(p, Circle)}
+    nodes = {circles[p.center]: p for p in ax.patches if isinstance(p, Ellipse)}
     assert set(nodes) == {repr(v) for v in net.variables}
     extent = [[nodes[repr(v)].center[0] for v in net.variables if v.step == t] for t in range(7)]
     assert all(max(one) < min(other) for one, other in pairwise(extent))
