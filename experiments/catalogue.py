@@ -4,6 +4,7 @@ import inspect
 from types import ModuleType
 
 from experiments import (
+    basics,
     belief_propagation,
     cluster_graph,
     differential_drive,
@@ -34,6 +35,7 @@ EXPERIMENTS: dict[str, ModuleType] = {
     "plaza": plaza,
     "freiburg": freiburg,
     "killian": killian,
+    "basics": basics,
     "kalman": kalman,
     "cluster_graph": cluster_graph,
     "linearisers": linearisers,

@@ -9,13 +9,16 @@ from pgm.plot.beliefs.plane import ellipses, trajectory
 from pgm.plot.beliefs.stacks import beliefs_over_time
 from pgm.plot.diagrams.clusters import cluster_graph
 from pgm.plot.diagrams.graphviz import dot
+from pgm.plot.diagrams.markov import markov_network
 from pgm.plot.diagrams.networks import network
+from pgm.plot.moving.run import animate
 from pgm.plot.statistics.compared import comparison
 from pgm.plot.statistics.consistency import coverage, nees, nis, whiteness
 from pgm.plot.statistics.over_time import errors, kl, rmse
 from pgm.plot.statistics.records import convergence
 
 __all__ = [
+    "animate",
     "animate_beliefs",
     "belief_map",
     "beliefs_over_time",
@@ -28,6 +31,7 @@ __all__ = [
     "errors",
     "grid_map",
     "kl",
+    "markov_network",
     "nees",
     "network",
     "nis",

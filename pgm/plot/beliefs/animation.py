@@ -10,19 +10,15 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
-from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.axes import Axes
 
-from pgm.boundary import is_number
 from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.inference import GridBelief
-from pgm.io.whole import whole
 from pgm.plot.beliefs.cells import belief_map
 from pgm.plot.beliefs.chances import chances
 from pgm.plot.beliefs.grid_map import grid_map
-
-_WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
+from pgm.plot.moving.movies import movie_writer, write_movie
 
 
 def animate_beliefs(
@@ -81,14 +77,11 @@ def animate_beliefs(
     --------
     >>> animate_beliefs(posterior[x], "drive.gif", landmarks=places)  # doctest: +SKIP
     """
-    if not is_number(rate) or not 0.0 < rate < np.inf:
-        raise ModelError(f"rate is a number of pictures a second, above 0, not {rate!r}")
     if isinstance(belief, Table):
         steps, picture = _of_table(belief, truth, landmarks)
     else:
         steps, picture = _of_grid(belief, truth, landmarks)
-    target = Path(path)
-    writer = _writer(target, rate)
+    writer = movie_writer(path, rate)
     figure, ax = plt.subplots(figsize=figsize, layout="constrained")
 
     def draw(k: int) -> None:
@@ -100,17 +93,9 @@ def animate_beliefs(
             also(ax, step)
 
     try:
-        draw(0)  # what does not fit is told before there is a file
-        figure.canvas.draw()  # a layout that is kept: nothing shakes
-        figure.set_layout_engine("none")
-        with whole(target) as part, writer.saving(figure, str(part), dpi):
-            writer.grab_frame()
-            for k in range(1, len(steps)):
-                draw(k)
-                writer.grab_frame()
+        return write_movie(writer, path, figure, draw, len(steps), dpi)
     finally:
         plt.close(figure)
-    return target
 
 
 def _of_grid(
@@ -165,20 +150,3 @@ def _truth(truth: npt.ArrayLike | None, due: tuple[int, ...], axes: str) -> npt.
     if right.shape != due:
         raise ModelError(f"the truth has shape {right.shape}; {due} was due, {axes}")
     return right
-
-
-def _writer(path: Path, rate: float) -> AbstractMovieWriter:
-    """The writer of a file of this kind."""
-    kind = _WRITERS.get(path.suffix.lower())
-    if kind is None:
-        raise ModelError(
-            f"{path.name!r} is no moving picture that can be written: its name ends in .gif, or "
-            "where there is ffmpeg in .mp4"
-        )
-    if not kind.isAvailable():
-        raise ModelError(
-            f"{path.name!r} needs the program ffmpeg, which is not found; install it, or write a "
-            ".gif"
-        )
-    writer: AbstractMovieWriter = kind(fps=rate)
-    return writer

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import networkx as nx
 import numpy as np
@@ -11,15 +11,18 @@ from matplotlib.patches import Ellipse
 from matplotlib.path import Path
 
 from pgm.errors import ModelError
+from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.networks.static import density
 from pgm.plot.colours import INK, OBSERVED
-from pgm.plot.diagrams.canvas import Size, open_canvas, room, slack, text_size
+from pgm.plot.diagrams.canvas import Canvas, Size, open_canvas, room, slack, text_size
 from pgm.plot.diagrams.graphs import Network, directed, in_slices
 from pgm.plot.diagrams.labels import node_label
 from pgm.plot.diagrams.layered import layered
 from pgm.plot.diagrams.slices import sliced
 from pgm.variables import Variable
+
+Edge = tuple[Variable, Variable]
 
 _SMALLEST = 15.0
 _FILL = {True: OBSERVED, False: "white"}
@@ -71,11 +74,33 @@ def network(
     graph = directed(model, steps, evidence)
     slices = isinstance(model, DynamicBayesianNetwork) or in_slices(graph)
     texts = densities(model, graph) if cpds else {}
-    return _draw(graph, texts, ax, slices)
+    return draw_graph(graph, texts, ax, slices, _arrow)
 
 
-def _draw(graph: nx.DiGraph, below: dict[Variable, str], ax: Axes | None, slices: bool) -> Axes:
-    """Circles, or ellipses as wide as their names, and as the texts below some of these."""
+def draw_graph(
+    graph: nx.DiGraph,
+    below: dict[Variable, str],
+    ax: Axes | None,
+    slices: bool,
+    join: Callable[[Canvas, Edge, Array], None],
+    *,
+    fold: bool = True,
+) -> Axes:
+    """Draw circles, or ellipses as wide as their names and as the texts below some of these.
+
+    Parameters
+    ----------
+    graph : networkx.DiGraph
+        Nodes have the attribute ``observed``.
+    below : dict of Variable to str
+    ax : matplotlib.axes.Axes or None
+    slices : bool
+        Whether to place the nodes in slices, else in layers.
+    join : callable
+        Draws an edge along a curve (P, 2).
+    fold : bool
+        Whether layers that would run far to the right may be folded.
+    """
     labels = {node: "\n".join(filter(None, (node_label(node), below.get(node)))) for node in graph}
     texts = {node: text_size(label) for node, label in labels.items()}
     if slices and not below:
@@ -86,17 +111,21 @@ def _draw(graph: nx.DiGraph, below: dict[Variable, str], ax: Axes | None, slices
         high = max(2.0 * _SMALLEST, *(1.3 * size.height + 6.0 for size in texts.values()))
         sizes = {node: Size(max(high, _width(size, high)), high) for node, size in texts.items()}
     page = room(ax)
-    layout = sliced(graph, sizes, page) if slices else layered(graph, sizes, page, fold=True)
+    layout = sliced(graph, sizes, page) if slices else layered(graph, sizes, page, fold=fold)
     letters = slack(list(texts.values()), list(sizes.values()))
     canvas = open_canvas(ax, layout.box(sizes), letters)
     for node, at in layout.points.items():
         canvas.shape(Ellipse(at, *sizes[node]), _FILL[graph.nodes[node]["observed"]], 1.0)
         canvas.text(at, labels[node])
-    for curve in layout.lines.values():
-        canvas.arrow(path=Path(curve))
+    for edge, curve in layout.lines.items():
+        join(canvas, edge, curve)
     for curve in layout.loose:
         canvas.line(curve, colour=INK, width=0.9)
     return canvas.ax
+
+
+def _arrow(canvas: Canvas, edge: Edge, curve: Array) -> None:
+    canvas.arrow(path=Path(curve))
 
 
 def _width(text: Size, height: float) -> float:
