@@ -85,8 +85,8 @@ def _chain(order: list[int], sizes: Mapping[Node, Size], room: Size | None) -> L
 
 def _per_row(count: int, across: float, down: float, room: Size | None) -> int:
     widest = max(1, int(PAGE.width // across))
-    if room is not None or down * math.ceil(count / widest) > PAGE.height:
-        # As large as can be in the room, or in a page.
+    if room is not None or down * math.ceil(count / widest) > 2.0 * PAGE.height:
+        # As large as can be in the room, or on a page if they run far down.
         room = room or PAGE
         scales = [
             min(room.width / (across * n), room.height / (down * -(-count // n)))
