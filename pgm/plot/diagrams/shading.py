@@ -70,7 +70,7 @@ class Shading:
         return Box(left, box.bottom - _BELOW, right, box.top)
 
     def draw_bar(self, canvas: Canvas, box: Box) -> None:
-        """Draw the bar at the bottom of the box that `bar_box` gave; its label alone for nothing."""
+        """Draw the bar at the bottom of the box of `bar_box`; its label alone if all is nothing."""
         length = min(max(_SHORTEST_BAR, 0.5 * (box.right - box.left)), _LONGEST_BAR)
         left = 0.5 * (box.left + box.right - length)
         letters = 0.85 * FONT * canvas.letters
