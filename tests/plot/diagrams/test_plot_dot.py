@@ -197,7 +197,7 @@ def test_what_cannot_be_written_is_refused(robot):
 @pytest.mark.parametrize("name", ["bethe", "tree", "star", "balanced", "children"])
 def test_graphviz_makes_no_ribbon_of_it(name):
     if name == "children":
-        drawn = static([[], *([0] for _ in range(40))])
+        drawn = static([[], *([0] for _ in range(20))])
     elif name == "balanced":
         drawn = pgm.compile(tracker(), 12, method=pgm.Balanced())
     else:
@@ -211,12 +211,12 @@ def test_graphviz_makes_no_ribbon_of_it(name):
         ["dot", "-Tplain"], input=text, capture_output=True, text=True, check=True
     ).stdout
     _, _, width, height = plain.splitlines()[0].split()
-    assert 1 / 8 < float(width) / float(height) < 8
+    assert 1 / 12 < float(width) / float(height) < 6
 
 
 def test_edges_lead_away_from_a_centre():
     text = pgm.plot.dot(pgm.compile(static([[]] + [[0]] * 30), method=pgm.Bethe()))
     (centre,) = re.findall(r'(c\d+) \[shape=ellipse, .*label="v0"\]', text)
     first = re.findall(r"^ +(c\d+) -- s\w+ -- c\d+;", text, flags=re.MULTILINE)
-    assert first.count(centre) == 31
+    assert first.count(centre) == 30
     assert text.startswith("graph {\n  rankdir=LR;")
