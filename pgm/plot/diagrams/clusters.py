@@ -37,6 +37,8 @@ from pgm.plot.diagrams.segments import distances
 from pgm.plot.diagrams.shading import Shading, by_residual, by_size
 
 _MOST = 1000
+# Names of more clusters are never legible in a figure of ordinary size.
+_NAMED = 250
 _STUB = 30.0
 _DASHES = (0.0, (3.0, 2.5))
 Stub = tuple[Point, Point]
@@ -125,8 +127,9 @@ def cluster_graph(
             texts |= {c.index: f"{cluster_name(c.index)}\n{texts[c.index]}" for c in clusters}
         return _draft(texts, sepsets, joins, cut, messages, shading, page)
 
-    draft = drafted(names is not False)
-    if names is None and not messages and not readable(draft.box.size, draft.letters, page):
+    named = names or (names is None and (messages or len(clusters) <= _NAMED))
+    draft = drafted(named)
+    if named and not names and not messages and not readable(draft.box.size, draft.letters, page):
         draft = drafted(False)
     texts, shapes, layout, stubs, box, letters = draft
     canvas = open_canvas(ax, box, letters)
