@@ -148,7 +148,8 @@ class BalancedGraph(DynamicGraph):
             if count > 0:
                 yield self.cluster(first), count
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         return (
             f"BalancedGraph(clusters 0..{self._count - 1} over steps 0..{self.steps}, depth "
             f"{self.depth}, sepsets of {list(self.model.states)})"

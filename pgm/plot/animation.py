@@ -14,6 +14,7 @@ from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.axes import Axes
 
 from pgm.boundary import is_number
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.inference import GridBelief
@@ -124,8 +125,8 @@ def _of_grid(
         )
     if belief.steps is None or len(belief.lead) != 1:
         raise ModelError(
-            f"{belief!r} is not of one run over steps; give posterior[x], or posterior[x][k] of "
-            "several runs"
+            f"{titled(belief)} is not of one run over steps; give posterior[x], or posterior[x][k] "
+            "of several runs"
         )
     right = _truth(truth, (len(belief.steps), len(belief.components)), "steps and components")
 
