@@ -13,11 +13,12 @@ from functools import cached_property
 
 from pgm.clustergraph import Cluster
 from pgm.compile.dynamic import DynamicGraph
+from pgm.display import InCode
 from pgm.factors.scope import Scope
 
 
 @dataclass(frozen=True)
-class Balanced:
+class Balanced(InCode):
     r"""Compile a dynamic network to a balanced tree of its segments, of logarithmic depth.
 
     All clusters of a level can send at once, in a batched call: solving takes about 2 log₂ T rounds

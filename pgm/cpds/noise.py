@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.display import InCode, called
 from pgm.errors import ModelError
 from pgm.factors.arrays import as_matrix
 from pgm.factors.scope import Scope, as_scope, listed
@@ -21,12 +22,15 @@ if TYPE_CHECKING:
     from pgm.cpds.conditional import ConditionalGaussian
 
 
-@dataclass(frozen=True, eq=False)
-class Noise:
+@dataclass(frozen=True, eq=False, repr=False)
+class Noise(InCode):
     """A noise covariance that depends on observed parents; made by `noise`."""
 
     function: Callable[..., Any]
     given: Scope
+
+    def __repr__(self) -> str:
+        return f"Noise({called(self.function)}, given=({listed(self.given)}))"
 
 
 def noise(function: Callable[..., Any], given: Variable | Iterable[Variable]) -> Noise:
