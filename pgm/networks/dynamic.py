@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.boundary import as_generator, as_mapping, is_whole
 from pgm.cpds import CPD, TableCPD
-from pgm.display import Drawn, Summary
+from pgm.display import Drawn, Listing, Summary
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, one_name_each
@@ -23,6 +23,8 @@ from pgm.variables import Discrete
 
 # Numbers of memory that a copy of a CPD at a step takes in a network, at the least.
 _COPY = 100
+# Letters of the factors of a slice that are shown.
+FACTORS = 84
 
 
 class DynamicBayesianNetwork(Drawn, Immutable):
@@ -337,4 +339,4 @@ class DynamicBayesianNetwork(Drawn, Immutable):
             cpds: tuple[CPD, ...] = getattr(self, label)
             if cpds:
                 rows.append((label, factors(cpds)))
-        return Summary(self._title, [f"{label:<12} {text}" for label, text in rows])
+        return Summary(self._title, [Listing(("", ""), rows, names=2, cell=FACTORS)])

@@ -27,6 +27,8 @@ STEPS = 4
 WIDE, HIGH = 640.0, 480.0
 
 # Letters are shapes, so that no font is missing and no name is markup.
+_LINES = "stroke-linejoin: round; stroke-linecap: butt"
+_ABOUT = ("Creator", "Date", "Format", "Type")
 _STYLE = {"svg.fonttype": "path", "svg.hashsalt": "pgm", "text.usetex": False}
 
 
@@ -55,11 +57,10 @@ def svg(value: Network | ClusterGraph) -> str:
             return ""
         text = io.StringIO()
         try:
-            figure.savefig(text, format="svg", facecolor="white", metadata={"Date": None})
+            figure.savefig(text, format="svg", bbox_inches="tight", metadata=dict.fromkeys(_ABOUT))
         finally:
             plt.close(figure)
-    width, height = figure.get_size_inches() * 72.0
-    return _within_html(text.getvalue(), width, height, type(value).__name__)
+    return _within_html(text.getvalue(), type(value).__name__)
 
 
 def _size(value: Network | ClusterGraph) -> tuple[int, int]:
@@ -81,11 +82,15 @@ def _drawn(value: Network | ClusterGraph) -> Axes:
     return cluster_graph(value)
 
 
-def _within_html(document: str, width: float, height: float, name: str) -> str:
+def _within_html(document: str, name: str) -> str:
     """The element of an SVG document, no larger than a page."""
     tag, rest = document[document.index("<svg") :].split(">", 1)
-    tag = re.sub(r'\s(width|height)="[^"]*"', "", tag)
+    # Rules of a style sheet would hold for the whole page that the picture stands on.
+    rest = re.sub(r"<style.*?</style>", "", rest, flags=re.DOTALL)
+    extent = dict(re.findall(r'(width|height)="([0-9.]+)pt"', tag))
+    width, height = float(extent["width"]), float(extent["height"])
     scale = min(1.0, WIDE / width, HIGH / height)
+    tag = re.sub(r'\s(width|height)="[^"]*"', "", tag)
     size = f'width="{width * scale:.0f}pt" height="{height * scale:.0f}pt"'
-    look = 'style="max-width: 100%; background: white"'
+    look = f'style="max-width: 100%; background: white; {_LINES}"'
     return f'{tag} {size} role="img" aria-label="{escape(name)}" {look}>{rest}'
