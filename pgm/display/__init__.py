@@ -1,7 +1,8 @@
 """What values look like: summaries of a few lines, as text and in HTML."""
 
-from pgm.display.brief import as_numbers, brief, table, vector
-from pgm.display.matrices import matrix
+from pgm.display.brief import as_numbers, brief, called, table, vector
+from pgm.display.drawn import Drawn
+from pgm.display.matrices import named_matrix
 from pgm.display.moments import axes, by_component, stacked, whereabouts
 from pgm.display.numbers import beside, column, count, number
 from pgm.display.places import few, places
@@ -11,6 +12,7 @@ from pgm.display.summary import LEFT_OUT, TITLE, Listing, Summary
 __all__ = [
     "LEFT_OUT",
     "TITLE",
+    "Drawn",
     "InCode",
     "Listing",
     "NoArray",
@@ -21,10 +23,11 @@ __all__ = [
     "beside",
     "brief",
     "by_component",
+    "called",
     "column",
     "count",
     "few",
-    "matrix",
+    "named_matrix",
     "number",
     "places",
     "stacked",

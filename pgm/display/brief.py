@@ -29,6 +29,11 @@ def brief(value: Any) -> str:
     return one_line(_SHORT.repr(value))
 
 
+def called(function: Any) -> str:
+    """A function by its name, or another callable by its class."""
+    return one_line(getattr(function, "__qualname__", type(function).__name__))
+
+
 def vector(values: npt.NDArray[Any]) -> str:
     """The numbers of one value in one cell; states by their indices."""
     found = np.ravel(values)

@@ -15,7 +15,7 @@ from pgm.display.summary import LEFT_OUT, Listing
 ROWS, COLUMNS = 8, 7
 
 
-def matrix(
+def named_matrix(
     rows: Sequence[str],
     columns: Sequence[str],
     values: npt.NDArray[Any],

@@ -12,6 +12,8 @@ LINES, WIDTH, CELL, TITLE = 20, 100, 40, 300
 INDENT = "  "
 GAP = "  "
 LEFT_OUT = "..."
+# Numbers stand below each other in HTML too.
+_CELL = "padding: 0 0.6em; white-space: pre; font-variant-numeric: tabular-nums"
 
 # A row of cells; None stands for rows that are left out.
 Row = Sequence[str] | None
@@ -59,11 +61,11 @@ class Listing:
     def html(self) -> str:
         """The table in HTML."""
         heads, *table = self._filled()
-        head = "".join(f"<th>{escape(cell)}</th>" for cell in heads)
+        head = "".join(f'<th style="{_CELL}">{escape(cell)}</th>' for cell in heads)
         rows = []
         for row in table:
             cells = [
-                f'<td style="text-align: {"left" if k < self.names else "right"}">'
+                f'<td style="text-align: {"left" if k < self.names else "right"}; {_CELL}">'
                 f"{escape(cell)}</td>"
                 for k, cell in enumerate(row)
             ]

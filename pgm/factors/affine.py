@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats
-from pgm.display import NoArray, Shown, Summary, axes, matrix
+from pgm.display import NoArray, Shown, Summary, axes, named_matrix
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.canonical import CanonicalForm
 from pgm.factors.covariance import matrices
@@ -210,7 +210,7 @@ class AffineGaussian(Shown, NoArray, Immutable):
             self._title,
             [
                 "y = F x + b + n" + ", of the first run" * bool(self._lead),
-                matrix(children, parents, F, "F", before=[("b", b)]),
-                matrix(children, children, cov, "cov"),
+                named_matrix(children, parents, F, "F", before=[("b", b)]),
+                named_matrix(children, children, cov, "cov"),
             ],
         )

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats, as_mapping
-from pgm.display import NoArray, Shown, Summary, axes, matrix, number
+from pgm.display import NoArray, Shown, Summary, axes, named_matrix, number
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.arrays import as_matrix, as_points, as_vector, require_broadcast
 from pgm.factors.gaussian import Gaussian, as_gaussian
@@ -417,4 +417,4 @@ class CanonicalForm(Shown, NoArray, Immutable):
             scale = f"run {', '.join(map(str, first))}: {scale}"
         if not heads:
             return Summary(self._title, [scale])
-        return Summary(self._title, [scale, matrix(heads, heads, K, "K", before=[("h", h)])])
+        return Summary(self._title, [scale, named_matrix(heads, heads, K, "K", before=[("h", h)])])

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 from pgm.display import Listing, Summary, column, few, places
 from pgm.display.places import Place
@@ -58,6 +61,13 @@ def summary(scope: States, values: Array, log_scale: Array) -> Summary:
         len(names),
     )
     return Summary(title(scope, lead), [listing] if found else [])
+
+
+def shown(scope: States, values: Array) -> Sequence[str | Listing]:
+    """The entries of a table, without its title."""
+    if len(scope) == 1:
+        return [_row(scope, values, np.zeros(()))]
+    return summary(scope, values, np.zeros(())).parts
 
 
 def _numbers(log_scale: Array, values: Array) -> Summary:

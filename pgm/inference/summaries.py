@@ -21,7 +21,7 @@ from pgm.display import (
 )
 from pgm.display.places import Place
 from pgm.errors import PgmError
-from pgm.factors import Gaussian, Table
+from pgm.factors import Table
 from pgm.factors.listing import states_of
 from pgm.factors.scope import components
 from pgm.kernels.arrays import Array
@@ -123,7 +123,7 @@ def by_variable(
         except PgmError as error:
             rows.append([repr(variables[k]), f"none: {error}", *[""] * (len(picked) - 1)])
             continue
-        rows += _of_variable(found, picked)
+        rows += _of_variable(variables[k], found, picked)
     heads = ["", *(f"run {', '.join(map(str, place))}" if place else "" for place in picked)]
     return [Listing(heads, rows[: NETWORK_ROWS + 1], cell=60)] if rows else []
 
@@ -193,10 +193,10 @@ def _ends(
     return Listing([*names, repr(variable)], rows, names=len(names) + 1, cell=80)
 
 
-def _of_variable(found: Gaussian | Table, picked: Sequence[Place]) -> list[list[str]]:
+def _of_variable(variable: Variable, found: Any, picked: Sequence[Place]) -> list[list[str]]:
     """The rows of a variable: one, or one a component."""
     if isinstance(found, Table):
-        return [[repr(found.scope[0]), *(states_of(found, place) for place in picked)]]
+        return [[repr(variable), *(states_of(found, place) for place in picked)]]
     each = [
         beside(
             [float(found.mean[place][k]) for place in picked],
@@ -205,7 +205,7 @@ def _of_variable(found: Gaussian | Table, picked: Sequence[Place]) -> list[list[
         )
         for k in range(found.mean.shape[-1])
     ]
-    names = components(found.scope)
+    names = components((variable,))
     if len(names) > 1:
-        names = [f"{found.scope[0]!r}.{name}" for name in names]
+        names = [f"{variable!r}.{name}" for name in names]
     return [[name, *cells] for name, cells in zip(names, each, strict=True)]

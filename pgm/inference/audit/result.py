@@ -136,7 +136,7 @@ class Audit(Shown, Immutable):
             [
                 "The Gaussian answer against the exact posterior of the same model:",
                 Listing(("", ""), rows),
-                f"Pareto shape {number(k, 2)} (to be below {UNTRUSTED}){trust}",
+                f"Pareto shape {k:.2g} (to be below {UNTRUSTED}){trust}",
                 "The model against its data:" + " not seen by this audit" * (not seen),
                 *seen,
             ],

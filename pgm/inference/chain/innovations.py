@@ -63,7 +63,7 @@ class Innovations(Shown, NoArray):
         return f"Innovations({count} of {size} components{steps}{runs})"
 
     def _summary(self) -> Summary:
-        *lead, _, size = self.residual.shape
+        size = self.residual.shape[-1]
         squares, read = np.nansum(self.nis), self.dof.sum()
         said = f"NIS {number(squares / read)} a component (right: 1)" if read else "nothing read"
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
-from pgm.display import LEFT_OUT, Listing, Shown, Summary, few
+from pgm.display import LEFT_OUT, Listing, Shown, Summary, few, titled
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.discrete import BoundStates, bind_discrete
@@ -176,7 +176,7 @@ def most_probable(
     """
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
-            f"most_probable takes a cluster graph (pgm.compile(network)), not {graph!r}"
+            f"most_probable takes a cluster graph (pgm.compile(network)), not {titled(graph)}"
         )
     if not isinstance(evidence, Mapping):
         raise EvidenceError(
@@ -198,7 +198,7 @@ def most_probable(
         )
     if not graph.is_tree:
         raise GraphError(
-            f"{graph!r} has loops, and most_probable is for trees; compile a junction tree, "
+            f"{titled(graph)} has loops, and most_probable is for trees; compile a junction tree, "
             "pgm.compile(network)"
         )
     room = Room.of(memory, graph)

@@ -260,7 +260,8 @@ class OnlineGrid(InCode, Immutable):
             or not belief._lattice.like(self._lattice)
         ):
             raise ModelError(
-                f"{titled(belief)} is no belief of this filter's model and grid; begin with initial()"
+                f"{titled(belief)} is no belief of this filter's model and grid; begin with "
+                "initial()"
             )
 
     def _each(

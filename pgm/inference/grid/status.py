@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.display import Shown, Summary
+from pgm.display import Shown, Summary, brief, number
 from pgm.errors import GridWarning
 from pgm.immutable import Immutable
 from pgm.inference.grid.cut import Cut
@@ -53,6 +53,13 @@ class Refinement(NamedTuple):
     figure: Array
     change: float
     seconds: float
+
+    def __repr__(self) -> str:
+        cells = " × ".join(map(str, self.cells))
+        return (
+            f"Refinement({cells} cells, figure {brief(self.figure)}, change "
+            f"{number(self.change)}, {number(self.seconds)} s)"
+        )
 
 
 class GridStatus(Shown, Immutable):

@@ -223,8 +223,9 @@ class OnlineTables(InCode, Immutable):
         mine = isinstance(belief, OnlineStates) and belief._plan.model is self.model
         if not mine or belief.kind.lag > 0 or belief._lag != self.lag:
             raise ModelError(
-                f"{titled(belief)} is no belief to go on from with {self!r}: begin with its initial(), "
-                "and go on from the newest belief; copy or pickle a filter and its beliefs together"
+                f"{titled(belief)} is no belief to go on from with {self!r}: begin with its "
+                "initial(), and go on from the newest belief; copy or pickle a filter and its "
+                "beliefs together"
             )
 
 

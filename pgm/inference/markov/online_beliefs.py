@@ -164,7 +164,8 @@ class OnlineStates(Shown, NoArray, Immutable):
         """
         if self._lag is None:
             raise EvidenceError(
-                f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, lag=5)",
+                f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, "
+                "lag=5)",
                 step=self.step,
             )
         if not self._trail:

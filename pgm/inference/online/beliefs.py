@@ -139,7 +139,8 @@ class OnlineBelief(Shown, NoArray, Immutable):
         """
         if self.behind is None:
             raise EvidenceError(
-                f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, lag=5)",
+                f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, "
+                "lag=5)",
                 step=self.step,
             )
         step, mean, cov = self.behind.lagged(self.step, self.mean, self.cov)

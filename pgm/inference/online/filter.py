@@ -390,8 +390,9 @@ class OnlineFilter(InCode, Immutable):
         own, behind = self._behind, belief.behind
         if not is_like(behind, own) or belief.kind.lag > 0:
             raise ModelError(
-                f"{titled(belief)} is no belief to go on from with {self.schedule!r}: it is of a filter "
-                "with another schedule, or lags behind one; begin with initial(), and go on from "
+                f"{titled(belief)} is no belief to go on from with {self.schedule!r}: it is of a "
+                "filter with another schedule, or lags behind one; begin with initial(), and go "
+                "on from "
                 "the newest belief"
             )
 
