@@ -8,7 +8,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "pgm"
 LAYERS = [
-    {"boundary", "errors", "immutable", "progress", "sizes", "variables", "kernels"},
+    {"boundary", "errors", "immutable", "optional", "progress", "sizes", "variables", "kernels"},
     {"factors"},
     {"linearisers"},
     {"cpds", "maps"},

@@ -22,6 +22,7 @@ from pgm.factors.axes import (
     spread,
     without,
 )
+from pgm.factors.frames import FramedTable
 from pgm.factors.listing import rows, title
 from pgm.factors.scope import names
 from pgm.immutable import Immutable
@@ -32,7 +33,7 @@ from pgm.variables import Discrete, Variable
 ZERO = frozen(np.zeros(()))
 
 
-class Table(Immutable):
+class Table(FramedTable, Immutable):
     r"""A discrete factor: a non-negative table times the exponential of a log-scale.
 
     .. math:: \phi(x) = \text{values}[x] \, \exp(\text{log-scale})

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pgm.boundary import as_generator, as_lengths
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
+from pgm.factors.frames import Framed
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.inference.components import places_of, whole_variables
@@ -21,7 +22,7 @@ from pgm.kernels.angles import TURN, wrap
 from pgm.kernels.arrays import Array, Integers
 
 
-class ParticleBelief(Immutable):
+class ParticleBelief(Framed, Immutable):
     r"""A belief as weighted draws.
 
     .. math:: p(x) = \sum_i w_i \, δ(x - x_i)
