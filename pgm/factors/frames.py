@@ -132,7 +132,8 @@ class FramedTable:
         """
         pandas = optional("pandas", "Table.to_frame()", FRAMES)
         lead, scope = self.log_scale.shape, self.scope
-        values = kernel.entries(self.values, self.log_scale.reshape(*lead, *(1,) * len(scope)))
+        log_scale = self.log_scale.reshape(lead + (1,) * len(scope))
+        values = np.asarray(kernel.entries(self.values, log_scale))
         if np.isinf(values).any():
             raise NumericalError(
                 f"an entry of the table over {names(scope)} is too large for a number; take "

@@ -12,7 +12,7 @@ from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph, SliceLayout
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import positions
+from pgm.factors.scope import Scope, positions
 from pgm.inference.associations import Found
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.innovations import Innovations
@@ -154,6 +154,10 @@ class KeptPosterior(Posterior):
             return found
         at = variable.step - first
         return Gaussian._make((variable,), found.mean[..., at, :], found.cov[..., at, :, :])
+
+    @property
+    def _hidden(self) -> Scope:
+        return tuple(self._kept)
 
     @property
     def log_evidence(self) -> Array:

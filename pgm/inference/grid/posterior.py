@@ -20,12 +20,13 @@ from pgm.inference.grid.lattice import Lattice
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, Kind
+from pgm.inference.labelled import Labelled
 from pgm.inference.posterior import require_variable
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class GridPosterior(Immutable):
+class GridPosterior(Labelled, Immutable):
     """The beliefs of a dynamic network's states on a grid.
 
     Attributes
@@ -79,6 +80,10 @@ class GridPosterior(Immutable):
             _filtered=filtered,
             _bound=bound,
         )
+
+    @property
+    def _hidden(self) -> Scope:
+        return self._lattice.states
 
     @property
     def log_evidence_kind(self) -> str:

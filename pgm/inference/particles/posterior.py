@@ -12,11 +12,12 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.cpds.unidentified import UnidentifiedCPD
 from pgm.errors import EvidenceError
-from pgm.factors.scope import as_scope, listed
+from pgm.factors.scope import Scope, as_scope, listed
 from pgm.immutable import Immutable
 from pgm.inference.associations import Found, collected
 from pgm.inference.grid.belief import require_step
 from pgm.inference.kind import FILTERED, Kind
+from pgm.inference.labelled import Labelled
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.laws import Some
@@ -29,7 +30,7 @@ from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class ParticlePosterior(Immutable):
+class ParticlePosterior(Labelled, Immutable):
     """The beliefs of a dynamic network as weighted draws.
 
     Attributes
@@ -82,6 +83,10 @@ class ParticlePosterior(Immutable):
             _clouds=clouds,
             _filtered=filtered,
         )
+
+    @property
+    def _hidden(self) -> Scope:
+        return tuple(self._model.places)
 
     @property
     def log_evidence_kind(self) -> str:
