@@ -113,6 +113,8 @@ if TYPE_CHECKING:
         write_bif,
         write_xmlbif,
     )
+    from pgm.io.poses import Poses
+    from pgm.io.tum import read_tum, write_tum
 
 __version__ = "0.1.0"
 
@@ -130,6 +132,8 @@ _LATER = {
         "write_bif",
         "write_xmlbif",
     ),
+    "pgm.io.poses": ("Poses",),
+    "pgm.io.tum": ("read_tum", "write_tum"),
 }
 
 if not TYPE_CHECKING:  # to type checkers it would say that every name exists
@@ -215,6 +219,7 @@ __all__ = [
     "ParticleWarning",
     "Particles",
     "PgmError",
+    "Poses",
     "Posterior",
     "PrecisionWarning",
     "QuasiMonteCarlo",
@@ -249,6 +254,7 @@ __all__ = [
     "plot",
     "query",
     "read_bif",
+    "read_tum",
     "read_uai",
     "read_uai_evidence",
     "read_xmlbif",
@@ -263,5 +269,6 @@ __all__ = [
     "unknown",
     "variables",
     "write_bif",
+    "write_tum",
     "write_xmlbif",
 ]

@@ -8,7 +8,10 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "pgm"
 LAYERS = [
-    {"boundary", "display", "errors", "immutable", "progress", "sizes", "variables", "kernels"},
+    {
+        *("boundary", "display", "errors", "immutable", "optional", "progress", "sizes"),
+        *("variables", "kernels"),
+    },
     {"factors"},
     {"linearisers"},
     {"cpds", "maps"},

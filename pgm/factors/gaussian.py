@@ -13,7 +13,6 @@ from pgm.boundary import (
     as_generator,
     as_lengths,
     as_tuple,
-    as_wholes,
     is_number,
     is_unordered,
     is_whole,
@@ -30,14 +29,16 @@ from pgm.display import (
     stacked,
 )
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import as_points, as_vector
+from pgm.factors.arrays import as_points, as_steps, as_vector
 from pgm.factors.covariance import as_covariance
+from pgm.factors.frames import Framed
 from pgm.factors.scope import (
     Scope,
     angle_mask,
     as_scope,
     components,
     dimension,
+    distinct_labels,
     labels,
     listed,
     names,
@@ -96,7 +97,7 @@ class Ellipse(NamedTuple):
         return self._summary().html()
 
 
-class Gaussian(Shown, NoArray, Immutable):
+class Gaussian(Framed, Shown, NoArray, Immutable):
     r"""A normal density in moment form.
 
     .. math:: N(x; \mu, P) = |2\pi P|^{-1/2} \exp(-\tfrac12 (x-\mu)^\top P^{-1} (x-\mu))
@@ -166,7 +167,7 @@ class Gaussian(Shown, NoArray, Immutable):
             scope,
             np.broadcast_to(mean, (*lead, size)),
             np.broadcast_to(cov, (*lead, size, size)),
-            None if steps is None else _as_steps(scope, steps, lead),
+            None if steps is None else as_steps(scope, steps, lead),
         )
 
     def _put(self, scope: Scope, mean: Array, cov: Array, steps: Integers | None) -> None:
@@ -190,6 +191,11 @@ class Gaussian(Shown, NoArray, Immutable):
         gaussian = object.__new__(cls)
         gaussian._put(scope, mean, cov, steps)
         return gaussian
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The names of the components, with that of the variable where variables share one."""
+        return distinct_labels(self.scope)
 
     @property
     def std(self) -> Array:
@@ -443,13 +449,3 @@ def as_gaussian(value: object) -> Gaussian:
     if not isinstance(value, Gaussian):
         raise ModelError(f"a Gaussian was due, like posterior[x], not {type(value).__name__}")
     return value
-
-
-def _as_steps(scope: Scope, steps: npt.ArrayLike, lead: tuple[int, ...]) -> Integers:
-    array = as_wholes(steps, f"Gaussian over {names(scope)}: its steps")
-    if array.shape != lead[-1:]:
-        raise ModelError(
-            f"Gaussian over {names(scope)}: the steps have shape {array.shape}; the last of the "
-            f"leading axes {lead} needs one step for each of its entries"
-        )
-    return array

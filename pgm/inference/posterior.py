@@ -9,12 +9,14 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.display import NoArray, Shown
 from pgm.errors import EvidenceError
 from pgm.factors import CanonicalForm, Gaussian, Table
+from pgm.factors.scope import Scope
+from pgm.inference.labelled import Labelled
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 
 
-class Posterior(Shown, NoArray, ABC):
+class Posterior(Labelled, Shown, NoArray, ABC):
     """The beliefs of a cluster graph after a schedule of messages; leading axes are runs.
 
     Marginals and joints are a `Gaussian` for continuous variables, a `Table` for discrete ones;
@@ -128,6 +130,11 @@ class Posterior(Shown, NoArray, ABC):
         NumericalError
             If it has no canonical form, since a covariance is singular.
         """
+
+    @property
+    @abstractmethod
+    def _hidden(self) -> Scope:
+        """The variables that have marginals; of a dynamic network their templates."""
 
     @property
     @abstractmethod

@@ -13,7 +13,7 @@ from pgm.compile import DynamicGraph, SliceLayout
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import listed, positions
+from pgm.factors.scope import Scope, listed, positions
 from pgm.inference.associations import Found
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.innovations import Innovations
@@ -161,6 +161,10 @@ class KeptPosterior(Posterior):
             return found
         at = variable.step - first
         return Gaussian._make((variable,), found.mean[..., at, :], found.cov[..., at, :, :])
+
+    @property
+    def _hidden(self) -> Scope:
+        return tuple(self._kept)
 
     @property
     def log_evidence(self) -> Array:

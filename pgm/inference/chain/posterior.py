@@ -91,6 +91,10 @@ class ChainPosterior(Posterior):
         return self._smoothed or Beliefs(self._swept.mean, self._swept.cov)
 
     @property
+    def _hidden(self) -> Scope:
+        return (*self.graph.model.states, *self.graph.model.controls)
+
+    @property
     def predicted(self) -> Marginals:
         """Marginals given the measurements before each step, as CPDs were linearised last."""
         forward = self._forward

@@ -12,8 +12,8 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
-from pgm.factors.axes import States, sizes
-from pgm.factors.scope import as_scope, names
+from pgm.factors.axes import States, discrete, sizes
+from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference import limits
 from pgm.inference.discrete.evidence import axes_left, put_in
 from pgm.inference.discrete.first_beliefs import FirstBeliefs
@@ -73,12 +73,20 @@ class DiscretePosterior(Posterior):
                 f"{list(self.graph.network.variables)}",
                 variable=variable,
             )
-        state = self._beliefs.evidence.states.get(variable)
-        if state is not None and np.min(state) >= 0:
+        if self._is_observed(variable):
             raise EvidenceError(
                 f"{variable!r} is observed: its value is its evidence", variable=variable
             )
         return variable
+
+    def _is_observed(self, variable: Variable) -> bool:
+        """Whether it is observed in all runs."""
+        state = self._beliefs.evidence.states.get(discrete((variable,))[0])
+        return state is not None and bool(np.min(state) >= 0)
+
+    @property
+    def _hidden(self) -> Scope:
+        return tuple(v for v in self.graph.network.variables if not self._is_observed(v))
 
     def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
         """The joint of variables that are not observed in all runs, in the order given.

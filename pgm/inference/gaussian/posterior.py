@@ -48,6 +48,10 @@ class GaussianPosterior(Posterior):
     _done: Calibrated
     _sent: RowMessages | None = None
 
+    @property
+    def _hidden(self) -> Scope:
+        return self._model.layout.hidden
+
     @quiet()
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a variable without evidence, (*runs, d).

@@ -16,7 +16,7 @@ from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
 from pgm.factors.axes import discrete, sizes
-from pgm.factors.scope import as_scope
+from pgm.factors.scope import Scope, as_scope
 from pgm.inference.chain.marginals import located
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
@@ -114,6 +114,10 @@ class StatePosterior(Posterior):
     def _slices(self) -> TableSlices:
         found: Any = self._chain.slices
         return found  # type: ignore[no-any-return]
+
+    @property
+    def _hidden(self) -> Scope:
+        return (*self.graph.model.states, *self.graph.model.controls)
 
     @property
     def _lead(self) -> tuple[int, ...]:
