@@ -12,6 +12,7 @@ from typing import Any
 from sphinx.application import Sphinx
 
 _LITERAL = re.compile(r"(``.*?``|`[^`]*`)")
+_ENDED = re.compile(r"((?<!`)`[^`]+`)(?=[a-z])")  # `Gaussian`s
 _EMPHASIS = re.compile(r"(?<![\w(*])\*(?=\w)([^*]*\w)\*(?!\w)")
 _ARGUMENTS = re.compile(r"^\*{1,2}\w+(\s*:.*)?$")  # `**style`, the name of a parameter
 
@@ -37,7 +38,7 @@ def escaped(lines: list[str]) -> list[str]:
             continue
         parts = _LITERAL.split(line)
         parts[::2] = [_escape(part) for part in parts[::2]]
-        result.append("".join(parts))
+        result.append(_ENDED.sub(r"\1\\ ", "".join(parts)))
     return result
 
 
