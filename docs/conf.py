@@ -6,7 +6,12 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 
+from pygments.lexers.special import TextLexer
+from sphinx.highlighting import lexers
+
 import pgm
+
+lexers["csv"] = TextLexer()
 
 project = "pgm"
 author = "The pgm developers"

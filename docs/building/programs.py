@@ -14,8 +14,10 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent.parent
 DOCS = ROOT / "docs"
 
-# A fence of Python, and right behind it the text that it prints, where the page shows that.
+# A fence of Python, and right behind it the text that it prints, where the page shows that. Before it
+# a comment may name the test that runs it, where it needs what no page can give.
 _BLOCK = re.compile(
+    r"(?:^<!-- run by (?P<elsewhere>[\w/]+\.py) -->\n)?"
     r"^```python\n(?P<code>.*?)^```$(?:\s*?\n```text\n(?P<shown>.*?)^```$)?",
     flags=re.MULTILINE | re.DOTALL,
 )
@@ -33,11 +35,14 @@ class Block:
     code : str
     shown : str or None
         The output that the page shows; None where it shows none.
+    elsewhere : str or None
+        The test that runs the block, where its page does not.
     """
 
     line: int
     code: str
     shown: str | None
+    elsewhere: str | None = None
 
     @property
     def missing(self) -> list[str]:
@@ -69,18 +74,26 @@ def pages() -> list[Path]:
 def blocks(text: str) -> list[Block]:
     """The blocks of Python of a page's text, in their order."""
     return [
-        Block(text.count("\n", 0, match.start("code")) + 1, match["code"], match["shown"])
+        Block(
+            text.count("\n", 0, match.start("code")) + 1,
+            match["code"],
+            match["shown"],
+            match["elsewhere"],
+        )
         for match in _BLOCK.finditer(text)
     ]
 
 
-def run(page: Path, namespace: dict[str, object] | None = None) -> Iterator[Ran]:
+def run(page: Path) -> Iterator[Ran]:
     """Run the blocks of a page in the working directory, one after the other.
 
-    A block whose packages are not installed is passed over, and says so.
+    A block whose packages are not installed is passed over, and says so; as is one that a test runs.
     """
-    names: dict[str, object] = {"__name__": "__main__"} if namespace is None else namespace
+    names: dict[str, object] = {"__name__": "__main__"}
     for block in blocks(page.read_text(encoding="utf-8")):
+        if block.elsewhere:
+            yield Ran(block, "")
+            continue
         if block.missing:
             yield Ran(block, "", tuple(block.missing))
             continue

@@ -32,6 +32,16 @@ def test_a_block_names_the_packages_that_it_lacks():
 
 
 @pytest.mark.parametrize("name", PAGES)
+def test_a_block_that_a_page_does_not_run_is_run_by_a_test(name):
+    for block in programs.blocks((programs.ROOT / name).read_text(encoding="utf-8")):
+        if block.elsewhere is not None:
+            test = (programs.ROOT / block.elsewhere).read_text(encoding="utf-8")
+            assert name.rpartition("/")[2] in test
+            assert "exec(compile(" in test
+
+
+@pytest.mark.filterwarnings("ignore::FutureWarning")  # of libraries that a page compares with
+@pytest.mark.parametrize("name", PAGES)
 def test_the_programs_of_a_page_run_and_print_what_it_shows(name, tmp_path, monkeypatch):
     import matplotlib.pyplot as plt
 
