@@ -83,3 +83,10 @@ def test_the_log_shown_is_the_log():
     page = text(programs.DOCS / "tutorials" / "own_log.md")
     (head,) = re.findall(r"^```csv\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
     assert text(programs.DOCS / "log.csv").startswith(head)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_code_is_no_wider_than_a_page(page):
+    for block in programs.blocks(text(page)):
+        for line in block.code.splitlines():
+            assert len(line) <= 98, line
