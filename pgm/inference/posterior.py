@@ -126,6 +126,30 @@ class Posterior(ABC):
             If it has no canonical form, since a covariance is singular.
         """
 
+    @abstractmethod
+    def potential(self, cluster: int | Cluster) -> CanonicalForm | Table:
+        """The potential of a cluster: the product of its CPDs, with their evidence put in.
+
+        Nonlinear CPDs are as they were linearised last. Times all messages to the cluster it is
+        the belief, where these were sent.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm or Table
+            Over the cluster's variables without evidence; leading axes are runs.
+
+        Raises
+        ------
+        GraphError
+            If the graph has no such cluster.
+        NumericalError
+            If it has no canonical form, since a noise is singular.
+        """
+
     @property
     @abstractmethod
     def log_evidence(self) -> Array:

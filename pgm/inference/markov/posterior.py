@@ -20,7 +20,7 @@ from pgm.inference.chain.marginals import located
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.markov.chain import TINY, StateChain
-from pgm.inference.markov.joints import joint, pair
+from pgm.inference.markov.joints import joint, pair, potential
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
@@ -300,6 +300,38 @@ class StatePosterior(Posterior):
         values = pair(self._chain, plan, step, message)
         scope = discrete(tuple(v.at(step) for v in self.graph.layout.pair))
         return self._table(scope, values, weight)
+
+    def potential(self, cluster: int | Cluster) -> Table:
+        """The potential of a cluster: the product of its tables, with their evidence put in.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        Table
+            Over the states of the step before and the slice; of cluster 0 over its states.
+
+        Raises
+        ------
+        GraphError
+            If there is no such cluster, or its table would not fit.
+        """
+        step, plan, chain = self.graph.index(cluster), self._plan, self._chain
+        if step:
+            entries = math.prod((*sizes(plan.states), *plan.shape))
+            require_runs(entries, self._slices.bound.runs, f"the potential of cluster {step}")
+        values, weights, log_scale = potential(chain, plan, step)
+        if weights is not None:
+            values = chain.semiring.times(values, weights)
+        if not step:
+            values = self._states(values, total=False)
+        top = values.max(axis=tuple(range(values.ndim - chain.batch)))
+        values = chain.numbers(chain.semiring.over(values, top))
+        scale = np.broadcast_to(log_scale + chain.semiring.logs(top), self._slices.bound.runs)
+        scope = self.graph.layout.pair if step else plan.states
+        return self._table(discrete(tuple(v.at(step) for v in scope)), values, scale)
 
     def _table(self, scope: Any, values: Array, weight: Array) -> Table:
         scale = weight.reshape(self._lead) if self._lead else weight.reshape(())
