@@ -111,16 +111,19 @@ if TYPE_CHECKING:
         write_bif,
         write_xmlbif,
     )
+    from pgm.viewer import view
 
 __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
     """Load what is slow to import, or seldom wanted, when it is first asked for."""
-    if name in ("comparison", "consistency", "maps", "plot"):
+    if name in ("comparison", "consistency", "maps", "plot", "viewer"):
         return import_module(f"pgm.{name}")
     if name in ("Comparison", "compare"):
         return getattr(import_module("pgm.comparison"), name)
+    if name == "view":
+        return import_module("pgm.viewer").view
     if name in __all__:
         return getattr(import_module("pgm.io.networks"), name)
     raise AttributeError(f"module 'pgm' has no attribute {name!r}")
@@ -234,6 +237,7 @@ __all__ = [
     "to_pgmpy",
     "unknown",
     "variables",
+    "view",
     "write_bif",
     "write_xmlbif",
 ]

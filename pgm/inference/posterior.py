@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from importlib import import_module
 from typing import ClassVar, overload
 
 from pgm.clustergraph import Cluster, ClusterGraph
@@ -13,7 +14,18 @@ from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 
 
-class Posterior(ABC):
+class Viewed:
+    """Base of results that a notebook shows as a page of their graph, beliefs and messages."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        # The viewer stands above this layer, which must not import it: found by its name.
+        shown: str = import_module("pgm.viewer").html(self)
+        return shown
+
+
+class Posterior(Viewed, ABC):
     """The beliefs of a cluster graph after a schedule of messages; leading axes are runs.
 
     Marginals and joints are a `Gaussian` for continuous variables, a `Table` for discrete ones;

@@ -20,12 +20,12 @@ from pgm.inference.grid.lattice import Lattice
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, Kind
-from pgm.inference.posterior import require_variable
+from pgm.inference.posterior import Viewed, require_variable
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class GridPosterior(Immutable):
+class GridPosterior(Viewed, Immutable):
     """The beliefs of a dynamic network's states on a grid.
 
     Attributes
