@@ -45,7 +45,9 @@ def page(
     }
     weight = np.cumsum(forward.log_density, axis=0)
     found["runs"] = []
-    rows = np.array(span)
+    held = range(max(span[0] - 1, 0), span[-1] + 1)  # a cluster holds the states before its step
+    rows = np.array(held)
+    found["steps"]["base"] = held[0]
     for run, place in zip(runs, flat, strict=True):
         own = {
             "mean": beliefs.mean[rows, place],
@@ -70,7 +72,7 @@ def page(
             for name, part in zip("Khg", rest, strict=True):
                 values = part[at, place]
                 refs[f"own.{name}"] = numbers.add(lower(values) if name == "K" else values, SHOWN)
-            if not span[0]:
+            if not held[0]:
                 for name, part in zip("Khg", first, strict=True):
                     values = part[None, place]
                     refs[f"first.{name}"] = numbers.add(lower(values) if name == "K" else values, SHOWN)

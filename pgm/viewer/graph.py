@@ -12,11 +12,13 @@ from pgm.compile import BalancedGraph
 from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian, Table
 from pgm.inference import Posterior
+from pgm.inference.discrete.posterior import DiscretePosterior
+from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.variables import Discrete, Variable
 from pgm.viewer.limits import Limits, Run
 from pgm.viewer.numbers import SHOWN, Numbers, lower
 from pgm.viewer.placing import place
-from pgm.viewer.words import cpd, number, variable, went
+from pgm.viewer.words import cpd, listed, number, variable, went
 
 # Of a table that is left out, so many of its largest entries are shown.
 _LARGEST = 64
@@ -51,6 +53,7 @@ def page(
             for run in runs
         ],
     }
+    values = [_evidence(posterior, _flat(run, lead)) for run in runs]
     for cluster in clusters:
         k = cluster.index
         belief = writer.belief(cluster)
@@ -59,7 +62,7 @@ def page(
             {
                 "index": k,
                 "scope": writer.names(hidden),
-                "observed": [repr(v) for v in cluster.scope if v not in hidden],
+                "observed": [_given(v, values) for v in cluster.scope if v not in hidden],
                 "cpds": [cpd(c, f) for c, f in zip(cluster.cpds, cluster.families, strict=True)],
                 "belief": belief,
                 "potential": writer.factors(lambda k=k: posterior.potential(k), hidden),
@@ -83,6 +86,28 @@ def page(
 
 def _flat(run: Run, lead: tuple[int, ...]) -> int:
     return int(np.ravel_multi_index(run, lead)) if lead else 0
+
+
+def _given(observed: Variable, values: list[dict[Variable, str]]) -> list[Any]:
+    """A variable that has evidence, and its value in each run, where the posterior holds it."""
+    return [repr(observed), [each.get(observed) for each in values]]
+
+
+def _evidence(posterior: Posterior, run: int) -> dict[Variable, str]:
+    """The values of observed variables in a run, in words."""
+    found: dict[Variable, str] = {}
+    if isinstance(posterior, GaussianPosterior):
+        model = posterior._model
+        for group, rows in zip(model.layout.groups, model.readings, strict=True):
+            if rows is not None:
+                own = rows[:, run if rows.shape[1] > 1 else 0]
+                found |= {c.child: listed(row) for c, row in zip(group.cpds, own, strict=True)}
+    elif isinstance(posterior, DiscretePosterior):
+        for v, states in posterior._beliefs.evidence.states.items():
+            each = np.reshape(states, -1)
+            state = int(each[run if each.size > 1 else 0])
+            found[v] = v.states[state] if state >= 0 else "not observed"
+    return found
 
 
 def _shown(graph: ClusterGraph, limits: Limits) -> tuple[list[int], str | None]:
@@ -200,7 +225,8 @@ class _Writer:
         run = run if table.log_scale.ndim else ()
         values, scale = table.values[run], np.atleast_1d(table.log_scale[run])
         found: dict[str, Any] = {"scope": self.names(table.scope)}
-        if values.size <= self.limits.entries:
+        full = self.numbers.count > self.limits.numbers
+        if values.size <= (_LARGEST if full else self.limits.entries):
             at = self.numbers.flat(np.concatenate([values.reshape(-1), scale]))
             return found | {"form": "table", "at": at}
         flat = values.reshape(-1)

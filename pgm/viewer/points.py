@@ -34,6 +34,7 @@ def page(posterior: Any, numbers: Numbers, runs: list[Run], span: range, limits:
     found = head(graph, posterior.kind, span, beliefs)
     found["family"] = "moments"
     found["words"] = {"messages": next(why for kind, why in _WHY.items() if isinstance(posterior, kind))}
+    found["steps"]["base"] = span[0]
     found["runs"] = []
     sensors = readings(_readings(posterior))
     for run in runs:

@@ -24,10 +24,11 @@ def page(
     found = head(graph, posterior.kind, span, plan.slice)
     found["family"] = "table"
     found["words"] = {}
+    found["steps"]["base"] = max(span[0] - 1, 0)
     if posterior.kind != SMOOTHED:
         found["words"]["back"] = f"not sent: the posterior is {posterior.kind}; smoothing sends it"
     sensors = readings(posterior._slices.bound.readings)
-    steps, states = list(span), int(np.prod([v.size for v in plan.states]))
+    steps, states = list(range(max(span[0] - 1, 0), span[-1] + 1)), int(np.prod([v.size for v in plan.states]))
     width = int(np.prod(plan.shape))
     room = len(steps) * states * width * (1 if posterior.kind in (FILTERED, SMOOTHED) else 2)
     pairs = room <= limits.numbers and states * width <= limits.entries
@@ -71,7 +72,7 @@ def page(
             if later:
                 both = len(plan.states) + axes
                 own["own"] = np.stack([one(linear[k][0], both) for k in later])
-            if not span[0]:
+            if not steps[0]:
                 own["first"] = _padded(one(linear[0][0], axes), width)[None]
             if posterior.kind not in (FILTERED, SMOOTHED) and later:
                 tables = [posterior.belief(steps[k]) for k in later]
