@@ -36,7 +36,7 @@ def page(
     whole = posterior._windows is None and posterior._careful is None
     rest: Canonical | None = posterior._potentials if fits else None
     first = first_potential(posterior._plan, forward) if fits else None
-    back = _back(posterior) if fits and posterior.kind == SMOOTHED else None
+    back = posterior._backward_messages if fits and posterior.kind == SMOOTHED else None
     found["family"] = "gaussian"
     found["words"] = _words(posterior, fits)
     sensors = {
@@ -96,13 +96,6 @@ def _words(posterior: ChainPosterior, fits: bool) -> dict[str, str]:
     if posterior.kind != SMOOTHED:
         words["back"] = f"not sent: the posterior is {posterior.kind}; smoothing sends it"
     return words
-
-
-def _back(posterior: ChainPosterior) -> Canonical:
-    """The messages back to each step, (T+1, runs, ...)."""
-    parts = zip(*posterior._backward_messages, strict=True)
-    K, h, g = (np.stack(part) for part in parts)
-    return K, h, g
 
 
 def _known(posterior: ChainPosterior, rows: Array, place: int) -> Array:

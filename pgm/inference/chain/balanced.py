@@ -108,7 +108,8 @@ class BalancedPosterior(ChainPosterior):
     def _future(self, step: int) -> Canonical:
         """The likelihood of the measurements after a step, those that were heard of."""
         if self.kind == SMOOTHED:
-            return self._backward_messages[step]
+            K, h, g = self._backward_messages
+            return K[step], h[step], g[step]
         size = self.graph.layout.state_size
         runs = self._plan.runs
         return np.zeros((runs, size, size)), np.zeros((runs, size)), np.zeros(runs)

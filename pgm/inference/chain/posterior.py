@@ -136,7 +136,7 @@ class ChainPosterior(Posterior):
         return self._reverse_given or Reverse.make(self._plan, self._forward)
 
     @cached_property
-    def _backward_messages(self) -> list[canonical.Canonical]:
+    def _backward_messages(self) -> canonical.Canonical:
         return backward_messages(self._plan, self._forward)
 
     @quiet()
@@ -237,7 +237,8 @@ class ChainPosterior(Posterior):
         if source < target:
             parts = self._past(source)
         elif self.kind == SMOOTHED:
-            parts = self._backward_messages[target]
+            K, h, g = self._backward_messages
+            parts = K[target], h[target], g[target]
         else:
             raise self._unsent(source, target)
         what = f"the message from cluster {source} to {target}"
