@@ -115,11 +115,12 @@ if TYPE_CHECKING:
     )
     from pgm.io.poses import Poses
     from pgm.io.tum import read_tum, write_tum
+    from pgm.viewer import view
 
 __version__ = "0.1.0"
 
 # Slow to import, or seldom wanted: loaded when first asked for.
-_MODULES = ("comparison", "consistency", "maps", "plot")
+_MODULES = ("comparison", "consistency", "maps", "plot", "viewer")
 _LATER = {
     "pgm.comparison": ("Comparison", "compare"),
     "pgm.io.networks": (
@@ -134,6 +135,7 @@ _LATER = {
     ),
     "pgm.io.poses": ("Poses",),
     "pgm.io.tum": ("read_tum", "write_tum"),
+    "pgm.viewer": ("view",),
 }
 
 if not TYPE_CHECKING:  # to type checkers it would say that every name exists
@@ -268,6 +270,7 @@ __all__ = [
     "to_pgmpy",
     "unknown",
     "variables",
+    "view",
     "write_bif",
     "write_tum",
     "write_xmlbif",

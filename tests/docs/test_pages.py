@@ -55,7 +55,9 @@ def documented(module):
         if head == module:
             rest = rest.partition("```")[0]
             listed = set(re.findall(r"^   (\w+)$", rest, flags=re.MULTILINE))
-            entries = re.findall(r"^\.\. auto(?:class|function|exception):: (\w+)$", rest, re.MULTILINE)
+            entries = re.findall(
+                r"^\.\. auto(?:class|function|exception):: (\w+)$", rest, re.MULTILINE
+            )
             assert listed == set(entries), head
             found |= listed
     return found

@@ -205,6 +205,10 @@ class KeptPosterior(Posterior):
         """Not kept: raises GraphError."""
         raise GraphError(self._missing("beliefs of clusters"))
 
+    def potential(self, cluster: int | Cluster) -> CanonicalForm:
+        """Not kept: raises GraphError."""
+        raise GraphError(self._missing("potentials of clusters"))
+
     def _missing(self, what: str) -> str:
         return (
             f"{what}: not kept, since keep= keeps {self.kind} marginals, log-evidence and status "

@@ -22,13 +22,13 @@ from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, Kind
 from pgm.inference.labelled import Labelled
-from pgm.inference.posterior import require_variable
+from pgm.inference.posterior import Viewed, require_variable
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class GridPosterior(Labelled, Shown, NoArray, Immutable):
+class GridPosterior(Labelled, Viewed, Shown, NoArray, Immutable):
     """The beliefs of a dynamic network's states on a grid.
 
     Attributes

@@ -26,13 +26,13 @@ from pgm.inference.particles.model import ParticleModel, Sensor
 from pgm.inference.particles.parts import parts
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
-from pgm.inference.posterior import require_variable
+from pgm.inference.posterior import Viewed, require_variable
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class ParticlePosterior(Labelled, Shown, NoArray, Immutable):
+class ParticlePosterior(Labelled, Viewed, Shown, NoArray, Immutable):
     """The beliefs of a dynamic network as weighted draws.
 
     Attributes
