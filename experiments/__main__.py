@@ -5,6 +5,10 @@ from __future__ import annotations
 import io
 import os
 import sys
+from importlib.util import find_spec
+
+if not (find_spec("typer") and find_spec("rich")):  # told in a line, before they are imported
+    sys.exit("the experiments need typer and rich: pip install '.[experiments]', or make demo")
 
 import matplotlib as mpl
 import typer

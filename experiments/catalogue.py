@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from types import ModuleType
 
 from experiments import (
+    basics,
     belief_propagation,
     cluster_graph,
     differential_drive,
@@ -54,7 +55,8 @@ THEMES: dict[str, dict[str, ModuleType]] = {
         "global_localisation": global_localisation,
         "kidnapped": kidnapped,
     },
-    "Cluster graphs and messages": {
+    "Graphs and messages": {
+        "basics": basics,
         "cluster_graph": cluster_graph,
         "seven_nodes": seven_nodes,
         "belief_propagation": belief_propagation,

@@ -54,6 +54,18 @@ def test_the_list_has_a_line_for_each(words):
     assert len(set(starts)) == 1
 
 
+@pytest.mark.parametrize("missing", ["typer", "rich"])
+def test_a_missing_package_is_told_in_a_line(missing):
+    code = (
+        f"import runpy, sys; sys.modules[{missing!r}] = None; "
+        "runpy.run_module('experiments', run_name='__main__')"
+    )
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert run.returncode == 1
+    (line,) = run.stderr.splitlines()
+    assert "typer and rich: pip install '.[experiments]'" in line
+
+
 @pytest.mark.parametrize(
     ("name", "find"),
     [

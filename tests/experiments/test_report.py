@@ -320,9 +320,14 @@ def test_an_unknown_experiment_is_named(run):
 
 def test_what_is_reproduced():
     assert {item: name for item, _, name in REPRODUCED} == {
+        "Figure 2.1": "basics",
+        "Figure 2.2": "basics",
+        "Figure 3.1": "basics",
+        "Figure 3.2": "basics",
         "Figure 4.1": "kalman",
         "Figure 4.2": "kalman",
         "Figure 4.3": "kalman",
+        "Figures 5.1 and 5.2": "basics",
         "Figures 5.3–5.5": "seven_nodes",
         "Figure 6.1": "cluster_graph",
         "Figure 6.2": "cluster_graph",
