@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.transforms import blended_transform_factory, offset_copy
 
 import pgm
 import pgm.plot
@@ -23,6 +24,7 @@ Array = npt.NDArray[np.float64]
 
 _PARTICLES, _READING = PALETTE[0], PALETTE[1]
 _STYLES = {"exact": "-", "Taylor": "--", "Unscented": ":"}
+_TITLE = 20.0  # points, over which a legend stands
 HIGHEST = 1.4  # of the ratios drawn: few particles in few drives are anywhere
 _PLACE = {"xlabel": "east [m]", "ylabel": "north [m]"}
 
@@ -143,8 +145,14 @@ def drives(study: Study, count: int) -> Figure:
         ax.set(title=title, **_PLACE)
         ax.set_aspect("equal", adjustable="box")
         ax.label_outer()
+    above = blended_transform_factory(figure.transFigure, axes[0].transAxes)
     figure.legend(
-        *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False
+        *axes[0].get_legend_handles_labels(),
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        bbox_transform=offset_copy(above, figure, y=_TITLE, units="points"),
+        ncols=4,
+        frameon=False,
     )
     plt.close(figure)
     return figure
