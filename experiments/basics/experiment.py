@@ -81,6 +81,8 @@ def run(
                 )
             ),
         ],
+        about="Drawn: the number in the figure; otherwise: the same from draws, eigenvectors or "
+        "the equation.",
     )
     record.summary(
         inside=inside,

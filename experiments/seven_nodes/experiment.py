@@ -88,6 +88,8 @@ def run(
             )
             for c, psi in ((c, initial_belief(c)) for c in graph)
         ],
+        about="A line a cluster: its variables x in order, and the product of its factors before "
+        "any message.",
     )
     record.table(
         "largest difference from the dense joint",
