@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory, offset_copy
 
@@ -123,9 +124,8 @@ def adapted(found: Mapping[str, Adapted]) -> Figure:
 
 def drives(study: Study, count: int) -> Figure:
     """A drive as particles and as a Kalman filter have it: the reference's figure 2."""
-    figure, axes = plt.subplots(
-        1, 2, figsize=(11, 5), sharex=True, sharey=True, layout="compressed"
-    )
+    room = ConstrainedLayoutEngine(compress=True, rect=(0.0, 0.0, 1.0, 0.9))  # a legend above
+    figure, axes = plt.subplots(1, 2, figsize=(11, 5), sharex=True, sharey=True, layout=room)
     problem = study.problem
     followed, (rule, kalman) = study.particles[count], list(study.kalman.items())[-1]
     beliefs = {
