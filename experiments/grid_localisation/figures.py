@@ -18,7 +18,7 @@ from pgm.plot.colours import MUTED, PALETTE
 # What the maps show of the plane [m].
 SHOWN = (-6.5, 12.5)
 COLOURS = dict(
-    zip(("unknown", "right", "wrong"), (PALETTE[4], PALETTE[2], PALETTE[1]), strict=True)
+    zip(("unknown", "right", "wrong"), (PALETTE[3], PALETTE[2], PALETTE[1]), strict=True)
 )
 
 
