@@ -31,7 +31,7 @@ def brief(value: Any) -> str:
 
 def called(function: Any) -> str:
     """A function by its name, or another callable by its class."""
-    return one_line(getattr(function, "__qualname__", type(function).__name__))
+    return one_line(getattr(function, "__name__", type(function).__name__))
 
 
 def vector(values: npt.NDArray[Any]) -> str:

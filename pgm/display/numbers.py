@@ -74,7 +74,9 @@ def _pair(mean: float, std: float) -> tuple[str, str]:
     largest = max(abs(mean), std)
     if largest < LARGE and decimals <= DECIMALS:
         return _fixed(mean, max(decimals, 0)), _fixed(std, max(decimals, 0))
-    digits = _power(mean) + decimals if mean else 0
+    if mean == 0.0:
+        return "0", number(std, SURE)
+    digits = _power(mean) + decimals
     return f"{mean:.{min(max(digits, 0), ALL - 1)}e}", f"{std:.{SURE - 1}e}"
 
 
