@@ -23,7 +23,9 @@ def by_component(names: Sequence[str], mean: Array, cov: Array) -> Listing:
     shown = few(len(names))
     kept = [k for k in shown if k is not None]
     # Each component has units of its own, and so its own decimals.
-    cells = dict(zip(kept, beside(mean[kept], std[kept], alike=False), strict=True))
+    cells = dict(
+        zip(kept, beside(mean[kept].tolist(), std[kept].tolist(), alike=False), strict=True)
+    )
     heads, rest = ["", "mean ± deviation"], correlations(cov, std) if len(names) > 1 else None
     if rest is not None:
         heads += ["correlations", *[""] * (len(names) - 2)]
