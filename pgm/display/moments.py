@@ -101,9 +101,10 @@ def axes(lead: tuple[int, ...], steps: Sequence[int] | npt.NDArray[Any] | None) 
     text = f", runs {runs}" if runs else ""
     if steps is None:
         return text
-    if not len(steps) or list(steps) != list(range(steps[0], steps[0] + len(steps))):
-        return f"{text}, {count(len(steps), 'step')}"
-    return f"{text}, steps {steps[0]}..{steps[-1]}"
+    found = np.asarray(steps)
+    if not found.size or (np.diff(found) != 1).any():
+        return f"{text}, {count(found.size, 'step')}"
+    return f"{text}, steps {found[0]}..{found[-1]}"
 
 
 def deviations(cov: Array) -> Array:
