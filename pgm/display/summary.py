@@ -47,7 +47,7 @@ class Listing:
             table = table[1:]
         wide = [max(map(len, column)) for column in zip(*table, strict=True)]
         kept = len(wide)
-        while kept > self.names + 1 and _total(wide[:kept], kept < len(wide)) > width:
+        while kept > 2 and _total(wide[:kept], kept < len(wide)) > width:
             kept -= 1
         lines = []
         for row in table:
