@@ -24,7 +24,8 @@ def brief(value: Any) -> str:
     """A value in a few words."""
     if isinstance(value, np.ndarray):
         if value.size <= LISTED and value.dtype.kind in "iufb":
-            return one_line(str(value.tolist()))
+            text = str(value.tolist())
+            return f"array({text})" if value.ndim else text
         return f"array of shape {value.shape}"
     return one_line(_SHORT.repr(value))
 

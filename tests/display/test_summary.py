@@ -91,7 +91,7 @@ def test_values_show_themselves():
 
 def test_any_value_in_a_few_words():
     assert brief([0.5, 0.0]) == "[0.5, 0.0]"
-    assert brief(np.eye(2)) == "[[1.0, 0.0], [0.0, 1.0]]"
+    assert brief(np.eye(2)) == "array([[1.0, 0.0], [0.0, 1.0]])"
     assert brief(np.zeros((100, 2))) == "array of shape (100, 2)"
     assert "\n" not in brief("a\nb")
     assert len(brief(list(range(10**5)))) < 100
