@@ -7,9 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain, repeat
 from types import MappingProxyType
-from typing import Any, TypeVar
-
-import networkx as nx
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pgm.boundary import as_tuple, is_whole
 from pgm.clustergraph.assignment import assign, spanning_tree
@@ -23,10 +21,13 @@ from pgm.clustergraph.cluster import Cluster
 from pgm.clustergraph.size import amount, extent, is_discrete, work
 from pgm.display import Drawn, Listing, Summary, few, titled
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope, as_scope, listed
+from pgm.factors.scope import MOST, Scope, as_scope, listed
 from pgm.immutable import Immutable
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 T = TypeVar("T")
 Places = tuple[int, ...]
@@ -277,16 +278,39 @@ class ClusterGraph(Drawn, Immutable):
         found = cluster.index if isinstance(cluster, Cluster) else cluster
         if not is_whole(found) or not 0 <= found < self._count:
             raise GraphError(
-                f"there is no cluster {cluster!r}; clusters are 0..{self._count - 1}",
-                cluster=cluster,
+                f"there is no cluster {cluster!r}; clusters are {self._indices()}", cluster=cluster
             )
-        if isinstance(cluster, Cluster) and (own := self.clusters[found]) != cluster:
+        if isinstance(cluster, Cluster) and (own := self._view(found)) != cluster:
             raise GraphError(
                 f"{cluster!r} is a cluster of another graph; {own!r} has its index in this one. "
                 "Give one of this graph's clusters, or an index",
                 cluster=cluster,
             )
         return int(found)
+
+    def cluster(self, cluster: int | Cluster) -> Cluster:
+        """One of the clusters: its variables, CPDs and their families.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+            Its index, from 0 to ``len(graph) - 1``, or the cluster itself.
+
+        Raises
+        ------
+        GraphError
+            If the graph has no such cluster, naming the ones there are.
+        """
+        return self._view(self.index(cluster))
+
+    def _view(self, index: int) -> Cluster:
+        """The cluster of an index that exists."""
+        return self._clusters[index]
+
+    def _indices(self) -> str:
+        """The clusters there are, where they are few with their variables."""
+        each = (f"{k} ({listed(self._view(k).scope)})" for k in range(min(self._count, MOST)))
+        return f"0..{self._count - 1}" + (f": {', '.join(each)}" if self._count <= MOST else "")
 
     def families(self) -> Iterable[Scope]:
         """The families of all CPDs of the network, each of which needs a cluster."""
@@ -313,6 +337,8 @@ class ClusterGraph(Drawn, Immutable):
         networkx.Graph
             Nodes are indices with the attribute ``cluster``; edges have ``sepset``.
         """
+        import networkx as nx  # here, since it is slow to import
+
         graph = nx.Graph()
         graph.add_nodes_from((cluster.index, {"cluster": cluster}) for cluster in self.clusters)
         graph.add_edges_from((i, j, {"sepset": scope}) for (i, j), scope in self.sepsets.items())

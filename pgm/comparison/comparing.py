@@ -26,6 +26,7 @@ from pgm.inference.checks import require_lineariser
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Cubature, Lineariser, Taylor, Unscented
 from pgm.networks import DynamicBayesianNetwork
+from pgm.progress import Progress, counted, reporting
 from pgm.variables import Variable
 
 OverTime = Filtering | FixedLag | Smoothing
@@ -46,6 +47,7 @@ def compare(
     truth: Truth | None = None,
     states: Iterable[Variable] | None = None,
     steps: int | None = None,
+    progress: Progress = False,
 ) -> Comparison:
     r"""Run every lineariser under every schedule on the same evidence, and judge their beliefs.
 
@@ -85,6 +87,8 @@ def compare(
         The states that are compared; all of the network's without.
     steps : int, optional
         T, where no plain array of the evidence tells.
+    progress : bool or callable
+        As for `infer`: of an oracle's run, then of the lineariser and schedule pairs.
 
     Returns
     -------
@@ -126,15 +130,14 @@ def compare(
     compared = Compared(compile(model, bound.steps), evidence, bound.lead, chosen, kinds)
     true = _truths(truth or {}, compared, model)
     found: dict[tuple[Kind, Variable], Reference] = {}
-    if oracle is not None:
-        require_oracle(oracle, kinds)
-        found = references(oracle, compared)
-    rows = [
-        row
-        for label, method in methods.items()
-        for word, plan in plans.items()
-        for row in _run(compared, (label, word), method, plan, found, true)
-    ]
+    pairs = [(each, plan) for each in methods.items() for plan in plans.items()]
+    rows: list[Row] = []
+    with reporting(progress):
+        if oracle is not None:
+            require_oracle(oracle, kinds)
+            found = references(oracle, compared)
+        for (label, method), (word, plan) in counted(pairs, "linearisers and schedules"):
+            rows += _run(compared, (label, word), method, plan, found, true)
     own = [
         _oracle_row(_title(oracle), kind, state, found[kind, state], true.get(state))
         for kind in (kinds if found else ())

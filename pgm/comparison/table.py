@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from pgm.display import Listing, Shown, Summary, count, few
 from pgm.errors import ModelError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
+from pgm.optional import FRAMES, optional
 from pgm.variables import Variable
 
 _NONE = "–"
@@ -116,14 +116,10 @@ class Comparison(Shown, Immutable):
         Raises
         ------
         ImportError
-            If pandas is not installed.
+            If pandas is not installed (``pip install 'sepset[frames]'``); `rows` has the same
+            numbers.
         """
-        try:
-            pandas = import_module("pandas")
-        except ImportError:
-            raise ImportError(
-                "Comparison.to_frame needs pandas: pip install pandas; .rows has the same numbers"
-            ) from None
+        pandas = optional("pandas", "Comparison.to_frame()", FRAMES)
         records = [
             {"lineariser": row.lineariser, "schedule": row.schedule, "state": row.state.name}
             | {"oracle": row in self.oracle_rows}

@@ -116,11 +116,9 @@ class BalancedGraph(DynamicGraph):
             below = self._over(first, middle), self._over(middle, last)
         return (0, *below) if index == self.root and self.steps else below
 
-    def cluster(self, index: int) -> Cluster:
-        """The `Cluster` of an index from 0 to ``len(graph) - 1``; GraphError of others."""
-        index = self.index(index)
+    def _view(self, index: int) -> Cluster:
         if index <= self.steps:
-            return super().cluster(index)
+            return super()._view(index)
         first, last = self._segment(index)
         return Cluster(index, self.states_at(first, index - self.steps, last), (), ())
 
@@ -144,10 +142,10 @@ class BalancedGraph(DynamicGraph):
 
     @property
     def _alike(self) -> Iterator[tuple[Cluster, int]]:
-        yield self.cluster(0), 1
+        yield self._view(0), 1
         for first, count in ((1, self.steps), (self.steps + 1, self.steps - 1)):
             if count > 0:
-                yield self.cluster(first), count
+                yield self._view(first), count
 
     @property
     def _title(self) -> str:

@@ -67,9 +67,7 @@ class DynamicGraph(ClusterGraph, ABC):
         """The largest number of variables in a cluster, less one."""
         return max(len(cluster.scope) for cluster, _ in self._alike) - 1
 
-    def cluster(self, index: int) -> Cluster:
-        """The `Cluster` of an index from 0 to ``len(graph) - 1``; GraphError of others."""
-        index = self.index(index)
+    def _view(self, index: int) -> Cluster:
         cpds = self.model.cpds_at(index)
         families = tuple(tuple(v.at(index) for v in cpd.scope) for cpd in cpds)
         hidden = self.layout.pair if index else self.layout.states
@@ -117,8 +115,8 @@ class _Clusters(InCode, Sequence[Cluster]):
     def __getitem__(self, index: Any) -> Any:
         found = range(len(self))[index]
         if isinstance(found, range):
-            return tuple(map(self._graph.cluster, found))
-        return self._graph.cluster(found)
+            return tuple(map(self._graph._view, found))
+        return self._graph._view(found)
 
     def __repr__(self) -> str:
         return f"<clusters 0..{len(self) - 1}>"
@@ -189,9 +187,9 @@ class SliceGraph(DynamicGraph):
 
     @property
     def _alike(self) -> Iterator[tuple[Cluster, int]]:
-        yield self.cluster(0), 1
+        yield self._view(0), 1
         if self.steps:
-            yield self.cluster(1), self.steps
+            yield self._view(1), self.steps
 
     @property
     def _title(self) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from networkx.utils import UnionFind
-
 from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.assignment import holding
 from pgm.clustergraph.checks import Edge
@@ -114,6 +112,8 @@ class LTRIP(InCode):
 
 def _layers(clusters: Sequence[Scope]) -> dict[Edge, list[Variable]]:
     """The sepsets: Kruskal's algorithm for the trees of all variables at once."""
+    from networkx.utils import UnionFind  # here, since networkx is slow to import
+
     holders = holding(clusters)
     strength = [sum(len(holders[variable]) for variable in scope) for scope in clusters]
     rank = {k: r for r, k in enumerate(sorted(range(len(clusters)), key=lambda k: -strength[k]))}

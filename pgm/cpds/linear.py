@@ -78,7 +78,8 @@ class GaussianCPD(AffineCPD):
     mean : array_like
         (..., d); leading axes are runs, each of which has a mean of its own.
     cov : array_like
-        (..., d, d), positive semidefinite; zero where the value is known exactly. In the prior of a
+        (..., d, d), positive semidefinite; or (d,), the variance of each component; or one
+        variance for all of them. Zero where the value is known exactly. In the prior of a
         `DynamicBayesianNetwork` variances may be infinite, of a component or, ``cov=np.inf``, of
         all: nothing is known of them but what measurements say, exactly (de Jong, The diffuse
         Kalman filter, 1991). As long as these do not determine a component, its variance is
@@ -93,12 +94,13 @@ class GaussianCPD(AffineCPD):
     Examples
     --------
     >>> x = Variable("x", components=("east", "north"))
-    >>> GaussianCPD(x, mean=[0, 0], cov=[[1, 0], [0, 1]])
-    GaussianCPD(x)
+    >>> GaussianCPD(x, mean=[0, 0], cov=[4.0, 1.0]).cov
+    array([[4., 0.],
+           [0., 1.]])
     """
 
     def __init__(self, child: Variable, mean: npt.ArrayLike, cov: npt.ArrayLike) -> None:
-        self._set_family(child, (), cov, lead=True, flat=True)
+        self._set_family(child, (), cov, runs=True, flat=True)
         offset = np.array(as_value(child, mean, "mean"))
         self._set(matrices=MappingProxyType({}), offset=frozen(offset))
         try:
@@ -144,7 +146,9 @@ class LinearGaussianCPD(AffineCPD):
     offset : array_like
         (d,).
     cov : array_like or Noise
-        (d, d), positive semidefinite, or ``pgm.noise(...)``.
+        (d, d), positive semidefinite; or (d,), the variance of each component; or one variance for
+        all of them; or ``pgm.noise(...)``. Zero where the sum is exact: a static unknown is
+        ``LinearGaussianCPD(m, given={m.previous: 1.0}, cov=0)``.
 
     Raises
     ------
@@ -155,7 +159,7 @@ class LinearGaussianCPD(AffineCPD):
     --------
     >>> u = Variable("u", components=("v", "omega"))
     >>> command = Variable("command", components=("v", "omega"))
-    >>> LinearGaussianCPD(u, given={command: 1.0}, cov=[[0.1, 0], [0, 0.1]])
+    >>> LinearGaussianCPD(u, given={command: 1.0}, cov=[0.1, 0.02])
     LinearGaussianCPD(u | command)
     """
 

@@ -33,7 +33,8 @@ class NonlinearGaussianCPD(ConditionalGaussian):
     function : callable
         ``function(*given)``, from arrays (..., dimension), leading axes equal or none, to (..., d).
     cov : array_like or Noise
-        (d, d), positive semidefinite, or ``pgm.noise(...)``.
+        (d, d), positive semidefinite; or (d,), the variance of each component; or one variance for
+        all of them; or ``pgm.noise(...)``.
     jacobian : mapping of Variable to callable, optional
         Derivatives, ``jacobian[p](*given)`` giving (..., d, dimension of p), for some or all
         parents; those of hidden parents are called, and missing ones are taken by differences.

@@ -12,6 +12,7 @@ from pgm.boundary import as_floats
 from pgm.display import NoArray, Shown, Summary, axes, named_matrix
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.canonical import CanonicalForm
+from pgm.factors.covariance import matrices
 from pgm.factors.gaussian import Gaussian, as_gaussian
 from pgm.factors.scope import as_scope, dimension, names, one_name_each
 from pgm.immutable import Immutable, set_writeable
@@ -32,7 +33,9 @@ class AffineGaussian(Shown, NoArray, Immutable):
 
     Parameters
     ----------
-    F, b, cov : array_like
+    F, b : array_like
+    cov : array_like
+        As above; or (d,), the variance of each component; or one variance for all of them.
 
     Raises
     ------
@@ -51,8 +54,10 @@ class AffineGaussian(Shown, NoArray, Immutable):
     def __init__(self, F: npt.ArrayLike, b: npt.ArrayLike, cov: npt.ArrayLike) -> None:
         F = as_floats(F, "affine Gaussian: F").copy("K")
         b = as_floats(b, "affine Gaussian: b").copy("K")
-        cov = as_floats(cov, "affine Gaussian: cov").copy()
         size = F.shape[-2] if F.ndim >= 2 else -1
+        cov = as_floats(cov, "affine Gaussian: cov").copy()
+        if cov.ndim < 2 and size >= 0:
+            cov = matrices(cov, size)
         if b.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
             raise ModelError(
                 f"affine Gaussian: F {F.shape}, b {b.shape} and cov {cov.shape} must end in "

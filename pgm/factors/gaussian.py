@@ -13,7 +13,6 @@ from pgm.boundary import (
     as_generator,
     as_lengths,
     as_tuple,
-    as_wholes,
     is_number,
     is_unordered,
     is_whole,
@@ -30,13 +29,16 @@ from pgm.display import (
     stacked,
 )
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import as_matrix, as_points, as_vector
+from pgm.factors.arrays import as_points, as_steps, as_vector
+from pgm.factors.covariance import as_covariance
+from pgm.factors.frames import Framed
 from pgm.factors.scope import (
     Scope,
     angle_mask,
     as_scope,
     components,
     dimension,
+    distinct_labels,
     labels,
     listed,
     names,
@@ -47,7 +49,7 @@ from pgm.immutable import Immutable
 from pgm.kernels import moments, normal, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, block, deviation, frozen
-from pgm.kernels.checks import IMPROPER, covariance_fault
+from pgm.kernels.checks import IMPROPER
 from pgm.sizes import require_memory
 from pgm.variables import Variable
 
@@ -95,7 +97,7 @@ class Ellipse(NamedTuple):
         return self._summary().html()
 
 
-class Gaussian(Shown, NoArray, Immutable):
+class Gaussian(Framed, Shown, NoArray, Immutable):
     r"""A normal density in moment form.
 
     .. math:: N(x; \mu, P) = |2\pi P|^{-1/2} \exp(-\tfrac12 (x-\mu)^\top P^{-1} (x-\mu))
@@ -109,7 +111,9 @@ class Gaussian(Shown, NoArray, Immutable):
     Parameters
     ----------
     scope : Variable or sequence of Variable
-    mean, cov : array_like
+    mean : array_like
+    cov : array_like
+        (..., n, n); or (n,), the variance of each component; or one variance for all of them.
     steps : array_like of int, optional
         The steps that the last leading axis stands for.
 
@@ -121,7 +125,7 @@ class Gaussian(Shown, NoArray, Immutable):
     Examples
     --------
     >>> x = Variable("x", components=("east", "north"))
-    >>> belief = Gaussian(x, mean=[1.0, 2.0], cov=[[4.0, 0.0], [0.0, 1.0]])
+    >>> belief = Gaussian(x, mean=[1.0, 2.0], cov=[4.0, 1.0])
     >>> belief.std
     array([2., 1.])
     """
@@ -145,18 +149,13 @@ class Gaussian(Shown, NoArray, Immutable):
         size = dimension(scope)
         what = f"Gaussian over {names(scope)}: the"
         mean = as_vector(scope, mean, f"{what} mean")
-        cov = as_matrix(scope, cov, f"{what} covariance")
-        if mean.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
-            raise ModelError(
-                f"Gaussian over {names(scope)}: the mean has shape {mean.shape} and the "
-                f"covariance {cov.shape}; they must end in ({size},) and ({size}, {size})"
-            )
+        if mean.shape[-1:] != (size,):
+            raise ModelError(f"{what} mean has shape {mean.shape}; it must end in ({size},)")
         if not np.isfinite(mean).all():
             raise ModelError(
                 f"Gaussian over {names(scope)}: the mean has entries that are NaN or infinite"
             )
-        if fault := covariance_fault(cov):
-            raise ModelError(f"Gaussian over {names(scope)}: the covariance {fault}")
+        cov = as_covariance(scope, cov, f"{what} covariance")
         try:
             lead = np.broadcast_shapes(mean.shape[:-1], cov.shape[:-2])
         except ValueError:
@@ -168,7 +167,7 @@ class Gaussian(Shown, NoArray, Immutable):
             scope,
             np.broadcast_to(mean, (*lead, size)),
             np.broadcast_to(cov, (*lead, size, size)),
-            None if steps is None else _as_steps(scope, steps, lead),
+            None if steps is None else as_steps(scope, steps, lead),
         )
 
     def _put(self, scope: Scope, mean: Array, cov: Array, steps: Integers | None) -> None:
@@ -192,6 +191,11 @@ class Gaussian(Shown, NoArray, Immutable):
         gaussian = object.__new__(cls)
         gaussian._put(scope, mean, cov, steps)
         return gaussian
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The names of the components, with that of the variable where variables share one."""
+        return distinct_labels(self.scope)
 
     @property
     def std(self) -> Array:
@@ -445,13 +449,3 @@ def as_gaussian(value: object) -> Gaussian:
     if not isinstance(value, Gaussian):
         raise ModelError(f"a Gaussian was due, like posterior[x], not {type(value).__name__}")
     return value
-
-
-def _as_steps(scope: Scope, steps: npt.ArrayLike, lead: tuple[int, ...]) -> Integers:
-    array = as_wholes(steps, f"Gaussian over {names(scope)}: its steps")
-    if array.shape != lead[-1:]:
-        raise ModelError(
-            f"Gaussian over {names(scope)}: the steps have shape {array.shape}; the last of the "
-            f"leading axes {lead} needs one step for each of its entries"
-        )
-    return array

@@ -105,6 +105,19 @@ def components(scope: Sequence[Variable]) -> list[str]:
     return found
 
 
+def distinct_labels(scope: Iterable[Variable]) -> tuple[str, ...]:
+    """The names of the components, with that of the variable where variables share one."""
+    scope = tuple(scope)
+    each = labels(scope)
+    found = []
+    for variable in scope:
+        for name in variable.components:
+            alone = variable.dimension == 1 and name == variable.name
+            own = repr(variable) if alone else f"{variable!r}.{name}"
+            found.append(name if each.count(name) == 1 else own)
+    return tuple(found)
+
+
 def angle_mask(scope: Sequence[Variable]) -> Mask:
     """The mask of components of the stacked vector that are angles."""
     if not scope:

@@ -23,6 +23,7 @@ from pgm.factors.axes import (
     spread,
     without,
 )
+from pgm.factors.frames import FramedTable
 from pgm.factors.listing import summary, title
 from pgm.factors.scope import names
 from pgm.immutable import Immutable
@@ -33,7 +34,7 @@ from pgm.variables import Discrete, Variable
 ZERO = frozen(np.zeros(()))
 
 
-class Table(Shown, NoArray, Immutable):
+class Table(FramedTable, Shown, NoArray, Immutable):
     r"""A discrete factor: a non-negative table times the exponential of a log-scale.
 
     .. math:: \phi(x) = \text{values}[x] \, \exp(\text{log-scale})

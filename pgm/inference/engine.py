@@ -25,6 +25,7 @@ from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule, Smoothi
 from pgm.inference.start import Start
 from pgm.inference.temporal import runner
 from pgm.linearisers import TAYLOR, Lineariser
+from pgm.progress import Progress, reporting
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ def infer(
     executor: None = None,
     memory: None = None,
     belief: Grid,
+    progress: Progress = False,
 ) -> GridPosterior: ...
 
 
@@ -63,6 +65,7 @@ def infer(
     executor: Executor | None = None,
     memory: float | None = None,
     belief: None = None,
+    progress: Progress = False,
 ) -> ChainPosterior: ...
 
 
@@ -78,6 +81,7 @@ def infer(
     executor: Executor | None = None,
     memory: float | None = None,
     belief: None = None,
+    progress: Progress = False,
 ) -> KeptPosterior: ...
 
 
@@ -93,6 +97,7 @@ def infer(
     executor: Executor | None = None,
     memory: float | None = None,
     belief: None = None,
+    progress: Progress = False,
 ) -> Posterior: ...
 
 
@@ -108,6 +113,7 @@ def infer(
     executor: None = None,
     memory: None = None,
     belief: Particles,
+    progress: Progress = False,
 ) -> ParticlePosterior: ...
 
 
@@ -122,6 +128,7 @@ def infer(
     executor: Executor | None = None,
     memory: float | None = None,
     belief: PointMasses | None = None,
+    progress: Progress = False,
 ) -> Posterior | GridPosterior | ParticlePosterior:
     """Send the messages of a schedule on a cluster graph.
 
@@ -172,6 +179,11 @@ def infer(
         Of a dynamic network of continuous variables: its beliefs as probabilities of the cells of a
         grid, one run after another, or as weighted draws, in place of Gaussians. Nothing is
         linearised then.
+    progress : bool or callable
+        Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a
+        function, ``progress(done, total)``, called at the start of each stage and after each of its
+        items: steps, linearisations, rounds, runs or parts of them. An error that it raises ends
+        the call.
 
     Returns
     -------
@@ -212,9 +224,9 @@ def infer(
         if memory is not None:
             raise GraphError(CONTINUOUS)
         bound = bind_chain(graph.model, evidence, graph.steps, identities=True)
-        return runner(graph.model, belief)(
-            graph, bound, schedule, lineariser, start, keep, executor
-        )
+        run = runner(graph.model, belief)
+        with reporting(progress):
+            return run(graph, bound, schedule, lineariser, start, keep, executor)
     if belief is not None:
         raise GraphError(
             f"belief= is for dynamic networks, whose states it is of, not for {titled(graph)}"
@@ -247,7 +259,9 @@ def infer(
     if graph.network.discrete:
         if start is not None:
             raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
-        return discrete.run(graph, evidence, schedule, memory)
+        with reporting(progress):
+            return discrete.run(graph, evidence, schedule, memory)
     if memory is not None:
         raise GraphError(CONTINUOUS)
-    return gaussian.run(graph, evidence, schedule, lineariser, start)
+    with reporting(progress):
+        return gaussian.run(graph, evidence, schedule, lineariser, start)

@@ -64,6 +64,10 @@ class Status(Shown, Immutable):
         After a schedule for any graph, (*runs): how much the messages between each two joined
         clusters would still change, for ``pgm.plot.cluster_graph(graph, residuals=...)``; empty
         after others.
+    edge_residuals : ndarray or None
+        (iterations, edges, *runs), after a schedule for any graph: the change of the messages along
+        each edge, in the order of ``graph.sepsets``, in each iteration; zero of runs that had ended
+        before. None after others, and of schedules so long that it would take more than 8 MiB.
     digits : ndarray or None
         (*runs): the decimal digits that rounding leaves of the least certain mean, counted from its
         standard deviation (6 are an error of 10⁻⁶ deviations); None where they are not measured.
@@ -74,6 +78,7 @@ class Status(Shown, Immutable):
     residuals: Array
     converged: Mask
     by_edge: Mapping[tuple[int, int], Array]
+    edge_residuals: Array | None
     digits: Array | None
 
     def __init__(
@@ -83,8 +88,9 @@ class Status(Shown, Immutable):
         converged: Mask,
         by_edge: Mapping[tuple[int, int], Array] = MappingProxyType({}),
         digits: Array | None = None,
+        edge_residuals: Array | None = None,
     ) -> None:
-        for record in (residuals, converged, digits):
+        for record in (residuals, converged, digits, edge_residuals):
             if record is not None:
                 record.flags.writeable = False
         self._set(
@@ -92,6 +98,7 @@ class Status(Shown, Immutable):
             residuals=residuals,
             converged=converged,
             by_edge=MappingProxyType(dict(by_edge)),
+            edge_residuals=edge_residuals,
             digits=digits,
         )
 
@@ -144,7 +151,14 @@ class Status(Shown, Immutable):
                 "redundant measurement once"
             )
             warnings.warn(message, PrecisionWarning, stacklevel=_levels_to_user())
-        return Status(self.iterations, self.residuals, self.converged, self.by_edge, digits)
+        return Status(
+            self.iterations,
+            self.residuals,
+            self.converged,
+            self.by_edge,
+            digits,
+            self.edge_residuals,
+        )
 
     @property
     def _title(self) -> str:

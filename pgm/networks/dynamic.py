@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import networkx as nx
 import numpy as np
 
 from pgm.boundary import as_generator, as_mapping, is_whole
@@ -20,6 +19,9 @@ from pgm.networks.sampling import Sample, draw_steps
 from pgm.networks.static import FEW, BayesianNetwork, factors
 from pgm.sizes import require_memory
 from pgm.variables import Discrete
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 # Numbers of memory that a copy of a CPD at a step takes in a network, at the least.
 _COPY = 100
@@ -272,6 +274,8 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         ModelError
             If the number of steps is no such number, or the network would not fit into memory.
         """
+        import networkx as nx  # here, since it is slow to import
+
         kinds = {
             **dict.fromkeys(self.states, "state"),
             **dict.fromkeys(self.controls, "control"),

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from itertools import combinations
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
-import networkx as nx
 import numpy as np
 
 from pgm.boundary import as_generator, as_mapping
@@ -21,6 +21,9 @@ from pgm.factors.unknown_names import unknown_name
 from pgm.immutable import Immutable
 from pgm.networks import checks, sampling
 from pgm.variables import Variable
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 # Up to how many CPDs a network shows by their densities.
 FEW = 12
@@ -226,6 +229,8 @@ class BayesianNetwork(Drawn, Immutable):
             Nodes are variables with the attribute ``kind`` (variable or input); edges go from
             parents to children.
         """
+        import networkx as nx  # here, since it is slow to import
+
         graph = nx.DiGraph()
         graph.add_nodes_from(self._by_child, kind="variable")
         graph.add_nodes_from(self.inputs, kind="input")
@@ -288,6 +293,8 @@ class BayesianNetwork(Drawn, Immutable):
                     f"{variable!r} stands in two of the sets a, b and given; they must be disjoint",
                     variable=variable,
                 )
+        import networkx as nx  # here, since it is slow to import
+
         # networkx renamed it in 3.3.
         separated = nx.is_d_separator if hasattr(nx, "is_d_separator") else nx.d_separated
         return bool(separated(self.to_networkx(), *sets))

@@ -190,8 +190,8 @@ class Tampered(BalancedGraph):
         super().__init__(MODELS["static unknown"], 6)
         self._set(_scope=scope or {}, _edges=sepset or {})
 
-    def cluster(self, index):
-        found = super().cluster(index)
+    def _view(self, index):
+        found = super()._view(index)
         changed = self._scope.get(index, lambda scope: scope)(found.scope)
         return pgm.Cluster(index, changed, found.cpds, found.families)
 

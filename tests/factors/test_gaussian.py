@@ -148,7 +148,7 @@ def test_python_numbers_are_scalars():
         ([0.0], np.eye(2), "shape"),
         ([0.0, 0.0, 0.0], np.eye(2), "shape"),
         ([0.0, 0.0], np.eye(3), "shape"),
-        ([0.0, 0.0], [1.0, 1.0], "shape"),
+        ([0.0, 0.0], [1.0, 1.0, 1.0], "shape"),
         ([0.0, np.nan], np.eye(2), "mean has entries that are NaN"),
         ([0.0, 0.0], [[1.0, 0.0], [0.0, np.inf]], "NaN or infinite"),
         ([0.0, 0.0], [[1.0, 0.1], [0.0, 1.0]], "not symmetric"),

@@ -13,7 +13,7 @@ from pgm.compile import DynamicGraph, SliceLayout
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import listed, positions
+from pgm.factors.scope import Scope, listed, positions
 from pgm.inference.associations import Found
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.innovations import Innovations
@@ -163,6 +163,10 @@ class KeptPosterior(Posterior):
         return Gaussian._make((variable,), found.mean[..., at, :], found.cov[..., at, :, :])
 
     @property
+    def _hidden(self) -> Scope:
+        return tuple(self._kept)
+
+    @property
     def log_evidence(self) -> Array:
         """The value ln p(measurements), (...)."""
         return self._log_evidence
@@ -200,6 +204,10 @@ class KeptPosterior(Posterior):
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
         """Not kept: raises GraphError."""
         raise GraphError(self._missing("beliefs of clusters"))
+
+    def potential(self, cluster: int | Cluster) -> CanonicalForm:
+        """Not kept: raises GraphError."""
+        raise GraphError(self._missing("potentials of clusters"))
 
     def _missing(self, what: str) -> str:
         return (

@@ -24,6 +24,7 @@ from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.innovations import BySensor, Innovations, innovations
 from pgm.inference.chain.marginals import Marginals, located
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.potentials import first_potential, potentials
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
@@ -91,6 +92,10 @@ class ChainPosterior(Posterior):
         return self._smoothed or Beliefs(self._swept.mean, self._swept.cov)
 
     @property
+    def _hidden(self) -> Scope:
+        return (*self.graph.model.states, *self.graph.model.controls)
+
+    @property
     def predicted(self) -> Marginals:
         """Marginals given the measurements before each step, as CPDs were linearised last."""
         forward = self._forward
@@ -137,7 +142,7 @@ class ChainPosterior(Posterior):
         return self._reverse_given or Reverse.make(self._plan, self._forward)
 
     @cached_property
-    def _backward_messages(self) -> list[canonical.Canonical]:
+    def _backward_messages(self) -> canonical.Canonical:
         return backward_messages(self._plan, self._forward)
 
     @quiet()
@@ -238,7 +243,8 @@ class ChainPosterior(Posterior):
         if source < target:
             parts = self._past(source)
         elif self.kind == SMOOTHED:
-            parts = self._backward_messages[target]
+            K, h, g = self._backward_messages
+            parts = K[target], h[target], g[target]
         else:
             raise self._unsent(source, target)
         what = f"the message from cluster {source} to {target}"
@@ -305,6 +311,40 @@ class ChainPosterior(Posterior):
                 beliefs.mean[0][:, places], block(beliefs.cov[0], places, places), weight
             )
         return self._form(scope, parts, f"the belief of cluster {step}", step)
+
+    @cached_property
+    def _potentials(self) -> canonical.Canonical:
+        return potentials(self._plan, self._forward)
+
+    @quiet()
+    def potential(self, cluster: int | Cluster) -> CanonicalForm:
+        """The potential of a cluster: its CPDs as they were linearised, with their evidence.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm
+            Over the cluster's hidden variables.
+
+        Raises
+        ------
+        GraphError
+            If there is no such cluster.
+        NumericalError
+            If it has no canonical form, since a noise is singular.
+        """
+        step, layout = self.graph.index(cluster), self.graph.layout
+        if step:
+            scope: Scope = tuple(variable.at(step) for variable in layout.pair)
+            K, h, g = self._potentials
+            parts = K[step - 1], h[step - 1], g[step - 1]
+        else:
+            scope = tuple(variable.at(0) for variable in layout.states)
+            parts = first_potential(self._plan, self._forward)
+        return self._form(scope, parts, f"the potential of cluster {step}", step)
 
     def _form(
         self, scope: Scope, parts: canonical.Canonical, what: str, cluster: int

@@ -35,6 +35,7 @@ from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
+from pgm.progress import Progress, counted, reporting
 from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
@@ -131,6 +132,7 @@ def most_probable(
     *,
     memory: float | None = None,
     executor: Executor | None = None,
+    progress: Progress = False,
 ) -> MostProbable:
     r"""Find the assignment of all variables that is most probable given the evidence.
 
@@ -152,6 +154,8 @@ def most_probable(
         As for `infer`; of each worker, where there are several.
     executor : concurrent.futures.Executor, optional
         To whose workers parts of the sets of evidence are handed, as by `infer`.
+    progress : bool or callable
+        As for `infer`.
 
     Returns
     -------
@@ -185,7 +189,8 @@ def most_probable(
                 "memory= and executor= are for networks without time; of a dynamic one give fewer "
                 "runs to a call"
             )
-        return _most_probable_path(graph, evidence)
+        with reporting(progress):
+            return _most_probable_path(graph, evidence)
     if isinstance(graph, DynamicGraph) or not graph.network.discrete:
         raise GraphError(
             "the network is continuous; the most probable values of Gaussian variables are the "
@@ -201,9 +206,9 @@ def most_probable(
     distinct = Distinct.of(bound)
     plan = plan_for(graph, distinct.evidence.runs, room.batch)
     require_runs(len(plan.storage.homes), bound.runs, "the states of all variables")
-    found = _shared(
-        Workers(executor), _Search(graph, distinct.evidence, distinct.evidence.runs, room.batch)
-    )
+    search = _Search(graph, distinct.evidence, distinct.evidence.runs, room.batch)
+    with reporting(progress):
+        found = _shared(Workers(executor), search)
     states = np.concatenate([s for s, _ in found], axis=1, dtype=np.intp)
     log_tops = np.concatenate([t for _, t in found], axis=1)
     if distinct.which is not None:
@@ -247,7 +252,8 @@ def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
     if len(parts) == 1:
         return [_search(search)]
     jobs = [replace(search, evidence=some_runs(search.evidence, part)) for part in parts]
-    return [done.result() for done in workers.each(_search, jobs, parts, large=False)]
+    work = workers.each(_search, jobs, parts, large=False)
+    return [done.result() for done in counted(work, "parts of the runs", len(parts))]
 
 
 def _search(search: _Search) -> tuple[Integers, Array]:

@@ -12,10 +12,10 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
-from pgm.factors.axes import States, sizes
-from pgm.factors.scope import as_scope, names
+from pgm.factors.axes import States, discrete, sizes
+from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference import limits
-from pgm.inference.discrete.evidence import axes_left, put_in
+from pgm.inference.discrete.evidence import axes_left, entered, put_in
 from pgm.inference.discrete.first_beliefs import FirstBeliefs
 from pgm.inference.discrete.joints import holder, joint
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs
@@ -25,6 +25,7 @@ from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
 from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.semirings import exp
 from pgm.variables import Discrete, Variable
 
 
@@ -73,12 +74,20 @@ class DiscretePosterior(Posterior):
                 f"{list(self.graph.network.variables)}",
                 variable=variable,
             )
-        state = self._beliefs.evidence.states.get(variable)
-        if state is not None and np.min(state) >= 0:
+        if self._is_observed(variable):
             raise EvidenceError(
                 f"{variable!r} is observed: its value is its evidence", variable=variable
             )
         return variable
+
+    def _is_observed(self, variable: Variable) -> bool:
+        """Whether it is observed in all runs."""
+        state = self._beliefs.evidence.states.get(discrete((variable,))[0])
+        return state is not None and bool(np.min(state) >= 0)
+
+    @property
+    def _hidden(self) -> Scope:
+        return tuple(v for v in self.graph.network.variables if not self._is_observed(v))
 
     def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
         """The joint of variables that are not observed in all runs, in the order given.
@@ -180,6 +189,35 @@ class DiscretePosterior(Posterior):
         self._require_room(scope, f"the belief over {names(scope)}")
         values = self._beliefs.read(lambda tables: storage.table(tables, index)[put])
         return self._table(scope, values, self._beliefs.log_total(index))
+
+    def potential(self, cluster: int | Cluster) -> Table:
+        """The potential of a cluster: the product of its CPDs, with their evidence put in.
+
+        Its axes are as of a message. States that are observed enter all clusters of their variable.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        Table
+            Leading axes are runs.
+
+        Raises
+        ------
+        GraphError
+            If there is no such cluster, or the potentials of all runs are too large.
+        """
+        index = self.graph.index(cluster)
+        storage, evidence = self._beliefs.storage, self._beliefs.evidence
+        put = put_in(evidence, storage.scopes[index])
+        scope = axes_left(evidence, storage.scopes[index])
+        self._require_room(scope, f"the potential over {names(scope)}")
+        logs = entered(storage, evidence, index)[put]
+        top = logs.max(axis=tuple(range(logs.ndim - 1)))
+        top = np.where(top == -np.inf, 0.0, top)
+        return self._table(scope, exp(logs - top), top)
 
     def _table(self, scope: States, values: Array, log_scale: Array | None = None) -> Table:
         """Values (sizes..., [runs]) as a table whose leading axes are those of the runs."""

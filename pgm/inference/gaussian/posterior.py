@@ -48,6 +48,10 @@ class GaussianPosterior(Posterior):
     _done: Calibrated
     _sent: RowMessages | None = None
 
+    @property
+    def _hidden(self) -> Scope:
+        return self._model.layout.hidden
+
     @quiet()
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
         """The marginal of a variable without evidence, (*runs, d).
@@ -210,6 +214,30 @@ class GaussianPosterior(Posterior):
         index = self.graph.index(cluster)
         found, scope = self._messages.belief(index), self._plan.layout.scopes[index]
         return self._form(*found, scope, f"the belief of cluster {index}", index)
+
+    @quiet()
+    def potential(self, cluster: int | Cluster) -> CanonicalForm:
+        """The potential of a cluster: its CPDs as they were linearised, with their evidence.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm
+            Leading axes are runs.
+
+        Raises
+        ------
+        GraphError
+            If there is no such cluster.
+        NumericalError
+            If it has no canonical form, since a noise is singular.
+        """
+        index = self.graph.index(cluster)
+        found, scope = self._messages.potential(index), self._plan.layout.scopes[index]
+        return self._form(*found, scope, f"the potential of cluster {index}", index)
 
     def _form(
         self, factor: Rows, log_scale: Array, scope: Scope, what: str, cluster: int

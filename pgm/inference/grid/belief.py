@@ -14,6 +14,7 @@ from pgm.boundary import as_generator, as_lengths, is_whole
 from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
+from pgm.factors.frames import Framed
 from pgm.factors.scope import Scope
 from pgm.immutable import Immutable
 from pgm.inference.components import places_of, whole_variables
@@ -24,7 +25,7 @@ from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
 
 
-class GridBelief(Shown, NoArray, Immutable):
+class GridBelief(Framed, Shown, NoArray, Immutable):
     r"""A belief as probabilities of the cells of a grid.
 
     .. math:: p(x) = \sum_k p_k \, δ(x - c_k)

@@ -21,13 +21,14 @@ from pgm.inference.grid.lattice import Lattice
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, Kind
-from pgm.inference.posterior import require_variable
+from pgm.inference.labelled import Labelled
+from pgm.inference.posterior import Viewed, require_variable
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class GridPosterior(Shown, NoArray, Immutable):
+class GridPosterior(Labelled, Viewed, Shown, NoArray, Immutable):
     """The beliefs of a dynamic network's states on a grid.
 
     Attributes
@@ -83,6 +84,10 @@ class GridPosterior(Shown, NoArray, Immutable):
             _filtered=filtered,
             _bound=bound,
         )
+
+    @property
+    def _hidden(self) -> Scope:
+        return self._lattice.states
 
     @property
     def log_evidence_kind(self) -> str:

@@ -13,6 +13,7 @@ from pgm.boundary import as_generator, as_lengths
 from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
+from pgm.factors.frames import Framed
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.inference.components import places_of, whole_variables
@@ -23,7 +24,7 @@ from pgm.kernels.angles import TURN, wrap
 from pgm.kernels.arrays import Array, Integers
 
 
-class ParticleBelief(Shown, NoArray, Immutable):
+class ParticleBelief(Framed, Shown, NoArray, Immutable):
     r"""A belief as weighted draws.
 
     .. math:: p(x) = \sum_i w_i \, δ(x - x_i)

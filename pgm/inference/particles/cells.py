@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import KDTree
-from scipy.special import logsumexp
 
 from pgm.boundary import as_floats, is_number
 from pgm.display import InCode
@@ -17,6 +15,7 @@ from pgm.inference.particles.cloud import BLOCK
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array
 from pgm.kernels.resampling import indices, systematic
+from pgm.kernels.semirings import log_sum
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -128,7 +127,7 @@ class CellProposal(InCode, Immutable):
         levels = np.zeros(len(self.centres))
         if self.temper > 0.0:
             levels = self.temper * self._log_likelihood(model, step, run)
-        total = logsumexp(levels)
+        total = log_sum(levels, 0)
         if not np.isfinite(total):
             raise EvidenceError(
                 f"{self!r}: the measurements of step {step}, run {run + model.bound.first_run}, "
@@ -185,6 +184,8 @@ class CellProposal(InCode, Immutable):
 
 def _require_apart(what: str, places: Array, around: Array) -> None:
     """Refuse cells of unit width that overlap; `around` is the length of a circle, or zero."""
+    from scipy.spatial import KDTree  # here, since it is slow to import
+
     if len(places) < 2:
         return
     turning = around > 0.0

@@ -13,11 +13,12 @@ from pgm.compile import DynamicGraph
 from pgm.cpds.unidentified import UnidentifiedCPD
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
-from pgm.factors.scope import as_scope, listed
+from pgm.factors.scope import Scope, as_scope, listed
 from pgm.immutable import Immutable
 from pgm.inference.associations import Found, collected
 from pgm.inference.grid.belief import require_step
 from pgm.inference.kind import FILTERED, Kind
+from pgm.inference.labelled import Labelled
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.laws import Some
@@ -25,13 +26,13 @@ from pgm.inference.particles.model import ParticleModel, Sensor
 from pgm.inference.particles.parts import parts
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
-from pgm.inference.posterior import require_variable
+from pgm.inference.posterior import Viewed, require_variable
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class ParticlePosterior(Shown, NoArray, Immutable):
+class ParticlePosterior(Labelled, Viewed, Shown, NoArray, Immutable):
     """The beliefs of a dynamic network as weighted draws.
 
     Attributes
@@ -86,6 +87,10 @@ class ParticlePosterior(Shown, NoArray, Immutable):
             _clouds=clouds,
             _filtered=filtered,
         )
+
+    @property
+    def _hidden(self) -> Scope:
+        return tuple(self._model.places)
 
     @property
     def log_evidence_kind(self) -> str:
