@@ -28,6 +28,7 @@ from pgm.cpds import (
     shifts,
 )
 from pgm.errors import (
+    ArrayError,
     EvidenceError,
     ExecutorError,
     FileError,
@@ -114,11 +115,12 @@ if TYPE_CHECKING:
     )
     from pgm.io.poses import Poses
     from pgm.io.tum import read_tum, write_tum
+    from pgm.viewer import view
 
 __version__ = "0.1.0"
 
 # Slow to import, or seldom wanted: loaded when first asked for.
-_MODULES = ("comparison", "consistency", "maps", "plot")
+_MODULES = ("comparison", "consistency", "maps", "plot", "viewer")
 _LATER = {
     "pgm.comparison": ("Comparison", "compare"),
     "pgm.io.networks": (
@@ -133,6 +135,7 @@ _LATER = {
     ),
     "pgm.io.poses": ("Poses",),
     "pgm.io.tum": ("read_tum", "write_tum"),
+    "pgm.viewer": ("view",),
 }
 
 if not TYPE_CHECKING:  # to type checkers it would say that every name exists
@@ -155,6 +158,7 @@ def __dir__() -> list[str]:
 __all__ = [
     "LTRIP",
     "AffineGaussian",
+    "ArrayError",
     "Associations",
     "Audit",
     "Balanced",
@@ -266,6 +270,7 @@ __all__ = [
     "to_pgmpy",
     "unknown",
     "variables",
+    "view",
     "write_bif",
     "write_tum",
     "write_xmlbif",

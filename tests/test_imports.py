@@ -8,7 +8,10 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "pgm"
 LAYERS = [
-    {"boundary", "errors", "immutable", "optional", "progress", "sizes", "variables", "kernels"},
+    {
+        *("boundary", "display", "errors", "immutable", "optional", "progress", "sizes"),
+        *("variables", "kernels"),
+    },
     {"factors"},
     {"linearisers"},
     {"cpds", "maps"},
@@ -17,7 +20,7 @@ LAYERS = [
     {"clustergraph"},
     {"compile"},
     {"inference"},
-    {"io", "consistency", "comparison", "plot"},
+    {"io", "consistency", "comparison", "plot", "viewer"},
 ]
 HEIGHT = {name: height for height, layer in enumerate(LAYERS) for name in layer}
 

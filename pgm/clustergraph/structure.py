@@ -19,6 +19,7 @@ from pgm.clustergraph.checks import (
 )
 from pgm.clustergraph.cluster import Cluster
 from pgm.clustergraph.size import amount, extent, is_discrete, work
+from pgm.display import Drawn, Listing, Summary, few, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed
 from pgm.immutable import Immutable
@@ -35,7 +36,11 @@ Places = tuple[int, ...]
 PLANS_KEPT = 32
 
 
-class ClusterGraph(Immutable):
+# Sepsets of a cluster, and variables of a sepset, that are shown.
+FEW = 3
+
+
+class ClusterGraph(Drawn, Immutable):
     """An undirected graph of clusters; its edges are labelled with sepsets.
 
     Structure alone: it holds no evidence, message or belief. Made by `compile`, or by hand from
@@ -78,7 +83,7 @@ class ClusterGraph(Immutable):
         sepsets: Mapping[Edge, Iterable[Variable]] | None = None,
     ) -> None:
         if not isinstance(network, BayesianNetwork):
-            raise GraphError(f"a cluster graph is of a BayesianNetwork, not of {network!r}")
+            raise GraphError(f"a cluster graph is of a BayesianNetwork, not of {titled(network)}")
         place = network._places
 
         def places(members: Iterable[Variable], where: str) -> Places:
@@ -379,12 +384,29 @@ class ClusterGraph(Immutable):
     def __len__(self) -> int:
         return self._count
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         unit = "table entries" if is_discrete(self._clusters[0].scope) else "components"
         return (
             f"ClusterGraph({len(self)} clusters, {len(self.sepsets)} sepsets, width {self.width}, "
             f"largest cluster {amount(max(self.sizes))} {unit}, cost {amount(self.cost)})"
         )
+
+    def _summary(self) -> Summary:
+        rows: list[Sequence[str] | None] = []
+        for k in few(self._count):
+            if k is None:
+                rows.append(None)
+                continue
+            joined = self.neighbours(k)
+            each = [
+                f"{j} by {listed(self.sepsets[min(k, j), max(k, j)], FEW)}" for j in joined[:FEW]
+            ]
+            more = [f"... {len(joined)} in all"] * (len(joined) > FEW)
+            scope = listed(self.clusters[k].scope)
+            rows.append([str(k), scope, "; ".join(each + more)])
+        heads = ("cluster", "variables", "joined to")
+        return Summary(self._title, [Listing(heads, rows, names=3, cell=60)])
 
 
 def _edge(edge: Any, count: int) -> Edge:

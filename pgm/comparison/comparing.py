@@ -15,6 +15,7 @@ from pgm.comparison.oracle import Compared, Oracle, Reference, references, requi
 from pgm.comparison.row import FAILURES, Name, Row, failed, judge
 from pgm.comparison.table import Comparison
 from pgm.compile import compile
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors import Gaussian
@@ -320,4 +321,4 @@ def _title(oracle: Grid | Oracle | None) -> str:
 
 def _described(oracle: Grid | Oracle) -> str:
     """The oracle in words."""
-    return repr(oracle if isinstance(oracle, Grid) else getattr(oracle, "grid", oracle))
+    return titled(oracle if isinstance(oracle, Grid) else getattr(oracle, "grid", oracle))

@@ -13,11 +13,12 @@ from functools import cached_property
 
 from pgm.clustergraph import Cluster
 from pgm.compile.dynamic import DynamicGraph
+from pgm.display import InCode
 from pgm.factors.scope import Scope
 
 
 @dataclass(frozen=True)
-class Balanced:
+class Balanced(InCode):
     r"""Compile a dynamic network to a balanced tree of its segments, of logarithmic depth.
 
     All clusters of a level can send at once, in a batched call: solving takes about 2 log₂ T rounds
@@ -146,7 +147,8 @@ class BalancedGraph(DynamicGraph):
             if count > 0:
                 yield self._view(first), count
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         return (
             f"BalancedGraph(clusters 0..{self._count - 1} over steps 0..{self.steps}, depth "
             f"{self.depth}, sepsets of {list(self.model.states)})"

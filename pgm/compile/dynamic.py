@@ -9,6 +9,7 @@ from typing import Any
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.checks import Edge
 from pgm.compile.layout import SliceLayout
+from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope
 from pgm.networks import DynamicBayesianNetwork
@@ -104,7 +105,7 @@ class DynamicGraph(ClusterGraph, ABC):
                     yield tuple(variable.at(step) for variable in cpd.scope)
 
 
-class _Clusters(Sequence[Cluster]):
+class _Clusters(InCode, Sequence[Cluster]):
     def __init__(self, graph: DynamicGraph) -> None:
         self._graph = graph
 
@@ -121,9 +122,12 @@ class _Clusters(Sequence[Cluster]):
         return f"<clusters 0..{len(self) - 1}>"
 
 
-class _Sepsets(Mapping[Edge, Scope]):
+class _Sepsets(InCode, Mapping[Edge, Scope]):
     def __init__(self, graph: DynamicGraph) -> None:
         self._graph = graph
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} sepsets between clusters 0..{len(self)}>"
 
     def __len__(self) -> int:
         return self._graph._count - 1
@@ -187,5 +191,6 @@ class SliceGraph(DynamicGraph):
         if self.steps:
             yield self._view(1), self.steps
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         return f"SliceGraph(clusters 0..{self.steps}, sepsets of {list(self.model.states)})"

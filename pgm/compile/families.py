@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.assignment import holding
 from pgm.clustergraph.checks import Edge
+from pgm.display import InCode
 from pgm.factors.scope import Scope
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
 
 @dataclass(frozen=True)
-class Bethe:
+class Bethe(InCode):
     """Compile to a cluster for each family, joined through a cluster for each variable they share.
 
     Families inside other families have no cluster of their own. Where the graph has loops, messages
@@ -69,7 +70,7 @@ def maximal(families: list[Scope]) -> list[Scope]:
 
 
 @dataclass(frozen=True)
-class LTRIP:
+class LTRIP(InCode):
     """Compile to a cluster for each family, joined by a spanning tree for each variable.
 
     For each variable, its clusters are joined by the tree of greatest weight, where an edge weighs

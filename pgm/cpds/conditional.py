@@ -13,10 +13,11 @@ import numpy.typing as npt
 from pgm.cpds.base import CPD
 from pgm.cpds.noise import Noise, evaluate
 from pgm.cpds.values import Known, Values
+from pgm.display import Listing, called, named_matrix
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.factors.covariance import as_covariance
 from pgm.factors.runs import flat, unflat
-from pgm.factors.scope import Scope
+from pgm.factors.scope import Scope, components, listed
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import LOG_2PI, Array, Mask, frozen, independent, quiet, transpose
@@ -53,6 +54,23 @@ class ConditionalGaussian(CPD):
             cov = as_covariance((child,), cov, what, runs=runs, flat=flat, variable=child)
             cov = frozen(cov)
         self._set(cov=cov)
+
+    @property
+    def _deviations(self) -> Array:
+        """Of the noise, (d,), of the first run; NaN where they depend on parents."""
+        if isinstance(self.cov, Noise):
+            return np.full(self.child.dimension, np.nan)
+        return np.sqrt(np.diagonal(self.cov[(0,) * (self.cov.ndim - 2)]))
+
+    def _noise_shown(self) -> list[str | Listing]:
+        """The noise that is more than deviations: of parents, or with correlations."""
+        if isinstance(self.cov, Noise):
+            return [f"noise: {called(self.cov.function)} of ({listed(self.cov.given)})"]
+        cov = self.cov[(0,) * (self.cov.ndim - 2)]
+        if not (cov - np.diag(np.diagonal(cov))).any():
+            return []
+        heads = components((self.child,))
+        return [named_matrix(heads, heads, cov, "cov")]
 
     def require_proper(self, what: str) -> None:
         """Refuse an infinite variance where there is no use for it.

@@ -12,9 +12,10 @@ import numpy.typing as npt
 from pgm.boundary import as_floats
 from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.noise import Noise
+from pgm.display import Listing, brief, by_component, named_matrix, stacked
 from pgm.errors import ModelError
 from pgm.factors.runs import flat
-from pgm.factors.scope import as_value
+from pgm.factors.scope import as_value, components
 from pgm.kernels.arrays import Array, apply, frozen
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
@@ -121,6 +122,16 @@ class GaussianCPD(AffineCPD):
         """The mean, (..., d)."""
         return self.offset
 
+    def _parts(self) -> list[str | Listing]:
+        lead, heads = self._lead(), components((self.child,))
+        if isinstance(self.cov, Noise):
+            return [f"mean {brief(self.offset)}", *self._noise_shown()]
+        if not lead:
+            return [by_component(heads, self.offset, self.cov)]
+        mean = np.broadcast_to(self.offset, (*lead, len(heads)))
+        cov = np.broadcast_to(self.cov, (*lead, len(heads), len(heads)))
+        return [stacked(heads, lead, None, lambda at: (mean[at], cov[at]))]
+
 
 class LinearGaussianCPD(AffineCPD):
     """A linear Gaussian density: y = Σ F_p p + offset + n, n ~ N(0, cov).
@@ -179,6 +190,16 @@ class LinearGaussianCPD(AffineCPD):
                 variable=child,
             )
         self._set(matrices=MappingProxyType(matrices), offset=_finite(child, shift, "offset"))
+
+    def _parts(self) -> list[str | Listing]:
+        whole = np.concatenate(
+            [np.zeros((self.child.dimension, 0)), *self.matrices.values()], axis=1
+        )
+        before = [("offset", self.offset)]
+        if not isinstance(self.cov, Noise):
+            before.append(("noise ±", self._deviations))
+        rows, columns = components((self.child,)), components(tuple(self.matrices))
+        return [named_matrix(rows, columns, whole, "F", before), *self._noise_shown()]
 
 
 def _matrix(child: Variable, parent: Variable, value: npt.ArrayLike) -> Array:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgm.display import InCode, called
 from pgm.errors import ModelError
 from pgm.factors.covariance import diagonal as on_diagonal
-from pgm.factors.scope import Scope, as_scope
+from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.checks import covariance_fault, symmetrised
 from pgm.linearisers.calls import Call
@@ -20,13 +21,16 @@ if TYPE_CHECKING:
     from pgm.cpds.conditional import ConditionalGaussian
 
 
-@dataclass(frozen=True, eq=False)
-class Noise:
+@dataclass(frozen=True, eq=False, repr=False)
+class Noise(InCode):
     """A noise covariance that depends on observed parents; made by `noise`."""
 
     function: Callable[..., Any]
     given: Scope
     diagonal: bool = False
+
+    def __repr__(self) -> str:
+        return f"Noise({called(self.function)}, given=({listed(self.given)}))"
 
 
 def noise(

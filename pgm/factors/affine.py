@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats
+from pgm.display import NoArray, Shown, Summary, axes, named_matrix
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.canonical import CanonicalForm
 from pgm.factors.covariance import matrices
@@ -20,7 +22,7 @@ from pgm.kernels.checks import is_symmetric, symmetrised
 from pgm.variables import Variable
 
 
-class AffineGaussian(Immutable):
+class AffineGaussian(Shown, NoArray, Immutable):
     r"""An affine Gaussian conditional.
 
     .. math:: y = F x + b + n, \qquad n \sim N(0, \Sigma)
@@ -42,6 +44,8 @@ class AffineGaussian(Immutable):
     """
 
     __slots__ = ("F", "b", "cov")
+
+    _arrays: ClassVar[str] = ".F, .b and .cov"
 
     F: Array
     b: Array
@@ -182,5 +186,31 @@ class AffineGaussian(Immutable):
         if not is_symmetric(self.cov):
             raise ModelError(f"affine Gaussian of {names(child)}: cov is not symmetric")
 
-    def __repr__(self) -> str:
-        return f"AffineGaussian({self.F.shape[-1]} -> {self.F.shape[-2]})"
+    @property
+    def _title(self) -> str:
+        lead = axes(self._lead, None)
+        return f"AffineGaussian({self.F.shape[-1]} -> {self.F.shape[-2]}{lead})"
+
+    @property
+    def _lead(self) -> tuple[int, ...]:
+        return np.broadcast_shapes(self.F.shape[:-2], self.b.shape[:-1], self.cov.shape[:-2])
+
+    def _summary(self) -> Summary:
+        if not all(self._lead):
+            return Summary(self._title)
+        F, b, cov = (
+            part[(0,) * (part.ndim - own)]
+            for part, own in ((self.F, 2), (self.b, 1), (self.cov, 2))
+        )
+        parents, children = (
+            [f"{word}{k}" for k in range(size)]
+            for word, size in (("x", F.shape[1]), ("y", F.shape[0]))
+        )
+        return Summary(
+            self._title,
+            [
+                "y = F x + b + n" + ", of the first run" * bool(self._lead),
+                named_matrix(children, parents, F, "F", before=[("b", b)]),
+                named_matrix(children, children, cov, "cov"),
+            ],
+        )

@@ -17,6 +17,17 @@ from pgm.boundary import (
     is_unordered,
     is_whole,
 )
+from pgm.display import (
+    Listing,
+    NoArray,
+    Shown,
+    Summary,
+    axes,
+    by_component,
+    column,
+    places,
+    stacked,
+)
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.arrays import as_points, as_steps, as_vector
 from pgm.factors.covariance import as_covariance
@@ -25,9 +36,11 @@ from pgm.factors.scope import (
     Scope,
     angle_mask,
     as_scope,
+    components,
     dimension,
     distinct_labels,
     labels,
+    listed,
     names,
     positions,
 )
@@ -58,8 +71,33 @@ class Ellipse(NamedTuple):
     half_axes: Array
     orientation: Array
 
+    def _summary(self) -> Summary:
+        lead = self.orientation.shape
+        found = [place for place in places(lead) if place is not None]
+        parts = np.array(
+            [[*self.centre[at], *self.half_axes[at], self.orientation[at]] for at in found]
+        )
+        cells = np.array([column(part) for part in parts.T]).reshape(5, -1)
+        rows = {place: cells[:, k].tolist() for k, place in enumerate(found)}
+        heads = ["centre", "", "half-axes", "", "orientation [rad]"]
+        where = [""] if lead else []
+        listed = [
+            None if at is None else [*([str(list(at))] if lead else []), *rows[at]]
+            for at in places(lead)
+        ]
+        return Summary(
+            "Ellipse" + (f", {lead} of them" if lead else ""),
+            [Listing([*where, *heads], listed, names=len(where))],
+        )
 
-class Gaussian(Framed, Immutable):
+    def __repr__(self) -> str:
+        return self._summary().text()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html()
+
+
+class Gaussian(Framed, Shown, NoArray, Immutable):
     r"""A normal density in moment form.
 
     .. math:: N(x; \mu, P) = |2\pi P|^{-1/2} \exp(-\tfrac12 (x-\mu)^\top P^{-1} (x-\mu))
@@ -234,14 +272,14 @@ class Gaussian(Framed, Immutable):
         lead = self.mean.ndim - 1 - (self.steps is not None)
         if not all(map(is_whole, index)):
             raise ModelError(
-                f"a run of {self!r} is given by whole numbers, not by {index}; several are taken "
-                "by belief[places]"
+                f"a run of {self._title} is given by whole numbers, not by {index}; several are "
+                "taken by belief[places]"
             )
         if len(index) > lead:
-            raise ModelError(f"{self!r} has {lead} axes of runs, not {len(index)}")
+            raise ModelError(f"{self._title} has {lead} axes of runs, not {len(index)}")
         shape = self.mean.shape[: len(index)]
         if not all(-size <= place < size for place, size in zip(index, shape, strict=True)):
-            raise ModelError(f"{self!r} has no run {index}; its axes of runs are {shape}")
+            raise ModelError(f"{self._title} has no run {index}; its axes of runs are {shape}")
         return self._make(self.scope, self.mean[index], self.cov[index], self.steps)
 
     def wrapped(self) -> Gaussian:
@@ -277,7 +315,7 @@ class Gaussian(Framed, Immutable):
         shape = as_lengths(size, "of each Gaussian")
         require_memory(
             math.prod(shape) * self.mean.size,
-            f"{size} draws of {self!r}",
+            f"{size} draws of {self._title}",
             "draw fewer at a time",
         )
         if not np.isfinite(self.cov).all():
@@ -393,9 +431,17 @@ class Gaussian(Framed, Immutable):
         half_axes = np.sqrt(-2.0 * np.log1p(-confidence) * variances)
         return Ellipse(self.mean[..., [i, j]], half_axes, orientation)
 
-    def __repr__(self) -> str:
-        lead = f", {self.mean.shape[:-1]} of them" if self.mean.ndim > 1 else ""
-        return f"Gaussian{names(self.scope)}{lead}"
+    @property
+    def _title(self) -> str:
+        return f"Gaussian({listed(self.scope)}){axes(self.mean.shape[:-1], self.steps)}"
+
+    def _summary(self) -> Summary:
+        lead, heads = self.mean.shape[:-1], components(self.scope)
+        if lead:
+            each = stacked(heads, lead, self.steps, lambda at: (self.mean[at], self.cov[at]))
+        else:
+            each = by_component(heads, self.mean, self.cov)
+        return Summary(self._title, [each])
 
 
 def as_gaussian(value: object) -> Gaussian:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, overload
 
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
+from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.inference import discrete, gaussian
@@ -206,7 +207,9 @@ def infer(
         If a worker dies, or the executor takes no work; ``.runs`` tells which runs were lost.
     """
     if not isinstance(graph, ClusterGraph):
-        raise GraphError(f"infer takes a cluster graph (pgm.compile(network, ...)), not {graph!r}")
+        raise GraphError(
+            f"infer takes a cluster graph (pgm.compile(network, ...)), not {titled(graph)}"
+        )
     if not isinstance(evidence, Mapping):
         raise EvidenceError(
             f"evidence maps variables to values; found {type(evidence).__name__}; of a table of "
@@ -226,17 +229,18 @@ def infer(
             return run(graph, bound, schedule, lineariser, start, keep, executor)
     if belief is not None:
         raise GraphError(
-            f"belief= is for dynamic networks, whose states it is of, not for {graph!r}"
+            f"belief= is for dynamic networks, whose states it is of, not for {titled(graph)}"
         )
     if keep is not None or executor is not None:
         raise GraphError(
-            f"keep= and executor= are for the runs of dynamic networks, not for {graph!r}; to hold "
-            "less at a time, give fewer runs to a call"
+            f"keep= and executor= are for the runs of dynamic networks, not for {titled(graph)}; "
+            "to hold less at a time, give fewer runs to a call"
         )
     if schedule is not None and isinstance(schedule, Filtering | FixedLag):
         raise GraphError(
-            f"only a dynamic network is filtered, or smoothed by a lag; {graph!r} has no time, for "
-            f"which {schedule!r} is: leave the schedule out for a tree, and on a graph with loops "
+            f"only a dynamic network is filtered, or smoothed by a lag; {titled(graph)} has no "
+            f"time, for which {schedule!r} is: leave the schedule out for a tree, and on a graph "
+            "with loops "
             "give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
         )
     if isinstance(schedule, Smoothing) and schedule.damping:
@@ -249,7 +253,7 @@ def infer(
         if schedule is None:
             advice = "on which messages go round: say how,"
         raise GraphError(
-            f"{graph!r} has loops, {advice} schedule=pgm.Flooding(), pgm.Sequential() or "
+            f"{titled(graph)} has loops, {advice} schedule=pgm.Flooding(), pgm.Sequential() or "
             "pgm.Residual()"
         )
     if graph.network.discrete:

@@ -13,6 +13,7 @@ import numpy as np
 from pgm.boundary import as_generator, as_mapping
 from pgm.cpds import CPD
 from pgm.cpds.values import Values
+from pgm.display import Drawn, Summary
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 FEW = 12
 
 
-class BayesianNetwork(Immutable):
+class BayesianNetwork(Drawn, Immutable):
     """A joint density as a product of CPDs, one for each variable.
 
     Its variables are all continuous (Gaussian CPDs, linear or not) or all `Discrete`
@@ -298,11 +299,22 @@ class BayesianNetwork(Immutable):
         separated = nx.is_d_separator if hasattr(nx, "is_d_separator") else nx.d_separated
         return bool(separated(self.to_networkx(), *sets))
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         if len(self.cpds) <= FEW:
             return f"BayesianNetwork({'  '.join(map(density, self.cpds))})"
         kind = "discrete" if self.discrete else "continuous"
         return f"BayesianNetwork({len(self.cpds)} CPDs, {kind})"
+
+    def _summary(self) -> Summary:
+        few = len(self.cpds) <= FEW
+        return Summary(self._title, [] if few else [factors(self.cpds)])
+
+
+def factors(cpds: Sequence[CPD]) -> str:
+    """The first CPDs as factors of the joint density."""
+    more = f"  ... {len(cpds)} in all" if len(cpds) > FEW else ""
+    return "  ".join(map(density, cpds[:FEW])) + more
 
 
 def density(cpd: CPD) -> str:

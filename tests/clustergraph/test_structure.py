@@ -266,17 +266,17 @@ def test_sizes_are_exact_however_large():
 
 def test_repr_tells_what_to_expect():
     assert (
-        repr(pgm.ClusterGraph(NET, LOOP, LOOP_SEPSETS))
+        repr(pgm.ClusterGraph(NET, LOOP, LOOP_SEPSETS)).splitlines()[0]
         == "ClusterGraph(3 clusters, 3 sepsets, width 2, largest cluster 3 components, cost 43)"
     )
     a, b = (net := discrete([[], [0]], [4, 5])).variables
     assert (
-        repr(pgm.ClusterGraph(net, [{a, b}]))
+        repr(pgm.ClusterGraph(net, [{a, b}])).splitlines()[0]
         == "ClusterGraph(1 clusters, 0 sepsets, width 1, largest cluster 20 table entries, "
         "cost 20)"
     )
     net = discrete([[]] * 40, [10] * 40)
-    assert repr(pgm.ClusterGraph(net, [net.variables])).endswith("cost 10^40.0)")
+    assert repr(pgm.ClusterGraph(net, [net.variables])).splitlines()[0].endswith("cost 10^40.0)")
 
 
 @given(networks())

@@ -154,7 +154,7 @@ def test_the_clusters_within_some_steps(steps, last):
 
 def test_names_and_strangers():
     graph = balanced(MODELS["static unknown"], 5)
-    assert repr(graph) == (
+    assert repr(graph).splitlines()[0] == (
         "BalancedGraph(clusters 0..9 over steps 0..5, depth 3, sepsets of [x, m])"
     )
     assert graph.sepsets[9, 7] == graph.sepsets[7, 9] == (X.at(0), M.at(0), X.at(4), M.at(4))

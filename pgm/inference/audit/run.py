@@ -125,9 +125,11 @@ def audit(
 
 def _advice(posterior: Any) -> str:
     if isinstance(posterior, KeptPosterior):
-        return f"{posterior!r} has kept marginals alone; leave keep= out to have what is audited"
+        return (
+            f"{posterior._title} has kept marginals alone; leave keep= out to have what is audited"
+        )
     if isinstance(posterior, Posterior):
-        return f"{posterior!r} is of a discrete network; of a tree its log-evidence is exact"
+        return f"{posterior._title} is of a discrete network; of a tree its log-evidence is exact"
     return (
         f"audit takes a posterior of pgm.filter, pgm.smooth or pgm.infer, not "
         f"{type(posterior).__name__}"

@@ -57,6 +57,20 @@ def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
     return tables
 
 
+def entered(storage: Storage, evidence: BoundStates, cluster: int) -> Array:
+    """Logarithms of the potential of one cluster times its evidence, (sizes..., runs)."""
+    scope = storage.scopes[cluster]
+    table = np.repeat(storage.table(storage.logs, cluster)[..., None], evidence.runs, axis=-1)
+    for variable, state in evidence.states.items():
+        if variable in scope:
+            shown = one_hot(np.reshape(state, -1), variable.size)
+            _weigh(np.moveaxis(table, scope.index(variable), 0), shown, LOG_SUM_PRODUCT)
+    for variable, soft in evidence.weights.items():
+        if storage.homes[variable] == cluster:
+            _weigh(np.moveaxis(table, scope.index(variable), 0), soft.T, LOG_SUM_PRODUCT)
+    return table
+
+
 def one_hot(states: Integers, size: int) -> Array:
     """One where a state is the one observed, or none is: (size, runs)."""
     found: Array = ((states == np.arange(size)[:, None]) | (states < 0)).astype(float)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pgm.boundary import as_floats, is_number
+from pgm.display import InCode
 from pgm.errors import EvidenceError, ModelError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 _TOUCHING = 1.0 - 1e-6
 
 
-class CellProposal(Immutable):
+class CellProposal(InCode, Immutable):
     r"""Draws of a state from the likelihood of a step's measurements, over cells.
 
     .. math:: q(x) = \frac{p(z \mid c_k)^{τ}}{V \sum_j p(z \mid c_j)^{τ}}
