@@ -7,6 +7,7 @@ found by context, as NumPy's error state is, since it is no part of any result.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -105,8 +106,9 @@ def _calls(function: Callable[[int, int], object]) -> Callable[[str, int], _Stag
 
 
 def _bar(what: str, total: int) -> _Stage:
-    # None: on a terminal and in a notebook, but in no file and no pipe.
-    bar = _bars()(total=total, desc=what, disable=None)
+    # None: on a terminal, but in no file and no pipe, which a notebook's own stream seems to be.
+    disable = False if "ipykernel.zmqshell" in sys.modules else None
+    bar = _bars()(total=total, desc=what, disable=disable)
     return lambda done: bar.update(), bar.close
 
 

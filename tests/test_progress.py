@@ -205,6 +205,15 @@ def test_nothing_is_shown_where_there_is_no_terminal():
     assert (run.stdout, run.stderr) == (b"", b"")
 
 
+def test_bars_are_shown_in_a_notebook():
+    """Without its widgets, as text."""
+    kernel = "import sys, types; sys.modules['ipykernel.zmqshell'] = types.ModuleType('kernel')\n"
+    program = [sys.executable, "-c", kernel + PROGRAM]
+    run = subprocess.run(program, cwd=ROOT, capture_output=True, check=True)
+    assert b"forward" in run.stderr
+    assert run.stdout == b""
+
+
 def test_bars_are_shown_on_a_terminal():
     pty = pytest.importorskip("pty")
     ours, theirs = pty.openpty()

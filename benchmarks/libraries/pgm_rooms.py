@@ -8,8 +8,9 @@ import pgm
 from benchmarks.timing import Contender
 from benchmarks.work import rooms
 from benchmarks.work.robots import Array, Robots, pose
+from pgm.inference.schedule import Schedule
 
-SCHEDULES: dict[str, pgm.Schedule] = {"filter": pgm.Filtering(), "smoother": pgm.Smoothing()}
+SCHEDULES: dict[str, Schedule] = {"filter": pgm.Filtering(), "smoother": pgm.Smoothing()}
 
 
 def on_grid(schedule: str, work: Robots) -> Contender:

@@ -12,6 +12,7 @@ import pgm
 from models import motion, networks, sensors
 from models.networks import landmark, pose, sighting, velocity
 from models.sinc import sinc
+from pgm.cpds import CPD
 
 Array = npt.NDArray[np.float64]
 
@@ -177,7 +178,7 @@ def drive(controls: Array, noise: Array, start: Array | None = None) -> Array:
     return np.stack([east, north, heading], axis=-1)
 
 
-def _cov(cpd: pgm.CPD) -> Array:
+def _cov(cpd: CPD) -> Array:
     """The covariance of a CPD's noise."""
     assert isinstance(cpd, pgm.GaussianCPD | pgm.NonlinearGaussianCPD)
     return np.array(cpd.cov)

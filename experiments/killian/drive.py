@@ -15,6 +15,7 @@ from experiments.killian.graph import reckoned
 from experiments.killian.log import Log
 from models import motion
 from models.networks import pose
+from pgm.cpds import CPD
 from pgm.errors import FileError
 from pgm.maps import LikelihoodField, OccupancyMap, log_odds_map
 
@@ -95,7 +96,7 @@ class Drive:
             weight=WEIGHT,
         )
 
-    def network(self, prior: pgm.CPD | None = None) -> pgm.DynamicBayesianNetwork:
+    def network(self, prior: CPD | None = None) -> pgm.DynamicBayesianNetwork:
         """Motions and scans, from the first pose, or from a prior of it."""
         known = pgm.GaussianCPD(pose, self.poses[0], np.diag(np.square(START_STD)))
         moved = pgm.NonlinearGaussianCPD(

@@ -8,6 +8,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
 
 import pgm
+from pgm.cpds import CPD
 from pgm.plot.colours import INK
 from pgm.plot.diagrams.canvas import FONT, Canvas, Point, Size
 
@@ -15,7 +16,7 @@ _LINE = 1.45 * FONT
 _NOTHING = 1e-12  # a precision below is rounding
 
 
-def factor(cpd: pgm.CPD) -> str:
+def factor(cpd: CPD) -> str:
     """A CPD as a factor of its child and its parents: φ_e(e, b, d)."""
     return rf"$\phi_{{{cpd.child.name}}}({_names((cpd.child, *cpd.parents))})$"
 

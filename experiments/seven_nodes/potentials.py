@@ -10,6 +10,7 @@ import numpy as np
 
 import pgm
 from experiments.kinds import as_form
+from pgm.cpds import CPD
 
 Evidence = Mapping[pgm.Variable, float]
 
@@ -46,7 +47,7 @@ def difference(graph: pgm.ClusterGraph, evidence: Evidence) -> float:
     return found
 
 
-def _factor(cpd: pgm.CPD) -> pgm.CanonicalForm:
+def _factor(cpd: CPD) -> pgm.CanonicalForm:
     """φ, a CPD as a function of its child and its parents (equation 5.2)."""
     assert isinstance(cpd, pgm.GaussianCPD | pgm.LinearGaussianCPD)
     matrices = [np.asarray(cpd.matrices[parent]) for parent in cpd.parents]

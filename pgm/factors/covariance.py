@@ -34,7 +34,9 @@ def as_covariance(
     flat : bool
         Whether variances may be infinite, of components that are independent of all others.
     """
-    given = as_floats(value, what, **about)
+    # A series of variances is taken by its names, as a series of means is.
+    named = labels(scope) if getattr(value, "ndim", 0) == 1 else ()
+    given = as_floats(value, what, labels=named, **about)
     size = dimension(scope)
     cov = matrices(given, size).copy()
     if cov.shape[-2:] != (size, size) or (cov.ndim > 2 and not runs):

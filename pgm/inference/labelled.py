@@ -86,7 +86,7 @@ def _tables(
     for variable, table in marginals.items():
         own = f"{variable!r}_state"
         data[repr(variable)] = ([*dims, own], _at_all_steps(table.values, -2, steps))
-        states[own] = list(variable.states)
+        states[own] = list(table.scope[0].states)
     return data, states
 
 

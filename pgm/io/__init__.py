@@ -1,4 +1,7 @@
-"""In and out: a user's own log becomes evidence; `pgm.io.networks` has files of networks."""
+"""In and out: a user's own log becomes evidence.
+
+`pgm.io.networks` has files of networks, `pgm.io.tum` files of trajectories.
+"""
 
 from pgm.io.controls import ControlReport
 from pgm.io.readings import ReadingReport

@@ -10,6 +10,7 @@ import csv
 import io
 import math
 from collections.abc import Sequence
+from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -75,8 +76,8 @@ def number(word: str, line: int, origin: Origin) -> float:
 
 def _header(names: Sequence[str]) -> list[str]:
     """The names of the columns."""
-    pairs = zip(*np.triu_indices(len(names)), strict=True)
-    return ["t", *(f"{names[i]}{JOINED}{names[j]}" for i, j in pairs)]
+    pairs = combinations_with_replacement(names, 2)
+    return ["t", *(f"{one}{JOINED}{other}" for one, other in pairs)]
 
 
 def _names(header: Sequence[str], origin: Origin) -> tuple[str, ...]:

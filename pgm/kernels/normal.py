@@ -73,5 +73,4 @@ def square_within(probability: float, dimension: Integers) -> Array:
     """The squared length, in deviations, within which a normal vector is with a probability."""
     from scipy.special import chdtri  # here, since it is slow to import
 
-    limit: Array = chdtri(dimension, 1.0 - probability)
-    return limit
+    return np.asarray(chdtri(dimension, 1.0 - probability), dtype=np.float64)

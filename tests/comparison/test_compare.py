@@ -296,7 +296,8 @@ def test_the_frame_has_the_rows():
 def test_without_pandas_a_frame_says_what_is_missing(monkeypatch):
     found = pgm.compare(bent(), SQUARES, steps=T)
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match="to_frame needs pandas: pip install pandas"):
+    told = r"Comparison\.to_frame\(\) needs pandas: pip install 'sepset\[frames\]'"
+    with pytest.raises(ImportError, match=told):
         found.to_frame()
 
 

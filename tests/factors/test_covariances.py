@@ -71,6 +71,16 @@ def test_rows_of_variances_are_never_taken_for_runs():
     assert pgm.GaussianCPD(x, np.zeros((5, 3)), each).cov.shape == (5, 3, 3)
 
 
+def test_a_series_of_variances_is_taken_by_its_names():
+    pandas = pytest.importorskip("pandas")
+    series = pandas.Series({"north": 2.0, "heading": 3.0, "east": 1.0})
+    assert_array_equal(pgm.GaussianCPD(x, series * 0.0, series).cov, np.diag([1.0, 2.0, 3.0]))
+    with pytest.raises(pgm.ModelError, match="the covariance of x must be numbers"):
+        pgm.GaussianCPD(x, np.zeros(3), series.rename({"north": "up"}))
+    with pytest.raises(pgm.ModelError, match="columns with names"):
+        pgm.GaussianCPD(x, np.zeros(3), pandas.DataFrame(np.eye(3), columns=x.components))
+
+
 def test_a_variance_serves_all_runs_and_steps():
     assert pgm.Gaussian(y, np.zeros((7, 2)), [1.0, 4.0], steps=range(7)).std.shape == (7, 2)
     affine = pgm.AffineGaussian(np.zeros((5, 2, 3)), np.zeros(2), 0.1)
