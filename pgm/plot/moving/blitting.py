@@ -24,10 +24,12 @@ class BlittedCanvas(FigureCanvasAgg):
         super().__init__(figure)
         self._changing = changing
         self._kept: Any = None
+        self._size = (0, 0)
 
     def draw(self) -> None:
         """Draw the picture: the first time all of it, later what changes."""
-        if self._kept is None:
+        if self._kept is None or self._size != self.get_width_height():
+            self._size = self.get_width_height()  # which a writer may change to even numbers
             for artist in self._changing:
                 artist.set_animated(True)
             super().draw()

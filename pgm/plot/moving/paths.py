@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -61,7 +62,7 @@ class Trace:
         """Everything that changes."""
         return [self._line, self._past, self._newest, self._dot]
 
-    def show(self, path: range, ellipses: range, newest: int | None) -> None:
+    def show(self, path: range, ellipses: Collection[int], newest: int | None) -> None:
         """Show the path over some steps, ellipses of some, and one of them as the newest."""
         self._line.set_data(*self.centres[path].T)
         drawn = [step for step in ellipses if step % self._every == 0 and step != newest]
@@ -146,8 +147,8 @@ class Paths:
     def show(self, frame: Frame) -> None:
         """Show what is known by a picture."""
         path, revised = range(frame.filtered + 1), range(frame.revised[0], frame.revised[1] + 1)
-        # A smoothed ellipse takes the place of the filtered one.
-        standing = range(frame.step) if frame.back else path
+        # A revised ellipse takes the place of the filtered one.
+        standing = [step for step in path if step not in revised]
         self._filtered.show(path, standing, None if frame.back else frame.step)
         if self._revised is not None:
             newest = frame.revised[0 if frame.back else 1]

@@ -196,9 +196,9 @@ def _pair(
 
 def _truth(belief: Gaussian, truth: npt.ArrayLike, places: Sequence[int]) -> Array:
     line = truth_columns(belief, truth, places)
-    if line.shape != (len(belief.mean), 2):
+    if line.shape[:-1] != (len(belief.mean),):
         raise ModelError(
-            f"the truth is of the shape {line.shape[:-1]} and components; one run of "
-            f"{len(belief.mean)} steps was due"
+            f"the truth has {' × '.join(map(str, line.shape[:-1]))} rows; one for each of the "
+            f"{len(belief.mean)} steps 0..T was due"
         )
     return line
