@@ -9,14 +9,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.animation import AbstractMovieWriter
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
+from pgm.plot.colours import INK, MUTED
+from pgm.plot.colours import PALETTE as COLOURS
+
 _COLOURS = 256
 # Colours chosen for the first picture; the others are free for colours that later pictures bring.
-_FIRST = 192
-# A colour at least so far from all of the palette, in one channel, enters it while there is room.
-_FAR = 5
+_FIRST = 128
+# A new colour of so many pixels, so far from all of the palette in one channel, enters it while
+# there is room; those of fewer are the blurred borders of shapes.
+_OFTEN, _FAR = 8, 5
+# Those in which lines are drawn are kept as they are, however thin the first lines are.
+_LINES = np.array([to_rgb(c) for c in ("white", "black", INK, MUTED, *COLOURS)]) * 255.0
 # Red, green and blue of a pixel that is read as one number.
 _SHIFTS = np.array([0, 8, 16], dtype=np.uint32)
 _OPAQUE = 0xFFFFFF
@@ -33,7 +40,8 @@ class Palette:
 
     def __init__(self, first: Image.Image) -> None:
         cut = first.quantize(_FIRST, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-        self._colours = np.array(cut.getpalette(), dtype=np.int16).reshape(-1, 3)[:_FIRST]
+        chosen = np.array(cut.getpalette(), dtype=np.int16).reshape(-1, 3)[:_FIRST]
+        self._colours = np.concatenate([np.rint(_LINES).astype(np.int16), chosen])
         self._nearest = np.full(1 << 24, -1, dtype=np.int16)
 
     @property
@@ -47,21 +55,20 @@ class Palette:
         codes = pixels & _OPAQUE
         found = self._nearest[codes]
         if (unmet := found < 0).any():
-            self._meet(np.unique(codes[unmet]))
+            self._meet(*np.unique(codes[unmet], return_counts=True))
             found = self._nearest[codes]
         return found.astype(np.uint8)
 
-    def _meet(self, codes: npt.NDArray[np.uint32]) -> None:
+    def _meet(self, codes: npt.NDArray[np.uint32], counts: npt.NDArray[np.intp]) -> None:
+        """Take in the colours of some codes, which are met for the first time."""
         new = (codes[:, None] >> _SHIFTS & 255).astype(np.int16)
-        distance = _apart(new, self._colours)
-        nearest, away = distance.argmin(axis=1), distance.min(axis=1)
-        while len(self._colours) < _COLOURS and away.max() >= _FAR:
-            colour = new[away.argmax()]
-            there = _apart(new, colour[None])[:, 0]
-            nearest = np.where(there < away, len(self._colours), nearest)
-            away = np.minimum(away, there)
-            self._colours = np.concatenate([self._colours, colour[None]])
-        self._nearest[codes] = nearest
+        often = new[counts >= _OFTEN]
+        while len(often) and len(self._colours) < _COLOURS:
+            away = _apart(often, self._colours).min(axis=1)
+            if away.max() < _FAR:
+                break
+            self._colours = np.concatenate([self._colours, often[away.argmax()][None]])
+        self._nearest[codes] = _apart(new, self._colours).argmin(axis=1)
 
 
 def _apart(a: npt.NDArray[np.int16], b: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:

@@ -89,6 +89,11 @@ class Paths:
     landmarks : ndarray or None
         (L, 2).
     confidence : float
+
+    Attributes
+    ----------
+    marks : list of Artist
+        For a legend.
     """
 
     def __init__(
@@ -127,17 +132,7 @@ class Paths:
         traces = [trace for trace in (self._filtered, self._revised) if trace]
         _limit(ax, traces, [each for each in (truth, landmarks) if each is not None])
         name_axes(ax, *pair)
-        ax.legend(
-            handles=marks,
-            loc="lower left",
-            bbox_to_anchor=(0.0, 1.0),
-            ncols=len(marks),
-            frameon=False,
-            fontsize="small",
-            borderaxespad=0.2,
-            columnspacing=1.2,
-            handlelength=1.6,
-        )
+        self.marks = marks
 
     @property
     def artists(self) -> list[Artist]:

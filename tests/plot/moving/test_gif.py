@@ -10,9 +10,10 @@ from pgm.plot.moving.movies import movie_writer, write_movie
 
 
 def pixels(colours):
-    """RGBA pixels as numbers of four bytes."""
+    """RGBA pixels as numbers of four bytes, a row of forty a colour."""
     rgba = np.concatenate([colours, np.full((len(colours), 1), 255)], axis=1)
-    return np.ascontiguousarray(rgba, dtype=np.uint8).view("<u4")
+    column = np.ascontiguousarray(rgba, dtype=np.uint8).view("<u4")
+    return np.repeat(column, 40, axis=1)
 
 
 def shown(palette, colours):
@@ -40,10 +41,11 @@ def test_more_colours_than_there_are_places_take_the_nearest():
     assert (np.abs(found - later).max(axis=-1) == apart.min(axis=1)).all()
 
 
-def test_colours_that_hardly_differ_take_no_place():
+def test_colours_that_hardly_differ_or_are_rare_take_no_place():
     palette = Palette(Image.fromarray(np.full((4, 4, 3), 200, dtype=np.uint8)))
     before = len(palette.flat)
     shown(palette, np.array([[201, 199, 203]]))
+    palette.indices(pixels(np.array([[0, 0, 0]]))[:, :10])
     assert len(palette.flat) == before
 
 
