@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from io import BytesIO
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,8 @@ class Palette:
         if (unmet := found < 0).any():
             self._meet(*np.unique(codes[unmet], return_counts=True))
             found = self._nearest[codes]
-        return found.astype(np.uint8)
+        indices: npt.NDArray[np.uint8] = found.astype(np.uint8)
+        return indices
 
     def _meet(self, codes: npt.NDArray[np.uint32], counts: npt.NDArray[np.intp]) -> None:
         """Take in the colours of some codes, which are met for the first time."""
@@ -91,7 +93,7 @@ class GifWriter(AbstractMovieWriter):
 
     def setup(self, fig: Figure, outfile: str | PathLike[str], dpi: float | None = None) -> None:
         """Begin a file."""
-        super().setup(fig, outfile, dpi)
+        super().setup(fig, Path(outfile), dpi)
         self._palette: Palette | None = None
         self._pictures: list[Image.Image] = []
 
@@ -102,9 +104,7 @@ class GifWriter(AbstractMovieWriter):
         width, height = self.frame_size
         pixels = np.frombuffer(drawn.getbuffer(), "<u4").reshape(height, width)
         if self._palette is None:
-            whole = Image.frombuffer(
-                "RGBA", (width, height), drawn.getbuffer(), "raw", "RGBA", 0, 1
-            )
+            whole = Image.frombytes("RGBA", (width, height), drawn.getvalue())
             self._palette = Palette(whole.convert("RGB"))
         self._pictures.append(Image.fromarray(self._palette.indices(pixels)))
 

@@ -66,9 +66,9 @@ class Trace:
         """Show the path over some steps, ellipses of some, and one of them as the newest."""
         self._line.set_data(*self.centres[path].T)
         drawn = [step for step in ellipses if step % self._every == 0 and step != newest]
-        self._past.set_verts(self.rings[drawn])
-        here = [newest] if newest in ellipses else []
-        self._newest.set_verts(self.rings[here])
+        self._past.set_verts(list(self.rings[drawn]))
+        here = [] if newest is None or newest not in ellipses else [newest]
+        self._newest.set_verts(list(self.rings[here]))
         self._dot.set_data(*self.centres[here].T)
 
 

@@ -164,7 +164,7 @@ def _columns(width: float, entries: int) -> int:
 
 def _head(plane: Axes, marks: list[Artist]) -> Text:
     """The legend above the plane, and the title above that."""
-    figure = plane.figure
+    figure: Any = plane.figure
     width, height = figure.get_size_inches()
     plane.legend(
         handles=marks,
