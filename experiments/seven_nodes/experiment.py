@@ -73,6 +73,8 @@ def run(
             title,
             ("evidence", "K", "h", "g", "mean", "var.", "weight"),
             [(name, *_figures(case["messages"][key])) for name, case in cases.items()],
+            about="A line a set of evidence. K, h and g are the message's canonical form, "
+            "exp(−½ K x² + h x + g); mean, var. and weight are the same message as a Gaussian.",
         )
     record.table(
         "initial beliefs ψ = exp(−½ xᵀK x + hᵀx + g), rows of K after one another",
@@ -91,6 +93,8 @@ def run(
         "largest difference from the dense joint",
         ("evidence", *next(iter(cases.values()))["difference"]),
         [(name, *case["difference"].values()) for name, case in cases.items()],
+        about="Of a mean or covariance of a marginal, of a canonical form of a cluster's belief, "
+        "of the product of both messages at a sepset, and of the log-evidence.",
     )
     record.note(f"largest difference of all: {worst:.2g}")
     equations = max(difference(graph, evidence) for evidence in _cases(value))

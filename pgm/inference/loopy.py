@@ -18,6 +18,7 @@ from pgm.clustergraph.checks import Edge
 from pgm.inference.schedule import Flooding, Loopy, Residual, Sequential
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.progress import counted
 
 Round = TypeVar("Round")
 
@@ -98,6 +99,8 @@ class Messages(Protocol[Round]):
 # by this share of what the last linearisation moved.
 _SETTLED = 1e-2
 _SHARE = 0.1
+# How many numbers of the changes along edges are kept, 8 MiB; of longer schedules none are.
+_KEPT = 2**20
 # A run whose messages change by more than this has diverged; it stops before its numbers overflow.
 LOST = 1e100
 
@@ -112,8 +115,14 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
     converged = np.zeros(messages.runs, dtype=bool)
     gate = np.full(messages.runs, max(_SETTLED, schedule.tolerance))
     residuals: list[Array] = []
-    while len(residuals) < schedule.max_iterations and active.any():
-        change = step(active)
+    along: list[Array] = []
+    for _ in counted(range(schedule.max_iterations), "rounds"):
+        if not active.any():
+            break
+        each = step(active)
+        change = _largest(each)
+        if len(residuals) * each.size <= 2 * _KEPT:
+            along.append(np.where(active, np.maximum(each[::2], each[1::2]), 0.0))
         residuals.append(np.where(active, change, residuals[-1]) if residuals else change)
         active &= change < LOST
         ready = active & (change <= gate)
@@ -133,6 +142,9 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
         np.array(residuals).reshape(len(residuals), *lead),
         converged.reshape(lead),
         _by_edge(messages, lead),
+        edge_residuals=np.array(along).reshape(len(along), len(messages.directed) // 2, *lead)
+        if len(along) == len(residuals)
+        else None,
     )
 
 
@@ -146,7 +158,7 @@ def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array
 
 
 def _flooding(messages: Messages[Any]) -> Callable[[Mask], Array]:
-    return _in_turn(messages, [messages.round(range(len(messages.directed)))])
+    return _in_turn(messages, [range(len(messages.directed))])
 
 
 def _sequential(messages: Messages[Any]) -> Callable[[Mask], Array]:
@@ -156,20 +168,21 @@ def _sequential(messages: Messages[Any]) -> Callable[[Mask], Array]:
     for cluster, outgoing in enumerate(messages.directed.outgoing):
         later = [m for m in outgoing if target[m] > cluster]
         earlier = [m for m in outgoing if target[m] < cluster]
-        there += [messages.round(later)] if later else []
-        back += [messages.round(earlier)] if earlier else []
+        there += [later] if later else []
+        back += [earlier] if earlier else []
     return _in_turn(messages, [*there, *reversed(back)])
 
 
-def _in_turn(messages: Messages[Round], rounds: Sequence[Round]) -> Callable[[Mask], Array]:
-    """A step of rounds one after the other, and the largest change in it."""
+def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Callable[[Mask], Array]:
+    """A step of rounds one after the other, and the change of each message in it."""
+    rounds = [(list(turn), messages.round(turn)) for turn in turns]
 
     def step(active: Mask) -> Array:
-        largest = np.zeros(messages.runs)
-        for each in rounds:
-            largest = np.maximum(largest, _largest(messages.propose(each)))
+        change = np.zeros((len(messages.directed), messages.runs))
+        for turn, each in rounds:
+            change[turn] = messages.propose(each)
             messages.accept(each, active)
-        return largest
+        return change
 
     return step
 
@@ -189,7 +202,7 @@ def _residual(messages: Messages[Any]) -> Callable[[Mask], Array]:
             messages.propose(single[first])
             messages.accept(single[first], active)
             change[after[first]] = messages.propose(following[first])
-        return _largest(change)
+        return change.copy()
 
     return step
 

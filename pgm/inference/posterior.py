@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from importlib import import_module
 from typing import ClassVar, overload
 
 from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.display import NoArray, Shown
 from pgm.errors import EvidenceError
 from pgm.factors import CanonicalForm, Gaussian, Table
+from pgm.factors.scope import Scope
+from pgm.inference.labelled import Labelled
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 
 
-class Posterior(ABC):
+class Viewed:
+    """Base of results that a notebook shows as a page of their graph, beliefs and messages."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        # The viewer stands above this layer, which must not import it: found by its name.
+        shown: str = import_module("pgm.viewer").html(self)
+        return shown
+
+
+class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     """The beliefs of a cluster graph after a schedule of messages; leading axes are runs.
 
     Marginals and joints are a `Gaussian` for continuous variables, a `Table` for discrete ones;
@@ -28,6 +43,8 @@ class Posterior(ABC):
 
     graph: ClusterGraph
     status: Status
+
+    _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
 
     # Python would else iterate by asking for the variables 0, 1, ...
     __iter__: ClassVar[None] = None
@@ -125,6 +142,35 @@ class Posterior(ABC):
         NumericalError
             If it has no canonical form, since a covariance is singular.
         """
+
+    @abstractmethod
+    def potential(self, cluster: int | Cluster) -> CanonicalForm | Table:
+        """The potential of a cluster: the product of its CPDs, with their evidence put in.
+
+        Nonlinear CPDs are as they were linearised last. Times all messages to the cluster it is
+        the belief, where these were sent.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm or Table
+            Over the cluster's variables without evidence; leading axes are runs.
+
+        Raises
+        ------
+        GraphError
+            If the graph has no such cluster.
+        NumericalError
+            If it has no canonical form, since a noise is singular.
+        """
+
+    @property
+    @abstractmethod
+    def _hidden(self) -> Scope:
+        """The variables that have marginals; of a dynamic network their templates."""
 
     @property
     @abstractmethod

@@ -9,12 +9,15 @@ from types import MappingProxyType
 
 import numpy as np
 
+from pgm.display import Shown, Summary, few, number
 from pgm.errors import PrecisionWarning
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 
 # Digits of a mean, counted from its deviation, below which the user is warned.
 ENOUGH_DIGITS = 6.0
+# Residuals that are shown.
+FEW = 8
 
 
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
@@ -39,7 +42,7 @@ def _levels_to_user() -> int:
     return levels
 
 
-class Status(Immutable):
+class Status(Shown, Immutable):
     """The status of a schedule: iterations, convergence, digits.
 
     Attributes
@@ -61,6 +64,10 @@ class Status(Immutable):
         After a schedule for any graph, (*runs): how much the messages between each two joined
         clusters would still change, for ``pgm.plot.cluster_graph(graph, residuals=...)``; empty
         after others.
+    edge_residuals : ndarray or None
+        (iterations, edges, *runs), after a schedule for any graph: the change of the messages along
+        each edge, in the order of ``graph.sepsets``, in each iteration; zero of runs that had ended
+        before. None after others, and of schedules so long that it would take more than 8 MiB.
     digits : ndarray or None
         (*runs): the decimal digits that rounding leaves of the least certain mean, counted from its
         standard deviation (6 are an error of 10⁻⁶ deviations); None where they are not measured.
@@ -71,6 +78,7 @@ class Status(Immutable):
     residuals: Array
     converged: Mask
     by_edge: Mapping[tuple[int, int], Array]
+    edge_residuals: Array | None
     digits: Array | None
 
     def __init__(
@@ -80,8 +88,9 @@ class Status(Immutable):
         converged: Mask,
         by_edge: Mapping[tuple[int, int], Array] = MappingProxyType({}),
         digits: Array | None = None,
+        edge_residuals: Array | None = None,
     ) -> None:
-        for record in (residuals, converged, digits):
+        for record in (residuals, converged, digits, edge_residuals):
             if record is not None:
                 record.flags.writeable = False
         self._set(
@@ -89,6 +98,7 @@ class Status(Immutable):
             residuals=residuals,
             converged=converged,
             by_edge=MappingProxyType(dict(by_edge)),
+            edge_residuals=edge_residuals,
             digits=digits,
         )
 
@@ -141,13 +151,29 @@ class Status(Immutable):
                 "redundant measurement once"
             )
             warnings.warn(message, PrecisionWarning, stacklevel=_levels_to_user())
-        return Status(self.iterations, self.residuals, self.converged, self.by_edge, digits)
+        return Status(
+            self.iterations,
+            self.residuals,
+            self.converged,
+            self.by_edge,
+            digits,
+            self.edge_residuals,
+        )
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         lost = ""
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
         return f"Status({self._went()}{lost})"
+
+    def _summary(self) -> Summary:
+        if len(self.residuals) < 2 or not self.residuals[0].size:
+            return Summary(self._title)
+        worst = self.residuals.reshape(len(self.residuals), -1).max(axis=1)
+        shown = ["..." if k is None else number(worst[k], 3) for k in few(len(worst), FEW)]
+        of = " of the worst run" if self.converged.size > 1 else ""
+        return Summary(self._title, [f"residuals{of}: {', '.join(shown)}"])
 
     def _went(self) -> str:
         converged = int(self.converged.sum())
@@ -157,5 +183,5 @@ class Status(Immutable):
         return (
             f"{self.iterations} iteration{'s' if self.iterations > 1 else ''}, "
             f"{converged} of {self.converged.size} runs converged, "
-            f"last residual {self.residuals[-1].max():.3g}"
+            f"last residual {self.residuals[-1].max(initial=0.0):.3g}"
         )

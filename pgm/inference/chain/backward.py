@@ -16,7 +16,8 @@ from pgm.inference import sweep as loops
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import stored
-from pgm.kernels import canonical, conditionals, moments, roots
+from pgm.inference.chain.vector import stacks
+from pgm.kernels import canonical, conditionals, elements, moments, roots
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
@@ -31,6 +32,7 @@ from pgm.kernels.arrays import (
 )
 from pgm.kernels.canonical import Canonical
 from pgm.kernels.conditionals import Moments
+from pgm.kernels.elements import Element, Likelihood
 from pgm.kernels.moments import Conditional
 from pgm.kernels.scan import gather, in_chunks, levels, prefixes, take
 
@@ -281,11 +283,17 @@ def pairs(beliefs: Beliefs, reverse: Reverse, steps: slice | int) -> Beliefs:
     )
 
 
-def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
+def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
     """The likelihood of the measurements after each step, as a function of the states at it.
 
     Messages are carried about the filtered mean, so that large coordinates cost no digits, and
-    moved to the origin at the end. NaN in runs where the message does not exist.
+    moved to the origin at the end: by a scan, or step by step where that is faster. NaN in runs
+    where the message does not exist.
+
+    Returns
+    -------
+    Canonical
+        (T+1, runs, ...).
     """
     states, size = plan.layout.state_places, plan.layout.state_size
     message: Canonical = (
@@ -293,6 +301,15 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
         np.zeros((plan.runs, size)),
         np.zeros(plan.runs),
     )
+    found = None
+    if plan.steps >= _FEW_STEPS and plan.runs < _MANY_RUNS:
+        found = _scanned(plan, forward, message)
+    if found is None:
+        found = _stepwise(plan, forward, message)
+    return canonical.shift(*found, forward.mean[..., states])
+
+
+def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonical:
     messages = [message]
     conditionals = transition(plan)
     for later in range(plan.steps, 0, -1):
@@ -301,10 +318,48 @@ def backward_messages(plan: ChainPlan, forward: Forward) -> list[Canonical]:
         if likelihood is not None:
             message = canonical.product(message, likelihood)
         messages.append(message)
-    return [
-        canonical.shift(*message, forward.mean[step][..., states])
-        for step, message in enumerate(reversed(messages))
-    ]
+    K, h, g = (np.stack(parts[::-1]) for parts in zip(*messages, strict=True))
+    return K, h, g
+
+
+def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | None:
+    """In 2 log₂ T rounds; None where a part of it does not exist, such as a root of a noise."""
+    segments = take(absorbed_at_once(plan, forward), slice(None, None, -1))
+    tree = levels(segments, lambda later, sooner: elements.compose(sooner, later))
+    start = Likelihood(*(part[None] for part in last))
+    found = prefixes(start, tree, _passed)
+    if not all(np.isfinite(part).all() for part in found):
+        return None
+    K, h, g = (np.concatenate([a, b])[::-1] for a, b in zip(start, found, strict=True))
+    return K, h, g
+
+
+def _passed(message: Likelihood, element: Element) -> Likelihood:
+    """A message from the right end of a segment to its left end."""
+    back = canonical.backward(*element[:3], *message)
+    return Likelihood(*(a + b for a, b in zip(back, element[3:], strict=True)))
+
+
+def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:
+    """`absorbed`, of the steps 1..T in batched calls: (T, runs, ...)."""
+    layout = plan.layout
+    select = np.eye(layout.slice_size)[layout.state_places]
+    matrix, _, noise = transition(plan)
+    size, shape = layout.state_size, (plan.steps, plan.runs)
+    matrix, noise = matrix.copy(), np.broadcast_to(noise, (*shape, *noise.shape[2:])).copy()
+    offset = np.zeros((*shape, layout.slice_size))
+    K, h, g = np.zeros((*shape, size, size)), np.zeros((*shape, size)), np.zeros(shape)
+    read = [sensor for sensor in plan.sensors if sensor.family.step.size]
+    for steps, *measured in stacks(plan, read, forward.predicted_mean):
+        later = steps > 0
+        rows = steps[later] - 1
+        if rows.size:
+            parts = (part[later] for part in measured)
+            keep, shift, left, likelihood = absorb_readings(matrix[rows], noise[rows], *parts)
+            matrix[rows], offset[rows], noise[rows] = keep, shift, left
+            K[rows], h[rows], g[rows] = likelihood
+    offset += forward.predicted_mean[1:] - forward.mean[1:]
+    return Element(select @ matrix, apply(select, offset), sandwich(select, noise), K, h, g)
 
 
 def absorbed(

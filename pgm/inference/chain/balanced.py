@@ -89,10 +89,27 @@ class BalancedPosterior(ChainPosterior):
         )
         return self._form(scope, parts, f"the belief of cluster {index}", index)
 
+    def potential(self, cluster: int | Cluster) -> CanonicalForm:
+        """The potential of a cluster, which is one everywhere in clusters that have no CPD.
+
+        Raises
+        ------
+        NumericalError
+            If it has no canonical form, since a noise is singular.
+        """
+        index = self.graph.index(cluster)
+        if index <= self.graph.steps:
+            return super().potential(index)
+        form = CanonicalForm.vacuous(self.graph.cluster(index).scope)
+        lead = self._planned.lead
+        K, h = np.broadcast_to(form.K, (*lead, *form.K.shape)), form.h
+        return CanonicalForm._make(form.scope, K, h, form.g)
+
     def _future(self, step: int) -> Canonical:
         """The likelihood of the measurements after a step, those that were heard of."""
         if self.kind == SMOOTHED:
-            return self._backward_messages[step]
+            K, h, g = self._backward_messages
+            return K[step], h[step], g[step]
         size = self.graph.layout.state_size
         runs = self._plan.runs
         return np.zeros((runs, size, size)), np.zeros((runs, size)), np.zeros(runs)

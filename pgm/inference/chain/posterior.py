@@ -11,6 +11,7 @@ import numpy as np
 
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph, SliceLayout
+from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names
@@ -23,16 +24,18 @@ from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.innovations import BySensor, Innovations, innovations
 from pgm.inference.chain.marginals import Marginals, located
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.potentials import first_potential, potentials
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
+from pgm.inference.summaries import over_time
 from pgm.kernels import canonical
 from pgm.kernels.arrays import Array, Integers, block, quiet, transpose
 from pgm.variables import Variable
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ChainPosterior(Posterior):
     """The beliefs of a chain of clusters after a schedule of messages.
 
@@ -89,6 +92,10 @@ class ChainPosterior(Posterior):
         return self._smoothed or Beliefs(self._swept.mean, self._swept.cov)
 
     @property
+    def _hidden(self) -> Scope:
+        return (*self.graph.model.states, *self.graph.model.controls)
+
+    @property
     def predicted(self) -> Marginals:
         """Marginals given the measurements before each step, as CPDs were linearised last."""
         forward = self._forward
@@ -135,7 +142,7 @@ class ChainPosterior(Posterior):
         return self._reverse_given or Reverse.make(self._plan, self._forward)
 
     @cached_property
-    def _backward_messages(self) -> list[canonical.Canonical]:
+    def _backward_messages(self) -> canonical.Canonical:
         return backward_messages(self._plan, self._forward)
 
     @quiet()
@@ -236,7 +243,8 @@ class ChainPosterior(Posterior):
         if source < target:
             parts = self._past(source)
         elif self.kind == SMOOTHED:
-            parts = self._backward_messages[target]
+            K, h, g = self._backward_messages
+            parts = K[target], h[target], g[target]
         else:
             raise self._unsent(source, target)
         what = f"the message from cluster {source} to {target}"
@@ -304,6 +312,40 @@ class ChainPosterior(Posterior):
             )
         return self._form(scope, parts, f"the belief of cluster {step}", step)
 
+    @cached_property
+    def _potentials(self) -> canonical.Canonical:
+        return potentials(self._plan, self._forward)
+
+    @quiet()
+    def potential(self, cluster: int | Cluster) -> CanonicalForm:
+        """The potential of a cluster: its CPDs as they were linearised, with their evidence.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm
+            Over the cluster's hidden variables.
+
+        Raises
+        ------
+        GraphError
+            If there is no such cluster.
+        NumericalError
+            If it has no canonical form, since a noise is singular.
+        """
+        step, layout = self.graph.index(cluster), self.graph.layout
+        if step:
+            scope: Scope = tuple(variable.at(step) for variable in layout.pair)
+            K, h, g = self._potentials
+            parts = K[step - 1], h[step - 1], g[step - 1]
+        else:
+            scope = tuple(variable.at(0) for variable in layout.states)
+            parts = first_potential(self._plan, self._forward)
+        return self._form(scope, parts, f"the potential of cluster {step}", step)
+
     def _form(
         self, scope: Scope, parts: canonical.Canonical, what: str, cluster: int
     ) -> CanonicalForm:
@@ -319,10 +361,15 @@ class ChainPosterior(Posterior):
             scope, *(part.reshape((*lead, *part.shape[1:])) for part in parts)
         )
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         lead = self._planned.lead
         runs = f", runs {lead}" if lead else ""
         return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"
+
+    def _summary(self) -> Summary:
+        hidden, last = self.graph.layout.slice, self.graph.steps
+        return over_time(self._title, self, hidden, self._planned.lead, last)
 
 
 # Rows that are mirrored at once: a block and its mirror image stay in the processor's cache.

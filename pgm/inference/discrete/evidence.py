@@ -13,6 +13,7 @@ from pgm.inference.discrete.place import by_state
 from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
+from pgm.progress import counted
 
 # Runs at once, less than which are computed one by one: loops over a few are short, and the tables
 # of one run stay nearer the processor.
@@ -54,6 +55,20 @@ def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
     for variable, soft in evidence.weights.items():
         _weigh(storage.by_state[variable].of(tables), soft.T, LOG_SUM_PRODUCT)
     return tables
+
+
+def entered(storage: Storage, evidence: BoundStates, cluster: int) -> Array:
+    """Logarithms of the potential of one cluster times its evidence, (sizes..., runs)."""
+    scope = storage.scopes[cluster]
+    table = np.repeat(storage.table(storage.logs, cluster)[..., None], evidence.runs, axis=-1)
+    for variable, state in evidence.states.items():
+        if variable in scope:
+            shown = one_hot(np.reshape(state, -1), variable.size)
+            _weigh(np.moveaxis(table, scope.index(variable), 0), shown, LOG_SUM_PRODUCT)
+    for variable, soft in evidence.weights.items():
+        if storage.homes[variable] == cluster:
+            _weigh(np.moveaxis(table, scope.index(variable), 0), soft.T, LOG_SUM_PRODUCT)
+    return table
 
 
 def one_hot(states: Integers, size: int) -> Array:
@@ -98,7 +113,7 @@ def pieces(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
     if evidence.runs <= size:
         yield evidence
         return
-    for start in range(0, evidence.runs, size):
+    for start in counted(range(0, evidence.runs, size), "parts of the runs"):
         yield some_runs(evidence, slice(start, start + size))
 
 

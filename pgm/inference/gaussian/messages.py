@@ -123,7 +123,13 @@ class RowMessages:
 
     def belief(self, cluster: int) -> tuple[Rows, Array]:
         """A cluster's factor times all messages to it, (V, k, n), and its log-scale, (V, N)."""
-        (stack,) = self.buffer.rounds.beliefs([cluster])
+        return self._product(*self.buffer.rounds.beliefs([cluster]))
+
+    def potential(self, cluster: int) -> tuple[Rows, Array]:
+        """A cluster's factor alone, (V, k, n), and its log-scale, (V, N)."""
+        return self._product(*self.buffer.rounds.potentials([cluster]))
+
+    def _product(self, stack: Stack) -> tuple[Rows, Array]:
         factor = self.buffer.factor(stack)
         # Columns of the stack are in the order of elimination: here, all, in the scope's.
         return row_messages.first(factor), self.buffer.log_scale[:, stack.logs].sum(axis=2)[:, 0]

@@ -138,6 +138,10 @@ class Rounds:
         outgoing = self.layout.directed.outgoing
         return self._stacks([(i, i, [m ^ 1 for m in outgoing[i]], []) for i in clusters])
 
+    def potentials(self, clusters: Iterable[int]) -> list[Stack]:
+        """The elimination of everything in some clusters, from their CPDs alone."""
+        return self._stacks([(i, i, [], []) for i in clusters])
+
     @cached_property
     def all_beliefs(self) -> list[Stack]:
         """The elimination of everything in every cluster."""

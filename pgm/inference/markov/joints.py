@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pgm.factors.axes import States
+from pgm.factors.axes import States, sizes
 from pgm.inference.kind import Kind
 from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.plan import SlicePlan, TableSlices
@@ -35,6 +35,30 @@ def pair(chain: StateChain, plan: SlicePlan, step: int, message: Array) -> Array
     own = message if weights is None else semiring.times(message, weights)
     found = semiring.times(found, own)  # the slice's axes are the last before the runs
     return chain.numbers(semiring.over(found, chain.total(found)))
+
+
+def potential(
+    chain: StateChain, plan: SlicePlan, step: int
+) -> tuple[Array, Array | None, Array | float]:
+    """The transition into a step, or the prior, and the weights of the step's measurements.
+
+    Returns
+    -------
+    transition : ndarray
+        (*states, *slice, *runs); of step 0 the prior, (*slice, *runs).
+    weights : ndarray or None
+        (*slice, *runs), to be multiplied in; None where nothing is measured.
+    log_scale : ndarray or float
+        Of the weights.
+    """
+    slices: Any = chain.slices
+    weights, log_scale = slices.likelihood(step)
+    if not step:
+        return slices.prior(), weights, log_scale
+    runs = chain.known[0].shape[len(plan.shape) :]
+    ones = np.full((*sizes(plan.states), *runs), chain.semiring.one)
+    found = plan.pairs.apply(ones, slices.factors(step, "pairs"), chain.semiring)
+    return found, weights, log_scale
 
 
 def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Array:

@@ -3,36 +3,40 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
+from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
 from pgm.factors.axes import discrete, sizes
-from pgm.factors.scope import as_scope
+from pgm.factors.scope import Scope, as_scope
 from pgm.inference.chain.marginals import located
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.markov.chain import TINY, StateChain
-from pgm.inference.markov.joints import joint, pair
+from pgm.inference.markov.joints import joint, pair, potential
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
+from pgm.inference.summaries import marginals_over_time, over_time
 from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Variable
 
 # Beliefs over the slice by step, (*states, *runs).
 Beliefs = Sequence[Array] | Array
+# The way of a message back by one step.
+Passing = Callable[[int, Array], Array]
 
 
-@dataclass(frozen=True, eq=False)
-class StateMarginals:
+@dataclass(frozen=True, eq=False, repr=False)
+class StateMarginals(Shown, NoArray):
     """The marginals of the hidden variables of a discrete chain over all steps, by variable.
 
     Attributes
@@ -76,12 +80,17 @@ class StateMarginals:
         found: Array = belief.sum(axis=tuple(others))
         return found
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         runs = f", runs {self.lead}" if self.lead else ""
         return f"Marginals({self.kind}, steps 0..{len(self.beliefs) - 1}{runs})"
 
+    def _summary(self) -> Summary:
+        last = len(self.beliefs) - 1
+        return marginals_over_time(self._title, self, self.plan.layout, self.lead, last)
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class StatePosterior(Posterior):
     """The beliefs of a chain of tables after a schedule of messages.
 
@@ -107,6 +116,10 @@ class StatePosterior(Posterior):
     def _slices(self) -> TableSlices:
         found: Any = self._chain.slices
         return found  # type: ignore[no-any-return]
+
+    @property
+    def _hidden(self) -> Scope:
+        return (*self.graph.model.states, *self.graph.model.controls)
 
     @property
     def _lead(self) -> tuple[int, ...]:
@@ -234,15 +247,45 @@ class StatePosterior(Posterior):
                 f"is {self.kind}: smoothing sends it; use pgm.smooth, or schedule=pgm.Smoothing()",
                 cluster=source,
             )
+        plain = partial(self._message_back, step, self._chain.message)
+        values, rest = self._scaled_back(step, plain, partial(self._message_back, step))
+        return self._table(scope, values, np.broadcast_to(rest, runs))
+
+    def _scaled_back(
+        self, step: int, plain: Callable[[], Array], careful: Callable[[Passing], Array]
+    ) -> tuple[Array, Array]:
+        """A message back to the states at a step, and its log-scale.
+
+        Made carefully where later measurements speak for states that are impossible here.
+        """
         chain = self._chain
         with np.errstate(invalid="ignore"):  # 0/0, where numbers hold none of the states
-            message, found, top = self._sized(step, self._message_back(step, chain.message))
+            message, found, top = self._sized(step, plain())
         if not (chain.numbers(chain.semiring.over(found, top)) > TINY).all():
-            message, found, top = self._sized(step, self._message_back(step, chain.back))
+            message, found, top = self._sized(step, careful(chain.back))
         rest = self._weight(self.graph.steps) - self._weight(step) - chain.semiring.logs(found)
         message = chain.numbers(chain.semiring.over(message, top))
-        rest = np.broadcast_to(rest + chain.semiring.logs(top), runs)
-        return self._table(scope, self._states(message, total=False), rest)
+        return self._states(message, total=False), rest + chain.semiring.logs(top)
+
+    def messages_back(self) -> Iterator[tuple[Array, Array]]:
+        """The messages back to the slices T..0 after smoothing, each made of the one before.
+
+        Yields
+        ------
+        values : ndarray
+            Over the states of the slice, (sizes..., [runs]).
+        log_scale : ndarray
+            ([runs]).
+        """
+        chain, last = self._chain, self.graph.steps
+        plain = chain.unit()
+        for step in range(last, -1, -1):
+            if step < last:
+                with np.errstate(invalid="ignore"):
+                    plain = chain.message(step, plain)
+            yield self._scaled_back(
+                step, partial(np.asarray, plain), partial(self._message_back, step)
+            )
 
     def _sized(self, step: int, message: Array) -> tuple[Array, Array, Array]:
         """A message to a slice, the sum of its product with the belief there, and its largest."""
@@ -301,10 +344,47 @@ class StatePosterior(Posterior):
         scope = discrete(tuple(v.at(step) for v in self.graph.layout.pair))
         return self._table(scope, values, weight)
 
+    def potential(self, cluster: int | Cluster) -> Table:
+        """The potential of a cluster: the product of its tables, with their evidence put in.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        Table
+            Over the states of the step before and the slice; of cluster 0 over its states.
+
+        Raises
+        ------
+        GraphError
+            If there is no such cluster, or its table would not fit.
+        """
+        step, plan, chain = self.graph.index(cluster), self._plan, self._chain
+        if step:
+            entries = math.prod((*sizes(plan.states), *plan.shape))
+            require_runs(entries, self._slices.bound.runs, f"the potential of cluster {step}")
+        values, weights, log_scale = potential(chain, plan, step)
+        if weights is not None:
+            values = chain.semiring.times(values, weights)
+        if not step:
+            values = self._states(values, total=False)
+        top = values.max(axis=tuple(range(values.ndim - chain.batch)))
+        values = chain.numbers(chain.semiring.over(values, top))
+        scale = np.broadcast_to(log_scale + chain.semiring.logs(top), self._slices.bound.runs)
+        scope = self.graph.layout.pair if step else plan.states
+        return self._table(discrete(tuple(v.at(step) for v in scope)), values, scale)
+
     def _table(self, scope: Any, values: Array, weight: Array) -> Table:
         scale = weight.reshape(self._lead) if self._lead else weight.reshape(())
         return Table._make(scope, self._over_runs(values, len(scope)), scale)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         runs = f", runs {self._lead}" if self._lead else ""
         return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"
+
+    def _summary(self) -> Summary:
+        hidden, last = self.graph.layout.slice, self.graph.steps
+        return over_time(self._title, self, hidden, self._lead, last)

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.inference import GridBelief
@@ -109,8 +110,8 @@ def _of_grid(
         )
     if belief.steps is None or len(belief.lead) != 1:
         raise ModelError(
-            f"{belief!r} is not of one run over steps; give posterior[x], or posterior[x][k] of "
-            "several runs"
+            f"{titled(belief)} is not of one run over steps; give posterior[x], or posterior[x][k] "
+            "of several runs"
         )
     right = _truth(truth, (len(belief.steps), len(belief.components)), "steps and components")
 

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.factors.scope import names
@@ -34,9 +35,9 @@ def chances(belief: Any, variables: tuple[int, ...], lead: int, due: str) -> Arr
         If it is all zero.
     """
     if isinstance(belief, GridBelief):
-        raise ModelError(f"{belief!r} is drawn by grid_map, or over time by animate_beliefs")
+        raise ModelError(f"{titled(belief)} is drawn by grid_map, or over time by animate_beliefs")
     if not isinstance(belief, Table):
-        raise ModelError(f"a belief over discrete states is drawn, a Table, not {belief!r}")
+        raise ModelError(f"a belief over discrete states is drawn, a Table, not {titled(belief)}")
     if len(belief.scope) not in variables or belief.log_scale.ndim != lead:
         raise ModelError(
             f"a table over {names(belief.scope)} with leading axes {belief.log_scale.shape}; "

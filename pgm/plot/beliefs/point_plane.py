@@ -8,6 +8,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from pgm.boundary import as_floats, as_tuple
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.inference import GridBelief, ParticleBelief
 from pgm.kernels.arrays import Array
@@ -45,18 +46,21 @@ def plane_of(
     """
     if belief.lead:
         raise ModelError(
-            f"{belief!r} is of several runs or steps; pick one, with [k] or posterior[x.at(k)]"
+            f"{titled(belief)} is of several runs or steps; pick one, with [k] or "
+            "posterior[x.at(k)]"
         )
     straight = tuple(name for name in belief.components if name not in belief.angles)
     pair = straight[:2] if components is None else as_tuple(components)
     if pair is None or len(pair) != 2:
-        raise ModelError(f"a map is of two components, not {components or pair!r}; {belief!r}")
+        raise ModelError(
+            f"a map is of two components, not {components or pair!r}; {titled(belief)}"
+        )
     belief.marginal(*pair)  # refuses those that are none
     if heading is None:
         turning = [name for name in belief.angles if name not in pair]
         heading = turning[0] if len(turning) == 1 else None
     if heading is not None and (heading not in belief.angles or heading in pair):
-        raise ModelError(f"heading={heading!r} is no angle of {belief!r} beside {pair}")
+        raise ModelError(f"heading={heading!r} is no angle of {titled(belief)} beside {pair}")
     mirrored = belief.components.index(pair[0]) > belief.components.index(pair[1])
     return Plane((pair[0], pair[1]), heading, mirrored)
 

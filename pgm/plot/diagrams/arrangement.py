@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from typing import cast
@@ -11,6 +12,7 @@ import numpy as np
 
 from pgm.clustergraph.checks import Edge
 from pgm.plot.diagrams.canvas import Size
+from pgm.plot.diagrams.folding import folded, gaps
 from pgm.plot.diagrams.layered import layered, rooted
 from pgm.plot.diagrams.layout import GAP, PAGE, Layout, Node, best, packed
 
@@ -34,12 +36,13 @@ def arrange(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> L
     plain = graph.to_undirected(as_view=True)
     for nodes in nx.connected_components(plain):
         piece = plain.subgraph(sorted(nodes))
-        if nx.is_tree(piece) and max(degree for _, degree in piece.degree) <= 2:
+        if is_chain(piece):
             parts.append(_chain(_path(piece), sizes, room))
         elif graph.is_directed():
             root = next(node for node in nodes if not graph.in_degree(node))
             halves = _halves(nx.dfs_edges(graph, root))
-            parts.append(_along(piece, rooted(halves, sizes, room, gap=1.2 * GAP)))
+            drawn = _along(piece, rooted(halves, sizes, room, gap=1.2 * GAP))
+            parts.append(folded(drawn, sizes, gaps(drawn, sizes), room))
         else:
             parts.append(_layers(piece, sizes, room))
     return packed(parts, sizes, room)
@@ -81,9 +84,10 @@ def _chain(order: list[int], sizes: Mapping[Node, Size], room: Size | None) -> L
 
 
 def _per_row(count: int, across: float, down: float, room: Size | None) -> int:
-    if room is None:
-        widest = max(1, int(PAGE.width // across))
-    else:
+    widest = max(1, int(PAGE.width // across))
+    if room is not None or down * math.ceil(count / widest) > 2.0 * PAGE.height:
+        # As large as can be in the room, or on a page if they run far down.
+        room = room or PAGE
         scales = [
             min(room.width / (across * n), room.height / (down * -(-count // n)))
             for n in range(1, count + 1)
@@ -99,7 +103,8 @@ def _layers(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> L
         layered(_halves(directed.edges), sizes, room, gap=1.2 * GAP)
         for directed in _directions(graph)
     )
-    return _along(graph, best(layouts, sizes, room, _BETTER))
+    drawn = _along(graph, best(layouts, sizes, room, _BETTER))
+    return folded(drawn, sizes, gaps(drawn, sizes), room)
 
 
 def _halves(arrows: Iterable[Edge]) -> nx.DiGraph:
@@ -124,19 +129,43 @@ def _along(graph: nx.Graph, whole: Layout) -> Layout:
     return Layout(whole.points, lines, whole.crossings)
 
 
+def outward(graph: nx.Graph) -> list[Edge]:
+    """The edges, each away from where a picture begins: the end of a chain, a root, or a centre."""
+    plain = graph.to_undirected(as_view=True)
+    found: list[Edge] = []
+    for nodes in nx.connected_components(plain):
+        piece = plain.subgraph(sorted(nodes))
+        if graph.is_directed():
+            found += graph.edges(sorted(nodes))
+        elif is_chain(piece):
+            found += pairwise(_path(piece))
+        else:
+            found += _outward(piece, min(nx.center(piece))).edges
+    return found
+
+
+def is_chain(graph: nx.Graph) -> bool:
+    """Whether a graph is a chain of one cluster or more, undirected."""
+    return (
+        not graph.is_directed()
+        and nx.is_tree(graph)
+        and max(degree for _, degree in graph.degree) <= 2
+    )
+
+
 def _directions(graph: nx.Graph) -> Iterator[nx.DiGraph]:
     """Acyclic directions of the edges: outward from a centre, through it, and from one end."""
     centre = min(nx.center(graph))
-    outward = _outward(graph, centre)
-    yield outward
+    away = _outward(graph, centre)
+    yield away
     if nx.is_tree(graph):
         # Half of the tree stands before the centre, half after it.
-        branches = [{node, *nx.descendants(outward, node)} for node in outward.successors(centre)]
+        branches = [{node, *nx.descendants(away, node)} for node in away.successors(centre)]
         before: set[int] = set()
         for branch in sorted(branches, key=lambda branch: (-len(branch), min(branch))):
             if len(before) + len(branch) <= len(graph) // 2:
                 before |= branch
-        yield nx.DiGraph((j, i) if j in before else (i, j) for i, j in outward.edges)
+        yield nx.DiGraph((j, i) if j in before else (i, j) for i, j in away.edges)
     else:
         yield _outward(graph, min(nx.periphery(graph)))
 

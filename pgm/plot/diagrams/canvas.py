@@ -147,17 +147,28 @@ class Canvas:
         return points * min(self.scale, 1.0)
 
 
+def scale_of(size: Size, letters: float, paper: Size | None) -> float:
+    """Points on paper for a point of a diagram; without a paper, of the figure that is made."""
+    if paper is not None:
+        return min(paper.width / size.width, paper.height / size.height, _LARGEST)
+    longest, least = max(size), LEGIBLE / (FONT * letters)
+    return min(1.0, max(_LONGEST / longest, min(least, _LARGEST_SIDE / longest)))
+
+
+def readable(size: Size, letters: float, paper: Size | None) -> bool:
+    """Whether the texts of a diagram are legible on a paper, or in a figure of ordinary size."""
+    scale = scale_of(size, letters, paper or Size(_LONGEST, _LONGEST))
+    return FONT * letters * scale >= LEGIBLE
+
+
 def open_canvas(ax: Axes | None, box: Box, letters: float = 1.0) -> Canvas:
     """Make an axes, or take one, show the box in it, and hide its frame.
 
     In a box that must shrink, texts may be larger by the factor `letters`, up to their full size.
     """
     size, paper = box.size, room(ax)
+    scale = scale_of(size, letters, paper)
     if ax is None or paper is None:
-        scale = max(
-            _LONGEST / max(size), min(LEGIBLE / (FONT * letters), _LARGEST_SIDE / max(size))
-        )
-        scale = min(1.0, scale)
         width, height = max(size.width * scale, 72.0), max(size.height * scale, 36.0)
         ax = plt.subplots(
             figsize=(width / 72.0, (height + _TITLE) / 72.0),
@@ -169,8 +180,6 @@ def open_canvas(ax: Axes | None, box: Box, letters: float = 1.0) -> Canvas:
             },
         )[1]
         paper = Size(width, height)
-    else:
-        scale = min(paper.width / size.width, paper.height / size.height, _LARGEST)
     x, y = 0.5 * (box.left + box.right), 0.5 * (box.bottom + box.top)
     half = 0.5 / scale
     ax.set_xlim(x - half * paper.width, x + half * paper.width)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 import networkx as nx
 import numpy as np
@@ -19,19 +20,33 @@ from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array
 from pgm.plot.colours import CLUSTER, INK, MUTED, SEPSET, readable_on
 from pgm.plot.diagrams.arrangement import arrange
-from pgm.plot.diagrams.canvas import Box, Canvas, Point, Size, open_canvas, room, slack, text_size
+from pgm.plot.diagrams.canvas import (
+    Box,
+    Canvas,
+    Point,
+    Size,
+    open_canvas,
+    readable,
+    room,
+    slack,
+    text_size,
+)
 from pgm.plot.diagrams.contents import contents, joined, links, shown
 from pgm.plot.diagrams.layout import GAP, Layout, Node
 from pgm.plot.diagrams.segments import distances
 from pgm.plot.diagrams.shading import Shading, by_residual, by_size
 
-_MOST = 200
+_MOST = 1000
+# Names of more clusters are never legible in a figure of ordinary size.
+_NAMED = 250
 _STUB = 30.0
 _DASHES = (0.0, (3.0, 2.5))
 Stub = tuple[Point, Point]
 _SUBSCRIPT = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 # Short enough for lines that come slanting to pass by.
 _ARROW = 18.0
+# A sepset without a text.
+_BLANK = Size(7.0, 7.0)
 # From a sepset's border to its arrows, and from these to their names.
 _AWAY, _APART = 6.0, 3.0
 
@@ -40,7 +55,10 @@ def cluster_graph(
     graph: ClusterGraph,
     *,
     steps: int | None = None,
+    around: int | None = None,
+    within: int = 2,
     evidence: Evidence | None = None,
+    names: bool | None = None,
     sizes: bool = False,
     colour: str | None = None,
     residuals: Mapping[Edge, npt.ArrayLike] | None = None,
@@ -53,6 +71,8 @@ def cluster_graph(
     root, another tree in layers from its centre, other graphs in layers from one of their clusters.
     A cluster lists its hidden variables, then
     those that are observed; in large graphs it names the first and counts the others, as ``+5``.
+    Sensors whose names differ by numbers alone share a line where they are many: ``z1…z20[3] ×38``
+    is 38 measurements of twenty. Graphs so large that names were too small to read have numbers.
 
     Parameters
     ----------
@@ -60,9 +80,17 @@ def cluster_graph(
     steps : int, optional
         Only clusters 0..steps are drawn, of a balanced tree those of the steps 0..steps; dashed
         stubs lead to the others.
+    around : int, optional
+        Only this cluster and its neighbourhood are drawn, of the clusters that `steps` leaves.
+    within : int
+        How many edges the neighbourhood of `around` reaches.
     evidence : mapping of Variable, optional
         That given to `pgm.infer`. Several measurements of a sensor at a step are then shown as
         ``z[3] ×4``, and sensors without a measurement left out.
+    names : bool, optional
+        Whether variables are named, or clusters have their numbers alone and sepsets nothing.
+        Without, they are named where the letters can be read: in an axes that is given, or in a
+        figure of 18 inches.
     sizes : bool
         Whether to write the number of components, or of table entries, below the variables.
     colour : {"size", "residual"}, optional
@@ -87,37 +115,31 @@ def cluster_graph(
     EvidenceError
         If the evidence does not fit the graph's model.
     """
-    clusters = shown(graph, steps, _MOST)
+    clusters = shown(graph, steps, around, within, _MOST)
     page = room(ax)
     sepsets, cut = joined(graph, clusters)
     shading = _shading(graph, clusters, sepsets, colour, residuals)
-    texts = contents(graph, clusters, sepsets, evidence, sizes)
-    if messages:
-        texts |= {c.index: f"{cluster_name(c.index)}\n{texts[c.index]}" for c in clusters}
-    room_of = {node: text_size(text) for node, text in texts.items()}
-    ovals: list[Node] = [cluster.index for cluster in clusters]
-    shapes: dict[Node, Size] = {
-        node: _plate(size) if node in sepsets else _oval(size) for node, size in room_of.items()
-    }
     joins = links(graph, clusters, sepsets)
-    rooms = with_messages(shapes, sepsets, joins) if messages else shapes
-    layout = arrange(joins, rooms, page)
 
-    stubs = [stub(layout, rooms, k) for k in dict.fromkeys(cut)]
-    box = around(layout.box(rooms), stubs)
-    if shading:
-        box = shading.bar_box(box)
-    letters = min(
-        slack([room_of[k] for k in nodes], [shapes[k] for k in nodes], round=nodes is ovals)
-        for nodes in (ovals, list[Node](sepsets))
-        if nodes
-    )
+    def drafted(named: bool) -> _Draft:
+        texts = contents(graph, clusters, sepsets, evidence, sizes, named)
+        if messages:
+            texts |= {c.index: f"{cluster_name(c.index)}\n{texts[c.index]}" for c in clusters}
+        return _draft(texts, sepsets, joins, cut, messages, shading, page)
+
+    named = names or (names is None and (messages or len(clusters) <= _NAMED))
+    draft = drafted(named)
+    if named and not names and not messages and not readable(draft.box.size, draft.letters, page):
+        draft = drafted(False)
+    texts, shapes, layout, stubs, box, letters = draft
     canvas = open_canvas(ax, box, letters)
     for line in layout.lines.values():
         canvas.line(line)
     for one in stubs:
         draw_stub(canvas, one)
-    for node in [*ovals, *sepsets]:
+    for line in layout.loose:
+        canvas.line(line)
+    for node in [*(c.index for c in clusters), *sepsets]:
         _draw(canvas, layout.points[node], shapes[node], texts[node], node, shading)
     if messages:
         for edge in sepsets:
@@ -125,6 +147,47 @@ def cluster_graph(
     if shading:
         shading.draw_bar(canvas, box)
     return canvas.ax
+
+
+class _Draft(NamedTuple):
+    """A picture before it is drawn: its texts and shapes, where they stand, and in what box."""
+
+    texts: dict[Node, str]
+    shapes: dict[Node, Size]
+    layout: Layout
+    stubs: list[Stub]
+    box: Box
+    letters: float
+
+
+def _draft(
+    texts: dict[Node, str],
+    sepsets: Mapping[Edge, Scope],
+    joins: nx.Graph,
+    cut: list[int],
+    messages: bool,
+    shading: Shading | None,
+    page: Size | None,
+) -> _Draft:
+    room_of = {node: text_size(text) for node, text in texts.items()}
+    shapes: dict[Node, Size] = {
+        node: _plate(size) if node in sepsets else _oval(size) for node, size in room_of.items()
+    }
+    rooms = with_messages(shapes, sepsets, joins) if messages else shapes
+    layout = arrange(joins, rooms, page)
+    stubs = [stub(layout, rooms, k) for k in dict.fromkeys(cut)]
+    box = around_stubs(layout.box(rooms), stubs)
+    if shading:
+        box = shading.bar_box(box)
+    letters = min(
+        slack([room_of[k] for k in nodes], [shapes[k] for k in nodes], round=round_)
+        for nodes, round_ in (
+            ([k for k in texts if k not in sepsets], True),
+            ([k for k in sepsets if texts[k]], False),
+        )
+        if nodes
+    )
+    return _Draft(texts, shapes, layout, stubs, box, letters)
 
 
 def _shading(
@@ -151,7 +214,7 @@ def _oval(text: Size) -> Size:
 
 
 def _plate(text: Size) -> Size:
-    return Size(text.width + 8.0, text.height + 5.0)
+    return Size(text.width + 8.0, text.height + 5.0) if text.width else _BLANK
 
 
 def _draw(
@@ -193,7 +256,7 @@ def stub(layout: Layout, sizes: Mapping[Node, Size], index: int) -> Stub:
     return stubs[0]
 
 
-def around(box: Box, stubs: list[Stub]) -> Box:
+def around_stubs(box: Box, stubs: list[Stub]) -> Box:
     """A box with room for stubs too."""
     ends = [end for _, end in stubs]
     return Box(

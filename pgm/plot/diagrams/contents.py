@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import networkx as nx
 import numpy as np
 
+from pgm.boundary import is_whole
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.checks import Edge
 from pgm.clustergraph.size import amount, is_discrete, size
@@ -23,8 +24,14 @@ from pgm.variables import Variable
 _NAMED = ((12, 16), (30, 9), (np.inf, 6))
 
 
-def shown(graph: ClusterGraph, steps: int | None, most: int | None = None) -> list[Cluster]:
-    """The clusters 0..steps, or all; an error where they are more than can be read."""
+def shown(
+    graph: ClusterGraph,
+    steps: int | None,
+    around: int | None = None,
+    within: int = 2,
+    most: int | None = None,
+) -> list[Cluster]:
+    """The clusters 0..steps, or those near one, or all; an error where they are too many."""
     if not isinstance(graph, ClusterGraph):
         raise GraphError(f"cluster_graph draws a compiled graph, not {type(graph).__name__}")
     found: Sequence[int] = range(len(graph.clusters))
@@ -33,11 +40,28 @@ def shown(graph: ClusterGraph, steps: int | None, most: int | None = None) -> li
     if steps is not None:
         end = last(steps, "cluster", GraphError)
         found = graph.within(end) if isinstance(graph, DynamicGraph) else found[: end + 1]
+    if around is not None:
+        found = _near(graph, around, within, found)
     if most is not None and len(found) > most:
         raise GraphError(
-            f"{len(found)} clusters are too many to read; draw {most} at most, as with steps=4"
+            f"{len(found)} clusters are too many to read; draw {most} at most, as with steps=4 or "
+            "around=10"
         )
     return [graph.clusters[index] for index in found]
+
+
+def _near(graph: ClusterGraph, around: int, within: int, among: Sequence[int]) -> list[int]:
+    """The clusters, among some, that so many edges or fewer lead to from one."""
+    allowed = set(among)
+    if not is_whole(around) or around not in allowed:
+        raise GraphError(f"around={around!r} is no cluster; they are 0 to {max(among)}")
+    if not is_whole(within) or within < 0:
+        raise GraphError(f"within is a number of edges, 0 or more, not {within!r}")
+    found = border = {int(around)}
+    for _ in range(within):
+        border = {j for i in border for j in graph.neighbours(i) if j in allowed} - found
+        found = found | border
+    return sorted(found)
 
 
 def joined(graph: ClusterGraph, clusters: Sequence[Cluster]) -> tuple[dict[Edge, Scope], list[int]]:
@@ -73,8 +97,12 @@ def contents(
     sepsets: dict[Edge, Scope],
     evidence: Evidence | None,
     sizes: bool,
+    names: bool = True,
 ) -> dict[Node, str]:
-    """The texts of clusters, by index, and of sepsets, by edge; with their sizes if asked for."""
+    """The texts of clusters, by index, and of sepsets, by edge; with their sizes if asked for.
+
+    Without names, a cluster's is its number, and a sepset's is empty.
+    """
     observed: frozenset[Variable] = frozenset(evidence or ())
     most: int | None = next(named for up_to, named in _NAMED if len(clusters) <= up_to)
     if isinstance(graph, DynamicGraph):
@@ -83,9 +111,14 @@ def contents(
     counts = {} if evidence is None else reading_counts(graph, evidence)
     texts: dict[Node, str] = {c.index: cluster_label(c, observed, counts, most) for c in clusters}
     texts |= {edge: scope_label(scope, most) for edge, scope in sepsets.items()}
+    if not names:
+        texts = {c.index: str(c.index) for c in clusters} | dict.fromkeys(sepsets, "")
     if sizes:
         scopes: dict[Node, Scope] = {c.index: c.scope for c in clusters}
-        texts = {node: f"{text}\n{_size((scopes | sepsets)[node])}" for node, text in texts.items()}
+        texts = {
+            node: f"{text}\n{_size((scopes | sepsets)[node])}" if text else ""
+            for node, text in texts.items()
+        }
     return texts
 
 

@@ -71,9 +71,11 @@ def _straight(route: Sequence[int], nodes: Array, half: Array, at: Array) -> Arr
 
 def clear(curve: Array, at: Array, half: Array, ends: tuple[int, int]) -> bool:
     """Whether a line (P, 2) keeps its distance from all nodes (n, 2) but its ends."""
-    others = np.delete(np.arange(len(at)), ends)
+    reach = half + _CLEAR
+    near = ((at + reach > curve.min(axis=0)) & (at - reach < curve.max(axis=0))).all(axis=-1)
+    near[list(ends)] = False
     # The third power bulges towards the corners, since some nodes are rectangles.
-    offset = (curve[:, None] - at[others]) / (half[others] + _CLEAR)
+    offset = (curve[:, None] - at[near]) / reach[near]
     return bool(((np.abs(offset) ** 3).sum(axis=-1) > 1.0).all())
 
 

@@ -6,14 +6,20 @@ from collections import defaultdict
 from collections.abc import Iterable
 from typing import cast
 
+import networkx as nx
+
 from pgm.clustergraph import ClusterGraph
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.plot.colours import CLUSTER, INK, MUTED, OBSERVED, SEPSET
-from pgm.plot.diagrams.contents import contents, joined, shown
+from pgm.plot.diagrams.arrangement import is_chain, key, outward
+from pgm.plot.diagrams.contents import contents, joined, links, shown
 from pgm.plot.diagrams.graphs import Network, directed, in_slices
 from pgm.variables import Variable
+
+# A level of more nodes than this, for each level that there is, makes a ribbon.
+_WIDE = 3
 
 
 def dot(
@@ -79,6 +85,8 @@ def _network(model: Network, steps: int | None, evidence: Iterable[Variable] | N
             slices[node.step].append(name)
         for step in sorted(slices):
             lines.append(f"{{ rank=same; {'; '.join(slices[step])}; }}")
+    elif _wide(graph):
+        lines.insert(0, "rankdir=LR;")
     lines += [f"{names[parent]} -> {names[child]};" for parent, child in graph.edges]
     return _block("digraph", lines)
 
@@ -89,18 +97,32 @@ def _cluster_graph(
     clusters = shown(graph, steps)
     sepsets, cut = joined(graph, clusters)
     texts = contents(graph, clusters, sepsets, cast(Evidence | None, evidence), sizes=False)
-    lines = [f'node [style=filled, color="{INK}"];', f'edge [color="{MUTED}"];']
+    # Graphviz puts the first end of an edge above the other, so edges point away from a centre.
+    joins = links(graph, clusters, sepsets)
+    arrows = outward(joins)
+    lines = ["rankdir=LR;"] if is_chain(joins) or _wide(nx.DiGraph(arrows)) else []
+    # What neato, fdp and sfdp need; dot passes it over.
+    lines += ["overlap=false;", "splines=true;"]
+    lines += [f'node [style=filled, color="{INK}"];', f'edge [color="{MUTED}"];']
     for cluster in clusters:
         text = _quoted(texts[cluster.index])
         lines.append(f'c{cluster.index} [shape=ellipse, fillcolor="{CLUSTER}", label={text}];')
     for i, j in sepsets:
         text = _quoted(texts[i, j])
         lines.append(f's{i}_{j} [shape=box, fillcolor="{SEPSET}", label={text}];')
-        lines.append(f"c{i} -- s{i}_{j} -- c{j};")
+    for i, j in arrows:
+        one, other = key(i, j)
+        lines.append(f"c{i} -- s{one}_{other} -- c{j};")
     for k in dict.fromkeys(cut):
         lines.append(f'rest{k} [shape=plaintext, style="", label="…"];')
         lines.append(f"c{k} -- rest{k} [style=dashed];")
     return _block("graph", lines)
+
+
+def _wide(graph: nx.DiGraph) -> bool:
+    """Whether levels hold so many nodes that they had better stand side by side."""
+    levels = [len(level) for level in nx.topological_generations(graph)]
+    return max(levels, default=0) > _WIDE * len(levels)
 
 
 def _block(kind: str, lines: Iterable[str]) -> str:

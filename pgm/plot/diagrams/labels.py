@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
 
 from pgm.clustergraph import Cluster
 from pgm.plot.diagrams.canvas import text_size
@@ -12,6 +14,9 @@ from pgm.variables import Variable
 # A line wider than this, in points, is broken.
 _WIDEST = 84.0
 _EMPTY = "∅"
+# As many families are listed one by one, and as many hidden variables alike.
+_LISTED, _NAMED = 5, 8
+_NUMBER = re.compile(r"\d+")
 
 # A name wider than this, in points, is broken where its words end.
 _LONG_NAME = 44.0
@@ -40,7 +45,7 @@ def _filled(words: Iterable[str], width: float = _WIDEST, between: str = ", ") -
 
 def scope_label(scope: Iterable[Variable], most: int | None = None) -> str:
     """Variables, on as many lines as a narrow shape needs; those beyond `most` are counted."""
-    return _text([[_short(repr(v)) for v in group] for group in _by_step(scope)], most)
+    return _text(_hidden(scope, most), most)
 
 
 def cluster_label(
@@ -50,6 +55,9 @@ def cluster_label(
     most: int | None = None,
 ) -> str:
     """The variables of a cluster: hidden ones first, then the observed ones, a line a family.
+
+    Of more than a few families, those whose names differ by numbers alone share a line, as
+    ``z1…z20[3] ×38``, which is 38 measurements of twenty sensors.
 
     Parameters
     ----------
@@ -64,17 +72,67 @@ def cluster_label(
     """
     known = {v for v in cluster.scope if v in observed or v.template in observed}
     hidden = [v for v in cluster.scope if v not in known]
-    groups = _by_step(hidden)
     left = {v: None for v in cluster.scope if v in known}  # a dict keeps the order
+    observations = []
     for family in cluster.families:
         group = [v for v in family if v in left]
-        if counts.get(family[0]) != 0:
-            groups.append(group)
+        if group and counts.get(family[0]) != 0:
+            observations.append(group)
             for v in group:
                 del left[v]
     mentioned = {v for family in cluster.families for v in family}
-    groups.append([v for v in left if v not in mentioned])
-    return _text([[_counted(v, counts.get(v, 1)) for v in group] for group in groups], most)
+    rest = [v for v in left if v not in mentioned]
+    lines = _hidden(hidden, most)
+    if len(observations) > _LISTED:
+        lines += _alike(observations, counts)
+    else:
+        lines += [[_counted(v, counts.get(v, 1)) for v in group] for group in observations]
+    return _text([*lines, [_short(repr(v)) for v in rest]], most)
+
+
+def _hidden(scope: Iterable[Variable], most: int | None) -> list[list[str]]:
+    """Words for variables, in groups; many alike are one, as ``m1…m20[3]``, if none is left out."""
+    found = []
+    for group in _by_step(scope):
+        runs = [list(run) for _, run in groupby(group, lambda v: _NUMBER.sub("#", repr(v)))]
+        found.append(
+            [
+                word
+                for run in runs
+                for word in (
+                    [_several(run, {})]
+                    if most is None and len(run) > _NAMED
+                    else [_short(repr(v)) for v in run]
+                )
+            ]
+        )
+    return found
+
+
+def _alike(
+    families: Iterable[Sequence[Variable]], counts: Mapping[Variable, int]
+) -> list[list[str]]:
+    """Families whose variables' names differ by numbers alone, on a line each: ``z1…z20[3]``."""
+    found: dict[tuple[str, ...], list[Sequence[Variable]]] = defaultdict(list)
+    for family in families:
+        found[tuple(_NUMBER.sub("#", repr(v)) for v in family)].append(family)
+    return [
+        [_several(list(dict.fromkeys(column)), counts) for column in zip(*alike, strict=True)]
+        for alike in found.values()
+    ]
+
+
+def _several(alike: Sequence[Variable], counts: Mapping[Variable, int]) -> str:
+    """The first and the last of variables, how many where that does not say it, and readings."""
+    total = sum(counts.get(v, 1) for v in alike)
+    first, last = alike[0], alike[-1]
+    if len(alike) <= 2:
+        return ", ".join(_counted(v, counts.get(v, 1)) for v in alike)
+    a, b = (_NUMBER.findall(v.name) for v in (first, last))
+    text = f"{first.name}…{last!r}"
+    if [int(y) - int(x) for x, y in zip(a, b, strict=True) if x != y] != [len(alike) - 1]:
+        text = f"{len(alike)} of {text}"
+    return text if total == len(alike) else f"{text} ×{total}"
 
 
 def _by_step(scope: Iterable[Variable]) -> list[list[Variable]]:

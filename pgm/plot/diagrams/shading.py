@@ -24,6 +24,8 @@ from pgm.plot.diagrams.layout import Node
 _WIDE = 30.0
 # Larger tables have the same colour: the axis of a bar cannot reach much further.
 _HUGE = 10**200
+# Residuals are changes in standard deviations; smaller ones are rounding errors.
+ROUNDING = 1e-13
 _BAR = 9.0
 _BELOW = 46.0
 _LONGEST_BAR = 220.0
@@ -42,20 +44,23 @@ class Shading:
         Of the clusters, by index, or the sepsets, by edge.
     norm : matplotlib.colors.Normalize
     label : str
-        What the values are.
+        The values' name.
+    nothing : float
+        The largest value that stands for nothing.
     """
 
     values: dict[Node, float]
     norm: Normalize
     label: str
+    nothing: float = -np.inf
 
     def __getitem__(self, node: Node) -> Colour | None:
-        """The colour of a shape; None where it has no value."""
+        """The colour of a shape, white where its value is nothing; None where it has none."""
         if node not in self.values:
             return None
-        # Zero is at the lower end of a logarithmic scale.
-        value = max(self.values[node], float(self.norm.vmin or 0.0))
-        r, g, b, a = SCALE(float(self.norm(value)))
+        if self.values[node] <= self.nothing:
+            return 1.0, 1.0, 1.0, 1.0
+        r, g, b, a = SCALE(float(self.norm(self.values[node])))
         return r, g, b, a
 
     def bar_box(self, box: Box) -> Box:
@@ -65,9 +70,14 @@ class Shading:
         return Box(left, box.bottom - _BELOW, right, box.top)
 
     def draw_bar(self, canvas: Canvas, box: Box) -> None:
-        """Draw the bar at the bottom of the box that `bar_box` gave."""
+        """Draw the bar at the bottom of the box of `bar_box`; its label alone if all is nothing."""
         length = min(max(_SHORTEST_BAR, 0.5 * (box.right - box.left)), _LONGEST_BAR)
         left = 0.5 * (box.left + box.right - length)
+        letters = 0.85 * FONT * canvas.letters
+        if all(value <= self.nothing for value in self.values.values()):
+            middle = 0.5 * (box.left + box.right), box.bottom + 0.4 * _BELOW
+            canvas.text(middle, self.label, size=0.85 * FONT)
+            return
         place = canvas.ax.inset_axes(
             (left, box.bottom + 26.0, length, _BAR), transform=canvas.ax.transData
         )
@@ -80,7 +90,8 @@ class Shading:
         else:
             # Over a decade or two matplotlib would name the ticks between, one over the other.
             place.xaxis.set_minor_formatter(NullFormatter())
-        letters = 0.85 * FONT * canvas.letters
+            if ticks := _within_decades(float(self.norm.vmin or 0.0), float(self.norm.vmax or 0.0)):
+                bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])
         for which in ("major", "minor"):
             place.tick_params(
                 which=which,
@@ -126,8 +137,22 @@ def by_residual(
             raise GraphError(f"the residual of {pair!r} is {value!r}; 0 or more was due")
         values[edge] = max(values.get(edge, 0.0), float(array.max()))
     values = {edge: value for edge, value in values.items() if edge in shown}
-    finite = [value for value in values.values() if 0.0 < value < np.inf]
-    return Shading(values, _log(min(finite, default=1.0), max(finite, default=1.0)), "residual")
+    finite = [value for value in values.values() if ROUNDING < value < np.inf]
+    label = "residual"
+    if any(value <= ROUNDING for value in values.values()):
+        label += f" (white: below {ROUNDING:g}, which is rounding)"
+    norm = _log(min(finite, default=1e-12), max(finite, default=1e-12))
+    return Shading(values, norm, label, ROUNDING)
+
+
+def _within_decades(least: float, most: float) -> list[float]:
+    """Ticks at 1, 2 and 5 of each decade, where there are not two powers of ten to name."""
+    powers = np.arange(np.floor(np.log10(least)), np.ceil(np.log10(most)) + 1.0)
+    inside = [t for t in 10.0**powers if least <= t <= most]
+    if len(inside) >= 2:
+        return []
+    found = [float(m * t) for t in 10.0**powers for m in (1, 2, 5) if least <= m * t <= most]
+    return found if len(found) >= 2 else [least, most]
 
 
 def _log(least: float, most: float) -> LogNorm:

@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from pgm import consistency
 from pgm.consistency import Average
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations, Kind
@@ -77,7 +78,9 @@ def nees(
     """
     average = consistency.anees(belief, truth, components, confidence=confidence).per_dof()
     if belief.steps is None:
-        raise ModelError(f"{belief!r} is over no steps; draw one over time, like posterior[x]")
+        raise ModelError(
+            f"{titled(belief)} is over no steps; draw one over time, like posterior[x]"
+        )
     across, name = along(belief.steps, times)
     ax = given_or_new(ax)
     _draw(ax, across, average, str(label or "NEES"), colour, confidence)

@@ -204,6 +204,45 @@ def test_any_graph_is_drawn_with_its_shapes_apart(any_graph, shape):
     assert_lines_clear(ax)
 
 
+def test_the_neighbourhood_of_a_cluster_is_drawn_with_stubs_to_the_rest(robot):
+    ax = pgm.plot.cluster_graph(pgm.compile(robot, 100_000), around=50_000, within=1)
+    assert [words(label)[0] for label in labels(ax, Ellipse)] == [
+        f"x[{k}]" for k in (49_998, 49_999, 50_000)
+    ]
+    assert [text.get_text() for text in ax.texts].count("…") == 2
+
+
+@pytest.mark.parametrize(
+    ("count", "names", "due"), [(12, None, True), (200, None, False), (12, False, False)]
+)
+def test_graphs_too_large_for_names_have_numbers(robot, count, names, due):
+    graph = pgm.compile(robot, count - 1)
+    ax = pgm.plot.cluster_graph(graph, names=names)
+    numbers = [str(k) for k in range(count)]
+    assert (labels(ax, Ellipse) == numbers) is not due
+    assert len([p for p in ax.patches if isinstance(p, Rectangle)]) == count - 1
+    assert min(text.get_fontsize() for text in ax.texts) >= 5.5
+
+
+def test_many_sensors_alike_share_a_line():
+    x, other = pgm.variables("x other")
+    z = pgm.variables([f"z{k}" for k in range(1, 9)])
+    linear = pgm.LinearGaussianCPD
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+        transition=[linear(x, given={x.previous: 1.0}, cov=0.1)],
+        observation=[linear(one, given={x: 1.0}, cov=0.1) for one in (*z, other)],
+    )
+    ax = pgm.plot.cluster_graph(pgm.compile(model, 1))
+    assert labels(ax, Ellipse)[1] == "x[0], x[1]\nz1…z8[1]\nother[1]"
+    seen = {
+        one: pgm.sightings(np.ones((count, 1)), step=[1] * count)
+        for one, count in zip(z, (1, 2, 1, 0, 1, 4, 1, 1), strict=True)
+    }
+    ax = pgm.plot.cluster_graph(pgm.compile(model, 1), evidence=seen)
+    assert labels(ax, Ellipse) == ["x[0]", "x[0], x[1]\n7 of z1…z8[1] ×11"]
+
+
 def test_stubs_of_a_tree_lead_to_each_cluster_left_out(any_graph):
     a, *rest = pgm.variables("a b c d e f")
     tree = any_graph([(a,), *((a, v) for v in rest)], [(0, 1), (0, 2), (0, 3), (1, 4), (2, 5)])
@@ -244,15 +283,20 @@ def test_the_axes_given_are_returned(robot):
 
 
 def test_what_cannot_be_drawn_is_refused(robot):
-    graph = pgm.compile(robot, 500)
-    with pytest.raises(pgm.GraphError, match=r"501 clusters are too many to read.*steps=4"):
+    graph = pgm.compile(robot, 1500)
+    with pytest.raises(pgm.GraphError, match=r"1501 clusters are too many.*steps=4 or around=10"):
         pgm.plot.cluster_graph(graph)
+    for wrong in ({"around": 1501}, {"around": -1}, {"around": 3.0}, {"around": 5, "steps": 4}):
+        with pytest.raises(pgm.GraphError, match="is no cluster; they are 0 to"):
+            pgm.plot.cluster_graph(graph, **wrong)
+    with pytest.raises(pgm.GraphError, match="number of edges"):
+        pgm.plot.cluster_graph(graph, around=5, within=-1)
     with pytest.raises(pgm.GraphError, match="draws a compiled graph, not DynamicBayesianNetwork"):
         pgm.plot.cluster_graph(robot)
     for steps in (-1, 2.0, True):
         with pytest.raises(pgm.GraphError, match="last cluster to draw"):
             pgm.plot.cluster_graph(graph, steps=steps)
-    with pytest.raises(pgm.EvidenceError, match="has 7 steps where there are 500"):
+    with pytest.raises(pgm.EvidenceError, match="has 7 steps where there are 1500"):
         pgm.plot.cluster_graph(graph, steps=4, evidence={U: np.ones((7, 2))})
     with pytest.raises(pgm.EvidenceError, match="maps variables to values; found list"):
         pgm.plot.cluster_graph(graph, steps=4, evidence=[U])
@@ -342,6 +386,12 @@ def test_sizes_are_components_or_table_entries(any_graph):
     assert labels(ax, Rectangle) == ["y\ndim 1"]
 
 
+def test_rounding_alone_has_no_bar(any_graph):
+    ax = pgm.plot.cluster_graph(discrete_loop(any_graph), residuals={(0, 1): 0.0, (1, 2): 2e-16})
+    assert not ax.child_axes
+    assert ax.texts[-1].get_text() == "residual (white: below 1e-13, which is rounding)"
+
+
 def luminance(colour):
     """Of WCAG 2."""
     c = np.array(colour[:3])
@@ -363,26 +413,29 @@ def test_larger_clusters_are_darker_and_a_bar_says_what_is_what(any_graph):
     assert len(set(shades(ax, Rectangle))) == 1
 
 
-def test_larger_residuals_are_darker_and_zero_is_the_lightest(any_graph):
-    residuals = {(0, 1): 0.0, (2, 1): [1e-9, 1e-6], (1, 2): 1e-8, (2, 3): 1e-3, (0, 3): 1e-9}
+def test_larger_residuals_are_darker_and_rounding_is_white(any_graph):
+    residuals = {(0, 1): 3e-16, (2, 1): [1e-9, 1e-6], (1, 2): 1e-8, (2, 3): 1e-3, (0, 3): 1e-9}
     ax = pgm.plot.cluster_graph(discrete_loop(any_graph), residuals=residuals)
     drawn = dict(zip(["01", "03", "12", "23"], shades(ax, Rectangle), strict=True))
-    assert drawn["01"] == drawn["03"] > drawn["12"] > drawn["23"]
+    assert drawn["01"] > 0.999 > drawn["03"] > drawn["12"] > drawn["23"]
     (bar,) = ax.child_axes
-    assert bar.get_xlabel() == "residual"
+    assert bar.get_xlabel() == "residual (white: below 1e-13, which is rounding)"
     np.testing.assert_allclose(bar.get_xlim(), (1e-9, 1e-3))
     assert len(set(shades(ax, Ellipse))) == 1
 
 
-@pytest.mark.parametrize("numbers", [[0.0], [1e-3], [1e-3, 2e-3], [np.inf], [0.0, np.inf, 1.0]])
+@pytest.mark.parametrize("numbers", [[1e-3], [1e-3, 2e-3], [np.inf], [0.0, np.inf, 1.0]])
 def test_any_residuals_have_colours(any_graph, numbers):
     residuals = dict(zip([(0, 1), (1, 2), (2, 3)], numbers, strict=False))
     ax = pgm.plot.cluster_graph(
         discrete_loop(any_graph), colour="residual", residuals=residuals, sizes=True
     )
     ax.figure.canvas.draw()
-    low, high = ax.child_axes[0].get_xlim()
+    (bar,) = ax.child_axes
+    low, high = bar.get_xlim()
     assert high / low >= 9.99
+    named = [tick.label1.get_text() for tick in bar.xaxis.get_major_ticks()]
+    assert len([name for name in named if name]) >= 2
 
 
 @pytest.mark.parametrize("size", [None, (4.0, 3.0), (9.0, 3.0)])

@@ -1,11 +1,14 @@
 import html
 import re
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
 
 import pgm
 import pgm.plot
+from tests.plot.diagrams.zoo import random_parents, random_tree, static, tracker
 
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|->|--|[{}\[\];,=]|[\w.]+|\s+|.', re.DOTALL)
 
@@ -188,3 +191,32 @@ def test_what_cannot_be_written_is_refused(robot):
         pgm.plot.dot(pgm.compile(robot, 3), steps=-1)
     with pytest.raises(pgm.EvidenceError, match="names w, which the network does not have"):
         pgm.plot.dot(robot, evidence=[pgm.Variable("w")])
+
+
+@pytest.mark.skipif(shutil.which("dot") is None, reason="the program dot is not here")
+@pytest.mark.parametrize("name", ["bethe", "tree", "star", "balanced", "children"])
+def test_graphviz_makes_no_ribbon_of_it(name):
+    if name == "children":
+        drawn = static([[], *([0] for _ in range(20))])
+    elif name == "balanced":
+        drawn = pgm.compile(tracker(), 12, method=pgm.Balanced())
+    else:
+        parents = {"bethe": random_parents(40), "tree": random_tree(60)}.get(
+            name, [[]] + [[0]] * 30
+        )
+        method = pgm.JunctionTree() if name == "tree" else pgm.Bethe()
+        drawn = pgm.compile(static(parents), method=method)
+    text = pgm.plot.dot(drawn)
+    plain = subprocess.run(
+        ["dot", "-Tplain"], input=text, capture_output=True, text=True, check=True
+    ).stdout
+    _, _, width, height = plain.splitlines()[0].split()
+    assert 1 / 12 < float(width) / float(height) < 6
+
+
+def test_edges_lead_away_from_a_centre():
+    text = pgm.plot.dot(pgm.compile(static([[]] + [[0]] * 30), method=pgm.Bethe()))
+    (centre,) = re.findall(r'(c\d+) \[shape=ellipse, .*label="v0"\]', text)
+    first = re.findall(r"^ +(c\d+) -- s\w+ -- c\d+;", text, flags=re.MULTILINE)
+    assert first.count(centre) == 30
+    assert text.startswith("graph {\n  rankdir=LR;")

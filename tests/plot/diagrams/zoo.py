@@ -172,8 +172,8 @@ NETWORKS = {
 
 
 def flooded(graph, iterations):
-    found = pgm.infer(graph, {}, schedule=pgm.Flooding(iterations=iterations))
-    return found.status.by_edge
+    schedule = pgm.Flooding(max_iterations=iterations, tolerance=0.0)
+    return pgm.infer(graph, {}, schedule=schedule).status.by_edge
 
 
 def _bethe(parents):

@@ -1,0 +1,88 @@
+"""Packing numbers into a page: rounded, by planes of bytes, compressed, as base64."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from typing import TypedDict
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.kernels.arrays import Array
+
+# Bits of the fraction that are kept: of numbers from which the page computes others, 13 digits; of
+# those that it only shows, to six digits, nine.
+EXACT, SHOWN = 44, 31
+_FRACTION = 52
+
+
+class Ref(TypedDict):
+    """The place of an array in the page's numbers: its first one, its rows and columns."""
+
+    at: int
+    rows: int
+    columns: int
+
+
+class Numbers:
+    """The numbers of a page, arrays one after the other, each column by column.
+
+    Columns of numbers that vary little then stand together, and compress.
+    """
+
+    def __init__(self) -> None:
+        self._parts: list[Array] = []
+        self.count = 0
+
+    def add(self, array: npt.ArrayLike, bits: int = EXACT) -> Ref:
+        """Add an array of rows, or a single row of numbers.
+
+        Parameters
+        ----------
+        array : array_like
+            (rows, ...), the other axes becoming columns.
+        bits : int
+            How many bits of the fractions are kept.
+
+        Returns
+        -------
+        Ref
+        """
+        given = np.asarray(array, dtype=np.float64)
+        rows = given.shape[0] if given.ndim > 1 else 1
+        columns = given.reshape(rows, -1).T
+        found = Ref(at=self.count, rows=rows, columns=len(columns))
+        self._parts.append(rounded(columns, bits).reshape(-1))
+        self.count += given.size
+        return found
+
+    def flat(self, array: Array, bits: int = EXACT) -> int:
+        """Add numbers in their own order; the place of the first."""
+        first = self.count
+        self._parts.append(rounded(array, bits).reshape(-1))
+        self.count += array.size
+        return first
+
+    def text(self) -> str:
+        """All numbers as base64."""
+        whole = np.concatenate([np.zeros(0), *self._parts]).astype("<f8")
+        planes = np.ascontiguousarray(whole.view(np.uint8).reshape(-1, 8).T)
+        maker = zlib.compressobj(6, wbits=31)  # with the header of gzip
+        return base64.b64encode(maker.compress(planes.tobytes()) + maker.flush()).decode()
+
+
+def rounded(array: Array, bits: int) -> Array:
+    """Numbers rounded to so many bits of their fraction; infinite ones and NaN stay."""
+    given = np.ascontiguousarray(array, dtype=np.float64)
+    drop = np.uint64(_FRACTION - bits)
+    half = np.uint64(1) << (drop - np.uint64(1))
+    whole = ((given.view(np.uint64) + half) >> drop) << drop
+    return np.where(np.isfinite(given), whole.view(np.float64), given)
+
+
+def lower(matrices: Array) -> Array:
+    """The lower triangles of symmetric matrices, row by row: (..., n (n + 1) / 2)."""
+    rows, columns = np.tril_indices(matrices.shape[-1])
+    found: Array = matrices[..., rows, columns]
+    return found

@@ -1,0 +1,80 @@
+// Elements and numbers as text. What users wrote reaches the page as text content alone.
+
+function el(tag, attributes = {}, ...children) {
+  return filled(document.createElement(tag), attributes, children);
+}
+
+function svg(tag, attributes = {}, ...children) {
+  return filled(document.createElementNS("http://www.w3.org/2000/svg", tag), attributes, children);
+}
+
+function filled(node, attributes, children) {
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name.startsWith("on")) node.addEventListener(name.slice(2), value);
+    else node.setAttribute(name, value === true ? "" : String(value));
+  }
+  for (const child of children) {
+    if (child === null || child === undefined) continue;
+    node.append(child instanceof Node ? child : document.createTextNode(String(child)));
+  }
+  return node;
+}
+
+// Six digits, a true minus.
+function shown(value) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "—";
+  if (!Number.isFinite(value)) return value > 0 ? "∞" : "−∞";
+  const size = Math.abs(value);
+  let text = "0";
+  if (size >= 1e-4 && size < 1e6) text = String(Number(value.toPrecision(6)));
+  else if (size > 0) text = String(Number(value.toPrecision(6)).toExponential());
+  return text.replaceAll("-", "−").replace("e+", "e");
+}
+
+function short(value) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "—";
+  return String(Number(value.toPrecision(3))).replaceAll("-", "−");
+}
+
+function thousands(value) {
+  return value.toLocaleString("en-GB");
+}
+
+// A cell of a table of numbers; all digits are in its title and its data.
+function cell(value, text = shown(value)) {
+  return el("td", { class: "number", title: String(value), "data-value": String(value) }, text);
+}
+
+// Texts of a column with their points one below the other.
+function aligned(values) {
+  const texts = values.map(shown);
+  const after = texts.map((text) => {
+    if (text.includes("e") || !/\d/.test(text)) return 0;
+    const point = text.indexOf(".");
+    return point < 0 ? 0 : text.length - point;
+  });
+  const widest = Math.max(0, ...after);
+  return texts.map((text, k) => {
+    const missing = widest - after[k];
+    if (text.includes("e") || missing === 0) return text;
+    // A point that is not there takes the room of a narrow space, each digit that of a figure.
+    return text + (after[k] ? "" : "\u2008") + "\u2007".repeat(missing - (after[k] ? 0 : 1));
+  });
+}
+
+function clipped(text, most) {
+  return text.length <= most ? text : `${text.slice(0, most - 1)}…`;
+}
+
+// As many names as fit, and how many others there are.
+function listedNames(names, most = 26) {
+  if (!names.length) return "∅";
+  let count = names.length;
+  let text = names.join(", ");
+  while (text.length > most && count > 1) {
+    count -= 1;
+    text = `${names.slice(0, count).join(", ")} +${names.length - count}`;
+  }
+  return clipped(text, most);
+}

@@ -1,0 +1,81 @@
+"""The parts that the page of every chain has: its slices, its evidence, and how its schedule went."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from pgm.compile import DynamicGraph
+from pgm.evidence import Reading
+from pgm.inference.kind import Kind
+from pgm.kernels.arrays import Array, Integers
+from pgm.viewer.numbers import Numbers
+from pgm.viewer.words import cpd, variable
+from pgm.variables import Variable
+
+
+class Read(Protocol):
+    """The measurements of a sensor, sorted by step."""
+
+    step: Integers
+    values: Array
+
+
+def head(
+    graph: DynamicGraph, kind: Kind, span: range, hidden: Iterable[Variable]
+) -> dict[str, Any]:
+    """What the page says of a chain whatever its beliefs are."""
+    model, states = graph.model, graph.layout.states
+    return {
+        "kind": "chain",
+        "about": str(kind),
+        "steps": {"first": span[0], "last": span[-1], "end": graph.steps},
+        "variables": [variable(v) | {"state": v in states} for v in hidden],
+        "prior": [cpd(each) for each in model.prior],
+        "transition": [cpd(each) for each in model.transition],
+        "inputs": [v.name for v in model.inputs],
+    }
+
+
+def sighted(
+    numbers: Numbers, sensors: Mapping[Any, tuple[Integers, Array]], span: range, run: int
+) -> list[dict[str, Any]]:
+    """The measurements of the steps shown in one run, by sensor.
+
+    Parameters
+    ----------
+    numbers : Numbers
+    sensors : mapping of CPD to (ndarray, ndarray)
+        The step of each measurement, (M,) ascending, and its values, (M, runs or 1, d).
+    span : range
+        The steps shown.
+    run : int
+    """
+    found = []
+    for sensor, (step, values) in sensors.items():
+        first, last = np.searchsorted(step, [span[0], span[-1] + 1])
+        if first == last:
+            continue
+        own = values[first:last, run if values.shape[1] > 1 else 0].astype(np.float64)
+        found.append(
+            {
+                "cpd": cpd(sensor),
+                "child": variable(sensor.child),
+                "step": numbers.add(step[first:last, None].astype(np.float64)),
+                "values": numbers.add(own),
+            }
+        )
+    return found
+
+
+def readings(given: Iterable[Reading]) -> dict[Any, tuple[Integers, Array]]:
+    """The measurements of sensors as evidence holds them; missing components are NaN."""
+    found = {}
+    for each in given:
+        values = each.values.astype(np.float64)
+        if each.taken.shape[-1] == values.shape[-1]:
+            values = np.where(each.taken, values, np.nan)
+        found[each.cpd] = each.step, values
+    return found

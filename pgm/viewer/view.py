@@ -1,0 +1,129 @@
+"""Writing the page of a posterior, into a file or into a notebook's cell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pgm.compile import DynamicGraph
+from pgm.errors import GraphError
+from pgm.inference import (
+    ChainPosterior,
+    GridPosterior,
+    KeptPosterior,
+    ParticlePosterior,
+    Posterior,
+    StatePosterior,
+)
+from pgm.inference.chain.balanced import BalancedPosterior
+from pgm.viewer import chain, graph, points, states
+from pgm.viewer.limits import CELL, FILE, Limits, Run, chosen_runs, chosen_steps
+from pgm.viewer.numbers import Numbers
+from pgm.viewer.page import assembled
+
+Shown = Posterior | GridPosterior | ParticlePosterior
+
+
+def view(
+    posterior: Shown,
+    path: str | PathLike[str],
+    *,
+    run: int | Sequence[int] | Sequence[Run] | None = None,
+    steps: tuple[int, int] | None = None,
+) -> Path:
+    """Write a page on which a posterior's cluster graph is looked at in a browser.
+
+    It is one file that needs no network: pan and zoom the graph, find a variable, click a cluster
+    for its potential, its belief and the messages it received, or an edge for both messages. A
+    chain has a slider over its steps and its trajectory beside it, an iterated schedule one over
+    its iterations.
+
+    Parameters
+    ----------
+    posterior : Posterior, GridPosterior or ParticlePosterior
+        Grids and particles have beliefs and no messages.
+    path : str or path-like
+        Of the file, like ``"run.html"``; an old one is replaced.
+    run : int, tuple of int, or sequence of these tuples, optional
+        Which runs of a batch; the first eight without.
+    steps : (int, int), optional
+        The first and the last step of a chain to show; all without, 20,000 at most.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    GraphError
+        If it is no posterior, there is no such run or step, or a page would not hold them.
+    OSError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> net = pgm.BayesianNetwork(
+    ...     [pgm.GaussianCPD(a, 0.0, 1.0), pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)]
+    ... )
+    >>> view(pgm.infer(pgm.compile(net), {b: 0.5}), "run.html")  # doctest: +SKIP
+    PosixPath('run.html')
+    """
+    target = Path(path)
+    target.write_text(assembled(*_content(posterior, run, steps, FILE)), encoding="utf-8")
+    return target
+
+
+def html(posterior: Shown) -> str:
+    """The page of a posterior in a frame, for notebooks: small, and says so where it is cut."""
+    whole = assembled(*_content(posterior, None, None, CELL))
+    return (
+        f'<iframe srcdoc="{escape(whole, quote=True)}" sandbox="allow-scripts" '
+        'title="Cluster graph, beliefs and messages" '
+        'style="width:100%;height:720px;border:1px solid #8884;border-radius:6px"></iframe>'
+    )
+
+
+def _content(
+    posterior: Any, run: Any, steps: tuple[int, int] | None, limits: Limits
+) -> tuple[dict[str, Any], Numbers]:
+    if not isinstance(posterior, Posterior | GridPosterior | ParticlePosterior):
+        raise GraphError(
+            f"view shows a posterior, as pgm.infer, filter and smooth return, not "
+            f"{type(posterior).__name__}"
+        )
+    lead = np.asarray(posterior.log_evidence).shape
+    runs, few = chosen_runs(run, lead, limits)
+    numbers = Numbers()
+    cut = None
+    if isinstance(posterior.graph, DynamicGraph) and not isinstance(posterior, BalancedPosterior):
+        span, cut = chosen_steps(steps, posterior.graph.steps, limits)
+        if isinstance(posterior, ChainPosterior):
+            make: Any = chain.page
+        else:
+            make = states.page if isinstance(posterior, StatePosterior) else points.page
+        found = make(posterior, numbers, runs, span, limits)
+    elif steps is not None:
+        raise GraphError("steps=(first, last) cuts a chain; this graph has no steps: leave it out")
+    else:
+        found = graph.page(posterior, numbers, runs, limits, {"kind": "graph"})
+        cut = found["cut"]
+    found["notes"] = [note for note in (few, cut) if note]
+    found["evidence"] = str(posterior.log_evidence_kind)
+    found["graph"] = _named(posterior)
+    return found, numbers
+
+
+def _named(posterior: Any) -> str:
+    if isinstance(posterior, KeptPosterior | GridPosterior | ParticlePosterior):
+        return {KeptPosterior: "chain", GridPosterior: "grid"}.get(type(posterior), "particles")
+    if isinstance(posterior.graph, DynamicGraph):
+        return "balanced tree" if isinstance(posterior, BalancedPosterior) else "chain"
+    return "cluster tree" if posterior.graph.is_tree else "cluster graph with loops"
