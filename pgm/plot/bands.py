@@ -44,13 +44,14 @@ def band(
     tint: str,
     label: str | None = None,
     *,
+    dash: str = "-",
     inside: float = 0.12,
     outline: float = 0.5,
 ) -> FillBetweenPolyCollection:
     """Shade between two curves; an outline keeps a band of a single step, or no width, visible."""
     face, edge = to_rgba(tint, inside), to_rgba(tint, outline)
     return ax.fill_between(
-        across, low, high, facecolor=face, edgecolor=edge, lw=0.8, zorder=1.0, label=label
+        across, low, high, facecolor=face, edgecolor=edge, lw=0.8, ls=dash, zorder=1.0, label=label
     )
 
 

@@ -127,7 +127,9 @@ def beliefs_over_time(
         ax.vlines(
             right[chosen], rows - _FULL, rows, color=INK, lw=1.2, ls=":", zorder=2.4, label="truth"
         )
-    ax.set_ylim(len(chosen) - 1 + 0.15, -1.0)
+    # The scale is the first belief's; a later one may reach beyond its rows.
+    highest = -1.05 * _FULL * float(found[chosen[0]].max()) / scale
+    ax.set_ylim(len(chosen) - 1 + 0.15, min(-1.0, highest, ax.get_ylim()[1] if before else 0.0))
     ax.set_xlim(edges[0], edges[-1])
     ax.set_yticks(np.arange(len(chosen)), [str(step) for step in chosen])
     name_states(ax, ax.xaxis, variable)

@@ -207,7 +207,7 @@ def coverage(
     look = look_of(ax, colour)
     if not any(np.array_equal(each.get_xydata(), _DIAGONAL) for each in ax.lines):
         ax.plot(*_DIAGONAL.T, color=INK, lw=0.8, zorder=1.5)
-    band(ax, found.nominal, found.low, found.high, look.colour)
+    band(ax, found.nominal, found.low, found.high, look.colour, dash=look.dash)
     line(ax, found.nominal, found.actual, look, str(label or "coverage"), dots=True)
     ax.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0), aspect="equal")
     name_axes(ax, "confidence of the region", "share of truths inside")
@@ -275,7 +275,7 @@ def whiteness(
         ax.axhline(0.0, color=INK, lw=0.8, zorder=1.5)
     before = sum(isinstance(each, StemContainer) for each in ax.containers)
     beside = _WITHIN * _between(before)
-    ax.stem(
+    stems = ax.stem(
         found.lags + beside,
         found.autocorrelation,
         linefmt=look.colour,
@@ -283,6 +283,7 @@ def whiteness(
         basefmt=" ",
         label=f"{label}, p = {found.probability:.2g}",
     )
+    stems.stemlines.set_linestyle(look.dash)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     name_axes(ax, "lag", "autocorrelation")
     # "best" does not see the stems.

@@ -99,7 +99,17 @@ def errors(
         if not ax.lines:
             ax.axhline(0.0, color=INK, lw=0.8, zorder=1.0)
         within = f"±{sigma:g}σ" if label is None else f"{label} ±{sigma:g}σ"
-        band(ax, across, -reach[:, k], reach[:, k], look.colour, within, inside=0.18, outline=0.4)
+        band(
+            ax,
+            across,
+            -reach[:, k],
+            reach[:, k],
+            look.colour,
+            within,
+            dash=look.dash,
+            inside=0.18,
+            outline=0.4,
+        )
         ax.plot(
             across,
             error[:, k],
@@ -189,7 +199,15 @@ def rmse(
     look = look_of(ax, colour)
     label = str(label or "RMSE")
     if found.runs > 1:
-        band(ax, across, found.low, found.high, look.colour, label=_between(label, percentiles))
+        band(
+            ax,
+            across,
+            found.low,
+            found.high,
+            look.colour,
+            _between(label, percentiles),
+            dash=look.dash,
+        )
     line(ax, across, found.rms, look, label)
     # From zero, and still scaled to the next belief, which may be larger.
     ax.update_datalim(np.zeros((1, 2)), updatex=False)
@@ -255,7 +273,7 @@ def kl(
         np.where(part > 0.0, part, np.nan) for part in (found.low, found.median, found.high)
     )
     if found.runs > 1:
-        band(ax, across, low, high, look.colour, label=_between(label, percentiles))
+        band(ax, across, low, high, look.colour, _between(label, percentiles), dash=look.dash)
     line(ax, across, median, look, label if found.runs == 1 else f"{label}, median")
     name_time(ax, name, "KL divergence [nats]")
     useful_legend(ax)

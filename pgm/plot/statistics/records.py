@@ -121,7 +121,7 @@ def _draw_band(
     middle = np.array([np.median(row) if row.size else np.nan for row in rows])
     middle = np.where(middle > 0.0, middle, np.nan)
     many = f"{label}, {residuals.shape[1]} runs"
-    band(ax, across, least, most, look.colour, many, inside=0.18, outline=0.4)
+    band(ax, across, least, most, look.colour, many, dash=look.dash, inside=0.18, outline=0.4)
     ax.plot(
         across,
         middle,
