@@ -45,6 +45,17 @@ def sighted():
     )
 
 
+def start():
+    belief, truth = loop(2)
+    return pgm.plot.trajectory(belief[:1], truth=truth[:1], label="start")
+
+
+def straight():
+    mean = np.linspace([0.0, 0.0, 0.0], [100.0, 0.0, 0.0], 50)
+    belief = pgm.Gaussian(X, mean, 1e-6 * np.eye(3), steps=np.arange(50))
+    return pgm.plot.trajectory(belief, truth=mean)
+
+
 def _robot():
     def ahead(x):
         heading = x[..., 2]
@@ -113,17 +124,13 @@ def apart():
     return pgm.plot.ellipses(belief, ax=plt.subplots(figsize=(3.0, 2.0), layout="constrained")[1])
 
 
+_ROOMS = ("kitchen", "living room", "bathroom", "study", "very long corridor name")
 BELIEFS = {
     "trajectory": lambda: paths(1),
     "two paths": lambda: paths(2, wobble=0.05),
     "nine paths": lambda: paths(9),
-    "one step": lambda: pgm.plot.trajectory(loop(2)[0][:1], truth=loop(2)[1][:1], label="start"),
-    "straight": lambda: pgm.plot.trajectory(
-        pgm.Gaussian(
-            X, np.linspace([0, 0, 0], [100, 0, 0], 50), 1e-6 * np.eye(3), steps=np.arange(50)
-        ),
-        truth=np.linspace([0, 0, 0], [100, 0, 0], 50),
-    ),
+    "one step": start,
+    "straight": straight,
     "far away": lambda: paths(2, at=(5.0e6, 4.0e5)),
     "long": lambda: paths(2, steps=10_001),
     "sighted landmarks": sighted,
@@ -139,9 +146,7 @@ BELIEFS = {
     "maze 20": lambda: maze(20),
     "rows 3": lambda: rows(3, 8),
     "rows 60": lambda: rows(60, 100),
-    "rows names": lambda: rows(
-        5, 12, names=("kitchen", "living room", "bathroom", "study", "very long corridor name")
-    ),
+    "rows names": lambda: rows(5, 12, names=_ROOMS),
     "rows 8 beliefs": lambda: rows(4, 4, beliefs=8),
     "rows one": lambda: rows(2, 1, beliefs=1),
     "occupancy": building,

@@ -66,42 +66,40 @@ def compared(linearisers, schedules=None):
     return pgm.plot.comparison(found)
 
 
+def _rmse(posterior, truth, label, ax):
+    return pgm.plot.rmse(posterior[point], truth, label=label, ax=ax, unit="m")
+
+
+def _nees(posterior, truth, label, ax):
+    return pgm.plot.nees(posterior[point], truth, label=label, ax=ax)
+
+
+def _nis(posterior, truth, label, ax):
+    return pgm.plot.nis(posterior.innovations[fix], label=label, ax=ax)
+
+
+def _coverage(posterior, truth, label, ax):
+    return pgm.plot.coverage(posterior[point], truth, label=label, ax=ax)
+
+
+def _whiteness(posterior, truth, label, ax):
+    return pgm.plot.whiteness(posterior.innovations[fix], label=label, ax=ax)
+
+
+def _kl(posterior, truth, label, ax):
+    return pgm.plot.kl(posterior[point], posterior.predicted[point], label=label, ax=ax)
+
+
 STATISTICS = {
     "errors": lambda: errors(1),
     "errors two": lambda: errors(2),
     "errors nine": lambda: errors(9),
     "errors one step": lambda: errors(1, steps=1, components=("east",)),
-    "rmse": lambda: over(
-        lambda p, t, name, ax: pgm.plot.rmse(p[point], t, label=name, ax=ax, unit="m"), 2
-    ),
-    "rmse nine": lambda: over(
-        lambda p, t, name, ax: pgm.plot.rmse(p[point], t, label=name, ax=ax), 9
-    ),
-    "nees": lambda: over(lambda p, t, name, ax: pgm.plot.nees(p[point], t, label=name, ax=ax), 1),
-    "nees nine": lambda: over(
-        lambda p, t, name, ax: pgm.plot.nees(p[point], t, label=name, ax=ax), 9
-    ),
-    "nis": lambda: over(
-        lambda p, t, name, ax: pgm.plot.nis(p.innovations[fix], label=name, ax=ax), 2
-    ),
-    "nis nine": lambda: over(
-        lambda p, t, name, ax: pgm.plot.nis(p.innovations[fix], label=name, ax=ax), 9
-    ),
-    "coverage": lambda: over(
-        lambda p, t, name, ax: pgm.plot.coverage(p[point], t, label=name, ax=ax), 1
-    ),
-    "coverage nine": lambda: over(
-        lambda p, t, name, ax: pgm.plot.coverage(p[point], t, label=name, ax=ax), 9
-    ),
-    "whiteness": lambda: over(
-        lambda p, t, name, ax: pgm.plot.whiteness(p.innovations[fix], label=name, ax=ax), 1
-    ),
-    "whiteness nine": lambda: over(
-        lambda p, t, name, ax: pgm.plot.whiteness(p.innovations[fix], label=name, ax=ax), 9
-    ),
-    "kl": lambda: over(
-        lambda p, t, name, ax: pgm.plot.kl(p[point], p.predicted[point], label=name, ax=ax), 2
-    ),
+    **{
+        f"{draw.__name__[1:]} {count}": lambda d=draw, n=count: over(d, n)
+        for draw in (_rmse, _nees, _nis, _coverage, _whiteness, _kl)
+        for count in (1, 2, 9)
+    },
     "convergence": lambda: convergence(1),
     "convergence nine": lambda: convergence(9, runs=3, zero=True),
     "convergence runs": lambda: convergence(2, runs=30, zero=True),
