@@ -88,6 +88,8 @@ def run(
             )
             for c, psi in ((c, initial_belief(c)) for c in graph)
         ],
+        about="A line a cluster: x are its variables in the order of K and h; rows of K are parted "
+        "by semicolons.",
     )
     record.table(
         "largest difference from the dense joint",
