@@ -81,8 +81,8 @@ def run(
                 )
             ),
         ],
-        about="Drawn: the number in the figure, by the library. Otherwise: the same quantity, found "
-        "as the second column says.",
+        about="Drawn: the number in the figure, by the library. Otherwise: the same, found as the "
+        "second column says.",
     )
     record.summary(
         inside=inside,
