@@ -74,12 +74,25 @@ def run(
         f"smoother {linear['nees']['smoother']:.3f}; 99 % band of the mean at one step "
         f"{linear['band'][0]:.3f} to {linear['band'][1]:.3f}"
     )
-    record.figure(_network_figure(network), "network", "The network, two slices.")
-    record.figure(_graph_figure(network, steps), "cluster_graph", "Its cluster graph.")
+    record.figure(
+        _network_figure(network),
+        "network",
+        "Two slices of the network: the pose x, the control u that drives it, and the sighting z "
+        "of a landmark m. Shaded: known.",
+    )
+    record.figure(
+        _graph_figure(network, steps),
+        "cluster_graph",
+        "Its cluster graph, the first steps: ellipses are clusters with their variables, "
+        "rectangles sepsets; the dashed line leads to the steps not drawn.",
+    )
     record.figure(worst_drive(network, drive), "trajectories", WORST)
     one = simulation.Drive(drive.truth[0], drive.landmarks, drive.evidence)
     record.figure(
-        _error_figure(posteriors, one), "errors", "The first drive: errors in bands of three σ."
+        _error_figure(posteriors, one),
+        "errors",
+        "The first drive: errors of the unscented filter and smoother [m, m, rad] over time [s], "
+        "in bands of three standard deviations of each belief.",
     )
     record.summary(**results, linear=linear)
 

@@ -122,7 +122,7 @@ class Record:
             Their heads, with units.
         rows : iterable of sequences
         about : str
-            The columns in words, so that the table can be read by itself.
+            The columns in words, so that the table can be read by itself; printed below it.
         best : mapping of str to float, optional
             The value that a column's numbers are best nearest to: -inf where the lowest is best,
             inf where the highest is. The report marks the best.
@@ -144,6 +144,8 @@ class Record:
             }
         )
         table(title, columns, cells)
+        if about:
+            note(about, style="dim")
 
     def note(self, text: str) -> None:
         """Print a line, word for word, and keep it for the report."""

@@ -81,8 +81,8 @@ def run(
                 )
             ),
         ],
-        about="Drawn: the number in the figure, by the library. Otherwise: the same, found as the "
-        "second column says.",
+        about="Drawn: the number in the figure; otherwise: the same from draws, eigenvectors or "
+        "the equation.",
     )
     record.summary(
         inside=inside,

@@ -49,6 +49,10 @@ def convergence(records: Mapping[str, Mapping[str, pgm.Status]]) -> Figure:
             pgm.plot.convergence(status, label=name, ax=ax)
         ax.set_ylim(1e-11, _FAR)
         ax.set_title(title)
+        if legend := ax.get_legend():
+            legend.remove()
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     for ax in axes[1:]:
         ax.set_ylabel("")
     plt.close(figure)

@@ -61,8 +61,8 @@ def run(
         _tabulate(record, f"Started {start}; the grid unknown", results[start], table)
     _tabulate(record, "Started right, the grid too", judged(alike, found), alike)
     record.note(
-        f"{oracle!r}: {seconds:.1f} s for filter and smoother; it has found the place at step "
-        f"{found}. {oracle.status!r}"
+        f"{oracle.kind} on {oracle.grid!r}: {seconds:.1f} s for filter and smoother; it has found "
+        f"the place at step {found}. {in_a_line(oracle.status)}"
     )
     gaussians = {
         start: pgm.smooth(problem.network(start), drive.evidence, lineariser=pgm.Taylor())
@@ -158,12 +158,17 @@ def settled(kl: Array) -> int | None:
     return first if first < kl.size else None
 
 
+def in_a_line(status: object) -> str:
+    """A status with its remarks, which is printed on several lines."""
+    return "; ".join(line.strip() for line in repr(status).splitlines())
+
+
 def of_grid(posterior: pgm.GridPosterior, table: pgm.Comparison) -> dict[str, Any]:
     """The grid's own figures."""
     return {
         "cells": repr(posterior.grid),
         "outside": float(posterior.status.outside),
-        "status": repr(posterior.status),
+        "status": in_a_line(posterior.status),
         "by_kind": {
             row.kind.name: {"from_gaussian": row.kl, **of_row(row)} for row in table.oracle_rows
         },

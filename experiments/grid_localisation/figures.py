@@ -18,7 +18,7 @@ from pgm.plot.colours import MUTED, PALETTE
 # What the maps show of the plane [m].
 SHOWN = (-6.5, 12.5)
 COLOURS = dict(
-    zip(("unknown", "right", "wrong"), (PALETTE[4], PALETTE[2], PALETTE[1]), strict=True)
+    zip(("unknown", "right", "wrong"), (PALETTE[3], PALETTE[2], PALETTE[1]), strict=True)
 )
 
 
@@ -126,7 +126,7 @@ def alike(table: pgm.Comparison) -> Figure:
     for ax, schedule in zip(axes, ("filter", "smoother"), strict=True):
         pgm.plot.comparison(table, schedule=schedule, ax=ax)
         ax.label_outer()
-        ax.get_legend().set(visible=False)
+        ax.get_legend().remove()
         ax.set_title(schedule)
     handles, labels = axes[0].get_legend_handles_labels()
     labels = [label.replace(", filtered", "") for label in labels]

@@ -140,8 +140,10 @@ def failure(case: Case, outcomes: Mapping[str, Outcome], run: int) -> Figure:
         )
         ax.set_title(f"{title}\nRMSE {outcome.by_run[run]:.2f} m", fontsize="medium")
         ax.set(xlabel="east [m]", ylabel="north [m]" if ax is axes[0] else "")
-        if ax is not axes[0] and (legend := ax.get_legend()):
+        if legend := ax.get_legend():
             legend.remove()
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     plt.close(figure)
     return figure
 

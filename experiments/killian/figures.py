@@ -35,7 +35,7 @@ def overview(drive: Drive, followed: Followed) -> Figure:
     ax.plot(*drive.poses[:, :2].T, color=INK, lw=2.2, label="poses of the recording")
     ax.plot(*followed.belief.mean[:, :2].T, color=_FOUND, lw=1.0, label="particles")
     _around(drive, ax, np.concatenate([drive.dead_reckoning, drive.poses]))
-    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
     plt.close(figure)
     return figure
 

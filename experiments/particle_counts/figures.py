@@ -9,7 +9,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.transforms import blended_transform_factory, offset_copy
 
 import pgm
 import pgm.plot
@@ -23,6 +25,7 @@ Array = npt.NDArray[np.float64]
 
 _PARTICLES, _READING = PALETTE[0], PALETTE[1]
 _STYLES = {"exact": "-", "Taylor": "--", "Unscented": ":"}
+_TITLE = 20.0  # points, over which a legend stands
 HIGHEST = 1.4  # of the ratios drawn: few particles in few drives are anywhere
 _PLACE = {"xlabel": "east [m]", "ylabel": "north [m]"}
 
@@ -121,9 +124,8 @@ def adapted(found: Mapping[str, Adapted]) -> Figure:
 
 def drives(study: Study, count: int) -> Figure:
     """A drive as particles and as a Kalman filter have it: the reference's figure 2."""
-    figure, axes = plt.subplots(
-        1, 2, figsize=(11, 5), sharex=True, sharey=True, layout="compressed"
-    )
+    room = ConstrainedLayoutEngine(compress=True, rect=(0.0, 0.0, 1.0, 0.9))  # a legend above
+    figure, axes = plt.subplots(1, 2, figsize=(11, 5), sharex=True, sharey=True, layout=room)
     problem = study.problem
     followed, (rule, kalman) = study.particles[count], list(study.kalman.items())[-1]
     beliefs = {
@@ -143,8 +145,14 @@ def drives(study: Study, count: int) -> Figure:
         ax.set(title=title, **_PLACE)
         ax.set_aspect("equal", adjustable="box")
         ax.label_outer()
+    above = blended_transform_factory(figure.transFigure, axes[0].transAxes)
     figure.legend(
-        *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False
+        *axes[0].get_legend_handles_labels(),
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        bbox_transform=offset_copy(above, figure, y=_TITLE, units="points"),
+        ncols=4,
+        frameon=False,
     )
     plt.close(figure)
     return figure

@@ -154,6 +154,12 @@ FINDINGS = {
         "elsewhere, {success/uniform/count} with particles put anywhere, and "
         "{success/likelihood/count} with particles put where the scan may be of.",
     ),
+    "basics": Finding(
+        "Do the figures of the basics show what they say?",
+        "Of draws from the Gaussian of Figure 2.2 a share of {inside/within_ellipse:.4f} lies in "
+        "its 95 % ellipse, and {inside/within_std:.4f} of those of Figure 2.1 within one standard "
+        "deviation of the mean.",
+    ),
     "cluster_graph": Finding(
         "Are messages the Bayes filter's beliefs?",
         "On {clusters} clusters and {sepsets} sepsets the messages differ from the extended Kalman "

@@ -88,8 +88,8 @@ def run(
             )
             for c, psi in ((c, initial_belief(c)) for c in graph)
         ],
-        about="A line a cluster: x are its variables in the order of K and h; rows of K are parted "
-        "by semicolons.",
+        about="A line a cluster: its variables x in order, and the product of its factors before "
+        "any message.",
     )
     record.table(
         "largest difference from the dense joint",

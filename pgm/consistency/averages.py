@@ -55,9 +55,11 @@ class Average(Shown):
     def _title(self) -> str:
         if np.ndim(self.value):
             return f"Average({np.shape(self.value)} of them)"
+        each = (self.value, self.low, self.high, self.expected)
+        value, low, high, expected = (number(float(part)) for part in each)
         return (
-            f"Average({number(self.value)}, band {number(self.low)} to {number(self.high)}, "
-            f"expected {number(self.expected)}, of {count(int(self.count), 'error')})"
+            f"Average({value}, band {low} to {high}, expected {expected}, of "
+            f"{count(int(self.count), 'error')})"
         )
 
     def _summary(self) -> Summary:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pgm.boundary import as_generator, as_lengths
 from pgm.cpds.values import Known, Values, as_parents, as_values, common, shape_of
-from pgm.display import Listing, NoArray, Shown, Summary
+from pgm.display import Listing, Shown, Summary
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each
 from pgm.immutable import Immutable
@@ -21,7 +21,7 @@ from pgm.sizes import require_memory
 from pgm.variables import Discrete, Variable
 
 
-class CPD(Shown, NoArray, Immutable):
+class CPD(Shown, Immutable):
     """The density of a child given its parents; an immutable value.
 
     In tuples and messages it stands by its title, like ``LinearGaussianCPD(x | u)``; printed, and
@@ -43,7 +43,6 @@ class CPD(Shown, NoArray, Immutable):
     partial: bool = False
     """Whether its density takes readings in which components are NaN, as not measured."""
     _origin: CPD | None = None
-    _arrays = "numbers by name, such as .cov or .table"
 
     def _set_scope(
         self, child: Variable, given: Variable | Iterable[Variable], noise_given: Scope = ()

@@ -20,7 +20,16 @@ from pgm.factors.runs import flat, unflat
 from pgm.factors.scope import Scope, components, listed
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, frozen, independent, quiet, transpose
+from pgm.kernels.arrays import (
+    LOG_2PI,
+    Array,
+    Mask,
+    deviation,
+    frozen,
+    independent,
+    quiet,
+    transpose,
+)
 from pgm.kernels.checks import IMPROPER
 from pgm.kernels.moments import ROUNDING
 from pgm.linearisers.calls import Call
@@ -60,7 +69,7 @@ class ConditionalGaussian(CPD):
         """Of the noise, (d,), of the first run; NaN where they depend on parents."""
         if isinstance(self.cov, Noise):
             return np.full(self.child.dimension, np.nan)
-        return np.sqrt(np.diagonal(self.cov[(0,) * (self.cov.ndim - 2)]))
+        return deviation(self.cov[(0,) * (self.cov.ndim - 2)])
 
     def _noise_shown(self) -> list[str | Listing]:
         """The noise that is more than deviations: of parents, or with correlations."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pgm.boundary import as_floats
 from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.noise import Noise
-from pgm.display import Listing, brief, by_component, named_matrix, stacked
+from pgm.display import Listing, by_component, named_matrix, stacked, vector
 from pgm.errors import ModelError
 from pgm.factors.runs import flat
 from pgm.factors.scope import as_value, components
@@ -125,7 +125,7 @@ class GaussianCPD(AffineCPD):
     def _parts(self) -> list[str | Listing]:
         lead, heads = self._lead(), components((self.child,))
         if isinstance(self.cov, Noise):
-            return [f"mean {brief(self.offset)}", *self._noise_shown()]
+            return [f"mean {vector(self.offset)}", *self._noise_shown()]
         if not lead:
             return [by_component(heads, self.offset, self.cov)]
         mean = np.broadcast_to(self.offset, (*lead, len(heads)))

@@ -24,14 +24,15 @@ def brief(value: Any) -> str:
     """A value in a few words."""
     if isinstance(value, np.ndarray):
         if value.size <= LISTED and value.dtype.kind in "iufb":
-            return one_line(str(value.tolist()))
+            text = str(value.tolist())
+            return f"array({text})" if value.ndim else text
         return f"array of shape {value.shape}"
     return one_line(_SHORT.repr(value))
 
 
 def called(function: Any) -> str:
     """A function by its name, or another callable by its class."""
-    return one_line(getattr(function, "__qualname__", type(function).__name__))
+    return one_line(getattr(function, "__name__", type(function).__name__))
 
 
 def vector(values: npt.NDArray[Any]) -> str:

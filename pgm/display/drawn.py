@@ -22,8 +22,10 @@ def picture(value: Any) -> str:
     try:
         # By name: drawing lies layers above the values drawn, and loads matplotlib, which is
         # wanted by notebooks alone.
-        pictures = import_module("pgm.plot.notebook")
-    except ImportError:
+        pictures = import_module("pgm.plot.diagrams.notebook")
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] != "matplotlib":
+            raise
         return ""
     found: str = pictures.svg(value)
     return found

@@ -12,7 +12,7 @@ from pgm.display.places import few
 from pgm.display.summary import LEFT_OUT, Listing
 
 # The most rows and columns of which all are shown.
-ROWS, COLUMNS = 8, 7
+ROWS, COLUMNS = 7, 7
 
 
 def named_matrix(

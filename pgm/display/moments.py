@@ -23,7 +23,9 @@ def by_component(names: Sequence[str], mean: Array, cov: Array) -> Listing:
     shown = few(len(names))
     kept = [k for k in shown if k is not None]
     # Each component has units of its own, and so its own decimals.
-    cells = dict(zip(kept, beside(mean[kept], std[kept], alike=False), strict=True))
+    cells = dict(
+        zip(kept, beside(mean[kept].tolist(), std[kept].tolist(), alike=False), strict=True)
+    )
     heads, rest = ["", "mean ± deviation"], correlations(cov, std) if len(names) > 1 else None
     if rest is not None:
         heads += ["correlations", *[""] * (len(names) - 2)]
@@ -99,9 +101,10 @@ def axes(lead: tuple[int, ...], steps: Sequence[int] | npt.NDArray[Any] | None) 
     text = f", runs {runs}" if runs else ""
     if steps is None:
         return text
-    if not len(steps) or list(steps) != list(range(steps[0], steps[0] + len(steps))):
-        return f"{text}, {count(len(steps), 'step')}"
-    return f"{text}, steps {steps[0]}..{steps[-1]}"
+    found = np.asarray(steps)
+    if not found.size or (np.diff(found) != 1).any():
+        return f"{text}, {count(found.size, 'step')}"
+    return f"{text}, steps {found[0]}..{found[-1]}"
 
 
 def deviations(cov: Array) -> Array:

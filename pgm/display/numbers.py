@@ -35,11 +35,9 @@ def column(values: Iterable[float], digits: int = DIGITS) -> list[str]:
     if not sizes:
         return [f"{value:g}" for value in found]
     if max(sizes) < LARGE and min(sizes) >= SMALL:
-        if all(value.is_integer() for value in found if math.isfinite(value)):
-            return [f"{value:.0f}" for value in found]
         decimals = max(digits - 1 - _power(max(sizes)), 1 - _power(min(sizes)), 0)
         if decimals <= DECIMALS:
-            return [_fixed(value, decimals) for value in found]
+            return _shortened([_fixed(value, decimals) for value in found])
     return [number(value, digits) for value in found]
 
 
@@ -74,7 +72,9 @@ def _pair(mean: float, std: float) -> tuple[str, str]:
     largest = max(abs(mean), std)
     if largest < LARGE and decimals <= DECIMALS:
         return _fixed(mean, max(decimals, 0)), _fixed(std, max(decimals, 0))
-    digits = _power(mean) + decimals if mean else 0
+    if mean == 0.0:
+        return "0", number(std, SURE)
+    digits = _power(mean) + decimals
     return f"{mean:.{min(max(digits, 0), ALL - 1)}e}", f"{std:.{SURE - 1}e}"
 
 
@@ -84,6 +84,15 @@ def _fixed(value: float, decimals: int) -> str:
         return f"{value:g}"
     text = f"{value:.{decimals}f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+def _shortened(texts: list[str]) -> list[str]:
+    """Numbers without the zeros in which all of them end."""
+    broken = [text for text in texts if "." in text]
+    zeros = min((len(text) - len(text.rstrip("0")) for text in broken), default=0)
+    if not zeros:
+        return texts
+    return [text[:-zeros].removesuffix(".") if "." in text else text for text in texts]
 
 
 def _power(size: float) -> int:

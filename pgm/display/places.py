@@ -29,7 +29,7 @@ def places(shape: Sequence[int], most: int = ALL) -> list[Place | None]:
     *outer, inner = shape
     runs, first = math.prod(outer), (0,) * len(outer)
     if runs == 1:
-        return [None if step is None else (*first, step) for step in few(inner, most - 1)]
+        return [None if step is None else (*first, step) for step in few(inner, max(most - 1, 1))]
     # The first and the last run, with both ends of their steps; or of the first alone.
     ends: list[Place | None] = [first, None]
     if most >= 2 * ENDS:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from html import escape
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
 
 from pgm.display.brief import brief
 from pgm.display.summary import Summary
@@ -48,12 +51,19 @@ class InCode:
 
 
 class NoArray:
-    """A value that NumPy would else put, whole, into an array of objects, without a word."""
+    """A value that NumPy would else put, whole, into an array of objects, without a word.
+
+    Arrays of objects that are asked for, as columns of a data frame are, may hold it.
+    """
 
     __slots__ = ()
 
     # What to take instead, for the message.
     _arrays: ClassVar[str] = ".mean and .cov"
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NoReturn:
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[np.object_]:
+        if dtype is not None and np.dtype(dtype) == object:
+            held = np.empty((), dtype=object)
+            held[()] = self
+            return held
         raise ArrayError(f"a {type(self).__name__} is no array; take its {self._arrays}")

@@ -47,7 +47,7 @@ class Listing:
             table = table[1:]
         wide = [max(map(len, column)) for column in zip(*table, strict=True)]
         kept = len(wide)
-        while kept > self.names + 1 and _total(wide[:kept], kept < len(wide)) > width:
+        while kept > 2 and _total(wide[:kept], kept < len(wide)) > width:
             kept -= 1
         lines = []
         for row in table:
@@ -115,8 +115,8 @@ class Summary:
         """
         parts = [f"<p><b>{escape(one_line(self.title, TITLE))}</b></p>", picture]
         for part in self.parts:
-            words = isinstance(part, str)
-            parts.append(f"<p>{escape(one_line(part))}</p>" if words else part.html())
+            words = f"<p>{escape(one_line(part))}</p>" if isinstance(part, str) else part.html()
+            parts.append(words)
         return f"<div>{''.join(parts)}</div>"
 
 

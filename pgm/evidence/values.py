@@ -61,11 +61,14 @@ class Sightings(Shown, Immutable):
 
     def _summary(self) -> Summary:
         values, step = as_numbers(self.values), as_numbers(self.step)
-        if values is None or values.ndim != 2:
+        if values is None or values.ndim < 2 or not values.size:
             return Summary(self._title)
-        columns = [] if step is None or step.shape != values.shape[:1] else [("step", step)]
-        columns += [("value", values), *((repr(v), given) for v, given in self.given.items())]
-        return Summary(self._title, [table(columns)])
+        first = (0,) * (values.ndim - 2)
+        rows = values[first]
+        columns = [] if step is None or step.shape != rows.shape[:1] else [("step", step)]
+        columns += [("value", rows), *((repr(v), given) for v, given in self.given.items())]
+        which = [f"run {', '.join(map(str, first))}:"] if first else []
+        return Summary(self._title, [*which, table(columns)])
 
 
 # By variable: a plain array, a constant, or sightings; of a discrete one states, or soft weights.

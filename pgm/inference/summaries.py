@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from pgm.compile import SliceLayout
 from pgm.display import (
+    LEFT_OUT,
     Listing,
     Summary,
     beside,
     by_component,
+    column,
+    count,
     few,
     number,
     places,
@@ -22,7 +25,7 @@ from pgm.display import (
 from pgm.display.places import Place
 from pgm.errors import PgmError
 from pgm.factors import Table
-from pgm.factors.listing import states_of
+from pgm.factors.listing import DIGITS, STATES, states_of
 from pgm.factors.scope import components
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
@@ -125,7 +128,12 @@ def by_variable(
             continue
         rows += _of_variable(variables[k], found, picked)
     heads = ["", *(f"run {', '.join(map(str, place))}" if place else "" for place in picked)]
-    return [Listing(heads, rows[: NETWORK_ROWS + 1], cell=60)] if rows else []
+    if not rows:
+        return []
+    if len(rows) <= NETWORK_ROWS + 1:
+        return [Listing(heads, rows, cell=60)]
+    first = [*rows[:NETWORK_ROWS], None]
+    return [Listing(heads, first, cell=60), f"of {count(len(variables), 'variable')}"]
 
 
 def moments_of(belief: Any) -> Listing:
@@ -170,27 +178,43 @@ def _ends(
     kept: dict[int, Any] = {}
 
     def at(place: Place) -> Any:
+        """The belief at a step, of all runs."""
         step = steps[place[-1]]
         if step not in kept:
             kept[step] = beliefs[variable.at(step)]
-        return kept[step][place[:-1]] if runs and not isinstance(kept[step], Table) else kept[step]
+        return kept[step]
 
-    if not isinstance(variable, Discrete):
-        heads = components((variable,))
-        if len(heads) > 1:
-            heads[0] = f"{variable.name}: {heads[0]}"
+    if isinstance(variable, Discrete):
+        return _states(variable, lead, steps, lambda p: at(p).probabilities[p[:-1]], most)
 
-        def moments(place: Place) -> tuple[Array, Array]:
-            found = at(place)
-            return found.mean, found.cov
+    def moments(place: Place) -> tuple[Array, Array]:
+        found = at(place)[place[:-1]] if runs else at(place)
+        return found.mean, found.cov
 
-        return stacked(heads, lead, steps, moments, most)
-    rows: list[Sequence[str] | None] = []
+    heads = components((variable,))
+    if len(heads) > 1:
+        heads[0] = f"{variable.name}: {heads[0]}"
+    return stacked(heads, lead, steps, moments, most)
+
+
+def _states(
+    variable: Discrete,
+    lead: tuple[int, ...],
+    steps: range,
+    chances: Callable[[Place], Array],
+    most: int,
+) -> Listing:
+    """The probabilities of a variable's first and last states, a column each."""
+    shown, across = places(lead, most), few(variable.size, STATES)
+    found = [place for place in shown if place is not None]
+    each = np.array([chances(place) for place in found]).reshape(len(found), variable.size)
+    cells = [[LEFT_OUT] * len(found) if k is None else column(each[:, k], DIGITS) for k in across]
+    rows = dict(zip(found, zip(*cells, strict=True), strict=True))
     names, where = whereabouts(lead, steps)
-    for place in places(lead, most):
-        row = None if place is None else [*where(place), states_of(at(place), place[:-1])]
-        rows.append(row)
-    return Listing([*names, repr(variable)], rows, names=len(names) + 1, cell=80)
+    heads = [LEFT_OUT if k is None else variable.states[k] for k in across]
+    heads[0] = f"{variable!r}: {heads[0]}"
+    listed = [None if place is None else [*where(place), *rows[place]] for place in shown]
+    return Listing([*names, *heads], listed, names=len(names))
 
 
 def _of_variable(variable: Variable, found: Any, picked: Sequence[Place]) -> list[list[str]]:

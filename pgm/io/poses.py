@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
+import numpy as np
+
+from pgm.display import NoArray, Shown, Summary, few, table
 from pgm.immutable import Immutable
 from pgm.io.stamped import clock
 from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array, frozen
 
 
-class Poses(Immutable):
+class Poses(Shown, NoArray, Immutable):
     """Positions and orientations at moments in time, and how well they are known.
 
     Attributes
@@ -30,6 +35,8 @@ class Poses(Immutable):
     orientation: Array
     components: tuple[str, ...]
     cov: Array | None
+
+    _arrays: ClassVar[str] = ".position, .orientation and .times"
 
     def __init__(
         self,
@@ -59,7 +66,18 @@ class Poses(Immutable):
         found[:, 2] = self.angles[:, 2]
         return found
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         known = f", covariances of {', '.join(self.components)}" if self.components else ""
         first, last = clock(self.times[0]), clock(self.times[-1])
         return f"Poses({len(self.times)} of them, {first} to {last}{known})"
+
+    def _summary(self) -> Summary:
+        names = ("x", "y", "z", "roll [rad]", "pitch [rad]", "yaw [rad]")
+        ends = [k for k in few(len(self.times)) if k is not None]
+        numbers = np.full((len(self.times), 6), np.nan)
+        numbers[ends] = np.concatenate(
+            [self.position[ends], quaternions.angles(self.orientation[ends])], axis=1
+        )
+        columns = [("time", self.times), *zip(names, numbers.T, strict=True)]
+        return Summary(self._title, [table(columns, digits=15)])

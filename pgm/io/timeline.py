@@ -59,10 +59,12 @@ class Timeline(Shown, Immutable):
         )
 
     def _summary(self) -> Summary:
+        told = {variable: report._lines() for variable, report in self.controls.items()}
+        told |= {variable: report._lines() for variable, report in self.readings.items()}
         rows = [
             ("" if k else f"{variable.name:<9}", line)
-            for variable, report in {**self.controls, **self.readings}.items()
-            for k, line in enumerate(report._lines())
+            for variable, lines in told.items()
+            for k, line in enumerate(lines)
         ]
         return Summary(self._title, [Listing(("", ""), rows, names=2, cell=TITLE)])
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_tuple, is_unordered
+from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import listed
@@ -100,7 +101,7 @@ def write_tum(
     for name in (roll, pitch, heading):
         if name is not None and not gaussian.angles[gaussian.components.index(name)]:
             raise ModelError(
-                f"{name!r} of {gaussian!r} is no angle; declare it as one, in radians: "
+                f"{name!r} of {gaussian._title} is no angle; declare it as one, in radians: "
                 f"pgm.Variable(..., angles=({name!r},))"
             )
     stamps = _increasing(times, len(gaussian.mean))
@@ -115,8 +116,8 @@ def write_tum(
     if covariance is not None and not np.isfinite(cov).all():
         step = int(np.argwhere(~np.isfinite(cov))[0, 0])
         raise ModelError(
-            f"{gaussian!r} has an infinite variance in row {step}: its mean there means nothing; "
-            "write the steps from which on it is known, belief[k:]"
+            f"{gaussian._title} has an infinite variance in row {step}: its mean there means "
+            "nothing; write the steps from which on it is known, belief[k:]"
         )
     rows = np.column_stack([stamps, xyz, quaternions.of_angles(angles)]).tolist()
     sources.write(path, "\n".join([HEADING, *(" ".join(map(repr, row)) for row in rows), ""]))
@@ -215,11 +216,11 @@ def _trajectory(belief: Any) -> Gaussian:
     """The Gaussians of one run, a row a step."""
     gaussian = belief.gaussian() if hasattr(belief, "gaussian") else belief
     if not isinstance(gaussian, Gaussian):
-        raise ModelError(f"a belief over time, like posterior[x], was due, not {belief!r}")
+        raise ModelError(f"a belief over time, like posterior[x], was due, not {titled(belief)}")
     if gaussian.mean.ndim != 2:
         axes = gaussian.mean.shape[:-1]
         raise ModelError(
-            f"{gaussian!r} has the leading axes {axes}; a file holds one run over its steps: "
+            f"{gaussian._title} has the leading axes {axes}; a file holds one run over its steps: "
             "pick it with belief.run(0)"
         )
     return gaussian
@@ -239,7 +240,7 @@ def _places(gaussian: Gaussian, names: Sequence[str]) -> list[int]:
     known = gaussian.components
     for name in names:
         if name not in known:
-            raise ModelError(f"{gaussian!r} has no component {name!r}; it has {listed(known)}")
+            raise ModelError(f"{gaussian._title} has no component {name!r}; it has {listed(known)}")
         if names.count(name) > 1:
             raise ModelError(f"the component {name!r} is named twice, of {listed(names)}")
     return [known.index(name) for name in names]

@@ -252,6 +252,8 @@ def logs():
     odometry = pgm.stamped(stamps, np.ones((200, 2)))
     seen = pgm.stamped(stamps[::3] + 0.05, np.ones(67), given={M: np.ones((67, 2))})
     ranged = pgm.Variable("range")
+    turned = np.tile([0.0, 0.0, 0.0, 1.0], (200, 1))
+    poses = pgm.Poses(stamps, np.ones((200, 3)), turned)
     log = pgm.timeline(stamps, odometry={turns: odometry}, sensors={ranged: seen})
     return {
         "stamped": odometry,
@@ -262,6 +264,8 @@ def logs():
         "constant": pgm.constant([0.5, 0.0]),
         "large constant": pgm.constant(np.zeros((1000, 3))),
         "bare sightings": mark,
+        "poses": poses,
+        "one pose": pgm.Poses(stamps[:1], np.zeros((1, 3)), turned[:1]),
     }
 
 

@@ -25,6 +25,7 @@ from experiments.report.running import Outcome
 VOID = {"meta", "img", "br", "link"}
 # Experiments that take a second or less.
 SHORT = (
+    "basics",
     "kalman",
     "imu_heading",
     "cluster_graph",

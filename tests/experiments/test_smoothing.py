@@ -163,8 +163,8 @@ def test_the_tables_have_the_numbers_of_the_summary(quick):
         assert innovations[rule,] == [f"{found['nis']:.4g}", f"{found['probability']:.4g}"]
 
 
-def test_the_notes_quote_the_band_and_what_a_lost_run_is(quick):
-    text = " ".join(part["note"] for part in quick[1]["page"] if "note" in part)
+def test_the_tables_quote_the_band_and_what_a_lost_run_is(quick):
+    text = " ".join(part["about"] for part in quick[1]["page"] if "about" in part)
     assert "{:.3f} to {:.3f}; about 95 %".format(*quick[1]["nees_band"]) in text
     assert "mean NEES is more than 30, which" in text
 

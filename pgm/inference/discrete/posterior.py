@@ -247,5 +247,6 @@ class DiscretePosterior(Posterior):
 
     def _summary(self) -> Summary:
         states = self._beliefs.evidence.states
-        hidden = [v for v in self.graph.network.variables if np.min(states.get(v, -1)) < 0]
+        variables = self.graph.network.variables
+        hidden = [v for v in variables if isinstance(v, Discrete) and np.min(states.get(v, -1)) < 0]
         return of_network(self._title, self, hidden, self._beliefs.evidence.lead)

@@ -6,18 +6,20 @@ import io
 import re
 import warnings
 from html import escape
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.errors import PgmError
 from pgm.networks import BayesianNetwork
-from pgm.plot.clusters import cluster_graph
-from pgm.plot.graphs import Network
-from pgm.plot.networks import network
+from pgm.plot.diagrams.clusters import cluster_graph
+from pgm.plot.diagrams.graphs import Network
+from pgm.plot.diagrams.networks import network
 
 # The most variables, and clusters, of a picture that is legible on a page.
 VARIABLES, CLUSTERS = 60, 40
@@ -29,7 +31,7 @@ WIDE, HIGH = 640.0, 480.0
 # Letters are shapes, so that no font is missing and no name is markup.
 _LINES = "stroke-linejoin: round; stroke-linecap: butt"
 _ABOUT = ("Creator", "Date", "Format", "Type")
-_STYLE = {"svg.fonttype": "path", "svg.hashsalt": "pgm", "text.usetex": False}
+_STYLE: dict[Any, Any] = {"svg.fonttype": "path", "svg.hashsalt": "pgm", "text.usetex": False}
 
 
 def svg(value: Network | ClusterGraph) -> str:
@@ -55,9 +57,17 @@ def svg(value: Network | ClusterGraph) -> str:
             figure = _drawn(value).figure
         except PgmError:
             return ""
+        assert isinstance(figure, Figure)
         text = io.StringIO()
         try:
-            figure.savefig(text, format="svg", bbox_inches="tight", metadata=dict.fromkeys(_ABOUT))
+            figure.savefig(
+                text,
+                format="svg",
+                facecolor="white",
+                transparent=False,
+                bbox_inches="tight",
+                metadata=dict.fromkeys(_ABOUT),
+            )
         finally:
             plt.close(figure)
     return _within_html(text.getvalue(), type(value).__name__)
