@@ -192,6 +192,8 @@ def worst_drive(network: pgm.DynamicBayesianNetwork, drive: simulation.Drive) ->
         )
         if legend := ax.get_legend():
             legend.remove()
+        (path,) = (line for line in ax.lines if line.get_color() == colour)
+        path.set_linewidth(1.8)
         mean, right = found.mean[shown, :2], truth[shown, :2]
         ax.plot(*np.stack([mean, right]).transpose(2, 0, 1), color=MUTED, lw=0.8, zorder=2.2)
         ax.plot(*mean.T, "o", color=colour, markersize=3.5, zorder=2.6)

@@ -71,12 +71,12 @@ def error_ellipse() -> Figure:
         ax.plot(*ends.T, ":", color=INK, lw=1.3)
         _along(ax, centre + sign * 0.55 * half * way, text, way, side)
     ax.plot(*centre, "o", color=INK, markersize=4)
-    ax.annotate("μ", centre, (-3, -17), textcoords="offset points")
+    ax.annotate("μ", tuple(centre), (-3, -17), textcoords="offset points")
     reach = 0.62 * float(found.half_axes[0])
     ax.plot([centre[0], centre[0] + reach], [centre[1]] * 2, color=MUTED, lw=0.9)
     ax.add_patch(Arc(tuple(centre), reach, reach, theta2=np.degrees(angle), color=INK, lw=1.2))
     middle = centre + 0.58 * reach * np.array([np.cos(0.5 * angle), np.sin(0.5 * angle)])
-    ax.text(*middle, "α", ha="left", va="center")
+    ax.text(middle[0], middle[1], "α", ha="left", va="center")
     ax.set_aspect("equal", adjustable="datalim")
     plt.close(figure)
     return figure
@@ -93,7 +93,7 @@ def _along(ax: Axes, at: Array, text: str, way: Array, side: Array) -> None:
     turn = turn - 180.0 if turn > 90.0 else turn
     ax.annotate(
         text,
-        at,
+        tuple(at),
         tuple(9.0 * side),
         textcoords="offset points",
         ha="center",

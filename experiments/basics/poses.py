@@ -48,11 +48,13 @@ def two_poses() -> Figure:
     way = np.array([np.cos(middle[2]), np.sin(middle[2])])
     side = np.array([-way[1], way[0]])
     _arrow(ax, middle[:2], middle[:2] + 0.9 * way, PALETTE[1])
-    ax.text(*(middle[:2] + 0.55 * way - 0.25 * side), "$v_t$", color=PALETTE[1], ha="center")
+    x, y = middle[:2] + 0.55 * way - 0.25 * side
+    ax.text(x, y, "$v_t$", color=PALETTE[1], ha="center")
     # The robot turns to the left, anticlockwise, at a positive ω.
     start, end = middle[:2] + 0.55 * (0.5 * way + side), middle[:2] - 0.55 * (0.5 * way - side)
     _arrow(ax, start, end, PALETTE[2], bend=0.5)
-    ax.text(*(middle[:2] + 1.0 * side), "$\\omega_t$", color=PALETTE[2], ha="center", va="center")
+    x, y = middle[:2] + side
+    ax.text(x, y, "$\\omega_t$", color=PALETTE[2], ha="center", va="center")
     _frame(ax, (5.6, 4.7))
     plt.close(figure)
     return figure

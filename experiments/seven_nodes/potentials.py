@@ -52,4 +52,5 @@ def _factor(cpd: CPD) -> pgm.CanonicalForm:
     assert isinstance(cpd, pgm.GaussianCPD | pgm.LinearGaussianCPD)
     matrices = [np.asarray(cpd.matrices[parent]) for parent in cpd.parents]
     F = np.concatenate([np.zeros((cpd.child.dimension, 0)), *matrices], axis=-1)
+    assert isinstance(cpd.cov, np.ndarray)
     return pgm.AffineGaussian(F, cpd.offset, cpd.cov).canonical(cpd.child, cpd.parents)

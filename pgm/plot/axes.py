@@ -1,13 +1,17 @@
-"""Axes of plots of numbers: made, named, and given a legend."""
+"""Axes of plots of numbers: made and named."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
 from pgm.errors import ModelError
+
+# The unit of all lengths, or of components by name.
+Unit = str | Mapping[str, str] | None
 
 
 def check_axes(ax: Any) -> Axes:
@@ -29,6 +33,21 @@ def plain(name: str) -> str:
     return name.replace("$", r"\$")
 
 
+def unit_of(component: str, unit: Unit, *, angle: bool) -> str:
+    """The unit of a component; empty where nothing is known of it."""
+    others = "rad" if angle else ""
+    if unit is None:
+        return others
+    if isinstance(unit, str):
+        return others or unit
+    return unit.get(component, others)
+
+
+def with_unit(text: str, *units: str) -> str:
+    """A text, and in brackets the unit, if it is the same of all."""
+    return f"{text} [{units[0]}]" if units[0] and len(set(units)) == 1 else text
+
+
 def name_axes(ax: Axes, x: str, y: str) -> None:
     """Label the axes that have no label yet, with names word for word."""
     if not ax.get_xlabel():
@@ -44,22 +63,3 @@ def equal_aspect(ax: Axes) -> None:
         for group in (ax.get_shared_x_axes(), ax.get_shared_y_axes())
     )
     ax.set_aspect("equal", adjustable="box" if shared else "datalim")
-
-
-def useful_legend(ax: Axes, *, above: bool = False) -> None:
-    """A legend where there are two things or more to tell apart, inside or above the axes."""
-    labels = ax.get_legend_handles_labels()[1]
-    if len(set(labels)) < 2:
-        return
-    if above:
-        ax.legend(
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            ncols=min(len(labels), 4),
-            frameon=False,
-            borderaxespad=0.1,
-            fontsize="small",
-        )
-    else:
-        # Saying "best" aloud keeps matplotlib from warning that the search is slow on long paths.
-        ax.legend(loc="best", framealpha=0.9, fontsize="small")

@@ -9,20 +9,31 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import Collection, FillBetweenPolyCollection
 from matplotlib.colors import to_rgba
+from matplotlib.ticker import MaxNLocator
 
 from pgm.errors import ModelError
 from pgm.kernels.arrays import Array
-from pgm.plot.colours import MUTED
+from pgm.plot.axes import name_axes
+from pgm.plot.colours import MUTED, Look
+
+STEP = "step"
 
 
 def along(steps: npt.NDArray[np.int_], times: npt.ArrayLike | None) -> tuple[npt.NDArray[Any], str]:
     """The places of steps on the horizontal axis, and its label."""
     if times is None:
-        return steps, "step"
+        return steps, STEP
     array = np.asarray(times)
     if array.shape != steps.shape:
         raise ModelError(f"times has shape {array.shape}; {steps.shape} was due, one for each step")
     return array, "time"
+
+
+def name_time(ax: Axes, x: str, y: str) -> None:
+    """Label the axes; steps are whole numbers."""
+    name_axes(ax, x, y)
+    if x == STEP:
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
 def band(
@@ -33,13 +44,14 @@ def band(
     tint: str,
     label: str | None = None,
     *,
+    dash: str = "-",
     inside: float = 0.12,
     outline: float = 0.5,
 ) -> FillBetweenPolyCollection:
     """Shade between two curves; an outline keeps a band of a single step, or no width, visible."""
     face, edge = to_rgba(tint, inside), to_rgba(tint, outline)
     return ax.fill_between(
-        across, low, high, facecolor=face, edgecolor=edge, lw=0.8, zorder=1.0, label=label
+        across, low, high, facecolor=face, edgecolor=edge, lw=0.8, ls=dash, zorder=1.0, label=label
     )
 
 
@@ -100,11 +112,20 @@ def line(
     ax: Axes,
     across: npt.NDArray[Any],
     values: Array,
-    tint: str,
+    look: Look,
     label: str | None = None,
     *,
     dots: bool = False,
 ) -> None:
     """Draw a curve, with a dot at each value if asked for, or if there is but one."""
     marker = "." if dots or len(across) == 1 else None
-    ax.plot(across, values, color=tint, lw=1.5, marker=marker, zorder=2.2, label=label)
+    ax.plot(
+        across,
+        values,
+        color=look.colour,
+        ls=look.dash,
+        lw=1.5,
+        marker=marker,
+        zorder=2.2,
+        label=label,
+    )

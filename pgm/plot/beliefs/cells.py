@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize, to_rgba
+from matplotlib.font_manager import FontProperties
 from matplotlib.patches import Rectangle
+from matplotlib.textpath import text_to_path
 
 from pgm.errors import ModelError
 from pgm.factors import Table
@@ -16,9 +19,11 @@ from pgm.plot.axes import given_or_new, name_axes
 from pgm.plot.beliefs.chances import as_index, as_places, chances, name_states
 from pgm.plot.colours import CHANCE, MUTED, PALETTE, readable_on
 
-# Numbers in more cells than this cannot be read, and lines between more hide the cells.
+# Numbers in more cells than this are too many to read, and lines between more hide the cells.
 _WRITTEN = 30
-_RULED = 2500
+_RULED = 600
+# Of numbers, in points, where there is room, and in small cells; how much of a cell they fill.
+_LETTERS, _SMALLEST, _FULL = 8.3, 5.5, 0.9
 
 
 def belief_map(
@@ -50,7 +55,8 @@ def belief_map(
         The cell that is right, by name or number, which is framed; a row and a column for two
         variables.
     numbers : bool, optional
-        Whether probabilities are written in the cells; without, in up to 30 cells.
+        Whether probabilities are written in the cells; without, in up to 30 cells where they can
+        be read.
     outside : str
         Colour of the map where there is no cell.
     ax : matplotlib.axes.Axes, optional
@@ -103,15 +109,19 @@ def belief_map(
         norm=norm,
         **(ruled if found.size <= _RULED else {"rasterized": True}),
     )
-    if numbers if numbers is not None else found.size <= _WRITTEN:
-        for (row, column), probability in zip(at.tolist(), found.ravel().tolist(), strict=True):
+    texts = [f"{p:.3g}" if p >= 5e-4 else f"{p:.0g}" for p in found.ravel().tolist()]
+    letters = _fitting(texts, ax, shape)
+    if numbers if numbers is not None else found.size <= _WRITTEN and letters >= _SMALLEST:
+        for (row, column), probability, text in zip(
+            at.tolist(), found.ravel().tolist(), texts, strict=True
+        ):
             ax.text(
                 column,
                 row,
-                f"{probability:.3g}" if probability >= 5e-4 else f"{probability:.0g}",
+                text,
                 ha="center",
                 va="center",
-                fontsize="small",
+                fontsize=max(letters, _SMALLEST),
                 color=readable_on(CHANCE(float(norm(probability)))),
             )
     if right is not None:
@@ -133,6 +143,15 @@ def belief_map(
         ax.set_xticks([])
         ax.set_yticks([])
     return ax
+
+
+def _fitting(texts: Iterable[str], ax: Axes, shape: npt.NDArray[Any]) -> float:
+    """The size of letters in which texts fit the cells of a map of some rows and columns."""
+    frame = ax.get_window_extent()
+    cell = 72.0 / ax.figure.dpi * min(frame.width / shape[1], frame.height / shape[0])
+    font = FontProperties(size=_LETTERS)
+    widest = max(text_to_path.get_text_width_height_descent(one, font, False)[0] for one in texts)
+    return float(min(_LETTERS, _LETTERS * _FULL * cell / widest))
 
 
 def _grid(shape: tuple[int, ...]) -> npt.NDArray[np.int_]:

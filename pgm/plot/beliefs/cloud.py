@@ -12,9 +12,9 @@ from pgm.boundary import is_whole
 from pgm.errors import ModelError
 from pgm.inference import ParticleBelief
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import given_or_new
+from pgm.plot.axes import Unit, given_or_new
 from pgm.plot.beliefs.point_plane import as_landmarks, as_truth, finish, plane_of
-from pgm.plot.colours import next_colour
+from pgm.plot.colours import look_of
 
 # The area of a particle of mean weight [pt²], and how many times that one is drawn at the most.
 _AREA, _LARGEST = 7.0, 25.0
@@ -30,6 +30,7 @@ def particles(
     most: int = 2000,
     truth: npt.ArrayLike | None = None,
     landmarks: npt.ArrayLike | None = None,
+    unit: Unit = None,
     colour: str | None = None,
     ax: Axes | None = None,
     **style: Any,
@@ -63,6 +64,8 @@ def particles(
         (n,), in the order of the belief's components; its place is marked by a cross.
     landmarks : array_like, optional
         (L, 2), in the two components drawn.
+    unit : str or mapping of str, optional
+        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
     colour : str, optional
         The next of a colour-blind-safe palette without.
     ax : matplotlib.axes.Axes, optional
@@ -92,13 +95,13 @@ def particles(
     mark, marks = as_truth(belief, truth, plane), as_landmarks(landmarks)
 
     ax = given_or_new(ax)
-    colour = colour or next_colour(ax)
+    look = look_of(ax, colour)
     chosen, weights = _thinned(belief.weights, int(most))
     place = [belief.components.index(name) for name in plane.pair]
     east, north = np.asarray(belief.states[chosen][:, place], dtype=float).T
     defaults: dict[str, Any] = {
         "s": _AREA * np.minimum(len(weights) * weights, _LARGEST),
-        "color": colour,
+        "color": look.colour,
         "alpha": 0.45,
         "linewidths": 0.0,
     }
@@ -119,10 +122,10 @@ def particles(
             headlength=0.0,
             headaxislength=0.0,
             width=0.0016,
-            color=colour,
+            color=look.colour,
             alpha=0.6,
         )
-    return finish(ax, plane, marks, mark)
+    return finish(ax, plane, marks, mark, unit)
 
 
 def _thinned(weights: Array, most: int) -> tuple[npt.NDArray[np.intp], Array]:

@@ -14,7 +14,7 @@ from pgm.boundary import is_whole
 from pgm.errors import ModelError
 from pgm.inference import GridBelief
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import given_or_new
+from pgm.plot.axes import Unit, given_or_new
 from pgm.plot.beliefs.point_plane import as_landmarks, as_truth, finish, plane_of
 from pgm.plot.colours import INK, PALETTE
 
@@ -32,6 +32,7 @@ def grid_map(
     arrows: int = 16,
     truth: npt.ArrayLike | None = None,
     landmarks: npt.ArrayLike | None = None,
+    unit: Unit = None,
     ax: Axes | None = None,
     **style: Any,
 ) -> Axes:
@@ -59,6 +60,8 @@ def grid_map(
         (n,), in the order of the belief's components; its place is marked by a cross.
     landmarks : array_like, optional
         (L, 2), in the two components drawn.
+    unit : str or mapping of str, optional
+        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's without.
     **style
@@ -93,7 +96,7 @@ def grid_map(
     if plane.heading is not None and arrows:
         turning = belief.marginal(*plane.pair, plane.heading)
         _draw_arrows(ax, turning, int(arrows), plane.mirrored)
-    return finish(ax, plane, marks, mark)
+    return finish(ax, plane, marks, mark, unit)
 
 
 def _edges(centres: Array) -> Array:

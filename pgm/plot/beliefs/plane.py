@@ -10,21 +10,26 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.cbook import normalize_kwargs
 from matplotlib.collections import EllipseCollection
-from matplotlib.colors import to_rgba
+from matplotlib.colors import to_hex, to_rgba
 
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import Kind, ParticleBelief
-from pgm.plot.axes import equal_aspect, given_or_new, name_axes, plain, useful_legend
-from pgm.plot.beliefs.point_plane import as_landmarks
-from pgm.plot.colours import INK, next_colour
+from pgm.kernels.arrays import Array
+from pgm.plot.axes import Unit, equal_aspect, given_or_new, name_axes, plain, unit_of, with_unit
+from pgm.plot.beliefs.point_plane import as_landmarks, draw_landmarks
+from pgm.plot.colours import DASHES, INK, look_of, next_colour
 from pgm.plot.components import as_gaussian, component_places, one_run, truth_columns
+from pgm.plot.legends import useful_legend
 
 # An ellipse smaller than this part of the picture is marked by a dot.
 _INVISIBLE = 1e-4
 # More ellipses than this along a path hide each other.
 _ELLIPSES = 25
+# The first path of an axes shows on both sides, and in the gaps, of another upon it.
+_BROAD, _NARROW = 3.2, 1.8
+_PATH, _TRUTH = "path of a belief", "path of the truth"
 
 
 def ellipses(
@@ -32,6 +37,7 @@ def ellipses(
     *,
     confidence: float = 0.95,
     components: tuple[str, str] | None = None,
+    unit: Unit = None,
     colour: str | None = None,
     ax: Axes | None = None,
     **style: Any,
@@ -50,6 +56,8 @@ def ellipses(
         c, the probability of the region, in (0, 1).
     components : pair of str, optional
         Which components, by name; the first two without.
+    unit : str or mapping of str, optional
+        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
     colour : str, optional
         Of the outline, and faintly of the inside; the next of a colour-blind-safe palette without.
     ax : matplotlib.axes.Axes, optional
@@ -69,9 +77,11 @@ def ellipses(
     gaussian = as_gaussian(gaussian)
     found = gaussian.ellipse(confidence, components)
     ax = given_or_new(ax)
-    colour = colour or next_colour(ax)
+    look = look_of(ax, colour)
+    colour = look.colour
     defaults: dict[str, Any] = {
         "edgecolor": to_rgba(colour, 0.75),
+        "linestyle": look.dash,
         "facecolor": to_rgba(colour, 0.1),
         "linewidth": 0.9,
     }
@@ -108,8 +118,14 @@ def ellipses(
         ax.scatter(east, north, s=7.0, color=shade, zorder=collection.get_zorder())
     ax.autoscale_view()
     pair = components or labels(gaussian.scope)[:2]
-    name_axes(ax, pair[0], pair[1])
+    name_plane(ax, gaussian, (pair[0], pair[1]), unit)
     return ax
+
+
+def name_plane(ax: Axes, belief: Gaussian, pair: tuple[str, str], unit: Unit) -> None:
+    """Label the axes with two components and their units."""
+    angles = dict(zip(labels(belief.scope), belief.angles.tolist(), strict=True))
+    name_axes(ax, *(with_unit(one, unit_of(one, unit, angle=angles[one])) for one in pair))
 
 
 def trajectory(
@@ -120,8 +136,10 @@ def trajectory(
     confidence: float = 0.95,
     every: int | None = None,
     components: tuple[str, str] | None = None,
+    unit: Unit = None,
     label: str | Kind | None = None,
     colour: str | None = None,
+    dash: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw the path of a belief in the plane, with confidence ellipses.
@@ -144,10 +162,15 @@ def trajectory(
         An ellipse at every so many steps; without, as many steps as leave at most 25 ellipses.
     components : pair of str, optional
         Which components are the plane's, by name; the first two without.
+    unit : str or mapping of str, optional
+        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
     label : str or Kind, optional
         In the legend, which is drawn where there are two things or more to tell apart.
     colour : str, optional
         The next of a colour-blind-safe palette without.
+    dash : {"-", "--", ":", "-."}, optional
+        Of the path; without, the first of an axes is a broad line, and the next are narrow and
+        dashed, so that paths that lie one upon the other can be told apart.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's without.
 
@@ -178,28 +201,46 @@ def trajectory(
     marks = as_landmarks(landmarks)
 
     ax = given_or_new(ax)
-    colour = colour or next_colour(ax)
+    before = [to_hex(line.get_color()) for line in ax.lines if line.get_gid() == _PATH]
+    colour = next_colour(ax) if colour is None else colour
+    if dash is None:
+        # No two alike, though colours begin again.
+        dash = DASHES[(len(before) + before.count(to_hex(colour))) % len(DASHES)]
     if marks is not None:
-        ax.plot(*marks.T, "^", color=INK, markersize=6, zorder=1.5, label="landmarks")
+        draw_landmarks(ax, marks)
     if lines is not None:
-        lines = lines.reshape(-1, *lines.shape[-2:])
-        mark = "x" if lines.shape[1] == 1 else None
-        drawn = ax.plot(*lines.transpose(2, 1, 0), color=INK, lw=0.7, marker=mark, zorder=2.4)
-        if drawn:
-            drawn[0].set_label("truth")
+        _draw_truth(ax, lines.reshape(-1, *lines.shape[-2:]))
     ellipses(
-        thinned, confidence=confidence, components=components, colour=colour, ax=ax, zorder=1.8
+        thinned,
+        confidence=confidence,
+        components=components,
+        unit=unit,
+        colour=colour,
+        ax=ax,
+        zorder=1.8,
     )
     ax.plot(
         *belief.mean[:, places].T,
         color=colour,
-        lw=1.8,
+        ls=dash,
+        lw=_NARROW if before else _BROAD,
         marker="o" if len(belief.mean) == 1 else None,
         markersize=5,
-        zorder=2.3,
+        zorder=2.5 if before else 2.3,  # the truth is between the first path and the next
+        gid=_PATH,
         label=plain(f"estimate of {belief.scope[0]!r}") if label is None else str(label),
     )
-    name_axes(ax, pair[0], pair[1])
+    name_plane(ax, belief, (pair[0], pair[1]), unit)
     equal_aspect(ax)
     useful_legend(ax)
     return ax
+
+
+def _draw_truth(ax: Axes, lines: Array) -> None:
+    """Draw lines (L, P, 2) that are not drawn yet."""
+    known = [line.get_xydata() for line in ax.lines if line.get_gid() == _TRUTH]
+    mark = "x" if lines.shape[1] == 1 else None
+    for k, line in enumerate(lines):
+        if not any(np.array_equal(line, other, equal_nan=True) for other in known):
+            label = None if k else "truth"
+            ax.plot(*line.T, color=INK, lw=0.7, marker=mark, zorder=2.4, gid=_TRUTH, label=label)

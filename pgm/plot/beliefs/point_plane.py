@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
@@ -12,7 +13,7 @@ from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.inference import GridBelief, ParticleBelief
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import equal_aspect, name_axes
+from pgm.plot.axes import Unit, equal_aspect, name_axes, unit_of, with_unit
 from pgm.plot.colours import INK
 
 
@@ -27,11 +28,14 @@ class Plane(NamedTuple):
         The angle drawn by directions.
     mirrored : bool
         Whether the axes are the other way round than headings are counted.
+    angles : tuple of str
+        All components that are angles.
     """
 
     pair: tuple[str, str]
     heading: str | None
     mirrored: bool
+    angles: tuple[str, ...]
 
 
 def plane_of(
@@ -62,7 +66,7 @@ def plane_of(
     if heading is not None and (heading not in belief.angles or heading in pair):
         raise ModelError(f"heading={heading!r} is no angle of {titled(belief)} beside {pair}")
     mirrored = belief.components.index(pair[0]) > belief.components.index(pair[1])
-    return Plane((pair[0], pair[1]), heading, mirrored)
+    return Plane((pair[0], pair[1]), heading, mirrored, belief.angles)
 
 
 def as_truth(
@@ -81,21 +85,32 @@ def as_truth(
 
 
 def as_landmarks(landmarks: npt.ArrayLike | None) -> Array | None:
-    """Places (L, 2) in the plane."""
+    """Places (L, 2) in the plane, each once."""
     if landmarks is None:
         return None
     array = as_floats(landmarks, "landmarks")
     if array.ndim != 2 or array.shape[1] != 2:
         raise ModelError(f"landmarks have shape {array.shape}; (L, 2) was due, one a row")
-    return array
+    return np.unique(array, axis=0)
 
 
-def finish(ax: Axes, plane: Plane, landmarks: Array | None, truth: Array | None) -> Axes:
+def draw_landmarks(ax: Axes, landmarks: Array) -> None:
+    """Mark places that are not marked yet."""
+    for line in ax.lines:
+        if line.get_label() == "landmarks" and np.array_equal(line.get_xydata(), landmarks):
+            return
+    ax.plot(*landmarks.T, "^", color=INK, markersize=6, zorder=1.5, label="landmarks")
+
+
+def finish(
+    ax: Axes, plane: Plane, landmarks: Array | None, truth: Array | None, unit: Unit = None
+) -> Axes:
     """Draw the marks, and name the axes."""
     if landmarks is not None:
-        ax.plot(*landmarks.T, "^", color=INK, markersize=6, label="landmarks")
+        draw_landmarks(ax, landmarks)
     if truth is not None:
         ax.plot(*truth, "x", color=INK, markersize=8, markeredgewidth=1.8, label="truth")
-    name_axes(ax, *plane.pair)
+    units = (unit_of(one, unit, angle=one in plane.angles) for one in plane.pair)
+    name_axes(ax, *(with_unit(one, of) for one, of in zip(plane.pair, units, strict=True)))
     equal_aspect(ax)
     return ax

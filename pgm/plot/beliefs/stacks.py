@@ -13,9 +13,10 @@ from matplotlib.colors import to_rgba
 from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.inference import Kind
-from pgm.plot.axes import given_or_new, name_axes, plain, useful_legend
+from pgm.plot.axes import given_or_new, name_axes, plain
 from pgm.plot.beliefs.chances import as_index, chances, name_states
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.colours import DASHES, INK, MUTED, PALETTE
+from pgm.plot.legends import useful_legend
 from pgm.variables import Discrete
 
 # More rows than this are too low to be read.
@@ -96,7 +97,9 @@ def beliefs_over_time(
         )
     scale = float(known or full or found[chosen].max())
     solid = not before if filled is None else filled
-    tint = colour or PALETTE[len({line.get_color() for line in before}) % len(PALETTE)]
+    count_before = len({(line.get_color(), line.get_linestyle()) for line in before})
+    tint = colour or PALETTE[count_before % len(PALETTE)]
+    dash = DASHES[count_before // len(PALETTE) % len(DASHES)]
     edges = np.arange(variable.size + 1) - 0.5
     for row, step in enumerate(chosen):
         height = row - _FULL * found[step] / scale
@@ -112,6 +115,7 @@ def beliefs_over_time(
             np.concatenate([[row, row], height, [row]]),
             where="pre",
             color=tint,
+            ls=dash,
             lw=1.2,
             zorder=2.0 if solid else 2.2,
             gid=f"{_SCALE}{scale!r}",
@@ -123,7 +127,9 @@ def beliefs_over_time(
         ax.vlines(
             right[chosen], rows - _FULL, rows, color=INK, lw=1.2, ls=":", zorder=2.4, label="truth"
         )
-    ax.set_ylim(len(chosen) - 1 + 0.15, -1.0)
+    # The scale is the first belief's; a later one may reach beyond its rows.
+    highest = -1.05 * _FULL * float(found[chosen[0]].max()) / scale
+    ax.set_ylim(len(chosen) - 1 + 0.15, min(-1.0, highest, ax.get_ylim()[1] if before else 0.0))
     ax.set_xlim(edges[0], edges[-1])
     ax.set_yticks(np.arange(len(chosen)), [str(step) for step in chosen])
     name_states(ax, ax.xaxis, variable)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -82,7 +83,7 @@ def draw_graph(
     below: dict[Variable, str],
     ax: Axes | None,
     slices: bool,
-    join: Callable[[Canvas, Edge, Array], None],
+    join: Callable[[Canvas, Any, Array], None],
     *,
     fold: bool = True,
 ) -> Axes:

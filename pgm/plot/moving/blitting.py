@@ -24,19 +24,32 @@ class BlittedCanvas(FigureCanvasAgg):
         super().__init__(figure)
         self._changing = changing
         self._kept: Any = None
+        self._size = (0, 0)
 
     def draw(self) -> None:
         """Draw the picture: the first time all of it, later what changes."""
-        if self._kept is None:
-            for artist in self._changing:
-                artist.set_animated(True)
-            super().draw()
-            self._kept = self.copy_from_bbox(self.figure.bbox)
-        self.restore_region(self._kept)
+        size = self.get_width_height()  # which a writer may change to even numbers
+        if self._kept is None or self._size != size:
+            self._keep_rest()
+            self._size = size
+        canvas: Any = self  # whose methods have no types in matplotlib
+        canvas.restore_region(self._kept)
         for artist in self._changing:
-            artist.axes.draw_artist(artist)
+            axes: Any = artist.axes
+            axes.draw_artist(artist)
+
+    def _keep_rest(self) -> None:
+        visible = [artist.get_visible() for artist in self._changing]
+        for artist in self._changing:
+            artist.set_visible(False)
+        canvas: Any = super()
+        canvas.draw()
+        self._kept = canvas.copy_from_bbox(self.figure.bbox)
+        for artist, shown in zip(self._changing, visible, strict=True):
+            artist.set_visible(shown)
 
     def print_rgba(self, filename_or_obj: Any, **_: Any) -> None:
         """Write the picture as writers of movies read it."""
-        self.draw()
-        filename_or_obj.write(self.buffer_rgba())
+        canvas: Any = self
+        canvas.draw()
+        filename_or_obj.write(canvas.buffer_rgba())

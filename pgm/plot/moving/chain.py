@@ -19,6 +19,7 @@ from pgm.plot.moving.passes import Frame
 _GAP, _AWAY, _APART = 8.0, 6.0, 3.0
 _ARROW, _HEAD = 26.0, 9.0
 _DOTS = 14.0  # room for the dots at an end
+_LIT, _DONE = 0.6, 0.2  # of a pass's colour in a cluster
 
 
 class Flow:
@@ -130,11 +131,11 @@ class Chain:
         for slot, (oval, text) in enumerate(zip(self._ovals, self._texts, strict=True)):
             k = start + slot
             if k == frame.step:
-                fill = tint(colour, 0.55)
+                fill = tint(colour, _LIT)
             elif frame.revised[0] <= k <= frame.revised[1]:
-                fill = tint(self._colours[1], 0.16)
+                fill = tint(self._colours[1], _DONE)
             else:
-                fill = tint(self._colours[0], 0.16 if k <= frame.filtered else 0.0)
+                fill = tint(self._colours[0], _DONE if k <= frame.filtered else 0.0)
             oval.set(facecolor=fill, edgecolor=colour if k == frame.step else INK)
             oval.set_linewidth(2.2 if k == frame.step else 1.0)
             text.set_text(self._label(k))

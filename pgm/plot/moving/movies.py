@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -11,49 +10,11 @@ from typing import Any
 import numpy as np
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter
 from matplotlib.figure import Figure
-from PIL import Image
 
 from pgm.boundary import is_number
 from pgm.errors import ModelError
 from pgm.io.whole import whole
-
-
-class GifWriter(AbstractMovieWriter):
-    """A GIF whose pictures are brought to 256 colours as they come.
-
-    Matplotlib's own writer keeps all four channels of every picture until the end, is slower, and
-    chooses colours that are visibly others.
-    """
-
-    @classmethod
-    def isAvailable(cls) -> bool:
-        """Whether it can write: always."""
-        return True
-
-    def setup(self, fig: Figure, outfile: str | PathLike[str], dpi: float | None = None) -> None:
-        """Begin a file."""
-        super().setup(fig, outfile, dpi)
-        self._pictures: list[Image.Image] = []
-
-    def grab_frame(self, **savefig_kwargs: Any) -> None:
-        """Take the figure as it is now."""
-        drawn = BytesIO()
-        self.fig.savefig(drawn, **savefig_kwargs, format="rgba", dpi=self.dpi)
-        picture = Image.frombuffer("RGBA", self.frame_size, drawn.getbuffer(), "raw", "RGBA", 0, 1)
-        few = {"method": Image.Quantize.MEDIANCUT, "dither": Image.Dither.NONE}
-        self._pictures.append(picture.convert("RGB").quantize(256, **few))
-
-    def finish(self) -> None:
-        """Write the pictures; the film begins again at its end."""
-        first, *others = self._pictures
-        first.save(
-            self.outfile,
-            save_all=True,
-            append_images=others,
-            duration=round(1000 / self.fps),
-            loop=0,
-        )
-
+from pgm.plot.moving.gif import GifWriter
 
 _WRITERS: dict[str, Any] = {".gif": GifWriter, ".mp4": FFMpegWriter}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -61,13 +62,13 @@ class Trace:
         """Everything that changes."""
         return [self._line, self._past, self._newest, self._dot]
 
-    def show(self, path: range, ellipses: range, newest: int | None) -> None:
+    def show(self, path: range, ellipses: Collection[int], newest: int | None) -> None:
         """Show the path over some steps, ellipses of some, and one of them as the newest."""
         self._line.set_data(*self.centres[path].T)
         drawn = [step for step in ellipses if step % self._every == 0 and step != newest]
-        self._past.set_verts(self.rings[drawn])
-        here = [newest] if newest in ellipses else []
-        self._newest.set_verts(self.rings[here])
+        self._past.set_verts(list(self.rings[drawn]))
+        here = [] if newest is None or newest not in ellipses else [newest]
+        self._newest.set_verts(list(self.rings[here]))
         self._dot.set_data(*self.centres[here].T)
 
 
@@ -88,6 +89,11 @@ class Paths:
     landmarks : ndarray or None
         (L, 2).
     confidence : float
+
+    Attributes
+    ----------
+    marks : list of Artist
+        For a legend.
     """
 
     def __init__(
@@ -126,17 +132,7 @@ class Paths:
         traces = [trace for trace in (self._filtered, self._revised) if trace]
         _limit(ax, traces, [each for each in (truth, landmarks) if each is not None])
         name_axes(ax, *pair)
-        ax.legend(
-            handles=marks,
-            loc="lower left",
-            bbox_to_anchor=(0.0, 1.0),
-            ncols=len(marks),
-            frameon=False,
-            fontsize="small",
-            borderaxespad=0.2,
-            columnspacing=1.2,
-            handlelength=1.6,
-        )
+        self.marks = marks
 
     @property
     def artists(self) -> list[Artist]:
@@ -146,8 +142,8 @@ class Paths:
     def show(self, frame: Frame) -> None:
         """Show what is known by a picture."""
         path, revised = range(frame.filtered + 1), range(frame.revised[0], frame.revised[1] + 1)
-        # A smoothed ellipse takes the place of the filtered one.
-        standing = range(frame.step) if frame.back else path
+        # A revised ellipse takes the place of the filtered one.
+        standing = [step for step in path if step not in revised]
         self._filtered.show(path, standing, None if frame.back else frame.step)
         if self._revised is not None:
             newest = frame.revised[0 if frame.back else 1]

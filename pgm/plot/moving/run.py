@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy.typing as npt
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from pgm.boundary import as_tuple, is_whole
 from pgm.compile import BalancedGraph
@@ -29,8 +33,10 @@ from pgm.variables import Variable
 
 # How long the last picture of a pass stays [s].
 _PAUSE = 1.0
-# Left, bottom, width and height, of the figure: the plane, and the clusters below it.
-_PLANE, _STRIP = (0.1, 0.29, 0.88, 0.61), (0.01, 0.01, 0.98, 0.19)
+# About the plane [inches]: room for numbers and names, and for the title above the legend.
+_LEFT, _BELOW, _TITLE, _EDGE = 0.8, 0.6, 0.42, 0.12
+_STRIP = 0.19  # of the height, for the clusters
+_ENTRY, _ROW = 1.3, 0.2  # the width of an entry of the legend, and its height
 
 
 def animate(
@@ -118,10 +124,11 @@ def animate(
     graph, kind = posterior.graph, posterior.kind
     pictures = frames(kind, graph.steps, every)
     figure = Figure(figsize=figsize, dpi=dpi)
-    plane, below = figure.add_axes(_PLANE), figure.add_axes(_STRIP)
+    entries = 2 + sum((line is not None, marks is not None, bool(kind.lag)))  # of the legend
+    plane, below = (figure.add_axes(room) for room in _rooms(*figsize, entries))
     paths = Paths(plane, (filtered, known), kind, pair, line, marks, confidence)
     chain = Chain(below, graph, clusters, (FILTERED, REVISED), kind == SMOOTHED)
-    title = plane.text(0.0, 1.075, "", transform=plane.transAxes, weight="bold")
+    title = _head(plane, paths.marks)
     BlittedCanvas(figure, [*paths.artists, *chain.artists, title])
     pauses = max(1, round(_PAUSE * rate))
     order = [
@@ -137,6 +144,47 @@ def animate(
         title.set_text(f"{'back' if frame.back else 'forward'}: step {frame.step} of {graph.steps}")
 
     return write_movie(writer, path, figure, draw, len(order), dpi)
+
+
+Room = tuple[float, float, float, float]
+
+
+def _rooms(width: float, height: float, entries: int) -> tuple[Room, Room]:
+    """Left, bottom, width and height, as parts of a figure's: of the plane, and of the clusters."""
+    head = _TITLE + _ROW * math.ceil(entries / _columns(width, entries))
+    low, high = _STRIP + _BELOW / height, 1.0 - head / height
+    plane = _LEFT / width, low, 1.0 - (_LEFT + _EDGE) / width, high - low
+    return plane, (0.01, 0.01, 0.98, _STRIP)
+
+
+def _columns(width: float, entries: int) -> int:
+    """Of the legend."""
+    return min(entries, max(1, int((width - _LEFT) / _ENTRY)))
+
+
+def _head(plane: Axes, marks: list[Artist]) -> Text:
+    """The legend above the plane, and the title above that."""
+    figure: Any = plane.figure
+    width, height = figure.get_size_inches()
+    plane.legend(
+        handles=marks,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=_columns(width, len(marks)),
+        frameon=False,
+        fontsize="small",
+        borderaxespad=0.2,
+        columnspacing=1.2,
+        handlelength=1.6,
+    )
+    return plane.text(
+        _LEFT / width,
+        1.0 - 0.6 * _TITLE / height,
+        "",
+        transform=figure.transFigure,
+        weight="bold",
+        va="baseline",
+    )
 
 
 def _check(posterior: Any) -> None:
@@ -196,9 +244,9 @@ def _pair(
 
 def _truth(belief: Gaussian, truth: npt.ArrayLike, places: Sequence[int]) -> Array:
     line = truth_columns(belief, truth, places)
-    if line.shape != (len(belief.mean), 2):
+    if line.shape[:-1] != (len(belief.mean),):
         raise ModelError(
-            f"the truth is of the shape {line.shape[:-1]} and components; one run of "
-            f"{len(belief.mean)} steps was due"
+            f"the truth has {' × '.join(map(str, line.shape[:-1]))} rows; one for each of the "
+            f"{len(belief.mean)} steps 0..T was due"
         )
     return line

@@ -13,13 +13,14 @@ from pgm.comparison import Comparison, Row
 from pgm.errors import ModelError
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import given_or_new, name_axes, plain
-from pgm.plot.bands import along
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.axes import given_or_new, plain
+from pgm.plot.bands import along, name_time
+from pgm.plot.colours import DASHES, INK, MUTED, PALETTE
+from pgm.plot.legends import useful_legend
 from pgm.variables import Variable
 
-# One a schedule; colours are one a lineariser.
-_STYLES = ("-", "--", ":", "-.")
+# Of linearisers, where the colours begin again; dashes are one a schedule.
+_MARKS = (None, "o", "s", "^", "D", "v")
 # The statistics that can be drawn, by name: at each step of a row, and the label of the axis.
 _STATISTICS: dict[str, tuple[Callable[[Row], Array], str]] = {
     "kl": (lambda row: row.kl_by_step, "KL(oracle ‖ belief) [nats]"),
@@ -90,7 +91,10 @@ def comparison(
     for row in rows:
         look: dict[str, Any] = {
             "color": PALETTE[linearisers.index(row.lineariser) % len(PALETTE)],
-            "ls": _STYLES[schedules.index(row.schedule) % len(_STYLES)],
+            "ls": DASHES[schedules.index(row.schedule) % len(DASHES)],
+            "marker": _MARKS[linearisers.index(row.lineariser) // len(PALETTE) % len(_MARKS)],
+            "markevery": 0.1,
+            "markersize": 5.0,
         }
         text = ", ".join([row.lineariser, *([row.schedule] if len(schedules) > 1 else [])])
         _draw(ax, across, of(row), f"{text} (failed)" if row.error else text, look)
@@ -98,20 +102,20 @@ def comparison(
         kinds = {row.kind: row.schedule for row in rows}
         for row in found.oracle_rows:
             if row.kind in kinds and row.state == rows[0].state and np.nanmax(of(row), initial=0):
-                style = _STYLES[schedules.index(kinds[row.kind]) % len(_STYLES)]
+                style = DASHES[schedules.index(kinds[row.kind]) % len(DASHES)]
                 text = f"{row.lineariser}, {row.kind}, from its own Gaussian"
                 _draw(ax, across, of(row), text, {"color": MUTED, "ls": style})
     else:
         ax.axhline(float(np.nanmax([r.nees_expected for r in rows])), color=INK, lw=0.8, zorder=1.5)
-    name_axes(ax, name, label)
-    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, fontsize="small")
+    name_time(ax, name, label)
+    useful_legend(ax)
     return ax
 
 
 def _draw(
     ax: Axes, across: npt.NDArray[Any], values: Array, label: str, look: dict[str, Any]
 ) -> None:
-    marker = "." if len(across) == 1 else None
+    marker = look.pop("marker", None) or ("." if len(across) == 1 else None)
     positive = np.where(values > 0.0, values, np.nan)
     ax.plot(across, positive, lw=1.4, marker=marker, zorder=2.2, label=plain(label), **look)
 

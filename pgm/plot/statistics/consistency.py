@@ -17,9 +17,10 @@ from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations, Kind
-from pgm.plot.axes import given_or_new, name_axes, useful_legend
-from pgm.plot.bands import along, band, line, right_band
-from pgm.plot.colours import INK, next_colour
+from pgm.plot.axes import given_or_new, name_axes
+from pgm.plot.bands import along, band, line, name_time, right_band
+from pgm.plot.colours import INK, look_of
+from pgm.plot.legends import useful_legend
 
 _LEVELS = np.concatenate([[0.01], np.linspace(0.05, 0.95, 19), [0.99]])
 _DIAGONAL = np.array([[0.0, 0.0], [1.0, 1.0]])
@@ -84,7 +85,7 @@ def nees(
     across, name = along(belief.steps, times)
     ax = given_or_new(ax)
     _draw(ax, across, average, str(label or "NEES"), colour, confidence)
-    name_axes(ax, name, "NEES / degrees of freedom")
+    name_time(ax, name, "NEES / degrees of freedom")
     useful_legend(ax, above=True)
     return ax
 
@@ -132,7 +133,7 @@ def nis(
     across, name = along(np.arange(average.value.size), times)
     ax = given_or_new(ax)
     _draw(ax, across, average, str(label or "NIS"), colour, confidence)
-    name_axes(ax, name, "NIS / degrees of freedom")
+    name_time(ax, name, "NIS / degrees of freedom")
     useful_legend(ax, above=True)
     return ax
 
@@ -154,11 +155,11 @@ def _draw(
         np.insert(each[there], breaks, np.nan)
         for each in (average.value, average.low, average.high)
     )
-    tint = colour or next_colour(ax)
-    if right_band(ax, across, low, high, tint, confidence=confidence, label=label):
+    look = look_of(ax, colour)
+    if right_band(ax, across, low, high, look.colour, confidence=confidence, label=label):
         ax.axhline(1.0, color=INK, lw=0.8, zorder=1.5)
     # Dots tell which steps a line over gaps joins, and show a step alone between two of them.
-    line(ax, across, value, tint, label, dots=bool((spacing > 1).any()))
+    line(ax, across, value, look, label, dots=bool((spacing > 1).any()))
 
 
 def coverage(
@@ -206,11 +207,11 @@ def coverage(
     """
     found = consistency.coverage(belief, truth, _LEVELS, components, band=confidence)
     ax = given_or_new(ax)
-    tint = colour or next_colour(ax)
+    look = look_of(ax, colour)
     if not any(np.array_equal(each.get_xydata(), _DIAGONAL) for each in ax.lines):
         ax.plot(*_DIAGONAL.T, color=INK, lw=0.8, zorder=1.5)
-    band(ax, found.nominal, found.low, found.high, tint)
-    line(ax, found.nominal, found.actual, tint, str(label or "coverage"), dots=True)
+    band(ax, found.nominal, found.low, found.high, look.colour, dash=look.dash)
+    line(ax, found.nominal, found.actual, look, str(label or "coverage"), dots=True)
     ax.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0), aspect="equal")
     name_axes(ax, "confidence of the region", "share of truths inside")
     useful_legend(ax)
@@ -261,14 +262,14 @@ def whiteness(
     """
     found = consistency.whiteness(innovations, lags, confidence=confidence)
     ax = given_or_new(ax)
-    tint = colour or next_colour(ax)
+    look = look_of(ax, colour)
     label = str(label or "innovations")
     first = right_band(
         ax,
         found.lags,
         -found.band,
         found.band,
-        tint,
+        look.colour,
         confidence=confidence,
         label=label,
         tolerance=_ALIKE,
@@ -277,14 +278,15 @@ def whiteness(
         ax.axhline(0.0, color=INK, lw=0.8, zorder=1.5)
     before = sum(isinstance(each, StemContainer) for each in ax.containers)
     beside = _WITHIN * _between(before)
-    ax.stem(
+    stems = ax.stem(
         found.lags + beside,
         found.autocorrelation,
-        linefmt=tint,
-        markerfmt=".",
+        linefmt=look.colour,
+        markerfmt=look.mark,
         basefmt=" ",
         label=f"{label}, p = {found.probability:.2g}",
     )
+    stems.stemlines.set_linestyle(look.dash)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     name_axes(ax, "lag", "autocorrelation")
     # "best" does not see the stems.

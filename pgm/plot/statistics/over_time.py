@@ -15,10 +15,11 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import Kind
 from pgm.kernels.angles import difference
-from pgm.plot.axes import check_axes, given_or_new, name_axes, useful_legend
-from pgm.plot.bands import along, band, line
-from pgm.plot.colours import INK, next_colour
+from pgm.plot.axes import Unit, check_axes, given_or_new, unit_of, with_unit
+from pgm.plot.bands import along, band, line, name_time
+from pgm.plot.colours import INK, look_of
 from pgm.plot.components import component_places, one_run, truth_columns
+from pgm.plot.legends import useful_legend
 
 
 def errors(
@@ -28,6 +29,7 @@ def errors(
     components: Sequence[str] | None = None,
     sigma: float = 3.0,
     times: npt.ArrayLike | None = None,
+    unit: Unit = None,
     label: str | Kind | None = None,
     colour: str | None = None,
     axes: Axes | Iterable[Axes] | None = None,
@@ -51,6 +53,8 @@ def errors(
         Half the width of the band, in standard deviations.
     times : array_like, optional
         (steps,), the time of each step, for the horizontal axis; the steps themselves without.
+    unit : str or mapping of str, optional
+        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
     label : str or Kind, optional
         In the legend, above the first axes.
     colour : str, optional
@@ -89,22 +93,34 @@ def errors(
     across, name = along(steps, times)
 
     columns = _axes(axes, len(places))
-    tint = colour or next_colour(columns[0])
+    look = look_of(columns[0], colour)
     marker = "o" if len(mean) == 1 else None
     for k, ax in enumerate(columns):
         if not ax.lines:
             ax.axhline(0.0, color=INK, lw=0.8, zorder=1.0)
         within = f"±{sigma:g}σ" if label is None else f"{label} ±{sigma:g}σ"
-        band(ax, across, -reach[:, k], reach[:, k], tint, within, inside=0.18, outline=0.4)
+        band(
+            ax,
+            across,
+            -reach[:, k],
+            reach[:, k],
+            look.colour,
+            within,
+            dash=look.dash,
+            inside=0.18,
+            outline=0.4,
+        )
         ax.plot(
             across,
             error[:, k],
-            color=tint,
+            color=look.colour,
+            ls=look.dash,
             lw=1.2,
             marker=marker,
             label="error" if label is None else str(label),
         )
-        name_axes(ax, name if ax is columns[-1] else "", f"{chosen[k]} error")
+        of = unit_of(chosen[k], unit, angle=bool(belief.angles[places[k]]))
+        name_time(ax, name if ax is columns[-1] else "", with_unit(f"{chosen[k]} error", of))
     useful_legend(columns[0], above=True)
     return columns
 
@@ -137,6 +153,7 @@ def rmse(
     components: Sequence[str] = (),
     percentiles: tuple[float, float] = (5.0, 95.0),
     times: npt.ArrayLike | None = None,
+    unit: Unit = None,
     label: str | Kind | None = None,
     colour: str | None = None,
     ax: Axes | None = None,
@@ -158,6 +175,8 @@ def rmse(
         Of the band, in percent.
     times : array_like, optional
         (steps,), for the horizontal axis; the steps themselves without.
+    unit : str or mapping of str, optional
+        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
     label : str or Kind, optional
         In the legend.
     colour : str, optional
@@ -177,13 +196,27 @@ def rmse(
     found = consistency.rmse_over_time(belief, truth, components, percentiles=percentiles)
     across, name = along(found.steps, times)
     ax = given_or_new(ax)
-    tint = colour or next_colour(ax)
+    look = look_of(ax, colour)
     label = str(label or "RMSE")
     if found.runs > 1:
-        band(ax, across, found.low, found.high, tint, label=_between(label, percentiles))
-    line(ax, across, found.rms, tint, label)
-    ax.set_ylim(bottom=0.0)
-    name_axes(ax, name, f"error in {', '.join(components)}" if components else "error")
+        band(
+            ax,
+            across,
+            found.low,
+            found.high,
+            look.colour,
+            _between(label, percentiles),
+            dash=look.dash,
+        )
+    line(ax, across, found.rms, look, label)
+    # From zero, and still scaled to the next belief, which may be larger.
+    ax.update_datalim(np.zeros((1, 2)), updatex=False)
+    ax.lines[-1].sticky_edges.y.append(0.0)
+    ax.autoscale_view()
+    angles = dict(zip(labels(belief.scope), belief.angles.tolist(), strict=True))
+    units = [unit_of(one, unit, angle=angles[one]) for one in components or angles]
+    text = f"error in {', '.join(components)}" if components else "error"
+    name_time(ax, name, with_unit(text, *units))
     useful_legend(ax)
     return ax
 
@@ -234,15 +267,15 @@ def kl(
     across, name = along(found.steps, times)
     ax = given_or_new(ax)
     ax.set_yscale("log")
-    tint = colour or next_colour(ax)
+    look = look_of(ax, colour)
     label = str(label or "KL")
     low, median, high = (
         np.where(part > 0.0, part, np.nan) for part in (found.low, found.median, found.high)
     )
     if found.runs > 1:
-        band(ax, across, low, high, tint, label=_between(label, percentiles))
-    line(ax, across, median, tint, label if found.runs == 1 else f"{label}, median")
-    name_axes(ax, name, "KL divergence [nats]")
+        band(ax, across, low, high, look.colour, _between(label, percentiles), dash=look.dash)
+    line(ax, across, median, look, label if found.runs == 1 else f"{label}, median")
+    name_time(ax, name, "KL divergence [nats]")
     useful_legend(ax)
     return ax
 

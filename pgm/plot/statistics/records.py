@@ -13,9 +13,10 @@ from matplotlib.ticker import MaxNLocator
 from pgm.errors import ModelError
 from pgm.inference import Kind, Status
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import given_or_new, name_axes, useful_legend
+from pgm.plot.axes import given_or_new, name_axes
 from pgm.plot.bands import band
-from pgm.plot.colours import INK, next_colour
+from pgm.plot.colours import INK, Look, look_of
+from pgm.plot.legends import useful_legend
 
 # More runs than this are a band and a median.
 _LINES = 8
@@ -74,17 +75,17 @@ def convergence(
 
     ax = given_or_new(ax)
     ax.set_yscale("log")
-    tint = colour or next_colour(ax)
+    look = look_of(ax, colour)
     label = "residual" if label is None else str(label)
     draw = _draw_band if residuals.shape[1] > _LINES else _draw_lines
-    draw(ax, across, residuals, label, tint)
+    draw(ax, across, residuals, label, look)
     if tolerance:
         ax.axhline(
             tolerance, color=INK, lw=0.9, ls="--", zorder=1.5, label=f"tolerance {tolerance:g}"
         )
     if not np.any(residuals > 0.0) and not ax.dataLim.minposy < np.inf:
         ax.set_ylim(_TINY, 1e4 * _TINY)
-    _mark_zeros(ax, across, residuals, tint)
+    _mark_zeros(ax, across, residuals, look.colour)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     name_axes(ax, "iteration", "residual")
     useful_legend(ax)
@@ -92,7 +93,7 @@ def convergence(
 
 
 def _draw_lines(
-    ax: Axes, across: npt.NDArray[np.int_], residuals: Array, label: str, tint: str
+    ax: Axes, across: npt.NDArray[np.int_], residuals: Array, label: str, look: Look
 ) -> None:
     count = residuals.shape[1]
     positive = np.where(residuals > 0.0, residuals, np.nan)
@@ -100,7 +101,8 @@ def _draw_lines(
         ax.plot(
             across,
             positive[:, k],
-            color=to_rgba(tint, 1.0 if count == 1 else 0.7),
+            color=to_rgba(look.colour, 1.0 if count == 1 else 0.7),
+            ls=look.dash,
             lw=1.5 if count == 1 else 1.1,
             marker=".",
             markersize=4.0 if len(across) <= 60 else 0.0,
@@ -110,7 +112,7 @@ def _draw_lines(
 
 
 def _draw_band(
-    ax: Axes, across: npt.NDArray[np.int_], residuals: Array, label: str, tint: str
+    ax: Axes, across: npt.NDArray[np.int_], residuals: Array, label: str, look: Look
 ) -> None:
     """The band is of positive residuals; the median is of all, and ends where it is zero."""
     positive = np.where(residuals > 0.0, residuals, np.nan)
@@ -119,8 +121,16 @@ def _draw_band(
     middle = np.array([np.median(row) if row.size else np.nan for row in rows])
     middle = np.where(middle > 0.0, middle, np.nan)
     many = f"{label}, {residuals.shape[1]} runs"
-    band(ax, across, least, most, tint, many, inside=0.18, outline=0.4)
-    ax.plot(across, middle, color=tint, lw=1.6, zorder=2.2, label=f"{label}, median")
+    band(ax, across, least, most, look.colour, many, dash=look.dash, inside=0.18, outline=0.4)
+    ax.plot(
+        across,
+        middle,
+        color=look.colour,
+        ls=look.dash,
+        lw=1.6,
+        zorder=2.2,
+        label=f"{label}, median",
+    )
 
 
 def _mark_zeros(ax: Axes, across: npt.NDArray[np.int_], residuals: Array, tint: str) -> None:
@@ -135,5 +145,5 @@ def _mark_zeros(ax: Axes, across: npt.NDArray[np.int_], residuals: Array, tint: 
             transform=ax.get_xaxis_transform(),
             clip_on=False,
             zorder=2.4,
-            label="zero",
+            label=None if any(one.get_label() == "zero" for one in ax.lines) else "zero",
         )

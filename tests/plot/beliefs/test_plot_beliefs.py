@@ -139,7 +139,7 @@ def test_every_and_components_are_obeyed():
     ax = pgm.plot.trajectory(gaussian, every=4, components=("heading", "east"))
     (drawn,) = collections(ax)
     np.testing.assert_array_equal(drawn.get_offsets(), gaussian.mean[::4, [2, 0]])
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("heading", "east")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("heading [rad]", "east")
 
 
 def test_filter_and_smoother_share_an_axes():
@@ -238,7 +238,11 @@ def test_errors_are_the_means_less_the_truth_with_angles_wrapped():
     gaussian = belief(20)
     truth = gaussian.mean - [1.0, -2.0, 2 * np.pi - 0.1]
     axes = pgm.plot.errors(gaussian, truth, sigma=2.0)
-    assert [ax.get_ylabel() for ax in axes] == ["east error", "north error", "heading error"]
+    assert [ax.get_ylabel() for ax in axes] == [
+        "east error",
+        "north error",
+        "heading error [rad]",
+    ]
     for k, (ax, due) in enumerate(zip(axes, [1.0, -2.0, -0.1], strict=True)):
         drawn = line(ax, "error")
         np.testing.assert_allclose(drawn.get_ydata(), due)

@@ -48,7 +48,7 @@ def test_cells_are_the_marginal_and_arrows_point_outwards(posterior):
 def test_a_map_of_other_components_has_no_arrows(posterior):
     ax = pgm.plot.grid_map(posterior[x.at(0)], components=("heading", "east"))
     assert len(ax.collections) == 1
-    assert ax.get_xlabel() == "heading"
+    assert ax.get_xlabel() == "heading [rad]"
     assert len(pgm.plot.grid_map(posterior[x.at(0)], arrows=0).collections) == 1
 
 

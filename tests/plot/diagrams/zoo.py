@@ -191,35 +191,58 @@ def sighted():
     return pgm.compile(model, steps), evidence
 
 
+def _drawn(graph, **keywords):
+    return lambda: pgm.plot.cluster_graph(graph(), **keywords)
+
+
+def _chain(steps, model=tracker):
+    return lambda: pgm.compile(model(), steps)
+
+
+def _balanced(steps):
+    return lambda: pgm.compile(tracker(), steps, method=pgm.Balanced())
+
+
+def _tree(parents):
+    return lambda: pgm.compile(static(parents))
+
+
+def _flooded(iterations):
+    graph = _bethe(square(3))
+    return pgm.plot.cluster_graph(graph, residuals=flooded(graph, iterations))
+
+
+def _sighted():
+    graph, evidence = sighted()
+    return pgm.plot.cluster_graph(graph, evidence=evidence)
+
+
 GRAPHS = {
-    "chain 4": lambda: pgm.plot.cluster_graph(pgm.compile(tracker(), 4)),
-    "chain 4 messages": lambda: pgm.plot.cluster_graph(pgm.compile(tracker(), 4), messages=True),
-    "chain 150": lambda: pgm.plot.cluster_graph(pgm.compile(tracker(), 150)),
-    "chain 20 sensors": lambda: pgm.plot.cluster_graph(pgm.compile(sensors(20), 4)),
-    "chain 20 sensors sighted": lambda: pgm.plot.cluster_graph(sighted()[0], evidence=sighted()[1]),
-    "chain hub": lambda: pgm.plot.cluster_graph(pgm.compile(hub(12), 3)),
-    "chain ten robots": lambda: pgm.plot.cluster_graph(pgm.compile(robots(10), 3)),
-    "balanced 8": lambda: pgm.plot.cluster_graph(
-        pgm.compile(tracker(), 8, method=pgm.Balanced()), messages=True
-    ),
-    "balanced 60": lambda: pgm.plot.cluster_graph(
-        pgm.compile(tracker(), 60, method=pgm.Balanced())
-    ),
-    "junction tree 12": lambda: pgm.plot.cluster_graph(
-        pgm.compile(static(random_parents(12))), messages=True
-    ),
-    "junction tree 40": lambda: pgm.plot.cluster_graph(
-        pgm.compile(static(random_parents(40))), sizes=True, colour="size"
-    ),
-    "tree 150": lambda: pgm.plot.cluster_graph(pgm.compile(static(random_tree(150)))),
-    "tree 500": lambda: pgm.plot.cluster_graph(pgm.compile(static(random_tree(500)))),
-    "tree 1000": lambda: pgm.plot.cluster_graph(pgm.compile(static(random_tree(1000)))),
-    "bethe 4": lambda: pgm.plot.cluster_graph(_bethe(square(2)), messages=True),
-    "bethe 40": lambda: pgm.plot.cluster_graph(_bethe(random_parents(40)), messages=True),
-    "bethe 200": lambda: pgm.plot.cluster_graph(_bethe(random_parents(200))),
-    "residuals": lambda: pgm.plot.cluster_graph(b := _bethe(square(3)), residuals=flooded(b, 5)),
-    "residuals of rounding": lambda: pgm.plot.cluster_graph(
-        b := _bethe(square(3)), residuals=flooded(b, 300)
-    ),
-    "star": lambda: pgm.plot.cluster_graph(_bethe([[], *([0] for _ in range(30))])),
+    "chain 4": _drawn(_chain(4)),
+    "chain 4 messages": _drawn(_chain(4), messages=True),
+    "chain 150": _drawn(_chain(150)),
+    "chain part": _drawn(_chain(1000), steps=3, sizes=True),
+    "chain around": _drawn(_chain(1000), around=500, messages=True),
+    "chain 20 sensors": _drawn(_chain(4, lambda: sensors(20))),
+    "chain 20 sensors sighted": _sighted,
+    "chain hub": _drawn(_chain(3, lambda: hub(12))),
+    "chain ten robots": _drawn(_chain(3, lambda: robots(10))),
+    "balanced 8": _drawn(_balanced(8), messages=True),
+    "balanced 60": _drawn(_balanced(60)),
+    "junction tree 12": _drawn(_tree(random_parents(12)), messages=True),
+    "junction tree 40": _drawn(_tree(random_parents(40)), sizes=True, colour="size"),
+    "discrete": _drawn(lambda: pgm.compile(discrete()), sizes=True, colour="size"),
+    "tree 150": _drawn(_tree(random_tree(150))),
+    "tree around": _drawn(_tree(random_tree(150)), around=70),
+    "bethe 4": _drawn(lambda: _bethe(square(2)), messages=True),
+    "bethe 40": _drawn(lambda: _bethe(random_parents(40)), messages=True),
+    "ltrip 25": _drawn(lambda: pgm.compile(static(square(5)), method=pgm.LTRIP())),
+    "bethe 200": _drawn(lambda: _bethe(random_parents(200))),
+    "residuals": lambda: _flooded(5),
+    "residuals of rounding": lambda: _flooded(300),
+    "star": _drawn(lambda: _bethe([[], *([0] for _ in range(30))])),
+}
+LARGE = {
+    "tree 500": _drawn(_tree(random_tree(500))),
+    "tree 1000": _drawn(_tree(random_tree(1000))),
 }
