@@ -77,9 +77,8 @@ def _looks(ax: Axes) -> Iterator[Look]:
         yield _look(line.get_color(), dash)
     for collection in ax.collections:
         if isinstance(collection, EllipseCollection):
-            for colour, style in zip(
-                collection.get_edgecolor()[:1], collection.get_linestyle()[:1], strict=True
-            ):
+            styles: Any = collection.get_linestyle()  # an offset and a pattern each
+            for colour, style in zip(collection.get_edgecolor()[:1], styles[:1], strict=True):
                 yield _look(colour, _dash(style[1]))
         elif isinstance(collection, PathCollection):
             yield from (_look(colour, DASHES[0]) for colour in collection.get_facecolor()[:1])

@@ -42,7 +42,7 @@ def useful_legend(ax: Axes, *, above: bool = False) -> None:
     if len(set(labels)) < 2:
         return
     handles = list(named.values())
-    place = None if above else _free_place(ax, labels)
+    place: Any = None if above else _free_place(ax, labels)
     if place:
         ax.legend(handles, labels, loc=place, framealpha=0.9, fontsize=_SIZE)
     elif above or not ax.figure.get_layout_engine():

@@ -41,7 +41,8 @@ def folded(
     layouts, tried = [whole], []
     for bands in range(2, 1 + min(1 + len(cuts), _MOST)):
         due = box.left + width * np.arange(1, bands) / bands
-        chosen = sorted({min(cuts, key=lambda cut, at=at: abs(cut - at)) for at in due})
+        nearest = np.abs(np.subtract.outer(due, cuts)).argmin(axis=1)
+        chosen = sorted({cuts[k] for k in nearest})
         if chosen not in tried:
             tried.append(chosen)
             layouts.append(_fold(whole, sizes, chosen, box.left))
@@ -78,9 +79,9 @@ def _fold(whole: Layout, sizes: Mapping[Node, Size], cuts: list[float], left: fl
             else:
                 bands[band].loose.append(shifted)
     result, y = Layout(crossings=whole.crossings), 0.0
-    for band in bands:
-        box = band.box(sizes)
-        result.add(band, 0.0, y - box.top)
+    for part in bands:
+        box = part.box(sizes)
+        result.add(part, 0.0, y - box.top)
         y -= box.top - box.bottom + 3.0 * GAP
     return result
 

@@ -93,7 +93,7 @@ def sliced(graph: nx.DiGraph, sizes: Mapping[Node, Size], room: Size | None) -> 
         Of the axes; None for a page.
     """
     lines = rows(graph)
-    rank = {variable: k for k, line in enumerate(lines) for variable in line}
+    rank: dict[Node, int] = {variable: k for k, line in enumerate(lines) for variable in line}
     largest: dict[Node, Size] = {
         variable: Size(*np.max([sizes[n] for n in graph if n.template == variable], axis=0))
         for variable in rank
@@ -133,8 +133,8 @@ def sliced(graph: nx.DiGraph, sizes: Mapping[Node, Size], room: Size | None) -> 
             down = one.points[parent][1] - reach[rank[parent]] - 0.5 * _GAP
             up = one.points[child][1] + reach[rank[child]] + 0.5 * _GAP
             curves = [
-                _around(at[i], at[j], down, beside + pitch * arrow[0].step, up)
-                for (i, j), arrow in zip(pairs, arrows, strict=True)
+                _around(at[i], at[j], down, beside + pitch * (before.step or 0), up)
+                for (i, j), (before, _) in zip(pairs, arrows, strict=True)
             ]
         for pair, arrow, curve in zip(pairs, arrows, curves, strict=True):
             whole.lines[arrow] = clipped(curve, at[list(pair)], half[list(pair)])

@@ -286,7 +286,7 @@ def whiteness(
         basefmt=" ",
         label=f"{label}, p = {found.probability:.2g}",
     )
-    stems.stemlines.set_linestyle(look.dash)
+    stems.stemlines.set(linestyle=look.dash)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     name_axes(ax, "lag", "autocorrelation")
     # "best" does not see the stems.

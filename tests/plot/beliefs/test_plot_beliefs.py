@@ -325,3 +325,60 @@ def test_the_number_of_axes_must_be_that_of_components():
 def test_pgm_does_not_import_matplotlib():
     code = "import sys, pgm; assert 'matplotlib' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# --- what several beliefs on one axes share
+
+
+def test_paths_that_coincide_can_be_told_apart_and_the_truth_is_drawn_once():
+    gaussian, truth = belief(30), belief(30).mean
+    ax = None
+    for k in range(14):
+        ax = pgm.plot.trajectory(gaussian, truth=truth, label=f"{k}", ax=ax)
+    paths = [line for line in ax.lines if line.get_label().isdigit()]
+    looks = {(to_hex(line.get_color()), line.get_linestyle()) for line in paths}
+    assert len(looks) == len(paths) == 14
+    assert paths[0].get_linewidth() > 1.5 * paths[1].get_linewidth()
+    assert paths[1].get_linestyle() == "--"
+    right = [line for line in ax.lines if line.get_label() == "truth"]
+    assert len(right) == 1
+    assert paths[0].get_zorder() < right[0].get_zorder() < paths[1].get_zorder()
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert texts == ["truth", *(f"{k}" for k in range(14))]
+    ax = pgm.plot.trajectory(gaussian, dash=":")
+    assert ax.lines[-1].get_linestyle() == ":"
+
+
+def test_landmarks_are_marked_once():
+    places = np.array([[1.0, 2.0], [3.0, 4.0]])
+    ax = pgm.plot.trajectory(belief(9), landmarks=np.tile(places, (50, 1)))
+    pgm.plot.trajectory(belief(9), landmarks=places, ax=ax)
+    (marks,) = [line for line in ax.lines if line.get_label() == "landmarks"]
+    np.testing.assert_array_equal(marks.get_xydata(), places)
+
+
+@pytest.mark.parametrize(
+    ("unit", "due"),
+    [
+        (None, ["east error", "north error", "heading error [rad]"]),
+        ("m", ["east error [m]", "north error [m]", "heading error [rad]"]),
+        (
+            {"east": "km", "heading": "turns"},
+            ["east error [km]", "north error", "heading error [turns]"],
+        ),
+    ],
+)
+def test_errors_have_units(unit, due):
+    axes = pgm.plot.errors(belief(9), belief(9).mean, unit=unit)
+    assert [ax.get_ylabel() for ax in axes] == due
+    ax = pgm.plot.trajectory(belief(9), unit="m")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("east [m]", "north [m]")
+
+
+def test_the_rmse_of_a_later_belief_is_not_cut():
+    small, large = belief(9), belief(9, seed=1)
+    ax = pgm.plot.rmse(small, small.mean + 0.1, unit="m")
+    pgm.plot.rmse(large, large.mean + 5.0, ax=ax)
+    low, high = ax.get_ylim()
+    assert low == 0.0
+    assert high > max(line.get_ydata().max() for line in ax.lines)
