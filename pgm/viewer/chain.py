@@ -40,7 +40,11 @@ def page(
     found["family"] = "gaussian"
     found["words"] = _words(posterior, fits)
     sensors = {
-        s.family.cpd: (s.family.step, s.values if s.taken is None else np.where(s.taken, s.values, np.nan))
+        s.family.cpd: (
+            s.family.step,
+            s.values if s.taken is None else np.where(s.taken, s.values, np.nan),
+            s.family.inputs,
+        )
         for s in posterior._planned.sensors
     }
     weight = np.cumsum(forward.log_density, axis=0)

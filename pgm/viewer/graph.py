@@ -147,10 +147,15 @@ def _widths(found: dict[str, Any]) -> dict[Any, int]:
     names = [v["name"] for v in found["variables"]]
     widths: dict[Any, int] = {}
     for each in found["clusters"]:
-        widths[each["index"]] = len(_label([names[k] for k in each["scope"]]))
+        widths[each["index"]] = _room(_label([names[k] for k in each["scope"]]))
     for each in found["edges"]:
-        widths[tuple(each["ends"])] = len(_label([names[k] for k in each["scope"]]))
+        widths[tuple(each["ends"])] = _room(_label([names[k] for k in each["scope"]]))
     return widths
+
+
+def _room(text: str) -> int:
+    """The letters of a text, capitals counted as wider."""
+    return round(sum(1.25 if letter.isupper() else 1.0 for letter in text))
 
 
 def _label(names: list[str], most: int = 26) -> str:

@@ -12,11 +12,11 @@ class ChainSource {
     this.hidden = data.variables;
     this.states = data.variables.filter((variable) => variable.state);
     this.run = 0;
-    const widest = Math.max(...[this.first, this.last].map((t) => this.label(t).length));
-    this.width = Math.max(72, 26 + 6.6 * widest);
-    const plate = listedNames(this.at(this.states, this.last).map((v) => v.name), 18).length;
-    this.plate = 14 + 6.2 * plate;
-    this.across = this.width + this.plate + 44;
+    const some = [this.first, Math.min(this.first + 1, this.last), this.last];
+    this.width = Math.max(72, 24 + Math.max(...some.map((step) => measured(this.label(step)))));
+    const names = this.at(this.states, this.last).map((v) => v.name);
+    this.plate = 16 + measured(listedNames(names, 18), 11);
+    this.across = this.width + this.plate + 32;
   }
 
   set run(run) {
@@ -30,6 +30,7 @@ class ChainSource {
       ...sensor,
       step: new Rows(this.numbers, sensor.step).column(0),
       values: new Rows(this.numbers, sensor.values),
+      given: sensor.given.map((parent) => ({ ...parent, rows: new Rows(this.numbers, parent.values) })),
     }));
   }
 
@@ -49,7 +50,7 @@ class ChainSource {
   }
 
   label(step) {
-    return listedNames(this.scope(step).map((variable) => variable.name), 22);
+    return listedNames(this.scope(step).map((variable) => variable.name), 28);
   }
 
   node(id) {

@@ -1,7 +1,5 @@
 // The panel of what is selected: a cluster's belief, potential and messages, or an edge's two.
 
-// Names of the lines in which messages are drawn; more than these share the last.
-const LINES = ["first", "second", "third", "fourth"];
 const MOST_ROWS = 64;
 const MOST_COLUMNS = 40;
 
@@ -28,11 +26,9 @@ class Inspector {
     const about = source.about(id);
     const senders = source.senders(id);
     const entries = [{ role: "belief", title: "belief", key: "belief", factor: source.belief(id) }];
-    // On a chain the way of a message tells its line, as on its edges.
-    senders.forEach((k, at) => {
-      const line = source instanceof ChainSource ? Number(k > id) : Math.min(at, LINES.length - 1);
+    senders.forEach((k) => {
       entries.push({
-        role: LINES[line], title: `message ${k} → ${id}`, key: `message-${k}-${id}`, factor: source.message(k, id), from: k,
+        role: LINES[lineOf(source, k, id)], title: `message ${k} → ${id}`, key: `message-${k}-${id}`, factor: source.message(k, id), from: k,
       });
     });
     entries.push({ role: "potential", title: "potential", key: "potential", factor: source.potential(id) });
@@ -148,7 +144,7 @@ class Inspector {
     details.addEventListener("toggle", () => {
       if (!wide) this.open[kind] = details.open;
     });
-    details.append(el("summary", {}, sample(role), el("span", {}, title)));
+    details.append(el("summary", {}, sample(role), el("span", {}, title[0].toUpperCase() + title.slice(1))));
     details.append(...numbersOf(factor));
     if (from !== undefined && this.source.node(from)) details.append(el("p", { class: "ends" }, this.link(from)));
     return details;

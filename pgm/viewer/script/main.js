@@ -54,7 +54,10 @@ async function started() {
     if (selection?.edge) inspector.show(selection);
   });
   bar.hidden = !bar.querySelector("input");
-  const field = searchField(at("tools"), source, choose);
+  const field = searchField(at("tools"), source, (wanted) => {
+    choose(wanted);
+    drawing.approach(wanted.cluster);
+  });
   runControls(at("tools"), data, (run) => {
     source.run = run;
     facts();
@@ -68,7 +71,10 @@ async function started() {
     tool("+", "zoom in", () => drawing.zoomBy(1.3)), tool("−", "zoom out", () => drawing.zoomBy(1 / 1.3)), tool("⤢", "show the whole graph", () => drawing.fit()));
   at("tools").append(tool("?", "keys and help", () => help.showModal()));
   keys({ drawing, source, steps, field, help, choose, selected: () => selection });
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => trajectory?.draw());
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    trajectory?.draw();
+    drawing.remark();
+  });
 
   facts();
   choose({ cluster: chain ? source.first : source.ids[0] });

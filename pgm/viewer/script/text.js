@@ -67,6 +67,24 @@ function clipped(text, most) {
   return text.length <= most ? text : `${text.slice(0, most - 1)}…`;
 }
 
+// The width of a text on the page, in pixels.
+const ruler = document.createElement("canvas").getContext("2d");
+function measured(text, size = 12) {
+  ruler.font = `${size}px ${getComputedStyle(document.body).fontFamily}`;
+  return ruler.measureText(text).width;
+}
+
+// As many names as fit a width, and how many others there are.
+function fittedNames(names, width, size = 12) {
+  let most = 40;
+  let text = listedNames(names, most);
+  while (measured(text, size) > width && most > 4) {
+    most -= 1;
+    text = listedNames(names, most);
+  }
+  return text;
+}
+
 // As many names as fit, and how many others there are.
 function listedNames(names, most = 26) {
   if (!names.length) return "∅";

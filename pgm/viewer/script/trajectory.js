@@ -1,6 +1,7 @@
 // The beliefs of a chain over all its steps: in the plane, over time, or as bars of colour.
 
-const REACH = 12;
+// A state over time is no taller than this, in pixels.
+const TALLEST = 110;
 
 class Trajectory {
   constructor(box, source, choose) {
@@ -43,7 +44,7 @@ class Trajectory {
         const [a, b] = flat.length > 1 ? flat : [0, 1];
         const wanted = ["x", "y", "east", "north"].map((name) => components.indexOf(name)).filter((k) => k >= 0);
         const [x, y] = wanted.length >= 2 ? wanted : [a, b];
-        found.push({ kind: "plane", text: `${variable.name}: ${components[x]}, ${components[y]}`, places: [at + x, at + y], names: [label(x), label(y)], alike: !variable.angles[x] && !variable.angles[y] });
+        found.push({ kind: "plane", text: `${variable.name}: ${components[x]}, ${components[y]}`, places: [at + x, at + y], components: [components[x], components[y]], names: [label(x), label(y)], alike: !variable.angles[x] && !variable.angles[y] });
       }
       for (let k = 0; k < components.length; k++) overTime.push({ kind: "time", text: `${label(k)} over time`, place: at + k, name: label(k) });
       at += components.length;
@@ -79,7 +80,7 @@ class Trajectory {
     this.pen.scale(ratio, ratio);
     this.size = { width: box.width, height: box.height };
     this.ink = colours(this.box);
-    this.pen.font = "11px system-ui, sans-serif";
+    this.pen.font = `11px ${getComputedStyle(this.box).fontFamily}`;
     this.canvas.setAttribute("aria-label", `${this.option.text}, steps ${this.source.first} to ${this.source.last}; step ${this.step} is marked`);
     this.canvas.dataset.step = this.step;
     if (this.option.kind === "plane") this.plane();
@@ -87,8 +88,8 @@ class Trajectory {
     else this.states();
   }
 
-  frame(x, y, xNames, yNames) {
-    const pad = { left: 58, right: 16, top: 12, bottom: 36 };
+  frame(x, y, xNames, yNames, least = 36) {
+    const pad = { left: 58, right: 16, top: 12, bottom: Math.max(least, 36) };
     const { width, height } = this.size;
     const across = width - pad.left - pad.right;
     const down = height - pad.top - pad.bottom;
@@ -121,7 +122,7 @@ class Trajectory {
     pen.stroke();
     pen.textAlign = "center";
     pen.fillStyle = ink.text;
-    pen.fillText(xNames, pad.left + 0.5 * across, height - 5);
+    pen.fillText(xNames, pad.left + 0.5 * across, height - pad.bottom + 31);
     if (yNames !== null) {
       pen.save();
       pen.translate(13, pad.top + 0.5 * down);
@@ -155,8 +156,9 @@ class Trajectory {
     if (filtered) this.line(there.column(fx), there.column(fy), ink.first, [4, 3], 1);
     const draws = this.source.arrays.draws;
     if (draws) this.cloud(draws, a, b);
+    const seen = this.landmarks();
     // Ellipses of some steps over the whole, and of those about the selected one.
-    const every = Math.max(1, Math.round((this.source.last - this.source.first) / 60));
+    const every = Math.max(1, Math.round((this.source.last - this.source.first) / 36));
     const show = (step, strong) => {
       const k = step - this.source.base;
       const { long, short: narrow, angle } = ellipseOf(vxx[k], vxy[k], vyy[k]);
@@ -183,7 +185,43 @@ class Trajectory {
     show(this.step, true);
     this.mark(at.x(xs[this.step - this.source.base]), at.y(ys[this.step - this.source.base]));
     pen.restore();
-    this.explain([["belief", String(this.source.data.about)], ...(filtered ? [["first", "filtered"]] : []), ...(draws ? [["cloud", "draws"]] : [])]);
+    this.explain([["belief", String(this.source.data.about)], ...(filtered ? [["first", "filtered"]] : []), ...(draws ? [["cloud", "draws"]] : []), ...(seen ? [["third", "sighted at this step"]] : [])]);
+  }
+
+  // What sensors saw, where its place was given in the components that are drawn.
+  landmarks() {
+    const { pen, at, ink } = this;
+    let any = false;
+    for (const { given, step } of this.source.sensors) {
+      for (const { components, rows } of given) {
+        const places = this.option.components.map((name) => components.indexOf(name));
+        if (places.some((k) => k < 0)) continue;
+        any = true;
+        const drawn = new Set();
+        const k = this.step - this.source.base;
+        const [x, y] = this.option.places.map((place) => at[place === this.option.places[0] ? "x" : "y"](this.column(place)[k]));
+        for (let row = 0; row < step.length; row++) {
+          const [px, py] = [at.x(rows.at(row, places[0])), at.y(rows.at(row, places[1]))];
+          const key = `${px.toFixed(1)} ${py.toFixed(1)}`;
+          if (!drawn.has(key)) {
+            drawn.add(key);
+            pen.strokeStyle = ink.muted;
+            pen.lineWidth = 1.4;
+            pen.strokeRect(px - 3, py - 3, 6, 6);
+          }
+          if (step[row] === this.step) {
+            pen.strokeStyle = ink.third;
+            pen.setLineDash([8, 3, 2, 3]);
+            pen.beginPath();
+            pen.moveTo(x, y);
+            pen.lineTo(px, py);
+            pen.stroke();
+            pen.setLineDash([]);
+          }
+        }
+      }
+    }
+    return any;
   }
 
   // Draws of the belief at the selected step.
@@ -268,14 +306,17 @@ class Trajectory {
     const { variable } = this.option;
     const count = variable.states.length;
     const x = this.steps;
-    this.frame([x[0] - 0.5, x[1] + 0.5], [0, count], "step", null);
+    // A few states do not need all of the height.
+    const room = this.size.height - 12 - TALLEST * count;
+    this.frame([x[0] - 0.5, x[1] + 0.5], [0, count], "step", null, room);
+    this.pen.clearRect(this.at.pad.left, this.at.pad.top, this.at.across, this.at.down);
     const { pen, at, ink } = this;
     const { first, last } = this.source;
     const [from, to] = [Math.max(first, Math.floor(x[0])), Math.min(last, Math.ceil(x[1]))];
     const every = Math.max(1, Math.floor((to - from + 1) / Math.max(at.across, 1)));
     const wide = at.x(every) - at.x(0);
     const tall = at.down / count;
-    pen.fillStyle = ink.text;
+    pen.fillStyle = ink.first;
     for (let step = from; step <= to; step += every) {
       const values = this.source.stateProbabilities(step, variable.name);
       if (!values) continue;
@@ -295,11 +336,11 @@ class Trajectory {
     pen.textAlign = "right";
     const skip = Math.max(1, Math.ceil(count / (at.down / 14)));
     for (let k = 0; k < count; k += skip) pen.fillText(clipped(variable.states[k], 8), at.pad.left - 7, at.pad.top + (k + 0.5) * tall + 4);
-    this.explain([["belief", "darker is more probable"]]);
+    this.explain([[null, `${this.source.data.about}: the stronger, the more probable`]]);
   }
 
   explain(items) {
-    this.legend.replaceChildren(...items.map(([role, text]) => el("li", {}, sample(role), text)));
+    this.legend.replaceChildren(...items.map(([role, text]) => el("li", {}, role && sample(role), text)));
   }
 
   // The step whose belief is nearest to a place on the canvas.
@@ -382,5 +423,5 @@ function spanOf(values, variances) {
 function colours(node) {
   const style = getComputedStyle(node);
   const of = (name) => style.getPropertyValue(`--${name}`).trim();
-  return { text: of("belief"), muted: of("muted"), grid: of("grid"), first: of("first"), second: of("second"), soft: of("soft"), paper: of("paper") };
+  return { text: of("belief"), muted: of("muted"), grid: of("grid"), first: of("first"), second: of("second"), third: of("third"), soft: of("soft"), paper: of("paper") };
 }
