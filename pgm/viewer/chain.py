@@ -8,9 +8,10 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.inference import ChainPosterior
+from pgm.inference.chain.backward import pairs
 from pgm.inference.chain.potentials import first_potential
 from pgm.inference.kind import FILTERED, SMOOTHED
-from pgm.kernels.arrays import Array, block, quiet
+from pgm.kernels.arrays import Array, Integers, block, quiet
 from pgm.kernels.canonical import Canonical
 from pgm.viewer.limits import Limits, Run
 from pgm.viewer.numbers import SHOWN, Numbers, lower
@@ -56,9 +57,9 @@ def page(
         own = {
             "mean": beliefs.mean[rows, place],
             "cov": lower(beliefs.cov[rows, place]),
-            "cross": _cross(posterior, rows, place, whole),
             "weight": _known(posterior, rows, place),
         }
+        own |= _pairs(posterior, rows, place)
         states = layout.state_places
         if posterior.kind != FILTERED or not whole:
             own["there.mean"] = forward.mean[rows, place][:, states]
@@ -112,26 +113,33 @@ def _known(posterior: ChainPosterior, rows: Array, place: int) -> Array:
     return found
 
 
-def _cross(posterior: ChainPosterior, rows: Array, place: int, whole: bool) -> Array:
-    """The covariances of the states before each step with its slice, flat; NaN at step 0."""
+def _pairs(posterior: ChainPosterior, rows: Integers, place: int) -> dict[str, Array]:
+    """The states before each step within its cluster's belief: moments, covariances with the slice.
+
+    Their moments are left out after smoothing, when they are those of the slice before. NaN at
+    step 0, and where joints were not kept.
+    """
     layout = posterior.graph.layout
     front, size = layout.state_size, layout.slice_size
-    found = np.full((len(rows), front, size), np.nan)
-    later = rows[rows > 0]
-    if not len(later):
-        return found
-    if whole or (posterior._windows is not None and posterior._windows.plain):
-        matrix = posterior._reverse.states.matrix[later - 1, place]
-        found[rows > 0] = matrix @ posterior._beliefs.cov[later, place]
-        return found
-    for row, step in enumerate(rows.tolist()):
-        if step:
+    mean = np.full((len(rows), front + size), np.nan)
+    cov = np.full((len(rows), front + size, front + size), np.nan)
+    later = rows > 0
+    windows = posterior._windows
+    if posterior._careful is None and (windows is None or windows.plain):
+        if later.any():
+            own = slice(int(rows[later][0]) - 1, int(rows[-1]))
+            found = pairs(posterior._beliefs, posterior._reverse, own)
+            mean[later], cov[later] = found.mean[:, place], found.cov[:, place]
+    else:
+        for row in np.flatnonzero(later).tolist():
             try:
-                joint = posterior.joint(*(v.at(step) for v in layout.pair))
+                joint = posterior.joint(*(v.at(int(rows[row])) for v in layout.pair))
             except NumericalError:
                 continue
-            found[row] = joint.cov.reshape(-1, front + size, front + size)[place, :front, front:]
+            mean[row] = joint.mean.reshape(-1, front + size)[place]
+            cov[row] = joint.cov.reshape(-1, front + size, front + size)[place]
+    found = {"cross": cov[:, :front, front:]}
+    if posterior.kind != SMOOTHED:
+        found |= {"before.mean": mean[:, :front], "before.cov": lower(cov[:, :front, :front])}
     return found
 
-
-__all__ = ["page"]

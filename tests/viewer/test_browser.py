@@ -284,7 +284,7 @@ def test_what_users_wrote_is_text(look, made):
     assert page.run("return window.hacked") is None
     assert len(page.all("script")) == 3
     assert not page.all("img")
-    assert posteriors.HOSTILE[0] in words
+    assert posteriors.HOSTILE[0][:20] in words
     title = page.run("return document.querySelector('.node title').textContent")
     assert "<script>" in title or "{{numbers}}" in title
 

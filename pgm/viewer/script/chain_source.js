@@ -154,16 +154,15 @@ class ChainSource {
     if (step === 0) {
       moments = { mean: pick(own.mean, columns), cov: submatrix(own.cov, n, columns) };
     } else {
-      const before = this.slice(step - 1);
+      const before = this.before(step, columns);
       const cross = this.arrays.cross.row(step - this.base);
       const front = columns.length;
       const size = front + n;
       const mean = new Float64Array(size);
       const cov = new Float64Array(size * size);
-      const first = submatrix(before.cov, n, columns);
       for (let i = 0; i < front; i++) {
-        mean[i] = before.mean[columns[i]];
-        for (let j = 0; j < front; j++) cov[i * size + j] = first[i * front + j];
+        mean[i] = before.mean[i];
+        for (let j = 0; j < front; j++) cov[i * size + j] = before.cov[i * front + j];
         for (let j = 0; j < n; j++) {
           cov[i * size + front + j] = cov[(front + j) * size + i] = cross[i * n + j];
         }
@@ -176,6 +175,16 @@ class ChainSource {
     }
     const canonical = canonicalOf(moments.mean, moments.cov, this.arrays.weight.at(step - this.base, 0));
     return gaussian(this.scope(step), { moments, canonical, why: canonical ? null : this.data.words.singular });
+  }
+
+  // The states before a step as its cluster's belief knows them: after smoothing as the one before.
+  before(step, columns) {
+    if (this.arrays["before.mean"]) {
+      const mean = this.arrays["before.mean"].row(step - this.base);
+      return { mean, cov: fromLower(this.arrays["before.cov"].row(step - this.base), mean.length) };
+    }
+    const own = this.slice(step - 1);
+    return { mean: pick(own.mean, columns), cov: submatrix(own.cov, own.mean.length, columns) };
   }
 
   potential(step) {

@@ -227,7 +227,7 @@ function tableNumbers(factor) {
   const rows = kept.map((k, row) => {
     const entry = sparse ? factor.places[k] : k;
     const share = total > 0 ? factor.values[k] / total : NaN;
-    return el("tr", { "data-entry": entry }, ...statesAt(factor.variables, entry).map((state) => el("th", { scope: "row" }, clipped(state, 24))),
+    return el("tr", { "data-entry": entry }, ...statesAt(factor.variables, entry).map((state) => el("th", { scope: "row", title: state }, clipped(state, 24))),
       cell(factor.values[k], texts[row]), sparse ? null : el("td", { class: "number" }, Number.isNaN(share) ? "—" : `${(100 * share).toFixed(2)} %`));
   });
   const head = el("tr", {}, ...factor.variables.map((variable) => el("th", { scope: "col" }, clipped(variable.name, 20))), el("th", { scope: "col", class: "number" }, "value"), sparse ? null : el("th", { scope: "col", class: "number" }, "share"));
