@@ -1,4 +1,4 @@
-"""The places of clusters on the page: trees from their centre outwards, other graphs by distances."""
+"""The places of clusters on a page: trees from their centre on, other graphs by distances."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def place(
     boxes = []
     towards: dict[int, int] = {}
     for rows in members:
-        nodes = [clusters[row] for row in rows]
+        nodes = [clusters[row] for row in rows.tolist()]
         joined = sum(len(neighbours[k]) for k in nodes) // 2
         if joined < len(nodes):
             boxes.append(_tree(nodes, neighbours, width, graph, towards))
@@ -135,7 +135,9 @@ def _centre(nodes: Sequence[int], neighbours: Mapping[int, Sequence[int]]) -> in
     return path[len(path) // 2]
 
 
-def _rows(children: Mapping[int, Sequence[int]], root: int) -> tuple[dict[int, float], dict[int, int]]:
+def _rows(
+    children: Mapping[int, Sequence[int]], root: int
+) -> tuple[dict[int, float], dict[int, int]]:
     """The height of each node, subtrees as near to one another as their outlines let them."""
     depth, sequence = {root: 0}, [root]
     for k in sequence:
@@ -259,7 +261,7 @@ def _apart(at: Array, width: Array) -> Array:
 
 def _packed(boxes: Sequence[Array]) -> list[Array]:
     """How far to move each part so that all stand in rows, the largest first."""
-    sizes = [np.ptp(box, axis=0) + (260.0, 110.0) for box in boxes]
+    sizes = [np.ptp(box, axis=0) + np.array([260.0, 110.0]) for box in boxes]
     widest = max(max(size[0] for size in sizes), 1.5 * np.sqrt(sum(s[0] * s[1] for s in sizes)))
     corners = [np.zeros(2)] * len(boxes)
     x = y = row = 0.0

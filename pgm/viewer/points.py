@@ -22,7 +22,9 @@ _WHY = {
 }
 
 
-def page(posterior: Any, numbers: Numbers, runs: list[Run], span: range, limits: Limits) -> dict[str, Any]:
+def page(
+    posterior: Any, numbers: Numbers, runs: list[Run], span: range, limits: Limits
+) -> dict[str, Any]:
     """The structure of the page, its numbers added to those given."""
     graph = posterior.graph
     beliefs = {}
@@ -33,7 +35,9 @@ def page(posterior: Any, numbers: Numbers, runs: list[Run], span: range, limits:
             continue
     found = head(graph, posterior.kind, span, beliefs)
     found["family"] = "moments"
-    found["words"] = {"messages": next(why for kind, why in _WHY.items() if isinstance(posterior, kind))}
+    found["words"] = {
+        "messages": next(why for kind, why in _WHY.items() if isinstance(posterior, kind))
+    }
     found["steps"]["base"] = span[0]
     found["runs"] = []
     sensors = readings(_readings(posterior))

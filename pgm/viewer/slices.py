@@ -1,4 +1,4 @@
-"""The parts that the page of every chain has: its slices, its evidence, and how its schedule went."""
+"""The parts that the page of every chain has: its slices and its evidence."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from pgm.compile import DynamicGraph
 from pgm.evidence import Reading
 from pgm.inference.kind import Kind
 from pgm.kernels.arrays import Array, Integers
+from pgm.variables import Variable
 from pgm.viewer.numbers import Numbers
 from pgm.viewer.words import cpd, variable
-from pgm.variables import Variable
 
 
-def head(graph: DynamicGraph, kind: Kind, span: range, hidden: Iterable[Variable]) -> dict[str, Any]:
+def head(
+    graph: DynamicGraph, kind: Kind, span: range, hidden: Iterable[Variable]
+) -> dict[str, Any]:
     """What the page says of a chain whatever its beliefs are."""
     model, states = graph.model, graph.layout.states
     return {

@@ -76,6 +76,12 @@ class Browser:
             value,
         )
 
+    def pick(self, selector, option):
+        """Choose an option by its place."""
+        from selenium.webdriver.support.ui import Select
+
+        Select(self.one(selector)).select_by_index(option)
+
     @property
     def selected(self):
         return self.run("return document.body.dataset.selected")

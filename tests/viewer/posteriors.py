@@ -103,7 +103,9 @@ def lattice(size=4, method=None, schedule=None):
     for (i, j), v in at.items():
         given = {at[k]: 0.45 for k in ((i - 1, j), (i, j - 1)) if k in at}
         cpds.append(
-            pgm.LinearGaussianCPD(v, given=given, cov=1.0) if given else pgm.GaussianCPD(v, 0.0, 1.0)
+            pgm.LinearGaussianCPD(v, given=given, cov=1.0)
+            if given
+            else pgm.GaussianCPD(v, 0.0, 1.0)
         )
     graph = pgm.compile(pgm.BayesianNetwork(cpds), method=method or pgm.LTRIP())
     return pgm.infer(graph, {at[size - 1, size - 1]: 2.0}, schedule=schedule or pgm.Flooding())
@@ -134,7 +136,9 @@ def balanced():
     model = pgm.DynamicBayesianNetwork(
         prior=[pgm.GaussianCPD(p, [0.0, 1.0], np.eye(2))],
         transition=[
-            pgm.LinearGaussianCPD(p, given={p.previous: [[1.0, 1.0], [0.0, 1.0]]}, cov=0.1 * np.eye(2))
+            pgm.LinearGaussianCPD(
+                p, given={p.previous: [[1.0, 1.0], [0.0, 1.0]]}, cov=0.1 * np.eye(2)
+            )
         ],
         observation=[pgm.LinearGaussianCPD(q, given={p: [[1.0, 0.0]]}, cov=0.3)],
     )
@@ -142,7 +146,11 @@ def balanced():
     return pgm.infer(graph, {q: np.arange(8.0)[:, None]})
 
 
-HOSTILE = ("<script>window.hacked=1</script>", "</script><img src=x onerror=window.hacked=2>", "<!--")
+HOSTILE = (
+    "<script>window.hacked=1</script>",
+    "</script><img src=x onerror=window.hacked=2>",
+    "<!--",
+)
 
 
 def hostile():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from selenium.webdriver.common.keys import Keys
+from viewer import posteriors
 
 import pgm
-from viewer import posteriors
 
 PARTS = {"K": lambda form: form.K, "h": lambda form: form.h[:, None], "g": lambda form: [[form.g]]}
 
@@ -34,7 +34,9 @@ def require_moments(browser, key, gaussian):
 
 def require_table(browser, key, table):
     _, exact = browser.numbers(key, "values")
-    scale = float(browser.one(f'[data-factor="{key}"] [data-part="scale"]').get_attribute("data-value"))
+    scale = float(
+        browser.one(f'[data-factor="{key}"] [data-part="scale"]').get_attribute("data-value")
+    )
     found = np.array(exact).reshape(table.values.shape) * np.exp(scale)
     np.testing.assert_allclose(found, table.values * np.exp(table.log_scale), rtol=1e-9)
 
@@ -94,11 +96,7 @@ def test_a_pose_is_linked_to_its_cluster(look):
     page.click('[data-cluster="18"]')
     assert canvas.get_attribute("data-step") == "18"
     for option in range(len(page.all("#trajectory option"))):
-        page.run(
-            "const s = document.querySelector('#trajectory select'); s.value = arguments[0];"
-            "s.dispatchEvent(new Event('change'))",
-            str(option),
-        )
+        page.pick("#trajectory select", option)
     assert "heading over time" in page.one("#trajectory canvas").get_attribute("aria-label")
 
 
@@ -112,9 +110,16 @@ def test_keys_do_what_the_help_says(look):
     assert page.selected == f"cluster {posteriors.STEPS}"
     page.press(Keys.HOME)
     assert page.selected == "cluster 0"
-    wide = page.run("return document.querySelector('[data-cluster] rect').getBoundingClientRect().width")
+    wide = page.run(
+        "return document.querySelector('[data-cluster] rect').getBoundingClientRect().width"
+    )
     page.press("+")
-    assert page.run("return document.querySelector('[data-cluster] rect').getBoundingClientRect().width") > wide
+    assert (
+        page.run(
+            "return document.querySelector('[data-cluster] rect').getBoundingClientRect().width"
+        )
+        > wide
+    )
     page.press("-")
     page.press("?")
     assert page.one("dialog").get_attribute("open") is not None
@@ -176,7 +181,9 @@ def test_singular_factors_have_moments_and_say_so(look):
     posterior = posteriors.still()
     page = look(posterior)
     pressed(page, 2)
-    require_moments(page, "belief", posterior.joint(*(v.at(2) for v in posterior.graph.layout.pair)))
+    require_moments(
+        page, "belief", posterior.joint(*(v.at(2) for v in posterior.graph.layout.pair))
+    )
     assert "no canonical form: singular" in page.text('[data-factor="belief"]')
     assert "no canonical form: singular" in page.text('[data-factor="potential"]')
     require_form(page, "message-1-2", posterior.message(1, 2))
@@ -192,7 +199,9 @@ def test_a_chain_of_tables(look):
         for other in posterior.graph.neighbours(step):
             require_table(page, f"message-{other}-{step}", posterior.message(other, step))
     assert page.text(".chips").endswith("umbrella[8] = yes")
-    shown = page.run("return [...document.querySelectorAll('.bars .number')].map((n) => Number(n.textContent))")
+    shown = page.run(
+        "return [...document.querySelectorAll('.bars .number')].map((n) => Number(n.textContent))"
+    )
     np.testing.assert_allclose(shown, posterior[posteriors.weather.at(8)].values, atol=5e-5)
 
 
@@ -209,7 +218,8 @@ def test_a_tree_of_tables(look):
     posterior = posteriors.tree()
     page = look(posterior)
     for k in range(len(posterior.graph)):
-        page.run("document.querySelector(`[data-cluster='${arguments[0]}']`).dispatchEvent(new MouseEvent('click', {bubbles: true}))", k)
+        page.press("/", f"c{k}", Keys.ENTER)
+        assert page.selected == f"cluster {k}"
         require_table(page, "belief", posterior.belief(k))
         require_table(page, "potential", posterior.potential(k))
         for j in posterior.graph.neighbours(k):
@@ -223,7 +233,13 @@ def test_a_balanced_tree(look):
     page.click(f'[data-cluster="{root}"]')
     require_form(page, "belief", posterior.belief(root))
     for j in posterior.graph.neighbours(root):
-        require_form(page, f"message-{j}-{root}", posterior.message(j, root).rearrange(posterior.graph.sepsets[min(j, root), max(j, root)]))
+        require_form(
+            page,
+            f"message-{j}-{root}",
+            posterior.message(j, root).rearrange(
+                posterior.graph.sepsets[min(j, root), max(j, root)]
+            ),
+        )
 
 
 @pytest.mark.parametrize("method", [pgm.LTRIP(), pgm.Bethe()])
@@ -259,7 +275,9 @@ def test_residuals_of_an_iterated_smoother(look):
     residuals = posterior.status.residuals
     page.slide("#iteration", 1)
     assert f"1 of {len(residuals)}" in page.text("output")
-    assert float(page.text("output").split()[-1].replace("−", "-")) == pytest.approx(residuals[0], rel=1e-5)
+    assert float(page.text("output").split()[-1].replace("−", "-")) == pytest.approx(
+        residuals[0], rel=1e-5
+    )
     assert "not converged" in page.text(".iterations")
 
 
@@ -269,7 +287,7 @@ def test_runs_of_a_batch_are_chosen(look):
     assert "8 of 12 runs" in page.text("#notes")
     pressed(page, 6)
     for run in (0, 7):
-        page.run("const s = document.querySelector('#run'); s.value = arguments[0]; s.dispatchEvent(new Event('change'))", run)
+        page.pick("#run", run)
         require_form(page, "belief", posterior.belief(6), (run,))
         require_form(page, "message-7-6", posterior.message(7, 6), (run,))
     page = look(posterior, run=(11,))
@@ -315,7 +333,9 @@ def test_marginals_that_alone_were_kept(look):
 
 def test_the_frame_of_a_notebook_comes_to_life(browser, tmp_path):
     page = tmp_path / "cell.html"
-    page.write_text(f"<!doctype html><meta charset=utf-8>{posteriors.smoothed()._repr_html_()}", "utf-8")
+    page.write_text(
+        f"<!doctype html><meta charset=utf-8>{posteriors.smoothed()._repr_html_()}", "utf-8"
+    )
     browser.driver.get(page.as_uri())
     browser.driver.switch_to.frame(browser.one("iframe"))
     browser.wait("document.body.dataset.ready")

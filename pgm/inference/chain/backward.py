@@ -32,7 +32,7 @@ from pgm.kernels.arrays import (
 )
 from pgm.kernels.canonical import Canonical
 from pgm.kernels.conditionals import Moments
-from pgm.kernels.elements import Element, Likelihood
+from pgm.kernels.elements import Element
 from pgm.kernels.moments import Conditional
 from pgm.kernels.scan import gather, in_chunks, levels, prefixes, take
 
@@ -326,18 +326,26 @@ def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | 
     """In 2 log₂ T rounds; None where a part of it does not exist, such as a root of a noise."""
     segments = take(absorbed_at_once(plan, forward), slice(None, None, -1))
     tree = levels(segments, lambda later, sooner: elements.compose(sooner, later))
-    start = Likelihood(*(part[None] for part in last))
-    found = prefixes(start, tree, _passed)
+    found = prefixes(_Message(*(part[None] for part in last)), tree, _passed)
     if not all(np.isfinite(part).all() for part in found):
         return None
-    K, h, g = (np.concatenate([a, b])[::-1] for a, b in zip(start, found, strict=True))
+    K, h, g = (np.concatenate([a[None], b])[::-1] for a, b in zip(last, found, strict=True))
     return K, h, g
 
 
-def _passed(message: Likelihood, element: Element) -> Likelihood:
+class _Message(NamedTuple):
+    """Messages back in canonical form, (steps, runs, ...)."""
+
+    K: Array
+    h: Array
+    g: Array
+
+
+def _passed(message: _Message, segment: Element) -> _Message:
     """A message from the right end of a segment to its left end."""
-    back = canonical.backward(*element[:3], *message)
-    return Likelihood(*(a + b for a, b in zip(back, element[3:], strict=True)))
+    K, h, g = canonical.backward(*segment[:3], *message)
+    assert segment.g is not None
+    return _Message(K + segment.K, h + segment.h, g + segment.g)
 
 
 def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:

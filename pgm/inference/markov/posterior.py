@@ -272,7 +272,9 @@ class StatePosterior(Posterior):
             if step < last:
                 with np.errstate(invalid="ignore"):
                     plain = chain.message(step, plain)
-            yield self._scaled_back(step, partial(np.asarray, plain), partial(self._message_back, step))
+            yield self._scaled_back(
+                step, partial(np.asarray, plain), partial(self._message_back, step)
+            )
 
     def _sized(self, step: int, message: Array) -> tuple[Array, Array, Array]:
         """A message to a slice, the sum of its product with the belief there, and its largest."""
