@@ -98,7 +98,7 @@ def days(schedule=None):
 
 def lattice(size=4, method=None, schedule=None):
     """A grid of scalars, on a graph with loops."""
-    at = {(i, j): pgm.Variable(f"x{i}{j}") for i in range(size) for j in range(size)}
+    at = {(i, j): pgm.Variable(f"x{i},{j}") for i in range(size) for j in range(size)}
     cpds = []
     for (i, j), v in at.items():
         given = {at[k]: 0.45 for k in ((i - 1, j), (i, j - 1)) if k in at}
