@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from viewer import posteriors
 
 import pgm
 from pgm.inference.chain import backward
-from viewer import posteriors
 
 
 def product(posterior, cluster):

@@ -9,12 +9,12 @@ import re
 
 import numpy as np
 import pytest
+from viewer import posteriors
 
 import pgm
 from pgm.viewer.numbers import EXACT, SHOWN, Numbers, lower, rounded
 from pgm.viewer.page import embedded
 from pgm.viewer.placing import HEIGHT, place
-from viewer import posteriors
 
 
 def written(posterior, tmp_path, **choice):
@@ -202,7 +202,7 @@ def test_more_steps_than_a_page_holds_are_refused(tmp_path):
 def test_no_cluster_lies_on_another(made):
     graph = made().graph
     edges = list(graph.sepsets)
-    letters = {k: 16 for k in range(len(graph))} | dict.fromkeys(edges, 6)
+    letters = dict.fromkeys(range(len(graph)), 16) | dict.fromkeys(edges, 6)
     at = place(range(len(graph)), edges, letters, graph)
     x, y, width = (np.array(at[name]) for name in ("x", "y", "width"))
     beside = np.abs(x[:, None] - x) >= 0.5 * (width[:, None] + width)
