@@ -8,11 +8,13 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.inference import ChainPosterior
-from pgm.inference.chain.backward import pairs
+from pgm.inference.chain.backward import Beliefs, Reverse, pairs
+from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.potentials import first_potential
 from pgm.inference.kind import FILTERED, SMOOTHED
-from pgm.kernels.arrays import Array, Integers, block, quiet
+from pgm.kernels.arrays import Array, Integers, block, cut, quiet
 from pgm.kernels.canonical import Canonical
+from pgm.kernels.moments import Conditional
 from pgm.viewer.limits import Limits, Run
 from pgm.viewer.numbers import EXACT, SHOWN, Numbers, lower
 from pgm.viewer.slices import head, sighted
@@ -35,7 +37,7 @@ def page(
     size = layout.state_size + layout.slice_size
     fits = plan.runs * (posterior.graph.steps + 1) * size * size <= _MOST
     if not fits:
-        words["large"] = "left out: the batch is too large to make it for all runs"
+        words["large"] = "left out: the batch is too large; keep fewer runs to see it"
     # A cluster holds the states before its step.
     held = np.arange(max(span[0] - 1, 0), span[-1] + 1)
     found["steps"]["base"] = int(held[0])
@@ -50,7 +52,9 @@ def page(
     rows = []
     for run in runs:
         place = int(np.ravel_multi_index(run, plan.lead)) if run else 0
-        arrays = _moments(posterior, held, place)
+        arrays = _moments(posterior, posterior._forward if fits else posterior._swept, held, place)
+        if fits:
+            arrays |= _pairs(posterior, held, place)
         refs = {name: numbers.add(array) for name, array in arrays.items()}
         if fits:
             refs |= _information(posterior, numbers, held, place)
@@ -66,12 +70,14 @@ def page(
     return found | {"family": "gaussian", "words": words, "runs": rows}
 
 
-def _moments(posterior: ChainPosterior, rows: Integers, place: int) -> dict[str, Array]:
+def _moments(
+    posterior: ChainPosterior, forward: Forward | Filtered, rows: Integers, place: int
+) -> dict[str, Array]:
     """Beliefs and forward messages of a run at some steps, a row a step.
 
     From the moments the page makes canonical forms, with the log-evidence that each knows.
     """
-    forward, beliefs, windows = posterior._forward, posterior._beliefs, posterior._windows
+    beliefs, windows = posterior._beliefs, posterior._windows
     states, steps = posterior.graph.layout.state_places, posterior.graph.steps
     passed = np.cumsum(forward.log_density[:, place])
     known = passed if windows is None else windows.log_evidence[:, place]
@@ -84,7 +90,7 @@ def _moments(posterior: ChainPosterior, rows: Integers, place: int) -> dict[str,
     if posterior.kind != FILTERED:
         found["there.mean"] = forward.mean[rows, place][:, states]
         found["there.cov"] = lower(block(forward.cov[rows, place], states, states))
-    return found | _pairs(posterior, rows, place)
+    return found
 
 
 def _pairs(posterior: ChainPosterior, rows: Integers, place: int) -> dict[str, Array]:
@@ -101,9 +107,12 @@ def _pairs(posterior: ChainPosterior, rows: Integers, place: int) -> dict[str, A
     windows = posterior._windows
     if posterior._careful is None and (windows is None or windows.plain):
         if later.any():
+            run = slice(place, place + 1)
+            beliefs = Beliefs(posterior._beliefs.mean[:, run], posterior._beliefs.cov[:, run])
+            states = Conditional(*(cut(part, run) for part in posterior._reverse.states))
             own = slice(int(rows[later][0]) - 1, int(rows[-1]))
-            both = pairs(posterior._beliefs, posterior._reverse, own)
-            mean[later], cov[later] = both.mean[:, place], both.cov[:, place]
+            both = pairs(beliefs, Reverse(states, None), own)
+            mean[later], cov[later] = both.mean[:, 0], both.cov[:, 0]
     else:
         for row in np.flatnonzero(later).tolist():
             try:

@@ -8,6 +8,7 @@ import pytest
 
 import pgm
 
+WHY = "selenium, which drives the browser, is not installed"
 OPTIONS = (
     "--headless=new",
     "--no-sandbox",
@@ -120,17 +121,18 @@ def as_number(text):
 
 @pytest.fixture(scope="session")
 def browser(tmp_path_factory):
-    selenium = pytest.importorskip("selenium", reason="selenium drives the browser: not installed")
+    webdriver = pytest.importorskip("selenium.webdriver", reason=WHY)
+    from selenium.webdriver.chrome.service import Service
+
     chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
     if not (chromium and driver):
         pytest.skip("no chromium and chromedriver here: apt-get install chromium chromium-driver")
-    options = selenium.webdriver.ChromeOptions()
+    options = webdriver.ChromeOptions()
     options.binary_location = chromium
     for option in (*OPTIONS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
         options.add_argument(option)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    service = selenium.webdriver.chrome.service.Service(driver)
-    found = selenium.webdriver.Chrome(options=options, service=service)
+    found = webdriver.Chrome(options=options, service=Service(driver))
     yield Browser(found)
     found.quit()
 

@@ -186,3 +186,14 @@ def particles():
 def grid():
     cells = pgm.Grid({"east": (-3, 8, 22), "north": (-3, 8, 22), "heading": 24})
     return pgm.filter(robot(), drive(4), belief=cells)
+
+
+def branches(count):
+    """A tree of scalars, each the child of one not far before it."""
+    rng = np.random.default_rng(0)
+    made = [pgm.Variable(f"v{k}") for k in range(count)]
+    cpds = [pgm.GaussianCPD(made[0], 0.0, 1.0)]
+    for k in range(1, count):
+        parent = made[int(rng.integers(max(0, k - 40), k))]
+        cpds.append(pgm.LinearGaussianCPD(made[k], given={parent: 0.8}, cov=1.0))
+    return pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), {made[-1]: 1.0})

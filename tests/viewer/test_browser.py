@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
-from selenium.webdriver.common.keys import Keys
 from viewer import posteriors
 
 import pgm
 
+Keys = pytest.importorskip(
+    "selenium.webdriver.common.keys", reason="selenium, which drives the browser, is not installed"
+).Keys
 PARTS = {"K": lambda form: form.K, "h": lambda form: form.h[:, None], "g": lambda form: [[form.g]]}
 
 
@@ -160,6 +162,12 @@ def test_a_filter_has_messages_one_way(look):
     require_form(page, "belief", posterior.belief(9))
     require_form(page, "message-8-9", posterior.message(8, 9))
     assert "not sent: the posterior is filtered" in page.text('[data-factor="message-10-9"]')
+    seen = page.run(
+        "return [...document.querySelectorAll('.arrow')]"
+        ".filter((arrow) => getComputedStyle(arrow).visibility === 'visible')"
+        ".map((arrow) => arrow.closest('.edge').dataset.edge)"
+    )
+    assert seen == ["8-9"]
 
 
 def test_a_fixed_lag_and_a_window_of_steps(look):

@@ -151,6 +151,9 @@ class ChainSource {
       return gaussian(kept, { moments, why: "moments alone: this belief is no Gaussian in canonical form" });
     }
     let moments;
+    if (step > 0 && !this.arrays.cross) {
+      return gaussian(this.at(this.hidden, step), { moments: own, why: this.data.words.large });
+    }
     if (step === 0) {
       moments = { mean: pick(own.mean, columns), cov: submatrix(own.cov, n, columns) };
     } else {

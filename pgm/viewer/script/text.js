@@ -41,6 +41,8 @@ function thousands(value) {
   return value.toLocaleString("en-GB");
 }
 
+const counted = (value, noun) => `${thousands(value)} ${noun}${value === 1 ? "" : "s"}`;
+
 // A cell of a table of numbers; all digits are in its title and its data.
 function cell(value, text = shown(value)) {
   return el("td", { class: "number", title: String(value), "data-value": String(value) }, text);

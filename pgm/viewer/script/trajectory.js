@@ -141,7 +141,7 @@ class Trajectory {
     const xs = this.column(a);
     const ys = this.column(b);
     const [vxx, vxy, vyy] = [this.entry(a, a), this.entry(a, b), this.entry(b, b)];
-    let limits = this.zoomed ?? [spanOf(xs, vxx), spanOf(ys, vyy)];
+    let limits = this.zoomed ?? [spanOf(xs, vxx), spanOf(ys, vyy)].map((span, k) => this.widened(span, k));
     if (alike) {
       const room = [this.size.width - 74, this.size.height - 48];
       const scale = Math.max(...limits.map(([low, high], k) => (high - low) / room[k]));
@@ -186,6 +186,22 @@ class Trajectory {
     this.mark(at.x(xs[this.step - this.source.base]), at.y(ys[this.step - this.source.base]));
     pen.restore();
     this.explain([["belief", String(this.source.data.about)], ...(filtered ? [["first", "filtered"]] : []), ...(draws ? [["cloud", "draws"]] : []), ...(seen ? [["third", "sighted at this step"]] : [])]);
+  }
+
+  // A span with the places of what was seen, where they are not much further away.
+  widened([low, high], k) {
+    const found = [low, high];
+    for (const { given } of this.source.sensors) {
+      for (const { components, rows } of given) {
+        const place = components.indexOf(this.option.components[k]);
+        if (place < 0) continue;
+        for (const value of rows.column(place)) {
+          if (value > low - 1.5 * (high - low)) found[0] = Math.min(found[0], value - 0.04 * (high - low));
+          if (value < high + 1.5 * (high - low)) found[1] = Math.max(found[1], value + 0.04 * (high - low));
+        }
+      }
+    }
+    return found;
   }
 
   // What sensors saw, where its place was given in the components that are drawn.
@@ -273,7 +289,15 @@ class Trajectory {
     const values = this.column(place);
     const variance = this.entry(place, place);
     const x = this.steps;
-    this.frame(x, this.zoomed?.[1] ?? spanOf(values, variance), "step", name);
+    const there = this.source.arrays["there.mean"];
+    const own = there ? this.source.stateColumns.indexOf(place) : -1;
+    const limits = spanOf(values, variance);
+    if (own >= 0) {
+      const other = spanOf(there.column(own), new Float64Array(values.length));
+      limits[0] = Math.min(limits[0], other[0]);
+      limits[1] = Math.max(limits[1], other[1]);
+    }
+    this.frame(x, this.zoomed?.[1] ?? limits, "step", name);
     const { pen, at, ink } = this;
     const { base } = this.source;
     const from = Math.max(Math.floor(x[0]), this.source.first);
@@ -284,8 +308,6 @@ class Trajectory {
     for (let k = to; k >= from; k--) if (!Number.isNaN(values[k - base])) pen.lineTo(at.x(k), at.y(edge(-1, k)));
     pen.fillStyle = ink.soft;
     pen.fill();
-    const there = this.source.arrays["there.mean"];
-    const own = there ? this.source.stateColumns.indexOf(place) : -1;
     const steps = Float64Array.from(values, (_, k) => k + base);
     if (own >= 0) this.line(steps, there.column(own), ink.first, [4, 3], 1);
     this.line(steps, values, ink.text, [], 1.6);
