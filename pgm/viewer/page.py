@@ -21,6 +21,7 @@ SCRIPTS = (
     "drawing",
     "pictures",
     "inspector",
+    "plot",
     "trajectory",
     "controls",
     "main",

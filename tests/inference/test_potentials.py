@@ -5,7 +5,7 @@ import pytest
 from viewer import posteriors
 
 import pgm
-from pgm.inference.chain import backward
+from pgm.inference.chain import messages
 
 
 def product(posterior, cluster):
@@ -70,8 +70,8 @@ def test_messages_back_by_a_scan_are_those_step_by_step(runs):
     posterior = pgm.smooth(posteriors.robot(), posteriors.drive(120, runs))
     plan, forward = posterior._plan, posterior._forward
     last = np.zeros((plan.runs, 3, 3)), np.zeros((plan.runs, 3)), np.zeros(plan.runs)
-    stepwise = backward._stepwise(plan, forward, last)
-    scanned = backward._scanned(plan, forward, last)
+    stepwise = messages._stepwise(plan, forward, last)
+    scanned = messages._scanned(plan, forward, last)
     for found, due in zip(scanned, stepwise, strict=True):
         np.testing.assert_allclose(found, due, rtol=1e-9, atol=1e-12 * np.abs(due).max())
 
