@@ -16,6 +16,9 @@ from pgm.viewer.numbers import Numbers
 from pgm.viewer.slices import head, readings, sighted
 from pgm.viewer.words import number, went
 
+# Entries of beliefs of all runs together, up to which messages back are made.
+_MOST = 20_000_000
+
 
 def page(
     posterior: StatePosterior, numbers: Numbers, runs: list[Run], span: range, limits: Limits
@@ -29,6 +32,9 @@ def page(
     held = list(range(max(span[0] - 1, 0), span[-1] + 1))
     chain = _Chain(posterior, held)
     tables = chain.entries * len(held) <= limits.numbers and chain.entries <= limits.entries
+    if posterior.kind == SMOOTHED and not chain.back:
+        words["back"] = "left out: the batch is too large to make it for all runs"
+        tables = False
     if not tables:
         words["large"] = f"left out: {chain.entries:,} entries at each step are too many"
     sensors = readings(posterior._slices.bound.readings)
@@ -61,7 +67,8 @@ class _Chain:
         last = posterior.graph.steps
         density = np.asarray(self.chain.log_density).reshape(last + 1, -1)
         self.weight: Array = np.cumsum(density, axis=0)
-        back = posterior.messages_back() if posterior.kind == SMOOTHED else ()
+        fits = self.width * self.weight.size <= _MOST
+        back = posterior.messages_back() if posterior.kind == SMOOTHED and fits else ()
         self.back = list(back)[::-1]
 
     def _of(self, values: Array, axes: int, place: int, width: int = 0) -> Array:

@@ -45,10 +45,10 @@ class Drawing {
   fit() {
     const { width, height } = this.size;
     const box = this.source.bounds();
-    const across = box.right - box.left + 48;
-    const down = box.bottom - box.top + 40;
-    let zoom = Math.min(width / across, height / down, 1.15);
-    if (this.source instanceof ChainSource) zoom = Math.min(Math.max(zoom, 0.92), height / down);
+    const across = box.right - box.left;
+    const down = box.bottom - box.top;
+    let zoom = Math.min((width - 56) / across, (height - 48) / down, 1.15);
+    if (this.source instanceof ChainSource) zoom = Math.max(zoom, 0.92);
     this.least = Math.min(zoom, this.source instanceof ChainSource ? width / (60 * this.source.across) : zoom) * 0.8;
     this.view = { zoom, x: 0.5 * (box.left + box.right), y: 0.5 * (box.top + box.bottom) };
     this.fitted = true;
