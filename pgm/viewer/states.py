@@ -113,10 +113,11 @@ class _Chain:
                 moved.append(self._of(chain.numbers(transition), states + axes, place))
             else:
                 found["first"] = self._of(chain.numbers(transition), axes, place, self.width)[None]
-            ones = np.ones(self.width)
-            weights.append(
-                ones if own is None else self._of(chain.numbers(own), axes, place, self.width)
-            )
+            # Weights have one entry for variables that the measurements do not depend on.
+            shape = self.plan.shape if step else self.plan.first_shape
+            likely = np.ones(shape) if own is None else chain.numbers(own)
+            likely = np.broadcast_to(likely, (*shape, *likely.shape[axes:]))
+            weights.append(self._of(likely, axes, place, self.width))
             scales.append(np.broadcast_to(scale, self.weight.shape[1])[place])
         found |= {"own.weights": np.stack(weights), "own.scale": np.array(scales)}
         if later:

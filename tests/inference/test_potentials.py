@@ -22,6 +22,8 @@ MADE = {
     "balanced tree": posteriors.balanced,
     "tables": posteriors.tree,
     "chain of tables": posteriors.days,
+    "chain of several tables": posteriors.factorial,
+    "hidden control": posteriors.driven,
     "loops": posteriors.lattice,
     "Bethe graph": lambda: posteriors.lattice(3, pgm.Bethe()),
 }
@@ -76,8 +78,9 @@ def test_messages_back_by_a_scan_are_those_step_by_step(runs):
         np.testing.assert_allclose(found, due, rtol=1e-9, atol=1e-12 * np.abs(due).max())
 
 
-def test_messages_back_of_tables_in_one_pass_are_those_asked_for_singly():
-    posterior = posteriors.days()
+@pytest.mark.parametrize("made", [posteriors.days, posteriors.factorial])
+def test_messages_back_of_tables_in_one_pass_are_those_asked_for_singly(made):
+    posterior = made()
     steps = range(posterior.graph.steps, -1, -1)
     for step, (values, scale) in zip(steps, posterior.messages_back(), strict=True):
         if step < posterior.graph.steps:
@@ -86,7 +89,7 @@ def test_messages_back_of_tables_in_one_pass_are_those_asked_for_singly():
                 values * np.exp(scale), message.values * np.exp(message.log_scale)
             )
         else:
-            np.testing.assert_allclose(values * np.exp(scale), np.ones(3))
+            np.testing.assert_allclose(values * np.exp(scale), np.ones(values.shape))
 
 
 @pytest.mark.parametrize("schedule", [pgm.Flooding(), pgm.Sequential(), pgm.Residual()])

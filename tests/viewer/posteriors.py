@@ -197,3 +197,45 @@ def branches(count):
         parent = made[int(rng.integers(max(0, k - 40), k))]
         cpds.append(pgm.LinearGaussianCPD(made[k], given={parent: 0.8}, cov=1.0))
     return pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), {made[-1]: 1.0})
+
+
+def factorial(runs=()):
+    """A chain of tables with two states and a hidden control."""
+    a, b = pgm.Discrete("a", states=("x", "y")), pgm.Discrete("b", states=3)
+    c, seen = pgm.Discrete("c", states=("go", "stop")), pgm.Discrete("seen", states=2)
+    rng = np.random.default_rng(0)
+
+    def drawn(*shape):
+        return rng.dirichlet(np.ones(shape[-1]), shape[:-1])
+
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.TableCPD(a, table=drawn(2)), pgm.TableCPD(b, given=(a,), table=drawn(2, 3))],
+        transition=[
+            pgm.TableCPD(c, table=[0.4, 0.6]),
+            pgm.TableCPD(a, given=(a.previous, c), table=drawn(2, 2, 2)),
+            pgm.TableCPD(b, given=(b.previous, a), table=drawn(3, 2, 3)),
+        ],
+        observation=[pgm.TableCPD(seen, given=(b,), table=drawn(3, 2))],
+    )
+    return pgm.smooth(model, {seen: rng.integers(0, 2, (*runs, 5))})
+
+
+def driven():
+    """A linear chain with two states and a hidden control, some of its readings missing."""
+    x, w = pgm.Variable("x", components=("place", "speed")), pgm.Variable("w")
+    push, asked, z = pgm.variables("push asked z")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, [0.0, 1.0], np.eye(2)), pgm.GaussianCPD(w, 0.0, 1.0)],
+        transition=[
+            pgm.LinearGaussianCPD(push, given={asked: 1.0}, cov=0.1),
+            pgm.LinearGaussianCPD(
+                x,
+                given={x.previous: [[1.0, 1.0], [0.0, 1.0]], push: [[0.0], [1.0]]},
+                cov=0.1 * np.eye(2),
+            ),
+            pgm.LinearGaussianCPD(w, given={w.previous: 0.9}, cov=0.2),
+        ],
+        observation=[pgm.LinearGaussianCPD(z, given={x: [[1.0, 0.0]], w: 1.0}, cov=0.3)],
+    )
+    readings = np.array([1.0, np.nan, 2.0, 3.0, 4.0, np.nan, 5.0, 6.0])[:, None]
+    return pgm.smooth(model, {asked: np.zeros((8, 1)), z: readings})
