@@ -7,7 +7,7 @@ export MPLBACKEND := Agg
 # Workers share the cores; BLAS threads of small matrices only wait for each other.
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo report test test-slow lint bench bench-quick clean
+.PHONY: demo report test test-slow lint docs notebooks bench bench-quick clean
 
 demo: $(VENV)/.demo
 	$(PY) -m experiments localisation
@@ -26,6 +26,13 @@ lint: $(VENV)/.test
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
 	$(PY) -m mypy
+
+docs: $(VENV)/.docs
+	$(PY) -m sphinx -W --keep-going --quiet --jobs 2 --doctree-dir build/doctrees docs build/docs
+	@echo "build/docs/index.html"
+
+notebooks: $(VENV)/.test
+	$(PY) docs/building/notebooks.py build/notebooks
 
 bench: $(VENV)/.bench
 	$(PY) -m benchmarks
@@ -51,10 +58,13 @@ define install
 endef
 
 $(VENV)/.demo: pyproject.toml | $(PY)
-	$(call install,)
+	$(call install,[experiments])
 
 $(VENV)/.test: pyproject.toml | $(PY)
 	$(call install,[test])
+
+$(VENV)/.docs: pyproject.toml | $(PY)
+	$(call install,[docs])
 
 # The package particles says that it needs NumPy 1, and works with 2.
 $(VENV)/.bench: pyproject.toml | $(PY)

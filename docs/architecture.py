@@ -55,7 +55,7 @@ LAYERS = [
     Layer("cpds, maps", "means, noises, scans"),
     Layer("linearisers", "slope, value, error"),
     Layer("factors", "public densities"),
-    Layer("variables, errors, boundary, immutable, sizes", "names and checks"),
+    Layer("variables, errors, boundary, immutable, sizes, progress, optional, display", "names"),
     Layer("kernels", "mathematics of arrays"),
 ]
 STATIONS = {

@@ -1,15 +1,19 @@
-"""`python -m experiments` lists the experiments; with a name it runs one."""
+"""`python -m experiments list`, or no word, lists the experiments; a name runs one of them."""
 
 from __future__ import annotations
 
 import io
 import os
 import sys
+from importlib.util import find_spec
+
+if not (find_spec("typer") and find_spec("rich")):  # told in a line, before they are imported
+    sys.exit("the experiments need typer and rich: pip install '.[experiments]', or make demo")
 
 import matplotlib as mpl
 import typer
 
-from experiments.catalogue import EXPERIMENTS, summary_line
+from experiments.catalogue import EXPERIMENTS, listing, summary_line
 from experiments.record import note, refusal
 from experiments.report import report
 
@@ -17,13 +21,18 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.callback(invoke_without_command=True)
-def listing(context: typer.Context) -> None:
+def begin(context: typer.Context) -> None:
     """Experiments with filters, smoothers and linearisers."""
     mpl.use("Agg")
     if context.invoked_subcommand is None:
-        width = max(map(len, EXPERIMENTS))
-        for name, experiment in EXPERIMENTS.items():
-            note(f"{name:<{width}}  {summary_line(experiment)}")
+        show()
+
+
+@app.command("list")
+def show() -> None:
+    """List the experiments by theme, and the data that some of them need."""
+    for line in listing():
+        note(line)
 
 
 for _name, _experiment in EXPERIMENTS.items():

@@ -1,9 +1,11 @@
-"""The experiments by name; each module or package has `run`, and `QUICK`, its quick settings."""
+"""The experiments by name and theme; each has `run`, and `QUICK`, its quick settings."""
 
 import inspect
+from collections.abc import Iterator
 from types import ModuleType
 
 from experiments import (
+    basics,
     belief_propagation,
     cluster_graph,
     differential_drive,
@@ -28,31 +30,65 @@ from experiments import (
     topological,
 )
 
-# In the order in which a newcomer would run them.
-EXPERIMENTS: dict[str, ModuleType] = {
-    "localisation": localisation,
-    "plaza": plaza,
-    "freiburg": freiburg,
-    "killian": killian,
-    "kalman": kalman,
-    "cluster_graph": cluster_graph,
-    "linearisers": linearisers,
-    "nonlinear_measurement": nonlinear_measurement,
-    "iterated": iterated,
-    "smoothing": smoothing,
-    "imu_heading": imu_heading,
-    "differential_drive": differential_drive,
-    "particle_counts": particle_counts,
-    "seven_nodes": seven_nodes,
-    "belief_propagation": belief_propagation,
-    "grid_world": grid_world,
-    "hallway": hallway,
-    "maze": maze,
-    "topological": topological,
-    "grid_localisation": grid_localisation,
-    "global_localisation": global_localisation,
-    "kidnapped": kidnapped,
+# Themes, and within them experiments, in the order in which a newcomer would read them.
+THEMES: dict[str, dict[str, ModuleType]] = {
+    "Filters and smoothers": {
+        "localisation": localisation,
+        "smoothing": smoothing,
+        "iterated": iterated,
+        "kalman": kalman,
+        "imu_heading": imu_heading,
+        "differential_drive": differential_drive,
+    },
+    "Linearisers": {
+        "linearisers": linearisers,
+        "nonlinear_measurement": nonlinear_measurement,
+    },
+    "Recorded robots": {
+        "plaza": plaza,
+        "freiburg": freiburg,
+        "killian": killian,
+    },
+    "Particles and grids, for robots that may be anywhere": {
+        "particle_counts": particle_counts,
+        "grid_localisation": grid_localisation,
+        "global_localisation": global_localisation,
+        "kidnapped": kidnapped,
+    },
+    "Graphs and messages": {
+        "basics": basics,
+        "cluster_graph": cluster_graph,
+        "seven_nodes": seven_nodes,
+        "belief_propagation": belief_propagation,
+    },
+    "Discrete robots": {
+        "grid_world": grid_world,
+        "hallway": hallway,
+        "maze": maze,
+        "topological": topological,
+    },
 }
+EXPERIMENTS: dict[str, ModuleType] = {
+    name: experiment for group in THEMES.values() for name, experiment in group.items()
+}
+# Recordings and maps that an experiment cannot run without, and where they come from.
+NEEDS = {
+    "plaza": "recordings: pip install gtsam",
+    "freiburg": "a recording: --path, or PGM_DATA",
+    "killian": "a recording: pip install 'rtb-data>=2.0'; or --data made_up",
+    "global_localisation": "a floor plan: pip install 'rtb-data>=2.0'",
+    "kidnapped": "a floor plan: pip install 'rtb-data>=2.0'",
+}
+
+
+def listing() -> Iterator[str]:
+    """The experiments by theme, a line each, and what those need that cannot run without data."""
+    width = max(map(len, EXPERIMENTS))
+    for theme, group in THEMES.items():
+        yield f"{theme}:"
+        for name, experiment in group.items():
+            needs = f" [{NEEDS[name]}]" if name in NEEDS else ""
+            yield f"  {name:<{width}}  {summary_line(experiment)}{needs}"
 
 
 def summary_line(experiment: ModuleType) -> str:

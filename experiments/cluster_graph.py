@@ -89,6 +89,9 @@ def run(
                 (t, *_spreads(message), message["log_weight"], worst)
                 for t, (message, worst) in enumerate(zip(found, off, strict=True))
             ],
+            about="A message as a Gaussian, a component a column [m, m, rad]. ln weight: the "
+            "logarithm of its integral, which is the evidence; off by: its largest difference from "
+            "the textbook's extended Kalman filter or smoother.",
         )
     worst = max(map(max, difference.values()))
     record.note(

@@ -39,6 +39,8 @@ def run(out: Out = None) -> None:
             for name, both in (("belief 1", belief), ("predicted 2", predicted))
             for row, numbers in zip(("top", "bottom"), both.tolist(), strict=True)
         ],
+        about="Probabilities of the six cells, a row of the world a line: belief 1 after the first "
+        "reading, predicted 2 after the motion that follows it.",
     )
     record.note(
         "The lecture prints .0504 in the bottom right, where .0336 follows from its rounded "
@@ -52,7 +54,9 @@ def run(out: Out = None) -> None:
     record.figure(
         _figure(world, found),
         "beliefs",
-        "The column is read, then the robot goes south, east and north. Below: given all readings.",
+        "Probabilities of the six cells, step by step: the column is read, then the robot goes "
+        "south, east and north. Above, before a step's reading; in the middle, with it; below, "
+        "given all readings.",
     )
     record.summary(
         belief_1=belief,

@@ -44,9 +44,12 @@ def run(
         at_truth[kind] = float(chances[np.arange(steps + 1), truth].mean())
         peak[kind] = float((np.abs(chances.argmax(axis=-1) - truth) <= 1).mean())
     record.table(
-        f"Of {steps} steps",
+        f"How well the robot knows its cell, over {steps} steps",
         ("belief", "probability of the right cell", "peak at it or beside it"),
         [(kind, at_truth[kind], peak[kind]) for kind in at_truth],
+        about="Means over steps: of the probability of the cell the robot is in, and the share of "
+        "steps whose most probable cell is that one or one beside it.",
+        best={"probability of the right cell": np.inf, "peak at it or beside it": np.inf},
     )
     record.note(
         f"largest difference from the textbook's filter and smoother {found.difference:.2g}"
@@ -54,7 +57,9 @@ def run(
     record.figure(
         _figure(found, truth, readings),
         "beliefs",
-        "A step a row. Shaded: the cells with a door; right: what was read; dotted: the robot.",
+        "A step a row: bars are probabilities of the cells, filtered and smoothed. Shaded: the "
+        "cells with a door; right: what was read; dotted: the robot. The first door may be any of "
+        "them; the smoother knows which, since it knows what came later.",
     )
     record.summary(
         truth=truth,

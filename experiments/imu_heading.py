@@ -45,13 +45,15 @@ def run(out: Out = None) -> None:
     slipped = numbers(step(PRINTED_RATE))
     record.table(
         "The heading [rad]: its variance before the reading, and what the reading makes of it",
-        ("", "before", "gain", "mean", "variance"),
+        ("whose", "before", "gain", "mean", "variance"),
         [
             ("ours", *_row(ours)),
             ("closed form", *_row(closed)),
             ("reference, as printed", 0.16, "16/17", PRINTED["mean"], PRINTED["variance"]),
             ("ours with 0.16 for 0.016", *_row(slipped)),
         ],
+        about="Before: the predicted variance [rad²]; gain: what share of the innovation the mean "
+        "takes; mean [rad] and variance [rad²] after the reading.",
     )
     record.note(
         "The heading's variance grows by 0.01 · 1.6 = 0.016. The reference writes 0.16, and its "
@@ -70,9 +72,9 @@ def run(out: Out = None) -> None:
     record.figure(
         figure(posterior),
         "poses",
-        "Left: the known first pose, the predicted one and the one after the reading; the 95 % "
-        "ellipse of the position is the same for both, the wedges hold the heading with 95 %. "
-        "Right: the heading's densities; dotted, where the reference's slip leads.",
+        "Left, in metres: the known first pose, the predicted one and the one after the reading; "
+        "the 95 % ellipse of the position is the same for both, the wedges hold the heading with "
+        "95 %. Right: the heading's densities; dotted, where the reference's slip leads.",
     )
     position = posterior[pose].cov[-1][:2, :2]
     record.summary(

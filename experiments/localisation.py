@@ -7,14 +7,21 @@ from typing import Annotated, Any
 import matplotlib.pyplot as plt
 import numpy as np
 import typer
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
+from scipy.stats import chi2
 
 import pgm
 import pgm.plot
+from experiments.kinds import as_gaussian
 from experiments.record import Out, Record, Seed, progress
 from models import networks, simulation
 from models.networks import pose
 from pgm import consistency
+from pgm.plot.colours import INK, MUTED, PALETTE
 
 LINEARISERS: dict[str, pgm.Lineariser] = {
     "Taylor": pgm.Taylor(),
@@ -26,6 +33,13 @@ REACH = 4.0  # m, how far the sensor sees
 MOTION_STD = (0.06, 0.06, 0.04)  # m, m, rad a step
 LANDMARKS = 8
 FIELD = (-8.0, 9.0, -9.0, 10.0)  # west, east, south, north [m]
+CONFIDENCE = 0.95
+REGION = float(chi2(2).ppf(CONFIDENCE))  # of an ellipse, in the plane
+WORST = (
+    "The drive on which the filter with Taylor has the largest NEES: black is the truth, from the "
+    "square on; coloured are the filter's mean and, every five seconds, its 95 % ellipse, joined "
+    "to the truth; a time is written where the truth lies outside."
+)
 QUICK = {"runs": 5, "steps": 40}
 
 
@@ -50,6 +64,10 @@ def run(
             for name in LINEARISERS
             for kind in ("filter", "smoother")
         ],
+        about="RMSE of position and heading over drives and steps; mean NEES, of which 3 is right; "
+        "mean log-evidence, which is that of all readings for both.",
+        best={"xy [m]": -np.inf, "heading [rad]": -np.inf, "NEES (3)": 3.0},
+        within=("lineariser",),
     )
     record.note(
         f"linear model, {linear['runs']} runs: mean NEES filter {linear['nees']['filter']:.3f}, "
@@ -58,9 +76,11 @@ def run(
     )
     record.figure(_network_figure(network), "network", "The network, two slices.")
     record.figure(_graph_figure(network, steps), "cluster_graph", "Its cluster graph.")
+    record.figure(worst_drive(network, drive), "trajectories", WORST)
     one = simulation.Drive(drive.truth[0], drive.landmarks, drive.evidence)
-    record.figure(_trajectory_figure(posteriors, one), "trajectories", "The first drive.")
-    record.figure(_error_figure(posteriors, one), "errors", "Its errors in bands of three σ.")
+    record.figure(
+        _error_figure(posteriors, one), "errors", "The first drive: errors in bands of three σ."
+    )
     record.summary(**results, linear=linear)
 
 
@@ -132,28 +152,75 @@ def _graph_figure(network: pgm.DynamicBayesianNetwork, steps: int) -> Figure:
     return figure
 
 
-def _trajectory_figure(
-    posteriors: dict[str, pgm.ChainPosterior], drive: simulation.Drive
-) -> Figure:
-    figure, axes = plt.subplots(
-        1, len(posteriors), figsize=(13, 5.2), sharex=True, sharey=True, layout="constrained"
-    )
-    for ax, (name, posterior) in zip(axes, posteriors.items(), strict=True):
+def worst_drive(network: pgm.DynamicBayesianNetwork, drive: simulation.Drive) -> Figure:
+    """The drive on which the filter with Taylor has the largest NEES, beside the unscented one.
+
+    Of both: the truth, the mean, and an ellipse every five seconds, joined to the truth.
+    """
+    figure, axes = plt.subplots(1, 2, figsize=(8.0, 5.3), sharex=True, sharey=True)
+    beliefs = {
+        name: as_gaussian(pgm.filter(network, drive.evidence, lineariser=LINEARISERS[name])[pose])
+        for name in ("Taylor", "Unscented")
+    }
+    nees = {name: consistency.nees(belief, drive.truth) for name, belief in beliefs.items()}
+    worst = int(nees["Taylor"].mean(axis=-1).argmax())
+    truth = drive.truth[worst]
+    shown = np.arange(0, len(truth), round(5.0 / DT))
+    for ax, (name, belief), colour in zip(axes, beliefs.items(), PALETTE[1::-1], strict=True):
+        found = belief.run(worst)
         pgm.plot.trajectory(
-            posterior.filtered[pose].run(0),
-            truth=drive.truth,
+            found,
+            truth=truth,
             landmarks=drive.landmarks,
-            label=posterior.filtered.kind,
+            confidence=CONFIDENCE,
+            every=int(shown[1]) if len(shown) > 1 else None,
+            colour=colour,
             ax=ax,
         )
-        pgm.plot.trajectory(posterior[pose].run(0), label=posterior.kind, ax=ax)
-        ax.set_title(name)
+        if legend := ax.get_legend():
+            legend.remove()
+        mean, right = found.mean[shown, :2], truth[shown, :2]
+        ax.plot(*np.stack([mean, right]).transpose(2, 0, 1), color=MUTED, lw=0.8, zorder=2.2)
+        ax.plot(*mean.T, "o", color=colour, markersize=3.5, zorder=2.6)
+        ax.plot(*right.T, "o", color=INK, markersize=3.5, zorder=2.7)
+        ax.plot(*truth[0, :2], "s", color=INK, markersize=7, fillstyle="none", zorder=2.8)
+        outside = consistency.nees(found, truth, ("east", "north"))[shown] > REGION
+        for step, (east, north) in zip(shown[outside], right[outside], strict=True):
+            ax.annotate(
+                f"{DT * step:.0f} s",
+                (east, north),
+                (4, 6),
+                textcoords="offset points",
+                fontsize=8,
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],
+            )
+        ax.set_title(
+            f"{name}: mean NEES {nees[name][worst].mean():,.0f} here,\n"
+            f"{nees[name].mean():.0f} over {len(drive.truth)} drives (3 is right)",
+            fontsize=10,
+        )
         ax.set_xlabel("east [m]")
         ax.set_ylabel("north [m]" if ax is axes[0] else "")
-        if ax is not axes[-1] and (legend := ax.get_legend()):
-            legend.remove()
+    figure.legend(handles=_legend(), ncols=3, loc="lower center", fontsize=8.5, frameon=False)
+    figure.subplots_adjust(left=0.085, right=0.985, bottom=0.205, top=0.905, wspace=0.06)
     plt.close(figure)
     return figure
+
+
+def _legend() -> list[Artist]:
+    """The marks of the drive, for both panels."""
+    return [
+        Line2D([], [], color=INK, lw=0.8, marker="o", markersize=3.5, label="truth"),
+        Line2D([], [], color=INK, lw=0, marker="s", markersize=7, fillstyle="none", label="start"),
+        Line2D([], [], color=PALETTE[1], lw=1.8, label="mean of the filter, with Taylor"),
+        Line2D([], [], color=PALETTE[0], lw=1.8, label="mean of the filter, unscented"),
+        Patch(
+            facecolor="none",
+            edgecolor=MUTED,
+            label=f"{CONFIDENCE:.0%} ellipse of the filter, every 5 s",
+        ),
+        Line2D([], [], color=INK, lw=0, marker="^", markersize=6, label="landmark"),
+    ]
 
 
 def _error_figure(posteriors: dict[str, pgm.ChainPosterior], drive: simulation.Drive) -> Figure:

@@ -35,7 +35,7 @@ def run(out: Out = None) -> None:
     possible = (filtered > 0.0).sum(axis=-1)
     steps = np.arange(len(truth))
     record.table(
-        "Step by step",
+        "What the robot knows of its cell, step by step",
         ("step", "action", "walls read", "cells possible", "p of the right one", "smoothed"),
         [
             (
@@ -48,6 +48,8 @@ def run(out: Out = None) -> None:
             )
             for k, cell in zip(steps.tolist(), truth, strict=True)
         ],
+        about="Cells possible: with a probability that counts, given the readings so far. p: the "
+        "probability of the robot's cell given the readings so far; smoothed: given all.",
     )
     path = [world.cell.states[k] for k in found.path]
     record.note(
@@ -57,7 +59,9 @@ def run(out: Out = None) -> None:
     record.figure(
         _figure(world, found, truth, readings),
         "beliefs",
-        "Above: given the readings so far; below: given all. Framed: the robot.",
+        "The maze at each step, walls in grey: probabilities of the cells, above given the "
+        "readings so far, below given all. Framed: the robot. The wrong reading of step 2 misleads "
+        "the filter for a step, the smoother never.",
     )
     record.summary(
         cells=world.cell.states,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
@@ -19,6 +19,7 @@ from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 
+from experiments.best import best_cells
 from pgm.errors import PgmError
 from pgm.io.whole import whole
 
@@ -69,8 +70,12 @@ class Record:
         self.settings = settings
         self._page: list[dict[str, Any]] = []
 
-    def figure(self, figure: Figure, name: str, caption: str = "") -> None:
-        """Write a figure as PNG and PDF; the caption stands below it in the report."""
+    def figure(self, figure: Figure, name: str, caption: str) -> None:
+        """Write a figure as PNG and PDF; the caption stands below it in the report.
+
+        A caption says what is drawn, in which units, of which confidence ellipses and bands are,
+        and what there is to see.
+        """
         for ending in ("png", "pdf"):
             with self.file(f"{name}.{ending}") as path:
                 figure.savefig(path, dpi=DPI, bbox_inches="tight")
@@ -93,14 +98,51 @@ class Record:
             if name != SUMMARY:
                 (self.folder / SUMMARY).unlink(missing_ok=True)
 
-    def picture(self, file: str, caption: str = "") -> None:
+    def picture(self, file: str, caption: str) -> None:
         """Show a file that was written into the folder, an animation for one, in the report."""
         self._page.append({"figure": file, "caption": caption})
 
-    def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-        """Print a table, numbers to four digits, and keep it for the report."""
+    def table(
+        self,
+        title: str,
+        columns: Sequence[str],
+        rows: Iterable[Sequence[object]],
+        *,
+        about: str = "",
+        best: Mapping[str, float] | None = None,
+        within: Sequence[str] = (),
+        folded: bool = False,
+    ) -> None:
+        """Print a table, numbers to four digits, and keep it for the report.
+
+        Parameters
+        ----------
+        title : str
+        columns : sequence of str
+            Their heads, with units.
+        rows : iterable of sequences
+        about : str
+            The columns in words, so that the table can be read by itself.
+        best : mapping of str to float, optional
+            The value that a column's numbers are best nearest to: -inf where the lowest is best,
+            inf where the highest is. The report marks the best.
+        within : sequence of str
+            Columns whose cells divide the rows into groups, each of which has its own best.
+        folded : bool
+            Whether the report folds the table, a supporting one, under its title.
+        """
         cells = [[_shown(value) for value in row] for row in rows]
-        self._page.append({"table": title, "columns": list(columns), "rows": cells})
+        self._page.append(
+            {
+                "table": title,
+                "columns": list(columns),
+                "rows": cells,
+                "about": about,
+                "best": best_cells(columns, cells, best or {}, within),
+                "within": [name or "name" for name in within],
+                "folded": folded,
+            }
+        )
         table(title, columns, cells)
 
     def note(self, text: str) -> None:

@@ -95,6 +95,8 @@ def run(
         f"Mean probability of the right state over {len(drive.action)} steps",
         ("belief", *states),
         [(kind, *each.values()) for kind, each in at_truth.items()],
+        about="1 would be a belief that is sure and right at every step.",
+        best=dict.fromkeys(states, np.inf),
     )
     record.note(
         f"largest difference from the textbook, whose states are pairs of place and heading: "
@@ -103,16 +105,21 @@ def run(
     record.figure(
         _network(model),
         "network",
-        "Two slices of the network: place and heading, what is seen of them, and the action.",
+        "Two slices of the network: place and heading, what is seen of them (the kind of place, "
+        "the ways that are open), and the action. Shaded: known.",
     )
     record.figure(
         _maps(building, drive, beliefs),
         "places",
-        "Above: given the readings so far; below: given all. Framed: the robot. D: door, J: "
-        "junction, E: end of a corridor.",
+        "Probabilities of the places of a building at some steps, above given the readings so "
+        "far, below given all. Framed: the robot. D: door, J: junction, E: end of a corridor.",
     )
     record.figure(
-        _rows(drive, beliefs), "over_time", "Place and heading through time; dotted: the robot's."
+        _rows(drive, beliefs),
+        "over_time",
+        "Place and heading through time, every second step a row: bars are probabilities, filtered "
+        "and smoothed; dotted: the robot's. The filter takes one end of the building for the other "
+        "until a junction tells them apart.",
     )
     record.summary(
         truth={name: [states[name].states[k] for k in truth[name]] for name in states},

@@ -28,6 +28,7 @@ from pgm.cpds import (
     shifts,
 )
 from pgm.errors import (
+    ArrayError,
     EvidenceError,
     ExecutorError,
     FileError,
@@ -100,6 +101,7 @@ from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Discrete, Variable, variables
 
 if TYPE_CHECKING:
+    from pgm import comparison, consistency, maps, plot
     from pgm.comparison import Comparison, compare
     from pgm.io.networks import (
         from_pgmpy,
@@ -111,27 +113,52 @@ if TYPE_CHECKING:
         write_bif,
         write_xmlbif,
     )
+    from pgm.io.poses import Poses
+    from pgm.io.tum import read_tum, write_tum
     from pgm.viewer import view
 
 __version__ = "0.1.0"
 
+# Slow to import, or seldom wanted: loaded when first asked for.
+_MODULES = ("comparison", "consistency", "maps", "plot", "viewer")
+_LATER = {
+    "pgm.comparison": ("Comparison", "compare"),
+    "pgm.io.networks": (
+        "from_pgmpy",
+        "read_bif",
+        "read_uai",
+        "read_uai_evidence",
+        "read_xmlbif",
+        "to_pgmpy",
+        "write_bif",
+        "write_xmlbif",
+    ),
+    "pgm.io.poses": ("Poses",),
+    "pgm.io.tum": ("read_tum", "write_tum"),
+    "pgm.viewer": ("view",),
+}
 
-def __getattr__(name: str) -> Any:
-    """Load what is slow to import, or seldom wanted, when it is first asked for."""
-    if name in ("comparison", "consistency", "maps", "plot", "viewer"):
-        return import_module(f"pgm.{name}")
-    if name in ("Comparison", "compare"):
-        return getattr(import_module("pgm.comparison"), name)
-    if name == "view":
-        return import_module("pgm.viewer").view
-    if name in __all__:
-        return getattr(import_module("pgm.io.networks"), name)
-    raise AttributeError(f"module 'pgm' has no attribute {name!r}")
+if not TYPE_CHECKING:  # to type checkers it would say that every name exists
+
+    def __getattr__(name: str) -> Any:
+        """Load a module, or the module of a name, when it is first asked for."""
+        if name in _MODULES:
+            return import_module(f"pgm.{name}")
+        for module, names in _LATER.items():
+            if name in names:
+                return getattr(import_module(module), name)
+        raise AttributeError(f"module 'pgm' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The public names, of modules that are not loaded yet too."""
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 
 __all__ = [
     "LTRIP",
     "AffineGaussian",
+    "ArrayError",
     "Associations",
     "Audit",
     "Balanced",
@@ -194,6 +221,7 @@ __all__ = [
     "ParticleWarning",
     "Particles",
     "PgmError",
+    "Poses",
     "Posterior",
     "PrecisionWarning",
     "QuasiMonteCarlo",
@@ -215,15 +243,20 @@ __all__ = [
     "WeightedMinFill",
     "audit",
     "compare",
+    "comparison",
     "compile",
+    "consistency",
     "constant",
     "filter",
     "from_pgmpy",
     "infer",
+    "maps",
     "most_probable",
     "noise",
+    "plot",
     "query",
     "read_bif",
+    "read_tum",
     "read_uai",
     "read_uai_evidence",
     "read_xmlbif",
@@ -239,5 +272,6 @@ __all__ = [
     "variables",
     "view",
     "write_bif",
+    "write_tum",
     "write_xmlbif",
 ]

@@ -88,6 +88,13 @@ class NumericalError(PgmError, ArithmeticError):
     """
 
 
+class ArrayError(PgmError, TypeError):
+    """A value that was taken for an array, like a belief handed to `numpy.asarray`.
+
+    Parameters and attributes are those of a `PgmError`; it is a `TypeError` too.
+    """
+
+
 class ExecutorError(PgmError, RuntimeError):
     """An executor that takes no work, or loses what it was handed.
 

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_tuple, is_unordered, is_whole
+from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.sizes import require_memory
 
@@ -17,7 +18,7 @@ _STATE = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Variable:
+class Variable(InCode):
     """A continuous random variable, scalar or vector.
 
     Parameters

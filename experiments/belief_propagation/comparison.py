@@ -27,6 +27,16 @@ _COLUMNS = {
         "variance_error_max": "max",
     },
 }
+_LOOPS = (
+    "Largest: the largest cluster, in entries or components; Δ ln p(e): the log-evidence less the "
+    "exact one; iter.: iterations until messages rest; conv.: whether they do, or in what share of "
+    "networks; ms: from the network to all marginals."
+)
+_ABOUT = {
+    "discrete": f"Errors are those of a probability in a marginal. {_LOOPS}",
+    "gaussian": "Means: their largest error, in exact standard deviations; variances and max: the "
+    f"mean and the largest error of a variance, relative to the exact one. {_LOOPS}",
+}
 
 
 def compare_methods(
@@ -54,9 +64,10 @@ def compare_methods(
     record.figure(
         figures.methods(found["discrete"], found["gaussian"]),
         "methods",
-        "Errors against the size of the largest cluster, of networks drawn at random: join graphs "
-        "of larger and larger clusters, from what Bethe and LTRIP do with the smallest to what is "
-        "exact with the largest.",
+        "Errors against the size of the largest cluster, of networks drawn at random: left, the "
+        "mean error of a probability in a marginal of discrete ones, right, the mean relative "
+        "error of a variance of Gaussian ones. Join graphs have larger and larger clusters, from "
+        "what Bethe and LTRIP do with the smallest to what is exact with the largest.",
     )
     return dict(found)
 
@@ -93,6 +104,7 @@ def _table(record: Record, title: str, kind: str, found: By) -> None:
             for network, methods in found.items()
             for k, (method, numbers) in enumerate(methods.items())
         ],
+        about=_ABOUT[kind],
     )
 
 

@@ -119,7 +119,9 @@ def methods(discrete: Methods, gaussian: Methods) -> Figure:
         for name, marker in markers.items():
             ax.plot([], [], marker, color="black", label=name, **style)
         ax.set(xlabel=f"largest cluster [{unit}]", ylabel=f"mean {what}")
-        ax.legend(fontsize="small")
+    figure.legend(
+        *left.get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False
+    )
     left.set_xscale("log", base=2)
     left.xaxis.set_major_formatter("{x:g}")
     right.xaxis.get_major_locator().set_params(integer=True)
@@ -143,6 +145,6 @@ def scene(case: Case, truth: Mapping[pgm.Variable, Any], beliefs: Mapping[str, A
             pgm.plot.ellipses(stack, colour=colour, facecolor="none", linewidth=1.3, ax=ax)
         ax.plot([], [], color=colour, label=f"{name}, 95 %")
     ax.set(aspect="equal", xlabel="east [m]", ylabel="north [m]")
-    ax.legend(fontsize="small")
+    figure.legend(loc="outside upper center", ncols=4, frameon=False)
     plt.close(figure)
     return figure

@@ -63,7 +63,7 @@ def run(
     around = {meaning: spread(by["2b"]) for meaning, by in solved.items()}
 
     page.note_readings(record, noise)
-    page.tabulate(record, found, runs)
+    page.tabulate(record, found, runs, noise)
     page.tabulate_particles(record, particles)
     page.note_findings(record, found, noise, held, around)
     pictures = page.show(record, solved, noise)

@@ -100,7 +100,7 @@ def run(
     }
     record.table(
         f"KL of the filtered belief from {particles:,} particles [nats], and log-evidence",
-        ("lineariser", "mean", "median", "largest", "mean, stacked", "ln p(z)", "stacked"),
+        ("lineariser", "mean", "median", "largest", "mean, stacked", "ln p(z)", "ln p(z), stacked"),
         [
             (
                 label,
@@ -112,6 +112,9 @@ def run(
             for label in LINEARISERS
         ]
         + [("particles", "", "", "", "", cloud.log_evidence, "")],
+        about="KL(particles ‖ filter) over the steps, and the log-evidence ln p(z); stacked: the "
+        "same where the ranges of a step are linearised as one vector.",
+        best={"mean": -np.inf, "mean, stacked": -np.inf},
     )
     record.note(
         f"at least {int(cloud.effective.min()):,} particles carry the weight, at any step; stacked "
@@ -119,7 +122,15 @@ def run(
     )
     record.table(
         f"KL from a grid of {cell_count(grid.posterior):,} cells [nats]",
-        ("lineariser", "filter", "largest", "stacked", "smoother", "largest", "stacked"),
+        (
+            "lineariser",
+            "filter",
+            "filter's largest",
+            "filter, stacked",
+            "smoother",
+            "smoother's largest",
+            "smoother, stacked",
+        ),
         [
             (
                 label,
@@ -140,6 +151,9 @@ def run(
                 *(v for row in tables["alone"].oracle_rows for v in (row.kl, row.kl_most, "")),
             )
         ],
+        about="KL(grid ‖ belief), the mean and the largest of the steps; stacked: the mean where "
+        "the ranges of a step are linearised as one vector. Last, the grid from a Gaussian of its "
+        "own moments.",
     )
     differ = largest_difference(found, from_grid)
     record.note(
@@ -148,10 +162,13 @@ def run(
         f"particles differ by at most {100.0 * differ:.2g} %"
     )
     record.table(
-        "RMS distance from dead reckoning [m], and the filters' own heading deviation [rad]",
-        ("lineariser", "filter", "smoother", "heading"),
+        "RMS distance from dead reckoning, and the filters' own deviation of the heading",
+        ("lineariser", "filter [m]", "smoother [m]", "heading [rad]"),
         [(label, *each.values(), headings[label]) for label, each in away.items()]
         + [("particles", "", "", headings["particles"])],
+        about="Dead reckoning has the odometry alone, which is good here; heading: the mean "
+        "standard deviation that a filter gives it.",
+        folded=True,
     )
     apart = furthest(cloud.belief, alone)
     record.note(
@@ -161,27 +178,31 @@ def run(
     record.figure(
         figures.path(log, alone["Taylor"], reckoned),
         "path",
-        "The exercise as set: extended Kalman filter, and beside it the smoother.",
+        "The exercise as set, in metres: extended Kalman filter (left), and beside it the "
+        "smoother, with 95 % ellipses; dead reckoning for comparison, since no truth was recorded.",
     )
     record.figure(
         figures.filters(log, alone, cloud.belief),
         "filters",
-        "Filtered means by lineariser over the particles' (black), 95 % ellipses.",
+        "Filtered means by lineariser over the particles' (black), with 95 % ellipses, in metres.",
     )
     record.figure(
         figures.divergence(cloud.belief, alone),
         "divergence",
-        "How far each filtered belief is from the particles' Gaussian.",
+        "How far each filtered belief is from the Gaussian of the particles' moments: KL [nats] "
+        "over the steps.",
     )
     record.figure(
         figures.compared(tables["alone"]),
         "comparison",
-        "How far filters and smoothers are from the grid's; grey, the grid from a Gaussian.",
+        "How far filters and smoothers are from the grid's beliefs: KL [nats] over the steps; "
+        "grey, the grid from a Gaussian of its own moments.",
     )
     record.figure(
         figures.beliefs(alone, cloud, apart),
         "beliefs",
-        "Particles and 95 % ellipses of the filters, in the plane, where they differ most.",
+        "Particles and 95 % ellipses of the filters, in the plane [m], at the steps where they "
+        "differ most.",
     )
     record.summary(
         divergence=found,

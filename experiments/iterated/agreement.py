@@ -41,7 +41,7 @@ def published_page(
     """
     record.table(
         "Published numbers and ours, plain iteration: RMSE, but where NEES stands",
-        ("", "n", "publ.", "ours", "s.e.", "z", "median"),
+        ("case and estimator", "n", "publ.", "ours", "s.e.", "z", "median"),
         [
             (
                 " ".join((case, name, *_what(one))),
@@ -56,6 +56,10 @@ def published_page(
             for name, each in by_name.items()
             for one in each
         ],
+        about="publ.: the published number; ours: its mean over seeds, with its standard error; z: "
+        "ours less it in standard errors of the difference; median: that over runs. n: the number "
+        "of linearisations.",
+        folded=True,
     )
     everything = [one for by_name in found.values() for each in by_name.values() for one in each]
     inside = sum(abs(one.z) <= AGREE for one in everything)
@@ -71,6 +75,9 @@ def published_page(
         "The cubic case read in other ways: z of the published RMSE (unscented), one seed",
         ("reading", *(_short(one) for one in found["cubic"]["Unscented"])),
         [(title, *(f"{one.z:+.1f}" for one in each)) for title, each in readings.items()],
+        about="A line a reading of the published text, a column a number: filter, smoother, and "
+        "smoothers of so many linearisations. z within 3 does not speak against a reading.",
+        folded=True,
     )
     agreeing = [title for title, each in readings.items() if furthest({title: each}) <= AGREE]
     record.note(

@@ -42,14 +42,16 @@ def chain_page(
         {name: grid for name, grid in chains.items() if name not in controlled},
     )
     record.table(
-        "The last step, where filter and smoother know the same: RMSE of the position [m]; the "
-        "turn about the landmark, which no sighting tells [rad]",
-        ("", "RMSE", "turn (RMS)", "claimed (median)"),
+        "The last step, where filter and smoother know the same",
+        ("method", "RMSE [m]", "turn (RMS) [rad]", "claimed (median) [rad]"),
         [
             (f"{name} {method}", one["rmse"], one.get("turn", "–"), one.get("turn_claimed", "–"))
             for name, each in last.items()
             for method, one in each.items()
         ],
+        about="RMSE: of the position [m]. Turn: the RMS error of the turn of the whole estimate "
+        "about the landmark [rad]; claimed: the median run's own standard deviation of it [rad].",
+        folded=True,
     )
     for name, grid in controlled.items():
         record.note(_reasons(name, grid, last[name], most))
@@ -73,11 +75,14 @@ def ends_page(record: Record, grids: Mapping[str, Grid]) -> None:
     columns = tuple(TITLES[control] for control in TITLES)
     record.table(
         "NEES: median (mean), linearised once and n times",
-        ("", "n", "once", *columns),
+        ("model and estimator", "n", "once", *columns),
         [
             (what, str(count), *(_nees(one) for one in (once, *(ends.get(c) for c in TITLES))))
             for what, once, (count, ends) in rows
         ],
+        about="Each cell: the median run's NEES, and in brackets the mean over runs; 1 is right "
+        "for the growth model, 3 for a pose. n: the number of linearisations.",
+        folded=True,
     )
     worst = max((once for _, once, _ in rows), key=lambda once: once.score.nees)
     what = next(what for what, once, _ in rows if once is worst)
@@ -88,13 +93,15 @@ def ends_page(record: Record, grids: Mapping[str, Grid]) -> None:
         f"{worst.score.nees_tail:.1%} of the largest mean, {what} linearised once."
     )
     record.table(
-        f"Runs at rest, the last linearisation having moved no mean by more than {AT_REST:g} "
-        "deviations; z of the squared errors with step control against plain",
-        ("", "n", *columns),
+        f"Runs at rest: the last linearisation moved no mean by more than {AT_REST:g} deviations",
+        ("model and estimator", "n", *columns),
         [
             (what, str(count), *(_settled(ends, control) for control in TITLES))
             for what, _, (count, ends) in rows
         ],
+        about="Each cell: the share of runs at rest after n linearisations, and z: the difference "
+        "of squared errors from plain iteration in its standard errors; below 0 is better.",
+        folded=True,
     )
 
 
@@ -139,9 +146,14 @@ def _errors(record: Record, title: str, grids: Mapping[str, Grid]) -> None:
                 cells = (_error(controls[c], count) if c in controls else "–" for c in shown)
                 rows.append((f"{name} {kind}", str(count), *cells))
     record.table(
-        f"{title} (the median run's), z against one linearisation",
-        ("", "n", *(TITLES[control] for control in shown)),
+        title,
+        ("estimator", "n", *(TITLES[control] for control in shown)),
         rows,
+        about="Each cell: the RMSE after n linearisations, in brackets the median run's, and z: "
+        "the difference of squared errors from one linearisation, in standard errors of the "
+        "paired difference; below 0 iterating helps. Columns are ways to control the step.",
+        best={TITLES[control]: -np.inf for control in shown},
+        within=("estimator",),
     )
 
 

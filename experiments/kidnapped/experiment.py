@@ -92,7 +92,7 @@ def run(
         f"of the heaviest mode within {NEAR:g} m and {np.rad2deg(TURNED):.0f}° of the truth."
     )
     record.table(
-        "The last pose",
+        f"How many of {runs} drives are right after the robot was carried",
         ("policy", "right before", "right at the end", "95 %", "over a fresh start's", "injected"),
         [
             (
@@ -105,6 +105,11 @@ def run(
             )
             for name, share in success.items()
         ],
+        about="Policies: particles put nowhere, anywhere, where the scan is likely, or all of them "
+        "afresh by one who is told. Right: the share of drives, before the robot is carried and at "
+        "the end, with its 95 % interval. Injected: particles put elsewhere, over all steps, as a "
+        "share of their number.",
+        best={"right at the end": np.inf},
     )
     record.note(
         f"Injected is the sum over all steps, as a share of the {particles} particles. Uniform "
@@ -118,18 +123,21 @@ def run(
     record.figure(
         figures.errors(poses, drives.truth, event=before),
         "errors",
-        "The share of drives that are right, and the estimates' errors (median, and 90 % quantile "
-        "dotted); dashed, where the robot is carried, up to where all policies are the same.",
+        "At each step, left, the share of drives whose estimate is right, and right, the error of "
+        "the place [m] (median, and 90 % quantile dotted); dashed, where the robot is carried, up "
+        "to where all policies are the same.",
     )
     record.figure(
         injected(shares, before),
         "injected",
-        "The share of particles put elsewhere at each step; of `none`, none.",
+        "The share of particles put elsewhere at each step, the mean over drives; of `none`, none. "
+        "Dashed, where the robot is carried: its scans become unlikely, and draws begin.",
     )
     record.figure(
         maps(world, drives.some(slice(0, 1)), known, before),
         "map",
-        "The first of the drives, before and after it is carried: the cross is the robot.",
+        "The first of the drives, before and after the robot is carried (a policy a row, the house "
+        "in metres): dots are particles, the larger the heavier, and the cross is the robot.",
     )
     record.summary(
         success={

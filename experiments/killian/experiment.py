@@ -100,34 +100,47 @@ def run(
     record.figure(
         figures.overview(drive, known.followed),
         "map",
-        "The map of the even scans, and the drive of the odd ones as particles find it.",
+        "The map that the even scans make [m] (black: occupied, blue: never seen), and on it the "
+        "drive of the odd ones: the recording's poses, the particles' means, and the odometry "
+        "alone, which drifts away.",
     )
     reckoned = errors(differing(drive.dead_reckoning, drive.poses))
     _tracked(record, known, particles, reckoned)
     record.figure(
         figures.by_distance(drive, known.followed),
         "errors",
-        "Errors against the recording's poses, and the deviation that the particles have.",
+        "Distance [m] and heading [degrees] from the recording's poses over the metres driven, of "
+        "odometry alone and of particles, beside the deviation that the particles give themselves. "
+        "Logarithmic; the odometry's begin with its first motion.",
     )
     record.figure(
         figures.zoom(drive, known.followed),
         "zoom",
-        "Around the largest error: what the particles believe, and the scan in the map.",
+        "Around the largest error, in metres: the recording's poses, the particles' means with 95 "
+        "% ellipses, and one scan where the particles place it in the map.",
     )
     _strays(record, lost, stray)
     shown = next((each for each in lost if each.found_at is not None), lost[0])
     record.figure(
         figures.stray(drive, shown),
         "anywhere",
-        f"A start from anywhere, at step {shown.first} of the drive; the cross is the recording's "
-        "pose.",
+        f"A start from anywhere at step {shown.first} of the drive, and the particles some steps "
+        "later, the larger the heavier, in metres; the cross is the recording's pose. Fewer are "
+        "kept as they gather.",
     )
-    record.figure(figures.strays(lost), "starts", "All starts from anywhere.")
+    record.figure(
+        figures.strays(lost),
+        "starts",
+        "All starts from anywhere: distance from the recording's pose [m] over the steps, "
+        f"logarithmic. Dashed, {LOST:g} m, below which a start has found the place.",
+    )
     _gridded(record, cells, cell, stray)
     record.figure(
         figures.grid(drive, cells),
         "grid",
-        "The grid's belief of the place, given one scan and two; errors beside the particles'.",
+        "The grid's belief of the place, given one scan and two [m]: a ring marks the recording's "
+        "pose, and cells below a thousandth of the likeliest are left out. Right, distances from "
+        "the recording's poses [m] beside the particles', logarithmic.",
     )
     record.summary(
         graph={"before": fit.before, "after": fit.after, "moved": fit.moved},
@@ -180,8 +193,8 @@ def _tracked(record: Record, known: Tracked, count: int, reckoned: dict[str, flo
     numbers = known.followed.numbers
     columns = ("rmse", "median", "largest", "heading")
     record.table(
-        "Distance from the recording's poses [m], and heading [rad], from a known start",
-        ("", "RMSE", "median", "largest", "heading", "own", "NEES"),
+        "Distance from the recording's poses, from a known start",
+        ("estimate", "RMSE [m]", "median", "largest", "heading [rad]", "own [m]", "NEES"),
         [
             ("odometry alone", *(reckoned[name] for name in columns), "", ""),
             (
@@ -191,12 +204,14 @@ def _tracked(record: Record, known: Tracked, count: int, reckoned: dict[str, flo
                 numbers["nees"],
             ),
         ],
+        about="RMS, median and largest distance [m] and the RMS error of the heading [rad] over "
+        "all steps; own: the particles' RMS deviation [m]; NEES: 3 in the mean where a belief is "
+        "right about itself.",
     )
     steps = len(known.followed.error) - 1
     record.note(
         f"{numbers['seconds']:.1f} s, {1e3 * numbers['seconds'] / steps:.1f} ms a step; the "
-        f"weights are never worth less than {known.effective:.0f} particles. Own is the particles' "
-        "RMS deviation; NEES is 3 in the mean where a belief is right about itself."
+        f"weights are never worth less than {known.effective:.0f} particles."
     )
     record.note(
         "No Gaussian filter is beside it. Scans would have to become readings of the pose, the "
@@ -220,6 +235,8 @@ def _strays(record: Record, lost: list[Stray], count: int) -> None:
                 *(sum(step is not None and step <= limit for step in found) for limit in limits),
             )
         ],
+        about=f"Of so many starts, how many are within {LOST:g} m of the recording's pose from "
+        "that step to the last.",
     )
     seconds = np.mean([each.followed.seconds for each in lost])
     text = (
@@ -238,7 +255,7 @@ def _gridded(record: Record, cells: Gridded, cell: float, count: int) -> None:
     record.table(
         f"{len(cells.followed['grid'].error) - 1} steps from step {cells.first} on, from anywhere "
         "near",
-        ("", "RMSE [m]", "median", "largest", "heading [rad]", "ln p(z)", "seconds"),
+        ("belief", "RMSE [m]", "median", "largest", "heading [rad]", "ln p(z)", "seconds"),
         [
             (
                 name,
@@ -248,6 +265,8 @@ def _gridded(record: Record, cells: Gridded, cell: float, count: int) -> None:
             )
             for name, each in cells.followed.items()
         ],
+        about="Distances from the recording's poses [m] and the RMS error of the heading; the "
+        "log-evidence ln p(z) of the scans, which each computes in its own way.",
     )
     record.note(
         f"The grid has {cells.cells:,} cells, {cell:g} m and {360 / TURNS:g} degrees wide, which "

@@ -29,13 +29,13 @@ SEEN = 1e-3  # of the likeliest cell's probability
 
 def overview(drive: Drive, followed: Followed) -> Figure:
     """The map, the path that particles find, and that of the motions alone."""
-    figure, ax = plt.subplots(figsize=(9, 8.2), layout="constrained")
+    figure, ax = plt.subplots(figsize=(9, 8.2), layout="compressed")
     _map(drive, ax)
     ax.plot(*drive.dead_reckoning[:, :2].T, color=_RECKONED, lw=0.9, label="odometry alone")
     ax.plot(*drive.poses[:, :2].T, color=INK, lw=2.2, label="poses of the recording")
     ax.plot(*followed.belief.mean[:, :2].T, color=_FOUND, lw=1.0, label="particles")
     _around(drive, ax, np.concatenate([drive.dead_reckoning, drive.poses]))
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
     plt.close(figure)
     return figure
 
@@ -55,7 +55,9 @@ def by_distance(drive: Drive, followed: Followed) -> Figure:
             np.degrees(followed.belief.std[:, 2]),
         ),
     ):
-        ax.plot(drive.distance, blind, color=_RECKONED, lw=1.0, label="odometry alone")
+        # An error of nothing, at the start, has no place on a logarithmic axis.
+        gone = drive.distance[blind > 0.0]
+        ax.plot(gone, blind[blind > 0.0], color=_RECKONED, lw=1.0, label="odometry alone")
         ax.plot(drive.distance, found, color=_FOUND, lw=0.6, label="particles")
         ax.plot(drive.distance, deviation, color=INK, lw=0.8, label="the particles' own deviation")
         ax.set(yscale="log", ylabel=label, ylim=(1e-3, None))
@@ -71,7 +73,7 @@ def zoom(drive: Drive, followed: Followed) -> Figure:
     worst = int(followed.distance.argmax())
     first = max(min(worst - ZOOM // 2, len(drive.motions) - ZOOM), 0)
     steps = slice(first, first + ZOOM + 1)
-    figure, ax = plt.subplots(figsize=(9, 7), layout="constrained")
+    figure, ax = plt.subplots(figsize=(9, 7), layout="compressed")
     _map(drive, ax)
     ax.plot(*drive.poses[steps, :2].T, "o-", color=INK, lw=1.0, ms=3.0, label="the recording")
     belief = followed.belief[steps]
@@ -84,7 +86,10 @@ def zoom(drive: Drive, followed: Followed) -> Figure:
         [np.cos(course), np.sin(course)], axis=-1
     )
     ax.plot(*ends.T, ".", color=_SCAN, ms=4.0, label=f"scan of step {worst}, where it is found")
-    ax.legend(loc="best", fontsize="small")
+    handles, labels = ax.get_legend_handles_labels()
+    if (legend := ax.get_legend()) is not None:
+        legend.remove()
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
     _around(drive, ax, drive.poses[steps])
     plt.close(figure)
     return figure
@@ -93,7 +98,7 @@ def zoom(drive: Drive, followed: Followed) -> Figure:
 def stray(drive: Drive, found: Stray) -> Figure:
     """Particles over the whole map at the first steps."""
     figure, axes = plt.subplots(
-        2, 2, figsize=(10, 9), sharex=True, sharey=True, layout="constrained"
+        2, 2, figsize=(10, 9), sharex=True, sharey=True, layout="compressed"
     )
     for ax, step in zip(axes.flat, SHOWN, strict=True):
         cloud = found.clouds[step]

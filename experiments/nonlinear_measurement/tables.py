@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from experiments.nonlinear_measurement import reference
@@ -42,6 +43,11 @@ def write(record: Record, found: Study, against: Against, runs: int) -> None:
             for s in map(str, HEADINGS)
             for rule in found.rules
         ],
+        about="Over simulations, a column a sensor; far below the mean where few simulations make "
+        "that.",
+        best=dict.fromkeys(found.scores, -math.inf),
+        within=("s [rad]",),
+        folded=True,
     )
     for title, shown in (
         ("NEES, 3 is right", lambda each: f"{each.nees:.2f} ± {each.nees_se:.2g}"),
@@ -55,6 +61,9 @@ def write(record: Record, found: Study, against: Against, runs: int) -> None:
             (rule, *(_cost(found, sensor, rule) for sensor in found.costs))
             for rule in next(iter(found.costs.values()))
         ],
+        about="Evaluations of functions and Jacobians, and microseconds, for one robot; a column a "
+        "sensor.",
+        folded=True,
     )
     record.table(
         "IteratedCubature: simulations at rest, whose last linearisation moved no mean by more "
@@ -65,6 +74,8 @@ def write(record: Record, found: Study, against: Against, runs: int) -> None:
             for sensor, cases in found.settled.items()
             for s, each in cases.items()
         ],
+        about="At rest: the share of simulations. Their mean KL [nats], and that of the others.",
+        folded=True,
     )
     truths = [each for cases in found.truth.values() for each in cases.values()]
     record.note(
@@ -95,7 +106,15 @@ def _references(found: Study, against: Against, s: str) -> dict[str, list[str]]:
 
 
 def _table(record: Record, found: Study, title: str, rows: dict[str, list[str]]) -> None:
-    record.table(title, ("rule", *found.scores), [(rule, *cells) for rule, cells in rows.items()])
+    record.table(
+        title,
+        ("rule", *found.scores),
+        [(rule, *cells) for rule, cells in rows.items()],
+        about="A column a sensor: range and bearing far and near, ranges of two beacons, of two "
+        "in line with the robot, and the position itself. s: the heading's standard deviation.",
+        best=dict.fromkeys(found.scores, -math.inf) if "KL" in title else None,
+        folded=title.startswith(("the reference", "RMSE")),
+    )
 
 
 def _at_widest(found: Study, shown: Shown) -> dict[str, list[str]]:

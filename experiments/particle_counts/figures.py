@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 import pgm
 import pgm.plot
@@ -29,16 +30,17 @@ _PLACE = {"xlabel": "east [m]", "ylabel": "north [m]"}
 def errors(studies: Mapping[str, Study]) -> Figure:
     """Distance from the exact answer, and RMSE in units of its RMSE, by the number of particles."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5.2), layout="constrained")
-    for colour, (name, study) in zip(PALETTE, studies.items(), strict=False):
+    for k, (colour, (name, study)) in enumerate(zip(PALETTE, studies.items(), strict=False)):
         found, numbers = study.distances(), study.numbers()
         counts = np.array(list(found))
+        beside = counts * 1.05 ** (k - 1)  # so that bars do not hide each other
         distance = np.array([(each.value, 2.0 * each.error) for each in found.values()]).T
         style: dict[str, Any] = {"color": colour, "fmt": "o", "markersize": 4, "capsize": 3}
-        left.errorbar(counts, *distance, label=f"problem {name}", **style)
+        left.errorbar(beside, *distance, label=f"problem {name}", **style)
         fine = np.geomspace(counts[0], counts[-1])
         left.plot(fine, study.constant() * study.falling(fine), color=colour, lw=0.8)
         ratios = np.array([study.ratio(numbers[label(count)]) for count in counts]).T
-        right.errorbar(counts, ratios[0], 2.0 * ratios[1], ls="-", lw=0.8, **style)
+        right.errorbar(beside, ratios[0], 2.0 * ratios[1], ls="-", lw=0.8, **style)
         for rule in study.kalman:
             if rule != "exact":
                 right.axhline(
@@ -50,6 +52,9 @@ def errors(studies: Mapping[str, Study]) -> Figure:
                 )
     right.axhline(1.0, color=INK, lw=0.6, label="exact")
     left.set(xscale="log", yscale="log", ylabel="RMS distance from the exact mean [m]")
+    left.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    left.yaxis.set_major_formatter("{x:g}")
+    left.yaxis.set_minor_formatter(NullFormatter())
     right.set(xscale="log", ylabel="RMSE, that of the exact mean being 1", ylim=(0.94, HIGHEST))
     for ax in (left, right):
         ax.set_xlabel("particles")
@@ -139,7 +144,7 @@ def drives(study: Study, count: int) -> Figure:
         ax.set_aspect("equal", adjustable="box")
         ax.label_outer()
     figure.legend(
-        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False
+        *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False
     )
     plt.close(figure)
     return figure

@@ -19,8 +19,9 @@ RESAMPLERS = (
     "drives enter all four, so that the differences are better known than the bars say."
 )
 ADAPTED = (
-    "The numbers of particles that KLD-sampling chose (median and range over drives), and the "
-    "standard deviation of the place, over time."
+    "Above, the numbers of particles that KLD-sampling chose (median and range over drives), and "
+    "below the standard deviation of the place [m], both over time [s]: the wider the belief, the "
+    "more particles."
 )
 
 
@@ -44,7 +45,7 @@ def estimators(
     """Every estimator of each problem."""
     for name, by in found.items():
         record.table(
-            f"{studies[name].problem.title}; each number with its standard error",
+            f"{studies[name].problem.title}: estimators, each number with its standard error",
             ("estimator", "RMSE [m]", "excess [m²]", "worse in", "from exact [m]"),
             [
                 (
@@ -56,6 +57,10 @@ def estimators(
                 )
                 for estimator, each in by.items()
             ],
+            about="RMSE of the place over drives and steps. Excess: the mean square error less the "
+            "exact answer's, on the same drives, and the share of drives in which it is above 0. "
+            "From exact: how far the means are from the exact answer's (RMS). Blank where the row "
+            "is the exact answer.",
         )
     record.note(winner(found["1"], shown))
     record.note(
@@ -105,7 +110,7 @@ def resamplers(record: Record, found: Mapping[str, Drawn], count: int, repeats: 
     """Each way of drawing anew."""
     record.table(
         f"Ways of drawing anew, {count} particles at every step of problem 1, {repeats} times",
-        ("way", "from exact [m]", "± s.e.", "error of ln p(z)", "± s.e."),
+        ("way", "from exact [m]", "± s.e. [m]", "error of ln p(z)", "± s.e."),
         [
             (
                 name,
@@ -116,6 +121,9 @@ def resamplers(record: Record, found: Mapping[str, Drawn], count: int, repeats: 
             )
             for name, each in found.items()
         ],
+        about="From exact: RMS distance of the means from the Kalman filter's. Error of ln p(z): "
+        "RMS, of the log-evidence, in nats.",
+        best={"from exact [m]": -np.inf, "error of ln p(z)": -np.inf},
     )
 
 
@@ -159,7 +167,8 @@ def drive(study: Study, count: int) -> str:
     """The caption of a drive."""
     return (
         f"{study.problem.title}: a drive as {count} particles (left) and a Kalman filter (right) "
-        "have it; in the form of the assignment's figure 2."
+        "have it, places in metres, with 95 % ellipses of their beliefs after each reading; in the "
+        "form of the assignment's figure 2."
     )
 
 
@@ -167,7 +176,8 @@ def tracked(study: Study, count: int) -> str:
     """The caption of readings over time."""
     band = "" if study.problem.given else ", with their 95 % band; readings in metres"
     return (
-        f"{study.problem.title}: readings, and what they would be without noise at the true place "
+        f"{study.problem.title}: readings over time [s], and what they would be without noise at "
+        "the true place "
         f"and at the mean of {count} particles{band}; in the form of the assignment's figures 3 "
         "and 4."
     )

@@ -5,13 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import matplotlib.pyplot as plt
 import numpy as np
 import typer
-from matplotlib.figure import Figure
 
 import pgm
-import pgm.plot
+from experiments.plaza import figures
 from experiments.plaza import log as plaza_log
 from experiments.plaza.log import SETTINGS, Log, Setting
 from experiments.record import Out, Record, Seed, note, progress
@@ -19,7 +17,6 @@ from models import networks
 from models.networks import distance, pose
 from pgm import consistency
 
-COLOURS = "#0072B2", "#D55E00"
 QUICK = {"data": "plaza1"}
 LINEARISERS: dict[str, pgm.Lineariser] = {"Taylor": pgm.Taylor(), "Unscented": pgm.Unscented()}
 
@@ -54,14 +51,35 @@ def run(
         log = plaza_log.load(file, SETTINGS[name])
         record.note(f"{name}: {log.timeline!r}")
         results[name], posteriors = localise(log, SETTINGS[name], name)
-        record.figure(_path_figure(log, posteriors["Taylor"], name), f"{name}_path")
-        record.figure(_error_figure(log, posteriors["Taylor"], name), f"{name}_errors")
+        record.figure(
+            figures.path(log, posteriors["Taylor"]),
+            f"{name}_path",
+            f"The recording {name}, filtered and smoothed with Taylor; places in metres. Over the "
+            "whole drive (left) the paths hide each other; the part that is framed is enlarged on "
+            "the right: there the filter strays most, and the smoother, which knows later ranges "
+            f"too, stays nearer to the truth. Ellipses hold 95 % of a belief, {figures.RINGS} of "
+            "each along the part. Below, how far each is from the satellite positions.",
+        )
+        record.figure(
+            figures.errors(log, posteriors["Taylor"]),
+            f"{name}_errors",
+            f"Errors of {name} [m] over time [s], in bands of three standard deviations of each "
+            "belief. The bands widen where beacons are silent; the smoother's are narrower, and "
+            "errors outside them are jumps of the satellite positions or of ranges.",
+        )
         rows.append((name, "dead reckoning", results[name]["dead_reckoning"], ""))
         rows += [
             (name, label, results[name][label]["filter"], results[name][label]["smoother"])
             for label in LINEARISERS
         ]
-    record.table("Position RMSE [m]", ("data", "lineariser", "filter", "smoother"), rows)
+    record.table(
+        "RMSE of the position over each recording [m]",
+        ("data", "lineariser", "filter", "smoother"),
+        rows,
+        about="Against satellite positions. Dead reckoning has the odometry alone.",
+        best={"filter": -np.inf, "smoother": -np.inf},
+        within=("data",),
+    )
     record.note(
         "Ranges were calibrated with the truth and the noise was tuned: these numbers check an "
         "engine, they claim no accuracy."
@@ -95,37 +113,3 @@ def localise(
             "log_evidence": float(posterior.log_evidence),
         }
     return results, posteriors
-
-
-def _path_figure(log: Log, posterior: pgm.ChainPosterior, name: str) -> Figure:
-    figure, axes = plt.subplots(
-        1, 2, figsize=(12, 6), sharex=True, sharey=True, layout="constrained"
-    )
-    beliefs = {found.kind: found[pose] for found in (posterior.filtered, posterior)}
-    for ax, colour, (kind, belief) in zip(axes, COLOURS, beliefs.items(), strict=True):
-        pgm.plot.trajectory(
-            belief, truth=log.truth, landmarks=log.beacons, label=kind, colour=colour, ax=ax
-        )
-        ax.set_title(f"{name}, Taylor, {kind}")
-        ax.set_xlabel("east [m]")
-        ax.set_ylabel("north [m]")
-    plt.close(figure)
-    return figure
-
-
-def _error_figure(log: Log, posterior: pgm.ChainPosterior, name: str) -> Figure:
-    figure, axes = plt.subplots(
-        2, 2, figsize=(12, 5.5), sharex=True, sharey=True, layout="constrained"
-    )
-    times = log.timeline.times - log.timeline.times[0]
-    beliefs = {found.kind: found[pose] for found in (posterior.filtered, posterior)}
-    for column, (kind, belief) in enumerate(beliefs.items()):
-        pgm.plot.errors(
-            belief, log.truth, components=("east", "north"), times=times, axes=axes[:, column]
-        )
-        axes[0, column].set_title(f"{name}, Taylor, {kind}")
-        axes[-1, column].set_xlabel("time [s]")
-    limit = 1.05 * np.abs(axes[0, 0].get_ylim()).max()
-    axes[0, 0].set_ylim(-limit, limit)
-    plt.close(figure)
-    return figure

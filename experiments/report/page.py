@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from string import Template
 
-from experiments.report.parts import part, settings
+from experiments.catalogue import THEMES
+from experiments.report.findings import FINDINGS, answer
+from experiments.report.parts import figure, part, settings
 from experiments.report.reproduced import REPRODUCED
 from experiments.report.running import Outcome
 
@@ -36,7 +38,8 @@ def page(outcomes: Sequence[Outcome], versions: Mapping[str, str], made: str, qu
         made=escape(made),
         versions=settings(versions),
         warning=_QUICK if quick else "",
-        contents="\n".join(map(_entry, outcomes)),
+        headlines=_headlines({outcome.name: outcome for outcome in outcomes}),
+        contents="\n".join(_contents(outcomes)),
         reproduced=_reproduced({outcome.name for outcome in outcomes}),
         sections="\n".join(map(_section, outcomes)),
     )
@@ -47,6 +50,40 @@ def state(outcome: Outcome) -> str:
     if outcome.error:
         return "failed"
     return "" if outcome.summary else "no results"
+
+
+def _headlines(outcomes: Mapping[str, Outcome]) -> str:
+    """The questions that a reader has first, each with its sentence and its figure."""
+    shown = []
+    for name, finding in FINDINGS.items():
+        if finding.figure and name in outcomes:
+            outcome = outcomes[name]
+            lines = [f"<article>\n<h3>{escape(finding.question)}</h3>"]
+            if outcome.summary is None:
+                lines.append(f"<p class=meta>{escape(name)}: {state(outcome)} in this run.</p>")
+            else:
+                lines.append(f"<p>{answer(name, outcome.summary)}</p>")
+                file = f"{finding.figure}.png"
+                caption = next(
+                    each["caption"]
+                    for each in outcome.summary["page"]
+                    if each.get("figure") == file
+                )
+                lines.append(figure(outcome.folder / file, caption))
+            lines.append(
+                f'<p class=top><a href="#{name}">more of {escape(name)}</a></p>\n</article>'
+            )
+            shown.append("\n".join(lines))
+    return "\n".join(shown) or "<p class=meta>No experiment of this run has a headline.</p>"
+
+
+def _contents(outcomes: Sequence[Outcome]) -> Iterator[str]:
+    """Entries by theme; experiments that the catalogue lacks come last."""
+    themed = {name: theme for theme, group in THEMES.items() for name in group}
+    for theme in (*THEMES, "Others"):
+        entries = [_entry(each) for each in outcomes if themed.get(each.name, "Others") == theme]
+        if entries:
+            yield f"<h4>{escape(theme)}</h4>\n<ul>\n" + "\n".join(entries) + "\n</ul>"
 
 
 def _entry(outcome: Outcome) -> str:
@@ -78,8 +115,12 @@ def _section(outcome: Outcome) -> str:
         lines.append(f"<p class=bad>It failed: {escape(last)}</p>")
         lines.append(f"<pre>{escape(outcome.error)}</pre>")
     if outcome.summary:
-        lines.append(f"<p class=meta>{settings(outcome.summary['settings'])}</p>")
+        if found := answer(outcome.name, outcome.summary):
+            question = escape(FINDINGS[outcome.name].question)
+            lines.append(f"<p class=finding><b>{question}</b> {found}</p>")
         lines += [part(entry, outcome.folder) for entry in outcome.summary["page"]]
+        used = settings(outcome.summary["settings"])
+        lines.append(f"<details>\n<summary>Settings</summary>\n<p>{used}</p>\n</details>")
     elif not outcome.error:
         said = f"It wrote no results. It said: {escape(outcome.said.strip())}"
         lines.append(f"<p class='bad note'>{said}</p>")

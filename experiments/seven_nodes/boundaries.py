@@ -1,82 +1,75 @@
-"""The clusters of a graph, drawn as boundaries around a network's variables."""
+"""A network whose CPDs are factors, and around them the boundaries of clusters, dashed."""
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.patches import Ellipse, Polygon
-from scipy.spatial import ConvexHull
+from matplotlib.patches import Circle, Rectangle
 
 import pgm
+from experiments.seven_nodes.formulas import factor, size, write
 from pgm.plot.colours import PALETTE
+from pgm.plot.diagrams.canvas import Box, Canvas, Point, open_canvas
 
-Array = npt.NDArray[np.float64]
+_RADIUS = 14.0
+_ROW = 62.0
+_BESIDE = 26.0  # from a node to its factor, above or below
+_PAD = 10.0
+_APART = 18.0  # between boundaries
 
-# Between a node and the boundaries around it, in the node's radius.
-_CLEAR = 0.2
-_TURN = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
 
-
-def draw_boundaries(graph: pgm.ClusterGraph, ax: Axes) -> dict[int, Polygon]:
-    """Draw a rounded hull around the variables of each cluster; hulls overlap in shared ones.
+def draw_boundaries(graph: pgm.ClusterGraph, ax: Axes) -> dict[int, Rectangle]:
+    """Draw a column for each cluster: the variables whose factors it holds, in a dashed rectangle.
 
     Parameters
     ----------
     graph : ClusterGraph
+        A chain, no cluster of which holds more than two factors.
     ax : matplotlib.axes.Axes
-        On which `pgm.plot.network` has drawn the graph's network.
 
     Returns
     -------
-    dict of int to Polygon
-        By the cluster's number, which counts from 1 and stands beside its boundary.
+    dict of int to Rectangle
+        By the cluster's number, which counts from 1 and stands above its boundary.
     """
-    places = {text.get_text(): np.array(text.get_position()) for text in ax.texts}
-    radius = max(patch.width for patch in ax.patches if isinstance(patch, Ellipse)) / 2.0
-    scopes = [[repr(variable) for variable in cluster.scope] for cluster in graph]
-    drawn = {}
-    for number, scope in enumerate(scopes, start=1):
-        colour = PALETTE[(number - 1) % len(PALETTE)]
-        # Neighbours keep different distances, so that no two boundaries run into one.
-        distance = radius * (1.0 + _CLEAR * (1 + number % 2))
-        centres = np.array([places[name] for name in scope])
-        hull = _hull(centres, distance)
-        drawn[number] = Polygon(
-            hull,
-            facecolor=(colour, 0.08),
-            edgecolor=colour,
-            linewidth=1.6,
-            zorder=0.5,
-            clip_on=False,
-        )
-        ax.add_patch(drawn[number])
-        # The number stands where the other clusters are farthest.
-        others = [places[name] for other in scopes if other is not scope for name in other]
-        corner = hull[_distances(hull, np.array(others)).min(axis=1).argmax()]
-        away = corner - centres[_distances(centres, corner[None])[:, 0].argmin()]
-        ax.annotate(
-            str(number),
-            corner,
-            xytext=9.0 * away / np.linalg.norm(away),
-            textcoords="offset points",
-            color=colour,
-            weight="bold",
-            ha="center",
-            va="center",
-        )
-    return drawn
+    order = {variable: k for k, variable in enumerate(graph.network.variables)}
+    columns = [sorted(cluster.cpds, key=lambda cpd: order[cpd.child]) for cluster in graph]
+    widths = [max(size([factor(cpd)]).width for cpd in column) + 2.0 * _PAD for column in columns]
+    left = 0.0
+    points: dict[pgm.Variable, Point] = {}
+    boundaries: dict[int, Rectangle] = {}
+    bottom, top = -_BESIDE - 2.0 * _PAD, _ROW + _BESIDE + 2.0 * _PAD
+    for number, (column, width) in enumerate(zip(columns, widths, strict=True), start=1):
+        for row, cpd in enumerate(reversed(column)):
+            points[cpd.child] = left + 0.5 * width, _ROW * row
+        high = top if len(column) > 1 else _RADIUS + _PAD
+        boundaries[number] = Rectangle((left, bottom), width, high - bottom)
+        left += width + _APART
+    canvas = open_canvas(ax, Box(0.0, bottom, left - _APART, top + 2.0 * _PAD))
+    circles = {variable: Circle(at, _RADIUS) for variable, at in points.items()}
+    for number, boundary in boundaries.items():
+        _draw_boundary(canvas, number, boundary)
+    for variable, circle in circles.items():
+        canvas.shape(circle, "white", 1.0)
+        canvas.text(points[variable], repr(variable))
+    for cpd in graph.network.cpds:
+        x, y = points[cpd.child]
+        write(canvas, (x, y + (_BESIDE if y else -_BESIDE)), [factor(cpd)])
+        for parent in cpd.parents:
+            canvas.arrow(
+                posA=points[parent],
+                posB=points[cpd.child],
+                patchA=circles[parent],
+                patchB=circles[cpd.child],
+                shrinkA=0.0,
+                shrinkB=0.0,
+            )
+    return boundaries
 
 
-def _hull(centres: Array, radius: float) -> Array:
-    """The corners of the convex hull of discs."""
-    circle = radius * np.column_stack([np.cos(_TURN), np.sin(_TURN)])
-    points = (centres[:, None] + circle).reshape(-1, 2)
-    hull: Array = points[ConvexHull(points).vertices]
-    return hull
-
-
-def _distances(a: Array, b: Array) -> Array:
-    """Between all points of two sets."""
-    found: Array = np.linalg.norm(a[:, None] - b, axis=-1)
-    return found
+def _draw_boundary(canvas: Canvas, number: int, boundary: Rectangle) -> None:
+    colour = PALETTE[(number - 1) % len(PALETTE)]
+    boundary.set(facecolor="none", edgecolor=colour, linewidth=1.4, linestyle="--", zorder=0.5)
+    canvas.ax.add_patch(boundary)
+    x = boundary.get_x() + 0.5 * boundary.get_width()
+    y = boundary.get_y() + boundary.get_height() + _PAD
+    write(canvas, (x, y), [f"$C_{number}$"], colour=colour)

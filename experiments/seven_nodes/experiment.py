@@ -8,7 +8,8 @@ cluster 2 to cluster 3. For each case of evidence, summary.json has under ``case
 - ``difference``: the largest from the dense joint, of marginals, beliefs, sepsets (the product of
   the two messages between neighbours) and log-evidence.
 
-``largest_difference`` is that of all cases.
+``largest_difference`` is that of all cases, ``equations`` that of messages from those by the
+report's equations.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Annotated, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+import numpy.typing as npt
 import typer
 from matplotlib.figure import Figure
 
@@ -27,6 +29,8 @@ from experiments.dense import Dense
 from experiments.kinds import as_form, as_gaussian
 from experiments.record import Out, Record
 from experiments.seven_nodes.boundaries import draw_boundaries
+from experiments.seven_nodes.messages import draw_messages
+from experiments.seven_nodes.potentials import difference, initial_belief
 from models.seven_nodes import c, e, g, seven_nodes_clusters
 
 Evidence = Mapping[pgm.Variable, float]
@@ -35,8 +39,19 @@ Evidence = Mapping[pgm.Variable, float]
 QUICK: dict[str, Any] = {}
 CAPTIONS = {
     "network": "Figure 5.3: the network of seven variables.",
-    "boundaries": "Figure 5.4: the same with the boundaries of four clusters, dashed.",
-    "cluster_graph": "Figure 5.5: its cluster graph; clusters are ellipses, sepsets rectangles.",
+    "boundaries": (
+        "Figure 5.4: the same network with a factor φ for each CPD, and the boundaries of four "
+        "clusters, dashed."
+    ),
+    "cluster_graph": (
+        "Figure 5.5: its cluster graph. Clusters are ellipses, with their initial beliefs ψ, the "
+        "products of their factors; sepsets are rectangles; arrows are messages. Without evidence "
+        "nothing comes back: δ₃,₂(b) = 1, and δ₂,₃(b) is the prior of b."
+    ),
+    "with_evidence": (
+        "The same with evidence, by which the initial beliefs are reduced: messages go both ways. "
+        "Each is a weight times a Gaussian of the mean and the variance shown."
+    ),
 }
 SHOWN = {
     "2,3": "δ₂,₃(b), from {b, d, e} to {b, c, f}: exp(weight) N(b; mean, var.)",
@@ -58,16 +73,35 @@ def run(
             title,
             ("evidence", "K", "h", "g", "mean", "var.", "weight"),
             [(name, *_figures(case["messages"][key])) for name, case in cases.items()],
+            about="A line a set of evidence. K, h and g are the message's canonical form, "
+            "exp(−½ K x² + h x + g); mean, var. and weight are the same message as a Gaussian.",
         )
+    record.table(
+        "initial beliefs ψ = exp(−½ xᵀK x + hᵀx + g), rows of K after one another",
+        ("cluster", "x", "K", "h", "g"),
+        [
+            (
+                f"ψ{c.index + 1}",
+                ", ".join(map(repr, psi.scope)),
+                *map(_listed, (psi.K, psi.h)),
+                float(psi.g),
+            )
+            for c, psi in ((c, initial_belief(c)) for c in graph)
+        ],
+    )
     record.table(
         "largest difference from the dense joint",
         ("evidence", *next(iter(cases.values()))["difference"]),
         [(name, *case["difference"].values()) for name, case in cases.items()],
+        about="Of a mean or covariance of a marginal, of a canonical form of a cluster's belief, "
+        "of the product of both messages at a sepset, and of the log-evidence.",
     )
     record.note(f"largest difference of all: {worst:.2g}")
-    for name, figure in figures(graph).items():
+    equations = max(difference(graph, evidence) for evidence in _cases(value))
+    record.note(f"largest difference of messages from equations 5.10 to 5.13: {equations:.2g}")
+    for name, figure in figures(graph, value).items():
         record.figure(figure, name, CAPTIONS[name])
-    record.summary(cases=cases, largest_difference=worst)
+    record.summary(cases=cases, largest_difference=worst, equations=equations)
 
 
 def solve(graph: pgm.ClusterGraph, evidence: Evidence) -> dict[str, Any]:
@@ -105,15 +139,17 @@ def solve(graph: pgm.ClusterGraph, evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def figures(graph: pgm.ClusterGraph) -> dict[str, Figure]:
-    """The network, the boundaries of its clusters, and the cluster graph."""
+def figures(graph: pgm.ClusterGraph, value: float) -> dict[str, Figure]:
+    """The network, the boundaries of its clusters, and the cluster graph with its messages."""
     drawn = {}
-    for name in ("network", "boundaries"):
-        drawn[name], ax = plt.subplots(figsize=(5, 4))
-        pgm.plot.network(graph.network, ax=ax)
+    drawn["network"], ax = plt.subplots(figsize=(5, 4))
+    pgm.plot.network(graph.network, ax=ax)
+    drawn["boundaries"], ax = plt.subplots(figsize=(7.2, 3.6))
     draw_boundaries(graph, ax)
-    drawn["cluster_graph"], ax = plt.subplots(figsize=(7, 1.2))
-    pgm.plot.cluster_graph(graph, ax=ax)
+    last = _cases(value)[-1]
+    for name, evidence in (("cluster_graph", {}), ("with_evidence", last)):
+        drawn[name], ax = plt.subplots(figsize=(11, 1.9))
+        draw_messages(graph, evidence, ax)
     for figure in drawn.values():
         plt.close(figure)
     return drawn
@@ -151,3 +187,9 @@ def _figures(message: dict[str, Any]) -> list[object]:
     """The columns of a message in its table, without what is only rounding."""
     keys = ("K", "h", "g", "mean", "variance", "log_weight")
     return [round(message[key], 12) + 0.0 if key in message else "–" for key in keys]
+
+
+def _listed(array: npt.NDArray[np.float64]) -> str:
+    """The numbers of a vector, or of a matrix row by row."""
+    rows = np.atleast_2d(array)
+    return "; ".join(" ".join(f"{value:.3g}" for value in row + 0.0) for row in rows)

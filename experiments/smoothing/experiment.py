@@ -83,13 +83,14 @@ def run(
             )
             for name, kind in each
         ],
-    )
-    record.note(
-        "Change: against the belief in the line above, with its standard error over runs, which "
-        f"are paired. The iterated smoother linearises {iterations} times."
+        about="Root mean square errors over runs and steps. Change: against the belief in the line "
+        "above, with its standard error over runs, which are paired. The iterated smoother "
+        f"linearises {iterations} times.",
+        best={"xy [m]": -np.inf, "heading [rad]": -np.inf},
+        within=("lineariser",),
     )
     record.table(
-        "Consistency",
+        f"Consistency of {runs} drives of {steps} steps",
         ("lineariser", "belief", "NEES", "in band", "coverage", "lost", "settled"),
         [
             (
@@ -103,43 +104,46 @@ def run(
             )
             for name, kind in each
         ],
-    )
-    record.note(
-        f"NEES: mean over runs and steps; a right belief has 3. In band: the share of steps at "
-        f"which the mean over runs is inside the 95 % χ² band, {low:.3f} to {high:.3f}; about "
-        f"95 % for a right belief. Coverage: the share of truths inside the 95 % region of the "
+        about="NEES: mean over runs and steps; a right belief has 3. In band: the share of steps "
+        f"at which the mean over runs is inside the 95 % χ² band, {low:.3f} to {high:.3f}; about "
+        "95 % for a right belief. Coverage: the share of truths inside the 95 % region of the "
         f"pose. Lost: runs whose own mean NEES is more than {LOST * 3}, which rule the means. "
         f"Settled: runs whose last relinearisation moved no mean by more than {TOLERANCE} "
-        f"standard deviations."
+        "standard deviations.",
+        best={"NEES": 3.0, "coverage": 0.95},
+        within=("lineariser",),
     )
     record.table(
         "Innovations of the filter",
         ("lineariser", "NIS / degrees", "whiteness p"),
         [(name, found["nis"], found["probability"]) for name, found in whiteness.items()],
-    )
-    record.note(
-        "A right filter has an NIS of 1 for each degree of freedom, and innovations that are "
+        about="A right filter has an NIS of 1 for each degree of freedom, and innovations that are "
         "white: p is the probability that white ones look less white. Both see an error only "
-        "once a reading contradicts it; the NEES, which needs the truth, sees it at once."
+        "once a reading contradicts it; the NEES, which needs the truth, sees it at once.",
+        best={"NIS / degrees": 1.0},
     )
     times = np.arange(steps + 1) * DT
     record.figure(
         figures.rmse(beliefs, drive.truth, times),
         "rmse",
-        "RMSE over runs (line), and the 5th to 95th percentile of a run's error (band). A line "
-        "far above the middle of its band is ruled by few bad runs.",
+        "Errors of the position [m] and of the heading [rad] over time [s], by lineariser: RMSE "
+        "over runs (line), and the 5th to 95th percentile of a run's error (band). The filter's "
+        "error grows where no landmark is in reach and falls at the next sighting, which the "
+        "smoothers know beforehand. A line far above the middle of its band is ruled by few bad "
+        "runs.",
     )
     record.figure(
         figures.nees(beliefs, drive.truth, times),
         "nees",
-        "NEES averaged over runs, for each degree of freedom, with the 95 % χ² band. Above the "
-        "band a belief is surer than its errors allow.",
+        "NEES over time [s], averaged over runs, for each of the pose's three degrees of freedom, "
+        "with the 95 % χ² band. Above the band a belief is surer than its errors allow.",
     )
     record.figure(
         figures.coverage(beliefs, drive.truth),
         "coverage",
-        "Share of true poses inside confidence regions of the pose. The bands are 95 % binomial "
-        "intervals that count runs alone, since steps of a run depend on each other.",
+        "Share of true poses inside confidence regions of the pose; on the diagonal a belief "
+        "holds the truth as often as it says. The bands are 95 % binomial intervals that count "
+        "runs alone, since steps of a run depend on each other.",
     )
     record.figure(
         figures.innovations(plain, times),

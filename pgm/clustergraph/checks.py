@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
-import networkx as nx
-
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed
 from pgm.variables import Variable
@@ -103,24 +101,33 @@ def check_running_intersection(
         carrying = carriers[variable]
         if len(carrying) == len(clusters) - 1 and (loopless or is_forest(carrying)):
             continue
-        graph = nx.Graph(carrying)
-        graph.add_nodes_from(clusters)
-        pieces = list(nx.connected_components(graph))
-        if len(pieces) > 1:
-            apart = " and ".join(map(_some, pieces[:2]))
-            raise GraphError(
-                f"running intersection fails: {variable!r} is in clusters {apart}, which no "
-                "path of sepsets carrying it joins; add it to the sepsets between them",
-                variable=variable,
-                cluster=min(pieces[1]),
-            )
-        loop = [edge[0] for edge in nx.find_cycle(graph)]
-        raise GraphError(
-            f"running intersection fails: the sepsets carry {variable!r} around the loop of "
-            f"clusters {_some(loop)}; take it out of one of them",
+        raise _broken(variable, clusters, carrying)
+
+
+def _broken(
+    variable: Variable, clusters: Collection[int], carrying: Collection[Edge]
+) -> GraphError:
+    """The error of a variable whose clusters, and the sepsets that carry it, form no tree."""
+    import networkx as nx  # here, since it is slow to import
+
+    graph = nx.Graph(carrying)
+    graph.add_nodes_from(clusters)
+    pieces = list(nx.connected_components(graph))
+    if len(pieces) > 1:
+        apart = " and ".join(map(_some, pieces[:2]))
+        return GraphError(
+            f"running intersection fails: {variable!r} is in clusters {apart}, which no "
+            "path of sepsets carrying it joins; add it to the sepsets between them",
             variable=variable,
-            cluster=loop[0],
+            cluster=min(pieces[1]),
         )
+    loop = [edge[0] for edge in nx.find_cycle(graph)]
+    return GraphError(
+        f"running intersection fails: the sepsets carry {variable!r} around the loop of "
+        f"clusters {_some(loop)}; take it out of one of them",
+        variable=variable,
+        cluster=loop[0],
+    )
 
 
 def is_forest(edges: Iterable[Edge]) -> bool:

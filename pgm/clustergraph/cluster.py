@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 from pgm.clustergraph.size import size
 from pgm.cpds import CPD
-from pgm.factors.scope import Scope, listed
+from pgm.display import Shown, Summary
+from pgm.factors.scope import MOST, Scope, listed
 
 
-@dataclass(frozen=True, eq=False)
-class Cluster:
+@dataclass(frozen=True, eq=False, repr=False)
+class Cluster(Shown):
     """A set of variables, with the CPDs whose product is its potential.
 
     Attributes
@@ -42,5 +43,13 @@ class Cluster:
     def __hash__(self) -> int:
         return hash((self.index, self.scope))
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         return f"Cluster({self.index}: ({listed(self.scope)}))"
+
+    def _summary(self) -> Summary:
+        """The variables, and the CPDs in the notebook; in a terminal clusters stand in lists."""
+        return Summary(self._title, [cpd._title for cpd in self.cpds[:MOST]])
+
+    def __repr__(self) -> str:
+        return self._title

@@ -7,9 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain, repeat
 from types import MappingProxyType
-from typing import Any, TypeVar
-
-import networkx as nx
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pgm.boundary import as_tuple, is_whole
 from pgm.clustergraph.assignment import assign, spanning_tree
@@ -21,11 +19,15 @@ from pgm.clustergraph.checks import (
 )
 from pgm.clustergraph.cluster import Cluster
 from pgm.clustergraph.size import amount, extent, is_discrete, work
+from pgm.display import Drawn, Listing, Summary, few, titled
 from pgm.errors import GraphError
-from pgm.factors.scope import Scope, as_scope, listed
+from pgm.factors.scope import MOST, Scope, as_scope, listed
 from pgm.immutable import Immutable
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 T = TypeVar("T")
 Places = tuple[int, ...]
@@ -34,7 +36,11 @@ Places = tuple[int, ...]
 PLANS_KEPT = 32
 
 
-class ClusterGraph(Immutable):
+# Sepsets of a cluster, and variables of a sepset, that are shown.
+FEW = 3
+
+
+class ClusterGraph(Drawn, Immutable):
     """An undirected graph of clusters; its edges are labelled with sepsets.
 
     Structure alone: it holds no evidence, message or belief. Made by `compile`, or by hand from
@@ -77,7 +83,7 @@ class ClusterGraph(Immutable):
         sepsets: Mapping[Edge, Iterable[Variable]] | None = None,
     ) -> None:
         if not isinstance(network, BayesianNetwork):
-            raise GraphError(f"a cluster graph is of a BayesianNetwork, not of {network!r}")
+            raise GraphError(f"a cluster graph is of a BayesianNetwork, not of {titled(network)}")
         place = network._places
 
         def places(members: Iterable[Variable], where: str) -> Places:
@@ -272,16 +278,39 @@ class ClusterGraph(Immutable):
         found = cluster.index if isinstance(cluster, Cluster) else cluster
         if not is_whole(found) or not 0 <= found < self._count:
             raise GraphError(
-                f"there is no cluster {cluster!r}; clusters are 0..{self._count - 1}",
-                cluster=cluster,
+                f"there is no cluster {cluster!r}; clusters are {self._indices()}", cluster=cluster
             )
-        if isinstance(cluster, Cluster) and (own := self.clusters[found]) != cluster:
+        if isinstance(cluster, Cluster) and (own := self._view(found)) != cluster:
             raise GraphError(
                 f"{cluster!r} is a cluster of another graph; {own!r} has its index in this one. "
                 "Give one of this graph's clusters, or an index",
                 cluster=cluster,
             )
         return int(found)
+
+    def cluster(self, cluster: int | Cluster) -> Cluster:
+        """One of the clusters: its variables, CPDs and their families.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+            Its index, from 0 to ``len(graph) - 1``, or the cluster itself.
+
+        Raises
+        ------
+        GraphError
+            If the graph has no such cluster, naming the ones there are.
+        """
+        return self._view(self.index(cluster))
+
+    def _view(self, index: int) -> Cluster:
+        """The cluster of an index that exists."""
+        return self._clusters[index]
+
+    def _indices(self) -> str:
+        """The clusters there are, where they are few with their variables."""
+        each = (f"{k} ({listed(self._view(k).scope)})" for k in range(min(self._count, MOST)))
+        return f"0..{self._count - 1}" + (f": {', '.join(each)}" if self._count <= MOST else "")
 
     def families(self) -> Iterable[Scope]:
         """The families of all CPDs of the network, each of which needs a cluster."""
@@ -308,6 +337,8 @@ class ClusterGraph(Immutable):
         networkx.Graph
             Nodes are indices with the attribute ``cluster``; edges have ``sepset``.
         """
+        import networkx as nx  # here, since it is slow to import
+
         graph = nx.Graph()
         graph.add_nodes_from((cluster.index, {"cluster": cluster}) for cluster in self.clusters)
         graph.add_edges_from((i, j, {"sepset": scope}) for (i, j), scope in self.sepsets.items())
@@ -353,12 +384,29 @@ class ClusterGraph(Immutable):
     def __len__(self) -> int:
         return self._count
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         unit = "table entries" if is_discrete(self._clusters[0].scope) else "components"
         return (
             f"ClusterGraph({len(self)} clusters, {len(self.sepsets)} sepsets, width {self.width}, "
             f"largest cluster {amount(max(self.sizes))} {unit}, cost {amount(self.cost)})"
         )
+
+    def _summary(self) -> Summary:
+        rows: list[Sequence[str] | None] = []
+        for k in few(self._count):
+            if k is None:
+                rows.append(None)
+                continue
+            joined = self.neighbours(k)
+            each = [
+                f"{j} by {listed(self.sepsets[min(k, j), max(k, j)], FEW)}" for j in joined[:FEW]
+            ]
+            more = [f"... {len(joined)} in all"] * (len(joined) > FEW)
+            scope = listed(self.clusters[k].scope)
+            rows.append([str(k), scope, "; ".join(each + more)])
+        heads = ("cluster", "variables", "joined to")
+        return Summary(self._title, [Listing(heads, rows, names=3, cell=60)])
 
 
 def _edge(edge: Any, count: int) -> Edge:

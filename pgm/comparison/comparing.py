@@ -15,6 +15,7 @@ from pgm.comparison.oracle import Compared, Oracle, Reference, references, requi
 from pgm.comparison.row import FAILURES, Name, Row, failed, judge
 from pgm.comparison.table import Comparison
 from pgm.compile import compile
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors import Gaussian
@@ -25,6 +26,7 @@ from pgm.inference.checks import require_lineariser
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Cubature, Lineariser, Taylor, Unscented
 from pgm.networks import DynamicBayesianNetwork
+from pgm.progress import Progress, counted, reporting
 from pgm.variables import Variable
 
 OverTime = Filtering | FixedLag | Smoothing
@@ -45,6 +47,7 @@ def compare(
     truth: Truth | None = None,
     states: Iterable[Variable] | None = None,
     steps: int | None = None,
+    progress: Progress = False,
 ) -> Comparison:
     r"""Run every lineariser under every schedule on the same evidence, and judge their beliefs.
 
@@ -84,6 +87,8 @@ def compare(
         The states that are compared; all of the network's without.
     steps : int, optional
         T, where no plain array of the evidence tells.
+    progress : bool or callable
+        As for `infer`: of an oracle's run, then of the lineariser and schedule pairs.
 
     Returns
     -------
@@ -125,15 +130,14 @@ def compare(
     compared = Compared(compile(model, bound.steps), evidence, bound.lead, chosen, kinds)
     true = _truths(truth or {}, compared, model)
     found: dict[tuple[Kind, Variable], Reference] = {}
-    if oracle is not None:
-        require_oracle(oracle, kinds)
-        found = references(oracle, compared)
-    rows = [
-        row
-        for label, method in methods.items()
-        for word, plan in plans.items()
-        for row in _run(compared, (label, word), method, plan, found, true)
-    ]
+    pairs = [(each, plan) for each in methods.items() for plan in plans.items()]
+    rows: list[Row] = []
+    with reporting(progress):
+        if oracle is not None:
+            require_oracle(oracle, kinds)
+            found = references(oracle, compared)
+        for (label, method), (word, plan) in counted(pairs, "linearisers and schedules"):
+            rows += _run(compared, (label, word), method, plan, found, true)
     own = [
         _oracle_row(_title(oracle), kind, state, found[kind, state], true.get(state))
         for kind in (kinds if found else ())
@@ -317,4 +321,4 @@ def _title(oracle: Grid | Oracle | None) -> str:
 
 def _described(oracle: Grid | Oracle) -> str:
     """The oracle in words."""
-    return repr(oracle if isinstance(oracle, Grid) else getattr(oracle, "grid", oracle))
+    return titled(oracle if isinstance(oracle, Grid) else getattr(oracle, "grid", oracle))

@@ -128,7 +128,7 @@ def references(oracle: Grid | Oracle, compared: Compared) -> dict[tuple[Kind, Va
         evidence = getattr(posterior, "log_evidence", None)
         mean = np.nan if evidence is None else float(np.mean(evidence))
         name = str(getattr(posterior, "log_evidence_kind", ""))
-        status = repr(posterior.status) if isinstance(posterior, GridPosterior) else ""
+        status = posterior.status._title if isinstance(posterior, GridPosterior) else ""
         for state in compared.states:
             gaussian, apart = _gaussian(posterior[state], state, compared)
             found[kind, state] = Reference(gaussian, apart, seconds, mean, name, status)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pgm import consistency
+from pgm.display import Listing, Shown, Summary, number
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels
@@ -22,8 +23,8 @@ from pgm.variables import Variable
 FAILURES = (LinearisationError, NumericalError)
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
+@dataclass(frozen=True, eq=False, repr=False)
+class Row(Shown):
     """The beliefs of one state by one lineariser under one schedule, judged.
 
     What was not asked for, or could not be found, is NaN. Means over steps leave out the steps
@@ -98,6 +99,23 @@ class Row:
         """The step where the KL is largest; None without any."""
         known = ~np.isnan(self.kl_by_step)
         return int(np.nanargmax(self.kl_by_step)) if known.any() else None
+
+    @property
+    def _title(self) -> str:
+        return f"Row({self.lineariser}, {self.schedule}, {self.state!r}, {self.kind})"
+
+    def _summary(self) -> Summary:
+        figures = [
+            ("KL [nats]", self.kl),
+            *((f"RMSE {label}", value) for label, value in self.rmse.items()),
+            ("NEES", self.nees),
+            ("NEES expected", self.nees_expected),
+            ("log-evidence", self.log_evidence),
+            ("seconds", self.seconds),
+        ]
+        rows = [(name, number(value)) for name, value in figures if not np.isnan(value)]
+        parts: list[str | Listing] = [Listing(("", ""), rows)] if rows else []
+        return Summary(self._title, [*parts, *([self.error] if self.error else [])])
 
     def __getstate__(self) -> dict[str, Any]:
         # Read-only views of mappings cannot be pickled.

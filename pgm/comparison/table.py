@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from pgm.comparison.row import Row
+from pgm.display import Listing, Shown, Summary, count, few
 from pgm.errors import ModelError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
+from pgm.optional import FRAMES, optional
 from pgm.variables import Variable
 
 _NONE = "–"
+# Failures that are told.
+FAILED = 3
 
 
-class Comparison(Immutable):
+class Comparison(Shown, Immutable):
     """Linearisers and schedules beside each other; its text is a table.
 
     ``found["Taylor", "filter"]`` is a row, of the only state; ``found["Taylor", "filter", x]`` that
@@ -113,14 +116,10 @@ class Comparison(Immutable):
         Raises
         ------
         ImportError
-            If pandas is not installed.
+            If pandas is not installed (``pip install 'sepset[frames]'``); `rows` has the same
+            numbers.
         """
-        try:
-            pandas = import_module("pandas")
-        except ImportError:
-            raise ImportError(
-                "Comparison.to_frame needs pandas: pip install pandas; .rows has the same numbers"
-            ) from None
+        pandas = optional("pandas", "Comparison.to_frame()", FRAMES)
         records = [
             {"lineariser": row.lineariser, "schedule": row.schedule, "state": row.state.name}
             | {"oracle": row in self.oracle_rows}
@@ -137,29 +136,34 @@ class Comparison(Immutable):
         """The components with a truth."""
         return list(dict.fromkeys(label for row in self.rows for label in row.rmse))
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         linearisers, schedules = (len({getattr(r, n) for r in self.rows}) for n in _NAMES)
-        runs = f", {int(np.prod(self.runs))} runs" if self.runs else ""
-        lines = [
-            f"Comparison of {_count(linearisers, 'lineariser')} under "
-            f"{_count(schedules, 'schedule')}, steps 0..{self.steps}{runs}"
-        ]
-        if self.oracle:
-            lines[0] += f"; oracle {self.oracle}"
-        lines += _aligned(self._columns())
-        lines += [f"{_who(row)}: {row.error}" for row in self.rows if row.error]
+        runs = f", {count(int(np.prod(self.runs)), 'run')}" if self.runs else ""
+        oracle = f"; oracle {self.oracle}" if self.oracle else ""
+        return (
+            f"Comparison of {count(linearisers, 'lineariser')} under "
+            f"{count(schedules, 'schedule')}, steps 0..{self.steps}{runs}{oracle}"
+        )
+
+    def _summary(self) -> Summary:
+        heads, *rows = zip(*self._columns(), strict=True)
+        names = sum(head in (*_NAMES, "state") for head in heads)
+        shown = [None if k is None else rows[k] for k in few(len(rows))]
+        failed = [f"{_who(row)}: {row.error}" for row in self.rows if row.error]
+        notes = failed[:FAILED] + [f"... {len(failed)} failed"] * (len(failed) > FAILED)
         left = [row for row in (*self.rows, *self.oracle_rows) if row.left_out]
         if left:
             most = max(row.left_out for row in left)
-            lines.append(
-                f"KL and NEES leave out up to {_count(most, 'step')} of {self.steps + 1}, where a "
+            notes.append(
+                f"KL and NEES leave out up to {count(most, 'step')} of {self.steps + 1}, where a "
                 "covariance is singular or infinite"
             )
         if self.oracle_rows:
-            lines.append("KL of the oracle's rows: from its own Gaussian, KL(p ‖ N_p)")
+            notes.append("KL of the oracle's rows: from its own Gaussian, KL(p ‖ N_p)")
         if self.oracle_status:
-            lines.append(f"the oracle's status: {self.oracle_status}")
-        return "\n".join(lines)
+            notes.append(f"the oracle's status: {self.oracle_status}")
+        return Summary(self._title, [Listing(heads, shown, names), *notes])
 
     def _columns(self) -> list[list[str]]:
         """The columns of the table, each with its head; those without a number are left out."""
@@ -201,26 +205,9 @@ _FRAME = (
 )
 
 
-def _aligned(columns: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table: names to the left, numbers to the right."""
-    wide = [max(map(len, column)) for column in columns]
-    words = sum(column[0] in (*_NAMES, "state") for column in columns)
-    return [
-        "  ".join(
-            cell.ljust(width) if k < words else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, wide, strict=True))
-        ).rstrip()
-        for row in zip(*columns, strict=True)
-    ]
-
-
 def _shown(value: float) -> str:
     """A number to four digits, none as a dash."""
     return _NONE if np.isnan(value) else f"{value:.4g}"
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 def _who(row: Row) -> str:

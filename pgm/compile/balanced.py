@@ -13,11 +13,12 @@ from functools import cached_property
 
 from pgm.clustergraph import Cluster
 from pgm.compile.dynamic import DynamicGraph
+from pgm.display import InCode
 from pgm.factors.scope import Scope
 
 
 @dataclass(frozen=True)
-class Balanced:
+class Balanced(InCode):
     r"""Compile a dynamic network to a balanced tree of its segments, of logarithmic depth.
 
     All clusters of a level can send at once, in a batched call: solving takes about 2 log₂ T rounds
@@ -115,11 +116,9 @@ class BalancedGraph(DynamicGraph):
             below = self._over(first, middle), self._over(middle, last)
         return (0, *below) if index == self.root and self.steps else below
 
-    def cluster(self, index: int) -> Cluster:
-        """The `Cluster` of an index from 0 to ``len(graph) - 1``; GraphError of others."""
-        index = self.index(index)
+    def _view(self, index: int) -> Cluster:
         if index <= self.steps:
-            return super().cluster(index)
+            return super()._view(index)
         first, last = self._segment(index)
         return Cluster(index, self.states_at(first, index - self.steps, last), (), ())
 
@@ -143,12 +142,13 @@ class BalancedGraph(DynamicGraph):
 
     @property
     def _alike(self) -> Iterator[tuple[Cluster, int]]:
-        yield self.cluster(0), 1
+        yield self._view(0), 1
         for first, count in ((1, self.steps), (self.steps + 1, self.steps - 1)):
             if count > 0:
-                yield self.cluster(first), count
+                yield self._view(first), count
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         return (
             f"BalancedGraph(clusters 0..{self._count - 1} over steps 0..{self.steps}, depth "
             f"{self.depth}, sepsets of {list(self.model.states)})"

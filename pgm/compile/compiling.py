@@ -9,6 +9,7 @@ from pgm.clustergraph import ClusterGraph
 from pgm.compile.balanced import Balanced, BalancedGraph
 from pgm.compile.dynamic import DynamicGraph, SliceGraph
 from pgm.compile.junction import JunctionTree
+from pgm.display import titled
 from pgm.errors import GraphError, ModelError
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.sizes import require_memory
@@ -85,15 +86,17 @@ def compile(
     if isinstance(model, DynamicBayesianNetwork):
         return _dynamic(model, steps, method)
     if not isinstance(model, BayesianNetwork):
-        raise ModelError(f"compile takes a network, not {model!r}")
+        raise ModelError(f"compile takes a network, not {titled(model)}")
     if steps is not None:
-        raise GraphError(f"{model!r} has no time, so it is not compiled for steps; leave out steps")
+        raise GraphError(
+            f"{titled(model)} has no time, so it is not compiled for steps; leave out steps"
+        )
     if method is None:
         return TREE(model)
     if isinstance(method, Balanced):
         raise GraphError(
-            f"{method!r} dissects the chain of a dynamic network, and {model!r} has no time; give "
-            "method=pgm.JunctionTree(order=pgm.NestedDissection())"
+            f"{method!r} dissects the chain of a dynamic network, and {titled(model)} has no time; "
+            "give method=pgm.JunctionTree(order=pgm.NestedDissection())"
         )
     if not callable(method) or isinstance(method, type):
         raise GraphError(
@@ -101,11 +104,11 @@ def compile(
         )
     graph = method(model)
     if not isinstance(graph, ClusterGraph):
-        raise GraphError(f"{method!r} returned {graph!r} where a ClusterGraph was due")
+        raise GraphError(f"{method!r} returned {titled(graph)} where a ClusterGraph was due")
     if graph.network is not model:
         raise GraphError(
-            f"{method!r} returned a graph of {graph.network!r}, not of the network it was given, "
-            f"{model!r}; a method compiles the network that it is given"
+            f"{method!r} returned a graph of {titled(graph.network)}, not of the network it was "
+            f"given, {titled(model)}; a method compiles the network that it is given"
         )
     return graph
 

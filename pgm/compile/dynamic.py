@@ -9,6 +9,7 @@ from typing import Any
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.checks import Edge
 from pgm.compile.layout import SliceLayout
+from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope
 from pgm.networks import DynamicBayesianNetwork
@@ -66,9 +67,7 @@ class DynamicGraph(ClusterGraph, ABC):
         """The largest number of variables in a cluster, less one."""
         return max(len(cluster.scope) for cluster, _ in self._alike) - 1
 
-    def cluster(self, index: int) -> Cluster:
-        """The `Cluster` of an index from 0 to ``len(graph) - 1``; GraphError of others."""
-        index = self.index(index)
+    def _view(self, index: int) -> Cluster:
         cpds = self.model.cpds_at(index)
         families = tuple(tuple(v.at(index) for v in cpd.scope) for cpd in cpds)
         hidden = self.layout.pair if index else self.layout.states
@@ -106,7 +105,7 @@ class DynamicGraph(ClusterGraph, ABC):
                     yield tuple(variable.at(step) for variable in cpd.scope)
 
 
-class _Clusters(Sequence[Cluster]):
+class _Clusters(InCode, Sequence[Cluster]):
     def __init__(self, graph: DynamicGraph) -> None:
         self._graph = graph
 
@@ -116,16 +115,19 @@ class _Clusters(Sequence[Cluster]):
     def __getitem__(self, index: Any) -> Any:
         found = range(len(self))[index]
         if isinstance(found, range):
-            return tuple(map(self._graph.cluster, found))
-        return self._graph.cluster(found)
+            return tuple(map(self._graph._view, found))
+        return self._graph._view(found)
 
     def __repr__(self) -> str:
         return f"<clusters 0..{len(self) - 1}>"
 
 
-class _Sepsets(Mapping[Edge, Scope]):
+class _Sepsets(InCode, Mapping[Edge, Scope]):
     def __init__(self, graph: DynamicGraph) -> None:
         self._graph = graph
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} sepsets between clusters 0..{len(self)}>"
 
     def __len__(self) -> int:
         return self._graph._count - 1
@@ -185,9 +187,10 @@ class SliceGraph(DynamicGraph):
 
     @property
     def _alike(self) -> Iterator[tuple[Cluster, int]]:
-        yield self.cluster(0), 1
+        yield self._view(0), 1
         if self.steps:
-            yield self.cluster(1), self.steps
+            yield self._view(1), self.steps
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         return f"SliceGraph(clusters 0..{self.steps}, sepsets of {list(self.model.states)})"

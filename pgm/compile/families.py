@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from networkx.utils import UnionFind
-
 from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.assignment import holding
 from pgm.clustergraph.checks import Edge
+from pgm.display import InCode
 from pgm.factors.scope import Scope
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
 
 @dataclass(frozen=True)
-class Bethe:
+class Bethe(InCode):
     """Compile to a cluster for each family, joined through a cluster for each variable they share.
 
     Families inside other families have no cluster of their own. Where the graph has loops, messages
@@ -71,7 +70,7 @@ def maximal(families: list[Scope]) -> list[Scope]:
 
 
 @dataclass(frozen=True)
-class LTRIP:
+class LTRIP(InCode):
     """Compile to a cluster for each family, joined by a spanning tree for each variable.
 
     For each variable, its clusters are joined by the tree of greatest weight, where an edge weighs
@@ -113,6 +112,8 @@ class LTRIP:
 
 def _layers(clusters: Sequence[Scope]) -> dict[Edge, list[Variable]]:
     """The sepsets: Kruskal's algorithm for the trees of all variables at once."""
+    from networkx.utils import UnionFind  # here, since networkx is slow to import
+
     holders = holding(clusters)
     strength = [sum(len(holders[variable]) for variable in scope) for scope in clusters]
     rank = {k: r for r, k in enumerate(sorted(range(len(clusters)), key=lambda k: -strength[k]))}

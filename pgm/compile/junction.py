@@ -11,6 +11,7 @@ from pgm.clustergraph.checks import Edge
 from pgm.clustergraph.size import amount, is_discrete, size
 from pgm.compile.elimination import clique_tree, moral
 from pgm.compile.orders import MinFill, Order, StochasticMinFill, places
+from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import listed
 from pgm.networks import BayesianNetwork
@@ -18,7 +19,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True)
-class JunctionTree:
+class JunctionTree(InCode):
     """Compile to a tree of the cliques of the triangulated moral graph.
 
     Calibrating it is exact; what it costs grows with the largest clique. A network whose parts
@@ -96,7 +97,7 @@ def graph_of(
 
 
 @dataclass(frozen=True)
-class JoinGraph:
+class JoinGraph(InCode):
     """Compile to clusters of at most some size, as near to a junction tree as that allows.
 
     Variables are eliminated in an order. All scopes that hold the next one, X, would make one

@@ -11,6 +11,7 @@ from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph.size import extent
 from pgm.compile.elimination import Adjacency, min_fill, moral
 from pgm.compile.search import cheapest
+from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed
 from pgm.networks import BayesianNetwork
@@ -25,7 +26,7 @@ class Order(Protocol):
         ...
 
 
-class Rule(ABC):
+class Rule(InCode, ABC):
     """An order that is found in the moral graph."""
 
     def __call__(self, network: BayesianNetwork) -> Scope:

@@ -9,14 +9,15 @@ from scipy.special import gammaincc
 
 from pgm.consistency.checks import check_count, check_innovations
 from pgm.consistency.quantiles import chi_squared, normal
+from pgm.display import Shown, Summary, count, number, table
 from pgm.errors import ModelError
 from pgm.inference import Innovations
 from pgm.inference.chain.innovations import autocorrelation, whitened
 from pgm.kernels.arrays import Array, Integers
 
 
-@dataclass(frozen=True, eq=False)
-class Whiteness:
+@dataclass(frozen=True, eq=False, repr=False)
+class Whiteness(Shown):
     """The autocorrelation of whitened innovations, and what white ones would have of it.
 
     Attributes
@@ -46,6 +47,18 @@ class Whiteness:
     def inside(self) -> bool:
         """Whether the statistic stays below its limit: nothing speaks against white."""
         return self.statistic <= self.limit
+
+    @property
+    def _title(self) -> str:
+        verdict = "white" if self.inside else "not white"
+        return (
+            f"Whiteness({verdict}: statistic {number(self.statistic)}, limit "
+            f"{number(self.limit)}, {count(self.dof, 'degree')} of freedom)"
+        )
+
+    def _summary(self) -> Summary:
+        columns = [("lag", self.lags), ("autocorrelation", self.autocorrelation)]
+        return Summary(self._title, [table([*columns, ("band ±", self.band)])])
 
     @property
     def probability(self) -> float:

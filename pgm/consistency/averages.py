@@ -12,14 +12,15 @@ from pgm.boundary import as_floats
 from pgm.consistency.checks import check_count, check_innovations
 from pgm.consistency.errors import nees_and_dof
 from pgm.consistency.quantiles import chi_squared, tails
+from pgm.display import Listing, Shown, Summary, column, count, number, places
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations
 from pgm.kernels.arrays import Array, Integers, Mask
 
 
-@dataclass(frozen=True, eq=False)
-class Average:
+@dataclass(frozen=True, eq=False, repr=False)
+class Average(Shown):
     """The mean of normalised errors squared, beside the two-sided χ² band of a right belief.
 
     Attributes
@@ -49,6 +50,31 @@ class Average:
     def inside(self) -> Mask:
         """Whether the mean lies in its band; a mean of nothing does not."""
         return np.asarray((self.low <= self.value) & (self.value <= self.high))
+
+    @property
+    def _title(self) -> str:
+        if np.ndim(self.value):
+            return f"Average({np.shape(self.value)} of them)"
+        return (
+            f"Average({number(self.value)}, band {number(self.low)} to {number(self.high)}, "
+            f"expected {number(self.expected)}, of {count(int(self.count), 'error')})"
+        )
+
+    def _summary(self) -> Summary:
+        shape = np.shape(self.value)
+        if not shape:
+            return Summary(self._title)
+        known, inside = int((self.count > 0).sum()), int(self.inside.sum())
+        heads = ["", "value", "low", "high", "expected", "of"]
+        shown = places(shape)
+        found = [place for place in shown if place is not None]
+        each = [self.value, self.low, self.high, self.expected, self.count]
+        cells = zip(*(column([part[at] for at in found]) for part in each), strict=True)
+        rows = dict(zip(found, cells, strict=True))
+        listing = Listing(
+            heads, [None if at is None else [str(list(at)), *rows[at]] for at in shown]
+        )
+        return Summary(self._title, [f"{inside} of {known} inside their band", listing])
 
     def per_dof(self) -> Average:
         """The same, divided by what is expected, so that 1 is right whatever the degrees."""

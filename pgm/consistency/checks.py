@@ -7,6 +7,7 @@ from typing import Any
 import numpy.typing as npt
 
 from pgm.boundary import as_floats, is_whole
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import GridBelief, Innovations, ParticleBelief
@@ -17,7 +18,8 @@ def check_gaussian(belief: Any) -> Gaussian:
     """The Gaussian; refuses anything else."""
     if isinstance(belief, GridBelief | ParticleBelief):
         raise ModelError(
-            f"a belief is a Gaussian, not {belief!r}; belief.gaussian() has its mean and covariance"
+            f"a belief is a Gaussian, not {titled(belief)}; belief.gaussian() has its mean and "
+            "covariance"
         )
     if not isinstance(belief, Gaussian):
         raise ModelError(

@@ -10,13 +10,15 @@ import numpy.typing as npt
 
 from pgm.boundary import as_floats
 from pgm.consistency.errors import size
+from pgm.display import Shown, Summary, table
+from pgm.display import count as counted
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.kernels.arrays import Array, Integers
 
 
-@dataclass(frozen=True, eq=False)
-class OverTime:
+@dataclass(frozen=True, eq=False, repr=False)
+class OverTime(Shown):
     """A size, at each step, of several runs; NaN at steps where that of none is known.
 
     Attributes
@@ -39,6 +41,16 @@ class OverTime:
     high: Array
     runs: int
     count: Integers
+
+    @property
+    def _title(self) -> str:
+        ends = f"steps {self.steps[0]}..{self.steps[-1]}, " if len(self.steps) else ""
+        return f"OverTime({ends}{counted(self.runs, 'run')})"
+
+    def _summary(self) -> Summary:
+        names = ("rms", "low", "median", "high", "count")
+        columns = [("step", self.steps), *((name, getattr(self, name)) for name in names)]
+        return Summary(self._title, [table(columns)])
 
 
 def over_time(

@@ -11,12 +11,14 @@ import numpy.typing as npt
 from pgm.consistency.checks import check_confidence
 from pgm.consistency.errors import nees_and_dof, nothing_known
 from pgm.consistency.quantiles import chi_squared, clopper_pearson
+from pgm.display import Shown, Summary, table
+from pgm.display import count as counted
 from pgm.factors import Gaussian
 from pgm.kernels.arrays import Array, Mask
 
 
-@dataclass(frozen=True, eq=False)
-class Coverage:
+@dataclass(frozen=True, eq=False, repr=False)
+class Coverage(Shown):
     """The share of truths inside regions of a confidence.
 
     Attributes
@@ -39,6 +41,17 @@ class Coverage:
     high: Array
     runs: int
     count: int
+
+    @property
+    def _title(self) -> str:
+        return f"Coverage({counted(self.runs, 'run')}, {counted(self.count, 'truth')})"
+
+    def _summary(self) -> Summary:
+        nominal = np.ravel(self.nominal)
+        names = ("actual", "low", "high")
+        columns = [("nominal", nominal), *((name, np.ravel(getattr(self, name))) for name in names)]
+        inside = f"{int(np.sum(self.inside))} of {nominal.size} confidences inside the interval"
+        return Summary(self._title, [inside, table(columns)])
 
     @property
     def inside(self) -> Mask:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from pgm.boundary import as_generator, as_lengths
 from pgm.cpds.values import Known, Values, as_parents, as_values, common, shape_of
+from pgm.display import Listing, NoArray, Shown, Summary
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each
 from pgm.immutable import Immutable
@@ -20,8 +21,11 @@ from pgm.sizes import require_memory
 from pgm.variables import Discrete, Variable
 
 
-class CPD(Immutable):
+class CPD(Shown, NoArray, Immutable):
     """The density of a child given its parents; an immutable value.
+
+    In tuples and messages it stands by its title, like ``LinearGaussianCPD(x | u)``; printed, and
+    in notebooks, it shows its numbers.
 
     Attributes
     ----------
@@ -39,6 +43,7 @@ class CPD(Immutable):
     partial: bool = False
     """Whether its density takes readings in which components are NaN, as not measured."""
     _origin: CPD | None = None
+    _arrays = "numbers by name, such as .cov or .table"
 
     def _set_scope(
         self, child: Variable, given: Variable | Iterable[Variable], noise_given: Scope = ()
@@ -270,6 +275,20 @@ class CPD(Immutable):
         """The attributes of a copy at a step that differ from this one's."""
         return {"child": self.child.at(step), "given": tuple(v.at(step) for v in self.given)}
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         parents = listed(self.parents)
         return f"{type(self).__name__}({self.child!r}{' | ' if parents else ''}{parents})"
+
+    def _summary(self) -> Summary:
+        return Summary(self._title, self._parts())
+
+    def _parts(self) -> Sequence[str | Listing]:
+        """What is shown below the title."""
+        return ()
+
+    def __repr__(self) -> str:
+        return self._title
+
+    def __str__(self) -> str:
+        return self._summary().text()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -10,14 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds.base import CPD
-from pgm.cpds.noise import Noise, as_covariance, evaluate
+from pgm.cpds.noise import Noise, evaluate
 from pgm.cpds.values import Known, Values
+from pgm.display import Listing, called, named_matrix
 from pgm.errors import LinearisationError, ModelError, NumericalError
+from pgm.factors.covariance import as_covariance
 from pgm.factors.runs import flat, unflat
-from pgm.factors.scope import Scope
+from pgm.factors.scope import Scope, components, listed
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, independent, quiet, transpose
+from pgm.kernels.arrays import LOG_2PI, Array, Mask, frozen, independent, quiet, transpose
 from pgm.kernels.checks import IMPROPER
 from pgm.kernels.moments import ROUNDING
 from pgm.linearisers.calls import Call
@@ -42,13 +45,32 @@ class ConditionalGaussian(CPD):
         given: Variable | Iterable[Variable],
         cov: npt.ArrayLike | Noise,
         *,
-        lead: bool = False,
+        runs: bool = False,
         flat: bool = False,
     ) -> None:
         self._set_scope(child, given, cov.given if isinstance(cov, Noise) else ())
         if not isinstance(cov, Noise):
-            cov = as_covariance(child, cov, lead=lead, flat=flat)
+            what = f"the covariance of {child!r}"
+            cov = as_covariance((child,), cov, what, runs=runs, flat=flat, variable=child)
+            cov = frozen(cov)
         self._set(cov=cov)
+
+    @property
+    def _deviations(self) -> Array:
+        """Of the noise, (d,), of the first run; NaN where they depend on parents."""
+        if isinstance(self.cov, Noise):
+            return np.full(self.child.dimension, np.nan)
+        return np.sqrt(np.diagonal(self.cov[(0,) * (self.cov.ndim - 2)]))
+
+    def _noise_shown(self) -> list[str | Listing]:
+        """The noise that is more than deviations: of parents, or with correlations."""
+        if isinstance(self.cov, Noise):
+            return [f"noise: {called(self.cov.function)} of ({listed(self.cov.given)})"]
+        cov = self.cov[(0,) * (self.cov.ndim - 2)]
+        if not (cov - np.diag(np.diagonal(cov))).any():
+            return []
+        heads = components((self.child,))
+        return [named_matrix(heads, heads, cov, "cov")]
 
     def require_proper(self, what: str) -> None:
         """Refuse an infinite variance where there is no use for it.
@@ -160,7 +182,8 @@ class ConditionalGaussian(CPD):
     def _placed(self, step: int) -> dict[str, Any]:
         placed = super()._placed(step)
         if isinstance(self.cov, Noise):
-            placed["cov"] = Noise(self.cov.function, tuple(v.at(step) for v in self.cov.given))
+            given = tuple(v.at(step) for v in self.cov.given)
+            placed["cov"] = replace(self.cov, given=given)
         return placed
 
 

@@ -12,9 +12,10 @@ import numpy.typing as npt
 from pgm.boundary import as_floats
 from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.noise import Noise
+from pgm.display import Listing, brief, by_component, named_matrix, stacked
 from pgm.errors import ModelError
 from pgm.factors.runs import flat
-from pgm.factors.scope import as_value
+from pgm.factors.scope import as_value, components
 from pgm.kernels.arrays import Array, apply, frozen
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
@@ -77,7 +78,8 @@ class GaussianCPD(AffineCPD):
     mean : array_like
         (..., d); leading axes are runs, each of which has a mean of its own.
     cov : array_like
-        (..., d, d), positive semidefinite; zero where the value is known exactly. In the prior of a
+        (..., d, d), positive semidefinite; or (d,), the variance of each component; or one
+        variance for all of them. Zero where the value is known exactly. In the prior of a
         `DynamicBayesianNetwork` variances may be infinite, of a component or, ``cov=np.inf``, of
         all: nothing is known of them but what measurements say, exactly (de Jong, The diffuse
         Kalman filter, 1991). As long as these do not determine a component, its variance is
@@ -92,12 +94,13 @@ class GaussianCPD(AffineCPD):
     Examples
     --------
     >>> x = Variable("x", components=("east", "north"))
-    >>> GaussianCPD(x, mean=[0, 0], cov=[[1, 0], [0, 1]])
-    GaussianCPD(x)
+    >>> GaussianCPD(x, mean=[0, 0], cov=[4.0, 1.0]).cov
+    array([[4., 0.],
+           [0., 1.]])
     """
 
     def __init__(self, child: Variable, mean: npt.ArrayLike, cov: npt.ArrayLike) -> None:
-        self._set_family(child, (), cov, lead=True, flat=True)
+        self._set_family(child, (), cov, runs=True, flat=True)
         offset = np.array(as_value(child, mean, "mean"))
         self._set(matrices=MappingProxyType({}), offset=frozen(offset))
         try:
@@ -119,6 +122,16 @@ class GaussianCPD(AffineCPD):
         """The mean, (..., d)."""
         return self.offset
 
+    def _parts(self) -> list[str | Listing]:
+        lead, heads = self._lead(), components((self.child,))
+        if isinstance(self.cov, Noise):
+            return [f"mean {brief(self.offset)}", *self._noise_shown()]
+        if not lead:
+            return [by_component(heads, self.offset, self.cov)]
+        mean = np.broadcast_to(self.offset, (*lead, len(heads)))
+        cov = np.broadcast_to(self.cov, (*lead, len(heads), len(heads)))
+        return [stacked(heads, lead, None, lambda at: (mean[at], cov[at]))]
+
 
 class LinearGaussianCPD(AffineCPD):
     """A linear Gaussian density: y = Σ F_p p + offset + n, n ~ N(0, cov).
@@ -133,7 +146,9 @@ class LinearGaussianCPD(AffineCPD):
     offset : array_like
         (d,).
     cov : array_like or Noise
-        (d, d), positive semidefinite, or ``pgm.noise(...)``.
+        (d, d), positive semidefinite; or (d,), the variance of each component; or one variance for
+        all of them; or ``pgm.noise(...)``. Zero where the sum is exact: a static unknown is
+        ``LinearGaussianCPD(m, given={m.previous: 1.0}, cov=0)``.
 
     Raises
     ------
@@ -144,7 +159,7 @@ class LinearGaussianCPD(AffineCPD):
     --------
     >>> u = Variable("u", components=("v", "omega"))
     >>> command = Variable("command", components=("v", "omega"))
-    >>> LinearGaussianCPD(u, given={command: 1.0}, cov=[[0.1, 0], [0, 0.1]])
+    >>> LinearGaussianCPD(u, given={command: 1.0}, cov=[0.1, 0.02])
     LinearGaussianCPD(u | command)
     """
 
@@ -175,6 +190,16 @@ class LinearGaussianCPD(AffineCPD):
                 variable=child,
             )
         self._set(matrices=MappingProxyType(matrices), offset=_finite(child, shift, "offset"))
+
+    def _parts(self) -> list[str | Listing]:
+        whole = np.concatenate(
+            [np.zeros((self.child.dimension, 0)), *self.matrices.values()], axis=1
+        )
+        before = [("offset", self.offset)]
+        if not isinstance(self.cov, Noise):
+            before.append(("noise ±", self._deviations))
+        rows, columns = components((self.child,)), components(tuple(self.matrices))
+        return [named_matrix(rows, columns, whole, "F", before), *self._noise_shown()]
 
 
 def _matrix(child: Variable, parent: Variable, value: npt.ArrayLike) -> Array:

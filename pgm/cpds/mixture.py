@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pgm.boundary import as_floats, as_tuple
 from pgm.cpds.base import CPD
 from pgm.cpds.values import Known, Values
+from pgm.display import Listing, few, number
 from pgm.errors import ModelError
 from pgm.factors.runs import Shape, clash
 from pgm.factors.scope import Scope
@@ -114,6 +115,11 @@ class MixtureCPD(CPD):
                 cpd=self,
             )
         return found
+
+    def _parts(self) -> list[str | Listing]:
+        each = zip(self.weights, self.parts, strict=True)
+        rows = [(part._title, number(weight)) for weight, part in each]
+        return [Listing(("", "weight"), [None if k is None else rows[k] for k in few(len(rows))])]
 
     @property
     def noise_given(self) -> Scope:

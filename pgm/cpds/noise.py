@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pgm.display import InCode, called
 from pgm.errors import ModelError
-from pgm.factors.arrays import as_matrix
+from pgm.factors.covariance import diagonal as on_diagonal
 from pgm.factors.scope import Scope, as_scope, listed
-from pgm.kernels.arrays import Array, Integers, frozen
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.checks import covariance_fault, symmetrised
 from pgm.linearisers.calls import Call
 from pgm.variables import Variable
@@ -21,24 +21,37 @@ if TYPE_CHECKING:
     from pgm.cpds.conditional import ConditionalGaussian
 
 
-@dataclass(frozen=True, eq=False)
-class Noise:
+@dataclass(frozen=True, eq=False, repr=False)
+class Noise(InCode):
     """A noise covariance that depends on observed parents; made by `noise`."""
 
     function: Callable[..., Any]
     given: Scope
+    diagonal: bool = False
+
+    def __repr__(self) -> str:
+        return f"Noise({called(self.function)}, given=({listed(self.given)}))"
 
 
-def noise(function: Callable[..., Any], given: Variable | Iterable[Variable]) -> Noise:
+def noise(
+    function: Callable[..., Any],
+    given: Variable | Iterable[Variable],
+    *,
+    diagonal: bool = False,
+) -> Noise:
     """A noise covariance that is a function of parents with evidence.
 
     Parameters
     ----------
     function : callable
         ``function(*given)``, from arrays (..., d), leading axes equal or none, to covariances
-        (..., n, n).
+        (..., n, n), with the same leading axes.
     given : Variable or sequence of Variable
         The parents, which must have evidence, since a covariance cannot be linearised.
+    diagonal : bool
+        Whether the function returns the variances of the components, (..., n), instead, which are
+        independent. It is said here since three rows of variances of three components and one
+        matrix have the same shape.
 
     Returns
     -------
@@ -48,16 +61,31 @@ def noise(function: Callable[..., Any], given: Variable | Iterable[Variable]) ->
     Raises
     ------
     ModelError
-        If the function cannot be called, or the parents are no variables, repeat or are a set.
+        If the function cannot be called, the parents are no variables, repeat or are a set, or
+        `diagonal` is no bool.
 
     Examples
     --------
     >>> u = Variable("u", components=("v", "dt"))
     >>> driven = noise(lambda u: 0.01 * u[..., 1, None, None] * np.eye(3), given=(u,))
+    >>> slipping = noise(lambda u: 0.1 * u**2, given=(u,), diagonal=True)
     """
     if not callable(function):
         raise ModelError(f"noise takes a function of the parents, not {function!r}")
-    return Noise(function, as_scope(given, "noise: given"))
+    if not isinstance(diagonal, bool):
+        raise ModelError(f"noise: diagonal is True or False, not {diagonal!r}")
+    return Noise(function, as_scope(given, "noise: given"), diagonal)
+
+
+# What to do about a shape that was not due.
+_MATRICES = (
+    "it is called with arrays that have leading axes and returns a matrix for each; variances "
+    "(..., n) are declared by noise(function, given, diagonal=True)"
+)
+_VARIANCES = (
+    "it is called with arrays that have leading axes and returns the variance of each component, "
+    "as diagonal=True says; leave that out for matrices (..., n, n)"
+)
 
 
 def evaluate(
@@ -86,52 +114,13 @@ def evaluate(
     assert isinstance(cov, Noise)
     arguments = [np.broadcast_to(known[v], (*shape, v.dimension)) for v in cov.given]
     call = Call(child, "noise", shape, step, first_run, cpd)
-    value = call(cov.function, arguments, (*shape, child.dimension, child.dimension))
-    value = symmetrised(value)
+    size = child.dimension
+    if cov.diagonal:
+        value = on_diagonal(call(cov.function, arguments, (*shape, size), _VARIANCES))
+    else:
+        value = symmetrised(call(cov.function, arguments, (*shape, size, size), _MATRICES))
     if covariance_fault(value):
         for index in np.ndindex(shape):
             if fault := covariance_fault(value[index]):
                 raise call.error(fault, index)
     return value
-
-
-def as_covariance(
-    child: Variable, cov: npt.ArrayLike, *, lead: bool = False, flat: bool = False
-) -> Array:
-    """A covariance of a variable as an array (n, n); a scalar's may be a Python number.
-
-    With `lead`, leading axes of runs are taken too; with `flat`, infinite variances of components
-    that are independent of all others, and infinity for all components.
-    """
-    array = as_matrix((child,), cov, f"the covariance of {child!r}", variable=child)
-    size = child.dimension
-    if flat and array.ndim == 0 and array == np.inf:
-        array = np.diag(np.full(size, np.inf))
-    if array.shape[-2:] != (size, size) or (array.ndim > 2 and not lead):
-        raise ModelError(
-            f"the covariance of {child!r} has shape {array.shape}; its {size} components "
-            f"({listed(child.components)}) need ({size}, {size})",
-            variable=child,
-        )
-    proper = array
-    if flat and array.ndim >= 2 and (array == np.inf).any():
-        variances = np.diagonal(array, axis1=-2, axis2=-1)
-        open_ = variances == np.inf
-        infinite = open_[..., None] & np.eye(size, dtype=bool)
-        met = (open_[..., None] | open_[..., None, :]) & ~infinite
-        if (array[met] != 0.0).any():
-            raise ModelError(
-                f"the covariance of {child!r}: a component of infinite variance has a covariance "
-                "with another one; it must be 0",
-                variable=child,
-            )
-        if not (open_ == open_.reshape(-1, size)[0]).all():
-            raise ModelError(
-                f"the covariance of {child!r} is infinite in other components in some runs than in "
-                "others; give all runs the same ones",
-                variable=child,
-            )
-        proper = np.where(infinite, 1.0, array)
-    if fault := covariance_fault(proper):
-        raise ModelError(f"the covariance of {child!r} {fault}", variable=child)
-    return frozen(array)

@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.noise import Noise
+from pgm.display import Listing, called, number
 from pgm.errors import ModelError
-from pgm.factors.scope import Scope, listed
+from pgm.factors.scope import Scope, components, listed
 from pgm.kernels.arrays import Array
 from pgm.linearisers import FunctionTemplate, Lineariser
 from pgm.linearisers.calls import Call
@@ -32,7 +33,8 @@ class NonlinearGaussianCPD(ConditionalGaussian):
     function : callable
         ``function(*given)``, from arrays (..., dimension), leading axes equal or none, to (..., d).
     cov : array_like or Noise
-        (d, d), positive semidefinite, or ``pgm.noise(...)``.
+        (d, d), positive semidefinite; or (d,), the variance of each component; or one variance for
+        all of them; or ``pgm.noise(...)``.
     jacobian : mapping of Variable to callable, optional
         Derivatives, ``jacobian[p](*given)`` giving (..., d, dimension of p), for some or all
         parents; those of hidden parents are called, and missing ones are taken by differences.
@@ -97,6 +99,16 @@ class NonlinearGaussianCPD(ConditionalGaussian):
             lineariser=lineariser,
             grouped=grouped,
         )
+
+    def _parts(self) -> list[str | Listing]:
+        by = f", Jacobians by ({listed(self.jacobian)})" if self.jacobian else ""
+        own = f", linearised by {self.lineariser!r}" if self.lineariser is not None else ""
+        grouped = ", grouped" * self.grouped
+        parts: list[str | Listing] = [f"mean: {called(self.function)}{by}{own}{grouped}"]
+        if not isinstance(self.cov, Noise):
+            rows = zip(components((self.child,)), map(number, self._deviations), strict=True)
+            parts.append(Listing(("", "noise ±"), list(rows)))
+        return parts + self._noise_shown()
 
     def _mean(self, known: Mapping[Variable, Array], lead: tuple[int, ...], call: Call) -> Array:
         due = (*call.lead, self.child.dimension)

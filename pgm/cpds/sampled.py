@@ -9,6 +9,7 @@ import numpy as np
 
 from pgm.cpds.base import CPD
 from pgm.cpds.values import Known, Values
+from pgm.display import Listing, called
 from pgm.errors import LinearisationError, ModelError
 from pgm.kernels.arrays import Array
 from pgm.linearisers.calls import Call
@@ -76,6 +77,10 @@ class SampledCPD(CPD):
             if function is not None and not callable(function):
                 raise ModelError(f"{self!r}: {name} must be callable, not {function!r}", cpd=self)
         self._set(sampler=sample, density=log_density)
+
+    def _parts(self) -> list[str | Listing]:
+        each = (("drawn by", self.sampler), ("log-density", self.density))
+        return [f"{what}: {called(function)}" for what, function in each if function is not None]
 
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Values:
         if self.sampler is None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pgm.boundary import as_floats, as_tuple, is_number, is_whole
+from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.kernels.stochastic import Dense, Product, Sparse, Transition
@@ -22,7 +23,7 @@ EDGES = ("slide", "stay", "wrap")
 FARTHEST = 2**62
 
 
-class Kronecker(Immutable):
+class Kronecker(InCode, Immutable):
     r"""The table of a state whose index runs over several axes, each of which moves by itself.
 
     .. math:: p(x_1, \dots, x_n \mid y_1, \dots, y_n) = \prod_k A_k[y_k, x_k]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -14,7 +14,9 @@ from pgm.boundary import as_floats
 from pgm.cpds.base import CPD
 from pgm.cpds.structured import as_transition, is_structured, rounding
 from pgm.cpds.values import Known, Values
+from pgm.display import Listing, called, count
 from pgm.errors import ModelError
+from pgm.factors.listing import shown
 from pgm.factors.scope import Scope, as_scope, listed, names
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.stochastic import Dense, Transition
@@ -227,6 +229,15 @@ class TableCPD(CPD):
             return frozen(self._maps[None].dense())
         matrices = [self._maps[k].dense() for k in range(self.given[1].size)]
         return frozen(np.stack(matrices, axis=1))
+
+    def _parts(self) -> Sequence[str | Listing]:
+        if self.function is not None:
+            return [f"table: {called(self.function)} of ({listed(self.inputs)})"]
+        if self._table is not None:
+            return shown((*self.given, self.child), self._table)
+        kind = type(next(iter(self._maps.values()))).__name__.lower()
+        by = "" if None in self._maps else f" for each state of {self.given[1]!r}"
+        return [f"table: {kind}{by}, of {count(self.child.size, 'state')}"]
 
     def at_inputs(
         self,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtri, logsumexp
 
 from pgm.cpds.base import CPD
 from pgm.cpds.conditional import ConditionalGaussian
@@ -11,8 +10,9 @@ from pgm.cpds.noise import Noise
 from pgm.cpds.values import Known, Values
 from pgm.errors import ModelError
 from pgm.factors.runs import unflat
-from pgm.kernels import roots
+from pgm.kernels import normal, roots
 from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import log_sum
 from pgm.variables import Variable
 
 
@@ -92,7 +92,7 @@ class UnidentifiedCPD(CPD):
         """
         terms = self.terms(child, known)
         with np.errstate(invalid="ignore"):
-            return np.asarray(np.exp(terms - logsumexp(terms, axis=0)))
+            return np.asarray(np.exp(terms - log_sum(terms, 0)))
 
     def terms(self, child: Values, known: Known) -> Array:
         """The logarithms of the density's terms: candidates, spurious, new, (k + 2, ...).
@@ -118,7 +118,7 @@ class UnidentifiedCPD(CPD):
         seen = ~np.isnan(child)
         middle = np.where(seen, unflat(mean, known.lead, 1), np.nan)
         square = 2.0 * (self.sensor._log_density(middle, known) - density)
-        limit = chdtri(np.maximum(seen.sum(axis=-1), 1), 1.0 - gate)
+        limit = normal.square_within(gate, np.maximum(seen.sum(axis=-1), 1))
         return np.where(square > limit, -np.inf, density)
 
     def __repr__(self) -> str:

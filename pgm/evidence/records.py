@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats, as_tuple, is_number, masked_whole
+from pgm.display import titled
 from pgm.errors import EvidenceError
 from pgm.factors.indices import MISSING, STRANGER
 from pgm.factors.scope import Scope, as_scope, listed
@@ -230,11 +231,11 @@ def _column(name: str, values: Any) -> Column:
     cells = values
     if not hasattr(values, "__array__"):
         if isinstance(values, str | bytes | set | frozenset) or not isinstance(values, Iterable):
-            raise EvidenceError(f"column {name!r} is {values!r}, not a row of cells")
+            raise EvidenceError(f"column {name!r} is {titled(values)}, not a row of cells")
         cells = _array(list(values))
     array = np.asarray(cells)
     if array.ndim == 0:
-        raise EvidenceError(f"column {name!r} is {values!r}, not a row of cells")
+        raise EvidenceError(f"column {name!r} is {titled(values)}, not a row of cells")
     if array.dtype == object and getattr(values, "dtype", array.dtype).kind in "iuf":
         array = values.to_numpy(dtype=float, na_value=np.nan)  # pandas' numbers with NA
     return Column(name, array)

@@ -9,6 +9,7 @@ import numpy as np
 
 from pgm.boundary import as_floats, is_number
 from pgm.cpds import CPD
+from pgm.display import InCode
 from pgm.errors import EvidenceError
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
@@ -18,7 +19,7 @@ from pgm.variables import Discrete, Variable
 LIKELIHOOD, SUM = "likelihood", "sum"
 
 
-class Unknown(Immutable):
+class Unknown(InCode, Immutable):
     """The candidates for a parent that is not known of any sighting; made by `unknown`.
 
     Attributes

@@ -9,26 +9,34 @@ from typing import Any
 
 import numpy.typing as npt
 
+from pgm.display import InCode, Shown, Summary, as_numbers, brief, table
 from pgm.errors import EvidenceError
+from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.variables import Variable
 
 
-@dataclass(frozen=True, eq=False)
-class Constant:
+@dataclass(frozen=True, eq=False, repr=False)
+class Constant(InCode):
     """A value that is equal at all steps; made by `constant`."""
 
     value: Any
 
+    def __repr__(self) -> str:
+        return f"Constant(value={brief(self.value)})"
 
-@dataclass(frozen=True, eq=False)
-class Soft:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Soft(InCode):
     """Weights of the states of a discrete variable; made by `soft`."""
 
     weights: Any
 
+    def __repr__(self) -> str:
+        return f"Soft(weights={brief(self.weights)})"
 
-class Sightings(Immutable):
+
+class Sightings(Shown, Immutable):
     """Measurements of one sensor at any steps; made by `sightings`."""
 
     __slots__ = ("given", "step", "values")
@@ -45,10 +53,19 @@ class Sightings(Immutable):
         put(self, "step", step)
         put(self, "given", given)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         shape = getattr(self.values, "shape", None)
-        values = repr(self.values) if shape is None else f"of shape {shape}"
-        return f"Sightings({values}, given {list(self.given)})"
+        values = brief(self.values) if shape is None else f"of shape {shape}"
+        return f"Sightings({values}, given [{listed(self.given)}])"
+
+    def _summary(self) -> Summary:
+        values, step = as_numbers(self.values), as_numbers(self.step)
+        if values is None or values.ndim != 2:
+            return Summary(self._title)
+        columns = [] if step is None or step.shape != values.shape[:1] else [("step", step)]
+        columns += [("value", values), *((repr(v), given) for v, given in self.given.items())]
+        return Summary(self._title, [table(columns)])
 
 
 # By variable: a plain array, a constant, or sightings; of a discrete one states, or soft weights.

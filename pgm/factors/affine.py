@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats
+from pgm.display import NoArray, Shown, Summary, axes, named_matrix
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.canonical import CanonicalForm
+from pgm.factors.covariance import matrices
 from pgm.factors.gaussian import Gaussian, as_gaussian
 from pgm.factors.scope import as_scope, dimension, names, one_name_each
 from pgm.immutable import Immutable, set_writeable
@@ -19,7 +22,7 @@ from pgm.kernels.checks import is_symmetric, symmetrised
 from pgm.variables import Variable
 
 
-class AffineGaussian(Immutable):
+class AffineGaussian(Shown, NoArray, Immutable):
     r"""An affine Gaussian conditional.
 
     .. math:: y = F x + b + n, \qquad n \sim N(0, \Sigma)
@@ -30,7 +33,9 @@ class AffineGaussian(Immutable):
 
     Parameters
     ----------
-    F, b, cov : array_like
+    F, b : array_like
+    cov : array_like
+        As above; or (d,), the variance of each component; or one variance for all of them.
 
     Raises
     ------
@@ -40,6 +45,8 @@ class AffineGaussian(Immutable):
 
     __slots__ = ("F", "b", "cov")
 
+    _arrays: ClassVar[str] = ".F, .b and .cov"
+
     F: Array
     b: Array
     cov: Array
@@ -47,8 +54,10 @@ class AffineGaussian(Immutable):
     def __init__(self, F: npt.ArrayLike, b: npt.ArrayLike, cov: npt.ArrayLike) -> None:
         F = as_floats(F, "affine Gaussian: F").copy("K")
         b = as_floats(b, "affine Gaussian: b").copy("K")
-        cov = as_floats(cov, "affine Gaussian: cov").copy()
         size = F.shape[-2] if F.ndim >= 2 else -1
+        cov = as_floats(cov, "affine Gaussian: cov").copy()
+        if cov.ndim < 2 and size >= 0:
+            cov = matrices(cov, size)
         if b.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
             raise ModelError(
                 f"affine Gaussian: F {F.shape}, b {b.shape} and cov {cov.shape} must end in "
@@ -177,5 +186,31 @@ class AffineGaussian(Immutable):
         if not is_symmetric(self.cov):
             raise ModelError(f"affine Gaussian of {names(child)}: cov is not symmetric")
 
-    def __repr__(self) -> str:
-        return f"AffineGaussian({self.F.shape[-1]} -> {self.F.shape[-2]})"
+    @property
+    def _title(self) -> str:
+        lead = axes(self._lead, None)
+        return f"AffineGaussian({self.F.shape[-1]} -> {self.F.shape[-2]}{lead})"
+
+    @property
+    def _lead(self) -> tuple[int, ...]:
+        return np.broadcast_shapes(self.F.shape[:-2], self.b.shape[:-1], self.cov.shape[:-2])
+
+    def _summary(self) -> Summary:
+        if not all(self._lead):
+            return Summary(self._title)
+        F, b, cov = (
+            part[(0,) * (part.ndim - own)]
+            for part, own in ((self.F, 2), (self.b, 1), (self.cov, 2))
+        )
+        parents, children = (
+            [f"{word}{k}" for k in range(size)]
+            for word, size in (("x", F.shape[1]), ("y", F.shape[0]))
+        )
+        return Summary(
+            self._title,
+            [
+                "y = F x + b + n" + ", of the first run" * bool(self._lead),
+                named_matrix(children, parents, F, "F", before=[("b", b)]),
+                named_matrix(children, children, cov, "cov"),
+            ],
+        )

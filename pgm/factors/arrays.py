@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from pgm.boundary import as_floats
+from pgm.boundary import as_floats, as_wholes
 from pgm.errors import ModelError
-from pgm.factors.scope import Scope, dimension, labels
-from pgm.kernels.arrays import Array
+from pgm.factors.scope import Scope, dimension, labels, names
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.checks import symmetrised
 
 
@@ -39,6 +40,17 @@ def as_points(scope: Scope, value: Any, lead: tuple[int, ...], what: str) -> Arr
     if not np.isfinite(array).all():
         raise ModelError(f"{what} has entries that are NaN or infinite")
     require_broadcast(array.shape[:-1], lead, what)
+    return array
+
+
+def as_steps(scope: Scope, steps: npt.ArrayLike, lead: tuple[int, ...]) -> Integers:
+    """The steps of the last of the leading axes of a Gaussian."""
+    array = as_wholes(steps, f"Gaussian over {names(scope)}: its steps")
+    if array.shape != lead[-1:]:
+        raise ModelError(
+            f"Gaussian over {names(scope)}: the steps have shape {array.shape}; the last of the "
+            f"leading axes {lead} needs one step for each of its entries"
+        )
     return array
 
 

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats, as_mapping
+from pgm.display import NoArray, Shown, Summary, axes, named_matrix, number
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.arrays import as_matrix, as_points, as_vector, require_broadcast
 from pgm.factors.gaussian import Gaussian, as_gaussian
-from pgm.factors.scope import Scope, as_scope, as_value, dimension, names, positions
+from pgm.factors.scope import (
+    Scope,
+    as_scope,
+    as_value,
+    components,
+    dimension,
+    listed,
+    names,
+    positions,
+)
 from pgm.immutable import Immutable
 from pgm.kernels import canonical as kernel
 from pgm.kernels.arrays import Array, apply, frozen, inner
@@ -19,7 +30,7 @@ from pgm.kernels.checks import is_symmetric
 from pgm.variables import Variable
 
 
-class CanonicalForm(Immutable):
+class CanonicalForm(Shown, NoArray, Immutable):
     r"""A Gaussian factor in canonical form.
 
     .. math:: C(x; K, h, g) = \exp(-\tfrac12 x^\top K x + h^\top x + g)
@@ -56,6 +67,8 @@ class CanonicalForm(Immutable):
     """
 
     __slots__ = ("K", "g", "h", "scope")
+
+    _arrays: ClassVar[str] = ".K, .h and .g, or the .mean and .cov of its .gaussian()"
 
     scope: Scope
     K: Array
@@ -199,7 +212,7 @@ class CanonicalForm(Immutable):
             np.broadcast_shapes(self.g.shape, other.g.shape)
         except ValueError:
             raise ModelError(
-                f"the leading axes of {self!r} and {other!r} do not broadcast"
+                f"the leading axes of {self._title} and {other._title} do not broadcast"
             ) from None
         return self.extend(scope), other.extend(scope)
 
@@ -390,6 +403,18 @@ class CanonicalForm(Immutable):
         x = as_points(self.scope, x, self.g.shape, what)
         return inner(self.h, x) - 0.5 * inner(apply(self.K, x), x) + self.g
 
-    def __repr__(self) -> str:
-        lead = f", {self.g.shape} of them" if self.g.shape else ""
-        return f"CanonicalForm{names(self.scope)}{lead}"
+    @property
+    def _title(self) -> str:
+        return f"CanonicalForm({listed(self.scope)}){axes(self.g.shape, None)}"
+
+    def _summary(self) -> Summary:
+        if not self.g.size:
+            return Summary(self._title)
+        first = (0,) * self.g.ndim
+        heads, K, h = components(self.scope), self.K[first], self.h[first]
+        scale = f"g = {number(self.g[first], 6)}"
+        if first:
+            scale = f"run {', '.join(map(str, first))}: {scale}"
+        if not heads:
+            return Summary(self._title, [scale])
+        return Summary(self._title, [scale, named_matrix(heads, heads, K, "K", before=[("h", h)])])

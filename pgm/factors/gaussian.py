@@ -13,20 +13,43 @@ from pgm.boundary import (
     as_generator,
     as_lengths,
     as_tuple,
-    as_wholes,
     is_number,
     is_unordered,
     is_whole,
 )
+from pgm.display import (
+    Listing,
+    NoArray,
+    Shown,
+    Summary,
+    axes,
+    by_component,
+    column,
+    places,
+    stacked,
+)
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import as_matrix, as_points, as_vector
-from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, labels, names, positions
+from pgm.factors.arrays import as_points, as_steps, as_vector
+from pgm.factors.covariance import as_covariance
+from pgm.factors.frames import Framed
+from pgm.factors.scope import (
+    Scope,
+    angle_mask,
+    as_scope,
+    components,
+    dimension,
+    distinct_labels,
+    labels,
+    listed,
+    names,
+    positions,
+)
 from pgm.factors.stacking import lead_index
 from pgm.immutable import Immutable
 from pgm.kernels import moments, normal, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, block, deviation, frozen
-from pgm.kernels.checks import IMPROPER, covariance_fault
+from pgm.kernels.checks import IMPROPER
 from pgm.sizes import require_memory
 from pgm.variables import Variable
 
@@ -48,8 +71,33 @@ class Ellipse(NamedTuple):
     half_axes: Array
     orientation: Array
 
+    def _summary(self) -> Summary:
+        lead = self.orientation.shape
+        found = [place for place in places(lead) if place is not None]
+        parts = np.array(
+            [[*self.centre[at], *self.half_axes[at], self.orientation[at]] for at in found]
+        )
+        cells = np.array([column(part) for part in parts.T]).reshape(5, -1)
+        rows = {place: cells[:, k].tolist() for k, place in enumerate(found)}
+        heads = ["centre", "", "half-axes", "", "orientation [rad]"]
+        where = [""] if lead else []
+        listed = [
+            None if at is None else [*([str(list(at))] if lead else []), *rows[at]]
+            for at in places(lead)
+        ]
+        return Summary(
+            "Ellipse" + (f", {lead} of them" if lead else ""),
+            [Listing([*where, *heads], listed, names=len(where))],
+        )
 
-class Gaussian(Immutable):
+    def __repr__(self) -> str:
+        return self._summary().text()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html()
+
+
+class Gaussian(Framed, Shown, NoArray, Immutable):
     r"""A normal density in moment form.
 
     .. math:: N(x; \mu, P) = |2\pi P|^{-1/2} \exp(-\tfrac12 (x-\mu)^\top P^{-1} (x-\mu))
@@ -63,7 +111,9 @@ class Gaussian(Immutable):
     Parameters
     ----------
     scope : Variable or sequence of Variable
-    mean, cov : array_like
+    mean : array_like
+    cov : array_like
+        (..., n, n); or (n,), the variance of each component; or one variance for all of them.
     steps : array_like of int, optional
         The steps that the last leading axis stands for.
 
@@ -75,7 +125,7 @@ class Gaussian(Immutable):
     Examples
     --------
     >>> x = Variable("x", components=("east", "north"))
-    >>> belief = Gaussian(x, mean=[1.0, 2.0], cov=[[4.0, 0.0], [0.0, 1.0]])
+    >>> belief = Gaussian(x, mean=[1.0, 2.0], cov=[4.0, 1.0])
     >>> belief.std
     array([2., 1.])
     """
@@ -99,18 +149,13 @@ class Gaussian(Immutable):
         size = dimension(scope)
         what = f"Gaussian over {names(scope)}: the"
         mean = as_vector(scope, mean, f"{what} mean")
-        cov = as_matrix(scope, cov, f"{what} covariance")
-        if mean.shape[-1:] != (size,) or cov.shape[-2:] != (size, size):
-            raise ModelError(
-                f"Gaussian over {names(scope)}: the mean has shape {mean.shape} and the "
-                f"covariance {cov.shape}; they must end in ({size},) and ({size}, {size})"
-            )
+        if mean.shape[-1:] != (size,):
+            raise ModelError(f"{what} mean has shape {mean.shape}; it must end in ({size},)")
         if not np.isfinite(mean).all():
             raise ModelError(
                 f"Gaussian over {names(scope)}: the mean has entries that are NaN or infinite"
             )
-        if fault := covariance_fault(cov):
-            raise ModelError(f"Gaussian over {names(scope)}: the covariance {fault}")
+        cov = as_covariance(scope, cov, f"{what} covariance")
         try:
             lead = np.broadcast_shapes(mean.shape[:-1], cov.shape[:-2])
         except ValueError:
@@ -122,7 +167,7 @@ class Gaussian(Immutable):
             scope,
             np.broadcast_to(mean, (*lead, size)),
             np.broadcast_to(cov, (*lead, size, size)),
-            None if steps is None else _as_steps(scope, steps, lead),
+            None if steps is None else as_steps(scope, steps, lead),
         )
 
     def _put(self, scope: Scope, mean: Array, cov: Array, steps: Integers | None) -> None:
@@ -146,6 +191,11 @@ class Gaussian(Immutable):
         gaussian = object.__new__(cls)
         gaussian._put(scope, mean, cov, steps)
         return gaussian
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The names of the components, with that of the variable where variables share one."""
+        return distinct_labels(self.scope)
 
     @property
     def std(self) -> Array:
@@ -222,14 +272,14 @@ class Gaussian(Immutable):
         lead = self.mean.ndim - 1 - (self.steps is not None)
         if not all(map(is_whole, index)):
             raise ModelError(
-                f"a run of {self!r} is given by whole numbers, not by {index}; several are taken "
-                "by belief[places]"
+                f"a run of {self._title} is given by whole numbers, not by {index}; several are "
+                "taken by belief[places]"
             )
         if len(index) > lead:
-            raise ModelError(f"{self!r} has {lead} axes of runs, not {len(index)}")
+            raise ModelError(f"{self._title} has {lead} axes of runs, not {len(index)}")
         shape = self.mean.shape[: len(index)]
         if not all(-size <= place < size for place, size in zip(index, shape, strict=True)):
-            raise ModelError(f"{self!r} has no run {index}; its axes of runs are {shape}")
+            raise ModelError(f"{self._title} has no run {index}; its axes of runs are {shape}")
         return self._make(self.scope, self.mean[index], self.cov[index], self.steps)
 
     def wrapped(self) -> Gaussian:
@@ -265,7 +315,7 @@ class Gaussian(Immutable):
         shape = as_lengths(size, "of each Gaussian")
         require_memory(
             math.prod(shape) * self.mean.size,
-            f"{size} draws of {self!r}",
+            f"{size} draws of {self._title}",
             "draw fewer at a time",
         )
         if not np.isfinite(self.cov).all():
@@ -381,9 +431,17 @@ class Gaussian(Immutable):
         half_axes = np.sqrt(-2.0 * np.log1p(-confidence) * variances)
         return Ellipse(self.mean[..., [i, j]], half_axes, orientation)
 
-    def __repr__(self) -> str:
-        lead = f", {self.mean.shape[:-1]} of them" if self.mean.ndim > 1 else ""
-        return f"Gaussian{names(self.scope)}{lead}"
+    @property
+    def _title(self) -> str:
+        return f"Gaussian({listed(self.scope)}){axes(self.mean.shape[:-1], self.steps)}"
+
+    def _summary(self) -> Summary:
+        lead, heads = self.mean.shape[:-1], components(self.scope)
+        if lead:
+            each = stacked(heads, lead, self.steps, lambda at: (self.mean[at], self.cov[at]))
+        else:
+            each = by_component(heads, self.mean, self.cov)
+        return Summary(self._title, [each])
 
 
 def as_gaussian(value: object) -> Gaussian:
@@ -391,13 +449,3 @@ def as_gaussian(value: object) -> Gaussian:
     if not isinstance(value, Gaussian):
         raise ModelError(f"a Gaussian was due, like posterior[x], not {type(value).__name__}")
     return value
-
-
-def _as_steps(scope: Scope, steps: npt.ArrayLike, lead: tuple[int, ...]) -> Integers:
-    array = as_wholes(steps, f"Gaussian over {names(scope)}: its steps")
-    if array.shape != lead[-1:]:
-        raise ModelError(
-            f"Gaussian over {names(scope)}: the steps have shape {array.shape}; the last of the "
-            f"leading axes {lead} needs one step for each of its entries"
-        )
-    return array

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.display import Shown
 from pgm.errors import ModelError
 
 # What picks from one axis.
 Item = int | slice | npt.NDArray[Any]
 
 
-def lead_index(index: Any, lead: tuple[int, ...], what: object) -> Sequence[Item]:
+def lead_index(index: Any, lead: tuple[int, ...], what: Shown) -> Sequence[Item]:
     """An index of leading axes, one item an axis.
 
     Parameters
@@ -22,7 +23,7 @@ def lead_index(index: Any, lead: tuple[int, ...], what: object) -> Sequence[Item
     index : int, slice, row of places or booleans, Ellipsis, or tuple of them
     lead : tuple of int
         The axes.
-    what : object
+    what : Shown
         Whose they are, for errors.
 
     Raises
@@ -34,13 +35,15 @@ def lead_index(index: Any, lead: tuple[int, ...], what: object) -> Sequence[Item
     gaps = [k for k, part in enumerate(parts) if part is Ellipsis]
     missing = len(lead) - len(parts) + len(gaps)
     if missing < 0 or len(gaps) > 1:
-        raise ModelError(f"{what!r} has {len(lead)} leading axes; [{_shown(parts)}] is of others")
+        raise ModelError(
+            f"{what._title} has {len(lead)} leading axes; [{_shown(parts)}] is of others"
+        )
     gap = gaps[0] if gaps else len(parts)
     full = (*parts[:gap], *(slice(None),) * missing, *parts[gap + len(gaps) :])
     return [_item(part, length, what) for part, length in zip(full, lead, strict=True)]
 
 
-def _item(part: Any, length: int, what: object) -> Item:
+def _item(part: Any, length: int, what: Shown) -> Item:
     try:
         if isinstance(part, slice):
             part.indices(length)
@@ -53,11 +56,11 @@ def _item(part: Any, length: int, what: object) -> Item:
         np.empty(length, dtype=bool)[places]
     except (TypeError, ValueError):
         raise ModelError(
-            f"{what!r}: {part!r} picks nothing; give a number, a slice, or a row of places or "
+            f"{what._title}: {part!r} picks nothing; give a number, a slice, or a row of places or "
             "booleans"
         ) from None
     except IndexError as error:
-        raise ModelError(f"{what!r}: {error}") from None
+        raise ModelError(f"{what._title}: {error}") from None
     return int(places) if places.ndim == 0 else places
 
 

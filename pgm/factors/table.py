@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_mapping
+from pgm.display import NoArray, Shown, Summary
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.axes import (
     States,
@@ -22,7 +23,8 @@ from pgm.factors.axes import (
     spread,
     without,
 )
-from pgm.factors.listing import rows, title
+from pgm.factors.frames import FramedTable
+from pgm.factors.listing import summary, title
 from pgm.factors.scope import names
 from pgm.immutable import Immutable
 from pgm.kernels import tables as kernel
@@ -32,7 +34,7 @@ from pgm.variables import Discrete, Variable
 ZERO = frozen(np.zeros(()))
 
 
-class Table(Immutable):
+class Table(FramedTable, Shown, NoArray, Immutable):
     r"""A discrete factor: a non-negative table times the exponential of a log-scale.
 
     .. math:: \phi(x) = \text{values}[x] \, \exp(\text{log-scale})
@@ -77,6 +79,8 @@ class Table(Immutable):
     """
 
     __slots__ = ("log_scale", "scope", "values")
+
+    _arrays: ClassVar[str] = ".values and .log_scale, or its .probabilities"
 
     # Python would else iterate by asking for the states 0, 1, ... until an IndexError.
     __iter__: ClassVar[None] = None
@@ -393,5 +397,5 @@ class Table(Immutable):
     def _title(self) -> str:
         return title(self.scope, self.log_scale.shape)
 
-    def __repr__(self) -> str:
-        return rows(self.scope, self.values, self.log_scale)
+    def _summary(self) -> Summary:
+        return summary(self.scope, self.values, self.log_scale)

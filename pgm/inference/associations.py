@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
 from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.display import Listing, Shown, Summary, number, places, whereabouts
 from pgm.evidence import BoundEvidence, Reading, Unknown
 from pgm.evidence.unidentified import SUM
 from pgm.immutable import Immutable
@@ -19,7 +20,7 @@ from pgm.variables import Variable
 SPURIOUS, NEW = -1, -2
 
 
-class Associations(Immutable):
+class Associations(Shown, Immutable):
     """The associations of one sensor's sightings, in the order of the evidence.
 
     Attributes
@@ -48,13 +49,31 @@ class Associations(Immutable):
             array.flags.writeable = False
         self._set(step=step, probability=probability, candidate=candidate)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         each, count = self.candidate, self.probability.shape[-1] - 2
         return (
             f"Associations({each.size:,} sightings: {int((each >= 0).sum()):,} of {count:,} "
             f"candidates, {int((each == SPURIOUS).sum()):,} spurious, "
             f"{int((each == NEW).sum()):,} new)"
         )
+
+    def _summary(self) -> Summary:
+        names = {SPURIOUS: "spurious", NEW: "new"}
+        heads, where = whereabouts(self.candidate.shape, self.step)
+        rows: list[Sequence[str] | None] = []
+        for place in places(self.candidate.shape):
+            if place is None:
+                rows.append(None)
+                continue
+            likeliest, chances = int(self.candidate[place]), self.probability[place]
+            if np.isnan(chances).any():
+                rows.append([*where(place), "not measured", ""])
+                continue
+            chance = float(chances[likeliest if likeliest >= 0 else len(chances) - 1 + likeliest])
+            rows.append([*where(place), names.get(likeliest, str(likeliest)), number(chance, 3)])
+        heads = [*heads, "candidate", "probability"]
+        return Summary(self._title, [Listing(heads, rows, names=len(heads) - 1)] if rows else [])
 
 
 # By sensor.

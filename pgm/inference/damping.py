@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pgm.boundary import is_number
+from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.inference.checks import require_count
 
 
 @dataclass(frozen=True)
-class LevenbergMarquardt:
+class LevenbergMarquardt(InCode):
     """Steps that never raise the cost: full ones where they lower it, else held back.
 
     The cost of a point x is that of the expected functions, with the covariances P and the noise

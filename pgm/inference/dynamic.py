@@ -22,6 +22,7 @@ from pgm.inference.start import Start
 from pgm.inference.temporal import TemporalPosterior, runner
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
+from pgm.progress import Progress, reporting
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ def filter(
     keep: None = None,
     executor: Executor | None = None,
     belief: None = None,
+    progress: Progress = False,
 ) -> ChainPosterior: ...
 
 
@@ -57,6 +59,7 @@ def filter(
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
     belief: None = None,
+    progress: Progress = False,
 ) -> KeptPosterior: ...
 
 
@@ -73,6 +76,7 @@ def filter(
     keep: None = None,
     executor: None = None,
     belief: Grid,
+    progress: Progress = False,
 ) -> GridPosterior: ...
 
 
@@ -89,6 +93,7 @@ def filter(
     keep: None = None,
     executor: None = None,
     belief: Particles,
+    progress: Progress = False,
 ) -> ParticlePosterior: ...
 
 
@@ -104,6 +109,7 @@ def filter(
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
     belief: PointMasses | None = None,
+    progress: Progress = False,
 ) -> TemporalPosterior:
     r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
 
@@ -124,6 +130,8 @@ def filter(
         As for `infer`.
     belief : Grid or Particles, optional
         As for `infer`.
+    progress : bool or callable
+        As for `infer`.
 
     Returns
     -------
@@ -143,7 +151,9 @@ def filter(
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True)
     graph = compile(model, bound.steps)
-    return runner(graph.model, belief)(graph, bound, schedule, lineariser, None, keep, executor)
+    run = runner(graph.model, belief)
+    with reporting(progress):
+        return run(graph, bound, schedule, lineariser, None, keep, executor)
 
 
 @overload
@@ -162,6 +172,7 @@ def smooth(
     keep: None = None,
     executor: Executor | None = None,
     belief: None = None,
+    progress: Progress = False,
 ) -> ChainPosterior: ...
 
 
@@ -181,6 +192,7 @@ def smooth(
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
     belief: None = None,
+    progress: Progress = False,
 ) -> KeptPosterior: ...
 
 
@@ -200,6 +212,7 @@ def smooth(
     keep: None = None,
     executor: None = None,
     belief: Grid,
+    progress: Progress = False,
 ) -> GridPosterior: ...
 
 
@@ -219,6 +232,7 @@ def smooth(
     keep: None = None,
     executor: None = None,
     belief: Particles,
+    progress: Progress = False,
 ) -> ParticlePosterior: ...
 
 
@@ -237,6 +251,7 @@ def smooth(
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
     belief: PointMasses | None = None,
+    progress: Progress = False,
 ) -> TemporalPosterior:
     r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
 
@@ -271,6 +286,8 @@ def smooth(
         As for `infer`.
     belief : Grid or Particles, optional
         As for `infer`.
+    progress : bool or callable
+        As for `infer`.
 
     Returns
     -------
@@ -291,4 +308,6 @@ def smooth(
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True)
     graph = compile(model, bound.steps, method=method)
-    return runner(graph.model, belief)(graph, bound, schedule, lineariser, start, keep, executor)
+    run = runner(graph.model, belief)
+    with reporting(progress):
+        return run(graph, bound, schedule, lineariser, start, keep, executor)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, overload
 
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
+from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.inference import discrete, gaussian
@@ -24,6 +25,7 @@ from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule, Smoothi
 from pgm.inference.start import Start
 from pgm.inference.temporal import runner
 from pgm.linearisers import TAYLOR, Lineariser
+from pgm.progress import Progress, reporting
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -47,6 +49,7 @@ def infer(
     executor: None = None,
     memory: None = None,
     belief: Grid,
+    progress: Progress = False,
 ) -> GridPosterior: ...
 
 
@@ -62,6 +65,7 @@ def infer(
     executor: Executor | None = None,
     memory: float | None = None,
     belief: None = None,
+    progress: Progress = False,
 ) -> ChainPosterior: ...
 
 
@@ -77,6 +81,7 @@ def infer(
     executor: Executor | None = None,
     memory: float | None = None,
     belief: None = None,
+    progress: Progress = False,
 ) -> KeptPosterior: ...
 
 
@@ -92,6 +97,7 @@ def infer(
     executor: Executor | None = None,
     memory: float | None = None,
     belief: None = None,
+    progress: Progress = False,
 ) -> Posterior: ...
 
 
@@ -107,6 +113,7 @@ def infer(
     executor: None = None,
     memory: None = None,
     belief: Particles,
+    progress: Progress = False,
 ) -> ParticlePosterior: ...
 
 
@@ -121,6 +128,7 @@ def infer(
     executor: Executor | None = None,
     memory: float | None = None,
     belief: PointMasses | None = None,
+    progress: Progress = False,
 ) -> Posterior | GridPosterior | ParticlePosterior:
     """Send the messages of a schedule on a cluster graph.
 
@@ -171,6 +179,11 @@ def infer(
         Of a dynamic network of continuous variables: its beliefs as probabilities of the cells of a
         grid, one run after another, or as weighted draws, in place of Gaussians. Nothing is
         linearised then.
+    progress : bool or callable
+        Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a
+        function, ``progress(done, total)``, called at the start of each stage and after each of its
+        items: steps, linearisations, rounds, runs or parts of them. An error that it raises ends
+        the call.
 
     Returns
     -------
@@ -194,7 +207,9 @@ def infer(
         If a worker dies, or the executor takes no work; ``.runs`` tells which runs were lost.
     """
     if not isinstance(graph, ClusterGraph):
-        raise GraphError(f"infer takes a cluster graph (pgm.compile(network, ...)), not {graph!r}")
+        raise GraphError(
+            f"infer takes a cluster graph (pgm.compile(network, ...)), not {titled(graph)}"
+        )
     if not isinstance(evidence, Mapping):
         raise EvidenceError(
             f"evidence maps variables to values; found {type(evidence).__name__}; of a table of "
@@ -209,22 +224,23 @@ def infer(
         if memory is not None:
             raise GraphError(CONTINUOUS)
         bound = bind_chain(graph.model, evidence, graph.steps, identities=True)
-        return runner(graph.model, belief)(
-            graph, bound, schedule, lineariser, start, keep, executor
-        )
+        run = runner(graph.model, belief)
+        with reporting(progress):
+            return run(graph, bound, schedule, lineariser, start, keep, executor)
     if belief is not None:
         raise GraphError(
-            f"belief= is for dynamic networks, whose states it is of, not for {graph!r}"
+            f"belief= is for dynamic networks, whose states it is of, not for {titled(graph)}"
         )
     if keep is not None or executor is not None:
         raise GraphError(
-            f"keep= and executor= are for the runs of dynamic networks, not for {graph!r}; to hold "
-            "less at a time, give fewer runs to a call"
+            f"keep= and executor= are for the runs of dynamic networks, not for {titled(graph)}; "
+            "to hold less at a time, give fewer runs to a call"
         )
     if schedule is not None and isinstance(schedule, Filtering | FixedLag):
         raise GraphError(
-            f"only a dynamic network is filtered, or smoothed by a lag; {graph!r} has no time, for "
-            f"which {schedule!r} is: leave the schedule out for a tree, and on a graph with loops "
+            f"only a dynamic network is filtered, or smoothed by a lag; {titled(graph)} has no "
+            f"time, for which {schedule!r} is: leave the schedule out for a tree, and on a graph "
+            "with loops "
             "give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
         )
     if isinstance(schedule, Smoothing) and schedule.damping:
@@ -237,13 +253,15 @@ def infer(
         if schedule is None:
             advice = "on which messages go round: say how,"
         raise GraphError(
-            f"{graph!r} has loops, {advice} schedule=pgm.Flooding(), pgm.Sequential() or "
+            f"{titled(graph)} has loops, {advice} schedule=pgm.Flooding(), pgm.Sequential() or "
             "pgm.Residual()"
         )
     if graph.network.discrete:
         if start is not None:
             raise EvidenceError("a start is for nonlinear CPDs; a discrete network has none")
-        return discrete.run(graph, evidence, schedule, memory)
+        with reporting(progress):
+            return discrete.run(graph, evidence, schedule, memory)
     if memory is not None:
         raise GraphError(CONTINUOUS)
-    return gaussian.run(graph, evidence, schedule, lineariser, start)
+    with reporting(progress):
+        return gaussian.run(graph, evidence, schedule, lineariser, start)

@@ -11,6 +11,7 @@ from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.schedule import Filtering, Smoothing
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Index, Mask, block
+from pgm.progress import counted
 
 # A cost that rises by no more than this part is no worse: it is rounding.
 _NO_WORSE = 1e-13
@@ -195,7 +196,9 @@ def iterate(
         if first is not None:
             point = control.step(control.feasible(first, point), point, ~converged)
             mean = control.shown(mean, point, ~converged)
-    while len(residuals) + 1 < schedule.iterations and not converged.all():
+    for _ in counted(range(schedule.iterations - 1), "linearisations"):
+        if converged.all():
+            break
         active = ~converged
         problem.linearise(point, active)
         solution = problem.solve()

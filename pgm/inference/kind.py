@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass
 
 from pgm.boundary import is_whole
+from pgm.display import InCode
 from pgm.errors import ModelError
 
 
 @dataclass(frozen=True)
-class Kind:
+class Kind(InCode):
     r"""The kind of a chain's beliefs: each knows the measurements up to a lag after its step.
 
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + \mathrm{lag},\, T)})

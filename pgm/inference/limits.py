@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pgm.boundary import is_number
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.size import amount
+from pgm.display import titled
 from pgm.errors import GraphError
 from pgm.factors.axes import AXES
 from pgm.factors.scope import names
@@ -62,8 +63,8 @@ class Room:
         if room.batch < least:
             raise GraphError(
                 f"memory={float(memory):g} is less than {MEMORY // BATCH * least:,} bytes, which a "
-                f"single run may take: the tables of {graph!r} have {least:,} entries; give more, "
-                "or ask pgm.query for what is wanted"
+                f"single run may take: the tables of {titled(graph)} have {least:,} entries; give "
+                "more, or ask pgm.query for what is wanted"
             )
         return room
 

@@ -18,6 +18,7 @@ from pgm.clustergraph.checks import Edge
 from pgm.inference.schedule import Flooding, Loopy, Residual, Sequential
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.progress import counted
 
 Round = TypeVar("Round")
 
@@ -115,7 +116,9 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
     gate = np.full(messages.runs, max(_SETTLED, schedule.tolerance))
     residuals: list[Array] = []
     along: list[Array] = []
-    while len(residuals) < schedule.max_iterations and active.any():
+    for _ in counted(range(schedule.max_iterations), "rounds"):
+        if not active.any():
+            break
         each = step(active)
         change = _largest(each)
         if len(residuals) * each.size <= 2 * _KEPT:

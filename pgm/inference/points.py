@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.value import Grid
@@ -35,9 +36,9 @@ def online_points(
 def require_points(belief: Any, model: Any) -> None:
     """Refuse a belief that is neither grid nor particles, and a network that has neither."""
     if not isinstance(belief, Grid | Particles):
-        raise ModelError(f"belief= is a pgm.Grid(...) or pgm.Particles(...), not {belief!r}")
+        raise ModelError(f"belief= is a pgm.Grid(...) or pgm.Particles(...), not {titled(belief)}")
     if not isinstance(model, DynamicBayesianNetwork):
-        raise ModelError(f"a dynamic network was due, not {model!r}")
+        raise ModelError(f"a dynamic network was due, not {titled(model)}")
     if model.discrete:
         raise ModelError(
             "a network of tables has the probabilities of its states, exactly: leave belief= out"

@@ -7,8 +7,11 @@ from importlib import import_module
 from typing import ClassVar, overload
 
 from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.display import NoArray, Shown
 from pgm.errors import EvidenceError
 from pgm.factors import CanonicalForm, Gaussian, Table
+from pgm.factors.scope import Scope
+from pgm.inference.labelled import Labelled
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
@@ -25,7 +28,7 @@ class Viewed:
         return shown
 
 
-class Posterior(Viewed, ABC):
+class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     """The beliefs of a cluster graph after a schedule of messages; leading axes are runs.
 
     Marginals and joints are a `Gaussian` for continuous variables, a `Table` for discrete ones;
@@ -40,6 +43,8 @@ class Posterior(Viewed, ABC):
 
     graph: ClusterGraph
     status: Status
+
+    _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
 
     # Python would else iterate by asking for the variables 0, 1, ...
     __iter__: ClassVar[None] = None
@@ -161,6 +166,11 @@ class Posterior(Viewed, ABC):
         NumericalError
             If it has no canonical form, since a noise is singular.
         """
+
+    @property
+    @abstractmethod
+    def _hidden(self) -> Scope:
+        """The variables that have marginals; of a dynamic network their templates."""
 
     @property
     @abstractmethod

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pgm.boundary import is_number, is_whole
+from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.inference.checks import require_count, require_tolerance
 from pgm.inference.damping import Damping, require_damping
@@ -12,7 +13,7 @@ from pgm.inference.kind import FILTERED, SMOOTHED, Kind
 
 
 @dataclass(frozen=True)
-class Filtering:
+class Filtering(InCode):
     """Forward messages alone: each belief knows the measurements up to its step.
 
     A transition is linearised at the incoming message, a sensor at the predicted belief. With
@@ -61,7 +62,7 @@ ONCE = Filtering()
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(InCode):
     """Both passes over a tree: towards the root and back, so that each belief knows all evidence.
 
     Without nonlinear CPDs one iteration is exact. The first linearisation of nonlinear ones is at
@@ -132,7 +133,7 @@ class Smoothing(Calibration):
 
 
 @dataclass(frozen=True)
-class FixedLag:
+class FixedLag(InCode):
     r"""Forward messages, and backward ones over a lag: each belief knows the measurements up to it.
 
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + L,\, T)})
@@ -216,7 +217,7 @@ class FixedLag:
 
 
 @dataclass(frozen=True)
-class Loopy:
+class Loopy(InCode):
     """Schedules for any graph, a tree or not.
 
     Messages are sent until none changes: the beliefs of neighbours then agree. On a tree they are

@@ -9,12 +9,15 @@ from types import MappingProxyType
 
 import numpy as np
 
+from pgm.display import Shown, Summary, few, number
 from pgm.errors import PrecisionWarning
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 
 # Digits of a mean, counted from its deviation, below which the user is warned.
 ENOUGH_DIGITS = 6.0
+# Residuals that are shown.
+FEW = 8
 
 
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
@@ -39,7 +42,7 @@ def _levels_to_user() -> int:
     return levels
 
 
-class Status(Immutable):
+class Status(Shown, Immutable):
     """The status of a schedule: iterations, convergence, digits.
 
     Attributes
@@ -157,11 +160,20 @@ class Status(Immutable):
             self.edge_residuals,
         )
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         lost = ""
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
         return f"Status({self._went()}{lost})"
+
+    def _summary(self) -> Summary:
+        if len(self.residuals) < 2 or not self.residuals[0].size:
+            return Summary(self._title)
+        worst = self.residuals.reshape(len(self.residuals), -1).max(axis=1)
+        shown = ["..." if k is None else number(worst[k], 3) for k in few(len(worst), FEW)]
+        of = " of the worst run" if self.converged.size > 1 else ""
+        return Summary(self._title, [f"residuals{of}: {', '.join(shown)}"])
 
     def _went(self) -> str:
         converged = int(self.converged.sum())
@@ -171,5 +183,5 @@ class Status(Immutable):
         return (
             f"{self.iterations} iteration{'s' if self.iterations > 1 else ''}, "
             f"{converged} of {self.converged.size} runs converged, "
-            f"last residual {self.residuals[-1].max():.3g}"
+            f"last residual {self.residuals[-1].max(initial=0.0):.3g}"
         )

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Protocol, TypeVar
 
 from pgm.kernels.arrays import Array
+from pgm.progress import counted
 
 B = TypeVar("B")
 C = TypeVar("C", contravariant=True)
@@ -51,7 +52,7 @@ class Backwards(Protocol[B]):
 def forward(family: Onwards[B], steps: int, record: Record[B]) -> None:
     """Send the messages from cluster 0 to cluster T, and take in the measurements of each step."""
     belief = family.start()
-    for step in range(steps + 1):
+    for step in counted(range(steps + 1), "forward"):
         if step:
             belief = family.predict(step, belief)
         known, log_density = family.take(step, belief)
@@ -63,6 +64,6 @@ def backward(family: Backwards[B], steps: int, last: B) -> Iterator[tuple[int, B
     """The steps and beliefs from T down to 0, given the last one: each knows all evidence."""
     belief = last
     yield steps, belief
-    for step in range(steps - 1, -1, -1):
+    for step in counted(range(steps - 1, -1, -1), "back"):
         belief = family.back(step, belief)
         yield step, belief

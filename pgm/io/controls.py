@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pgm.display import Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.io.stamped import (
     SAME,
@@ -28,7 +29,7 @@ DT = "dt"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ControlReport:
+class ControlReport(Shown):
     """The fate of each row of one control; arrays are in the order of the log.
 
     Attributes
@@ -63,7 +64,14 @@ class ControlReport:
         """The rows that count for nothing: they lie before the first state or after the last."""
         return np.flatnonzero(self.counted == 0.0)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
+        return self._lines()[0]
+
+    def _summary(self) -> Summary:
+        return Summary(self._title, self._lines()[1:])
+
+    def _lines(self) -> list[str]:
         used = self.counted > 0.0
         split = (self.split & used).sum()
         what = "increments" if self.kind == "odometry" else "velocities"
@@ -83,7 +91,7 @@ class ControlReport:
                 f"{self.dropped.size} dropped: before the first state or after the last "
                 f"({rows_text(self.dropped)})"
             )
-        return "\n".join(lines)
+        return lines
 
 
 def controls(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.display import Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import Constant, Sightings, sightings
 from pgm.evidence.arrays import as_rows, taken_readings
@@ -36,7 +37,7 @@ NOT_TAKEN, BEFORE, AFTER, FAR = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ReadingReport:
+class ReadingReport(Shown):
     """The fate of each measurement of one sensor; arrays are in the order of the log.
 
     Attributes
@@ -79,7 +80,14 @@ class ReadingReport:
         """The rows of the measurements that are not in the evidence."""
         return np.flatnonzero(~self.kept)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
+        return self._lines()[0]
+
+    def _summary(self) -> Summary:
+        return Summary(self._title, self._lines()[1:])
+
+    def _lines(self) -> list[str]:
         text = f"{self.kept.size} measurements, {self.kept.sum()} kept, {self.moved.sum()} moved"
         if self.moved.any():
             by = np.abs(self.shift[self.moved])
@@ -95,7 +103,7 @@ class ReadingReport:
                 gap = f", by {np.abs(self.shift[rows]).max():.4g} s"
                 gap = "" if why == NOT_TAKEN else gap + " at most" * (rows.size > 1)
                 lines.append(f"{rows.size} dropped: {why}{gap} ({rows_text(rows)})")
-        return "\n".join(lines)
+        return lines
 
 
 def readings(

@@ -11,8 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats, as_mapping
+from pgm.display import Shown, Summary, as_numbers, brief, count, table
 from pgm.errors import EvidenceError
 from pgm.evidence import Constant
+from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
 
@@ -29,8 +31,8 @@ UNITS = (("nanoseconds", 1e9), ("microseconds", 1e6), ("milliseconds", 1e3))
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
-@dataclass(frozen=True, eq=False)
-class Stamped:
+@dataclass(frozen=True, eq=False, repr=False)
+class Stamped(Shown):
     """Rows of a log with their stamps; made by `stamped`.
 
     Attributes
@@ -42,6 +44,20 @@ class Stamped:
     stamps: Any
     values: Any
     given: Mapping[Variable, Any] = field(default_factory=dict)
+
+    @property
+    def _title(self) -> str:
+        stamps = as_numbers(self.stamps)
+        rows = brief(self.stamps) if stamps is None else count(stamps.size, "row")
+        return f"Stamped({rows}, given [{listed(self.given)}])"
+
+    def _summary(self) -> Summary:
+        stamps = as_numbers(self.stamps)
+        if stamps is None or stamps.ndim != 1:
+            return Summary(self._title)
+        columns = [("stamp", stamps), ("value", self.values)]
+        columns += [(repr(variable), given) for variable, given in self.given.items()]
+        return Summary(self._title, [table(columns, digits=15)])
 
 
 def stamped(

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import is_number
+from pgm.display import TITLE, Listing, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.immutable import Immutable
 from pgm.io.controls import ControlReport, Kind, controls
@@ -21,7 +22,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Timeline(Immutable):
+class Timeline(Shown, Immutable):
     """A log laid on the times of the states; printed, it says what became of every row.
 
     Attributes
@@ -49,16 +50,21 @@ class Timeline(Immutable):
         """T, the last step."""
         return self.dt.size
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         first, last = self.times[[0, -1]]
-        lines = [
+        return (
             f"Timeline of {self.times.size} states, {clock(first)} to {clock(last)}; steps of "
             f"{np.median(self.dt):.4g} s (median), {self.dt.min():.4g} to {self.dt.max():.4g} s"
+        )
+
+    def _summary(self) -> Summary:
+        rows = [
+            ("" if k else f"{variable.name:<9}", line)
+            for variable, report in {**self.controls, **self.readings}.items()
+            for k, line in enumerate(report._lines())
         ]
-        for variable, report in {**self.controls, **self.readings}.items():
-            for k, line in enumerate(repr(report).splitlines()):
-                lines.append(f"  {'' if k else variable.name:<10} {line}")
-        return "\n".join(lines)
+        return Summary(self._title, [Listing(("", ""), rows, names=2, cell=TITLE)])
 
 
 def timeline(

@@ -67,3 +67,11 @@ def off(lower: Array, left: Array, error: Array) -> Mask:
     allowed = error @ transpose(spread) + SLACK * deviations[..., None, :]
     far: Mask = (np.abs(left) > allowed).any(axis=-1)
     return far
+
+
+def square_within(probability: float, dimension: Integers) -> Array:
+    """The squared length, in deviations, within which a normal vector is with a probability."""
+    from scipy.special import chdtri  # here, since it is slow to import
+
+    limit: Array = chdtri(dimension, 1.0 - probability)
+    return limit

@@ -14,6 +14,12 @@ from pgm.errors import ModelError, PgmError
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
 
+# What to do about a shape that was not due.
+STACKED = (
+    "it is called with arrays that have leading axes, so index components as a[..., i] and stack "
+    "results along the last axis"
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Call:
@@ -43,9 +49,13 @@ class Call:
     cpd: Any = None
 
     def __call__(
-        self, function: Callable[..., Any], arguments: Sequence[Array], due: tuple[int, ...]
+        self,
+        function: Callable[..., Any],
+        arguments: Sequence[Array],
+        due: tuple[int, ...],
+        advice: str = STACKED,
     ) -> Array:
-        """The function's value as an array of the shape that is due.
+        """The function's value as an array of the shape that is due; else an error with advice.
 
         Raises
         ------
@@ -56,7 +66,7 @@ class Call:
             value = function(*arguments)
         except Exception as error:
             raise self.failure(function, arguments, error) from error
-        return self.array(function, arguments, value, due)
+        return self.array(function, arguments, value, due, advice)
 
     def failure(
         self, function: Callable[..., Any], arguments: Sequence[Array], error: Exception
@@ -73,6 +83,7 @@ class Call:
         arguments: Sequence[Array],
         value: Any,
         due: tuple[int, ...],
+        advice: str = STACKED,
     ) -> Array:
         """A value that a call has returned, as an array of the shape that is due."""
         try:
@@ -81,11 +92,7 @@ class Call:
             fault = str(error).removeprefix("it ")
             raise self.error(fault, self._first(function, arguments)) from error.__cause__
         if array.shape != due:
-            raise self.error(
-                f"returned shape {array.shape} where {due} was due; it is called with arrays that "
-                "have leading axes, so index components as a[..., i] and stack results along the "
-                "last axis"
-            )
+            raise self.error(f"returned shape {array.shape} where {due} was due; {advice}")
         return array
 
     def _first(

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from pgm.display import InCode
 from pgm.errors import LinearisationError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.kernels.arrays import (
@@ -107,7 +108,7 @@ def needs_cov(lineariser: Lineariser, template: FunctionTemplate) -> bool:
     return bool(said)
 
 
-class ArrayLineariser(ABC):
+class ArrayLineariser(InCode, ABC):
     """A lineariser that works on arrays, so that engines need make no objects to call it.
 
     A subclass gives `prepare`.

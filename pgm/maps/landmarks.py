@@ -10,13 +10,14 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from pgm.boundary import as_floats, as_tuple
+from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.maps.given import as_finite
 
 
-class FeatureMap(Immutable):
+class FeatureMap(InCode, Immutable):
     """Landmarks at known positions, each with a name where it can be told by its signature.
 
     It converts to the array of its positions, as ``pgm.plot.trajectory(..., landmarks=features)``

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, label
 
 from pgm.boundary import as_floats, is_whole
+from pgm.display import InCode
 from pgm.errors import FileError, ModelError
 from pgm.kernels import planar, rays
 from pgm.kernels.arrays import Array, Mask, frozen
@@ -23,7 +24,7 @@ from pgm.sizes import require_memory
 from pgm.variables import Variable
 
 
-class OccupancyMap(CellGrid):
+class OccupancyMap(InCode, CellGrid):
     r"""A grid of cells with the probability that each is occupied; an immutable value.
 
     The cell in row i and column j is the square from (j, i) to (j + 1, i + 1), times the

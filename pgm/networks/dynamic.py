@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import networkx as nx
 import numpy as np
 
 from pgm.boundary import as_generator, as_mapping, is_whole
 from pgm.cpds import CPD, TableCPD
+from pgm.display import Drawn, Listing, Summary
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, one_name_each
 from pgm.immutable import Immutable
 from pgm.networks import checks
 from pgm.networks.sampling import Sample, draw_steps
-from pgm.networks.static import BayesianNetwork, density
+from pgm.networks.static import FEW, BayesianNetwork, factors
 from pgm.sizes import require_memory
 from pgm.variables import Discrete
 
+if TYPE_CHECKING:
+    import networkx as nx
+
 # Numbers of memory that a copy of a CPD at a step takes in a network, at the least.
 _COPY = 100
+# Letters of the factors of a slice that are shown.
+FACTORS = 84
 
 
-class DynamicBayesianNetwork(Immutable):
+class DynamicBayesianNetwork(Drawn, Immutable):
     """A prior over the states, a transition from each slice to the next, and sensors.
 
     States are x[0..T]. The prior holds at step 0, transition CPDs at steps 1..T, observation
@@ -269,6 +274,8 @@ class DynamicBayesianNetwork(Immutable):
         ModelError
             If the number of steps is no such number, or the network would not fit into memory.
         """
+        import networkx as nx  # here, since it is slow to import
+
         kinds = {
             **dict.fromkeys(self.states, "state"),
             **dict.fromkeys(self.controls, "control"),
@@ -323,15 +330,17 @@ class DynamicBayesianNetwork(Immutable):
             return self.prior + first
         return self.transition + self.observation
 
-    def __repr__(self) -> str:
-        rows = [("states", ", ".join(v.name for v in self.states))]
+    @property
+    def _title(self) -> str:
+        return "DynamicBayesianNetwork"
+
+    def _summary(self) -> Summary:
+        rows = [("states", ", ".join(v.name for v in self.states[:FEW]))]
         for label, found in (("controls", self.controls), ("inputs", self.inputs)):
             if found:
-                rows.append((label, ", ".join(v.name for v in found)))
+                rows.append((label, ", ".join(v.name for v in found[:FEW])))
         for label in ("prior", "transition", "observation"):
             cpds: tuple[CPD, ...] = getattr(self, label)
             if cpds:
-                rows.append((label, "  ".join(map(density, cpds))))
-        return "\n".join(
-            ["DynamicBayesianNetwork", *(f"  {label:<12} {text}" for label, text in rows)]
-        )
+                rows.append((label, factors(cpds)))
+        return Summary(self._title, [Listing(("", ""), rows, names=2, cell=FACTORS)])

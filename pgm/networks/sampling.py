@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import zip_longest
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from pgm.boundary import as_tuple, is_whole
 from pgm.cpds.values import Known, Values
+from pgm.display import Listing, NoArray, Shown, Summary, vector
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, Reading, Sightings, bind, bind_values, sightings
 from pgm.evidence.arrays import no_evidence_for
@@ -25,6 +26,9 @@ from pgm.variables import Discrete, Variable
 if TYPE_CHECKING:
     from pgm.networks.dynamic import DynamicBayesianNetwork
     from pgm.networks.static import BayesianNetwork
+
+# The most variables of a sample that are shown.
+VARIABLES = 12
 
 
 def draw(
@@ -80,8 +84,8 @@ def _as_shape(name: str, asked: Any, lead: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(max(pair) for pair in reversed(pairs))
 
 
-@dataclass(frozen=True, eq=False)
-class Sample(Immutable):
+@dataclass(frozen=True, eq=False, repr=False)
+class Sample(Shown, NoArray, Immutable):
     """A draw from a dynamic network.
 
     Attributes
@@ -95,6 +99,8 @@ class Sample(Immutable):
 
     values: Mapping[Variable, Values]
     evidence: Evidence
+
+    _arrays: ClassVar[str] = "values by variable, sample[x]"
 
     def __getitem__(self, variable: Variable) -> Values:
         """The values of a variable, of the shape said above.
@@ -110,6 +116,30 @@ class Sample(Immutable):
                 variable=variable,
             )
         return self.values[variable]
+
+    @property
+    def _title(self) -> str:
+        return f"Sample({listed(self.values)})"
+
+    def _summary(self) -> Summary:
+        rows = []
+        for variable, values in list(self.values.items())[:VARIABLES]:
+            own = 0 if isinstance(variable, Discrete) else 1
+            ends = [""] * 2
+            if values.size:
+                lead = values.ndim - own
+                ends = [value(variable, values[(place,) * lead]) for place in (0, -1)]
+            rows.append([repr(variable), str(values.shape), *ends])
+        left = len(self.values) - len(rows)
+        parts: list[Listing | str] = [Listing(["", "shape", "first", "last"], rows, names=4)]
+        return Summary(self._title, parts + [f"... {left} more"] * (left > 0))
+
+
+def value(variable: Variable, values: Values) -> str:
+    """One value in a few words: its components, or the name of its state."""
+    if isinstance(variable, Discrete):
+        return variable.states[int(values)]
+    return vector(values)
 
 
 def draw_steps(

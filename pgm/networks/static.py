@@ -6,13 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from itertools import combinations
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
-import networkx as nx
 import numpy as np
 
 from pgm.boundary import as_generator, as_mapping
 from pgm.cpds import CPD
 from pgm.cpds.values import Values
+from pgm.display import Drawn, Summary
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each
@@ -21,11 +22,14 @@ from pgm.immutable import Immutable
 from pgm.networks import checks, sampling
 from pgm.variables import Variable
 
+if TYPE_CHECKING:
+    import networkx as nx
+
 # Up to how many CPDs a network shows by their densities.
 FEW = 12
 
 
-class BayesianNetwork(Immutable):
+class BayesianNetwork(Drawn, Immutable):
     """A joint density as a product of CPDs, one for each variable.
 
     Its variables are all continuous (Gaussian CPDs, linear or not) or all `Discrete`
@@ -225,6 +229,8 @@ class BayesianNetwork(Immutable):
             Nodes are variables with the attribute ``kind`` (variable or input); edges go from
             parents to children.
         """
+        import networkx as nx  # here, since it is slow to import
+
         graph = nx.DiGraph()
         graph.add_nodes_from(self._by_child, kind="variable")
         graph.add_nodes_from(self.inputs, kind="input")
@@ -287,15 +293,28 @@ class BayesianNetwork(Immutable):
                     f"{variable!r} stands in two of the sets a, b and given; they must be disjoint",
                     variable=variable,
                 )
+        import networkx as nx  # here, since it is slow to import
+
         # networkx renamed it in 3.3.
         separated = nx.is_d_separator if hasattr(nx, "is_d_separator") else nx.d_separated
         return bool(separated(self.to_networkx(), *sets))
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         if len(self.cpds) <= FEW:
             return f"BayesianNetwork({'  '.join(map(density, self.cpds))})"
         kind = "discrete" if self.discrete else "continuous"
         return f"BayesianNetwork({len(self.cpds)} CPDs, {kind})"
+
+    def _summary(self) -> Summary:
+        few = len(self.cpds) <= FEW
+        return Summary(self._title, [] if few else [factors(self.cpds)])
+
+
+def factors(cpds: Sequence[CPD]) -> str:
+    """The first CPDs as factors of the joint density."""
+    more = f"  ... {len(cpds)} in all" if len(cpds) > FEW else ""
+    return "  ".join(map(density, cpds[:FEW])) + more
 
 
 def density(cpd: CPD) -> str:

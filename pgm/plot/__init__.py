@@ -1,21 +1,24 @@
 """Pictures of networks, cluster graphs and beliefs; those that draw take and return axes."""
 
-from pgm.plot.animation import animate_beliefs
-from pgm.plot.cells import belief_map
-from pgm.plot.cloud import particles
-from pgm.plot.clusters import cluster_graph
-from pgm.plot.compared import comparison
-from pgm.plot.consistency import coverage, nees, nis, whiteness
-from pgm.plot.graphviz import dot
-from pgm.plot.grid_map import grid_map
-from pgm.plot.networks import network
-from pgm.plot.occupancy import occupancy_map
-from pgm.plot.over_time import errors, kl, rmse
-from pgm.plot.plane import ellipses, trajectory
-from pgm.plot.records import convergence
-from pgm.plot.stacks import beliefs_over_time
+from pgm.plot.beliefs.animation import animate_beliefs
+from pgm.plot.beliefs.cells import belief_map
+from pgm.plot.beliefs.cloud import particles
+from pgm.plot.beliefs.grid_map import grid_map
+from pgm.plot.beliefs.occupancy import occupancy_map
+from pgm.plot.beliefs.plane import ellipses, trajectory
+from pgm.plot.beliefs.stacks import beliefs_over_time
+from pgm.plot.diagrams.clusters import cluster_graph
+from pgm.plot.diagrams.graphviz import dot
+from pgm.plot.diagrams.markov import markov_network
+from pgm.plot.diagrams.networks import network
+from pgm.plot.moving.run import animate
+from pgm.plot.statistics.compared import comparison
+from pgm.plot.statistics.consistency import coverage, nees, nis, whiteness
+from pgm.plot.statistics.over_time import errors, kl, rmse
+from pgm.plot.statistics.records import convergence
 
 __all__ = [
+    "animate",
     "animate_beliefs",
     "belief_map",
     "beliefs_over_time",
@@ -28,6 +31,7 @@ __all__ = [
     "errors",
     "grid_map",
     "kl",
+    "markov_network",
     "nees",
     "network",
     "nis",

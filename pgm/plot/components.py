@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.consistency.checks import check_gaussian
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels, names
@@ -35,8 +36,8 @@ def one_run(belief: Any) -> Gaussian:
     if math.prod(lead) != 1:
         hint = " (or give steps= if they are steps)" if belief.steps is None else ""
         raise ModelError(
-            f"{belief!r} has the leading axes {lead}, which are {math.prod(lead)} runs{hint}; "
-            "pick one with .run(0)",
+            f"{titled(belief)} has the leading axes {lead}, which are {math.prod(lead)} "
+            f"runs{hint}; pick one with .run(0)",
             variable=belief.scope[0],
         )
     size = belief.mean.shape[-1]

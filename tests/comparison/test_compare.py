@@ -219,7 +219,7 @@ def test_a_run_that_fails_is_a_row():
     assert fine.error == ""
     assert far.error.startswith("LinearisationError: ")
     assert np.isnan([far.kl, far.nees, far.rmse["a"], far.log_evidence]).all()
-    assert f"far, filter, a: {far.error}" in repr(found)
+    assert f"far, filter, a: {far.error}" in " ".join(repr(found).split())
 
 
 def test_rows_are_named():

@@ -154,7 +154,7 @@ def test_the_clusters_within_some_steps(steps, last):
 
 def test_names_and_strangers():
     graph = balanced(MODELS["static unknown"], 5)
-    assert repr(graph) == (
+    assert repr(graph).splitlines()[0] == (
         "BalancedGraph(clusters 0..9 over steps 0..5, depth 3, sepsets of [x, m])"
     )
     assert graph.sepsets[9, 7] == graph.sepsets[7, 9] == (X.at(0), M.at(0), X.at(4), M.at(4))
@@ -190,8 +190,8 @@ class Tampered(BalancedGraph):
         super().__init__(MODELS["static unknown"], 6)
         self._set(_scope=scope or {}, _edges=sepset or {})
 
-    def cluster(self, index):
-        found = super().cluster(index)
+    def _view(self, index):
+        found = super()._view(index)
         changed = self._scope.get(index, lambda scope: scope)(found.scope)
         return pgm.Cluster(index, changed, found.cpds, found.families)
 

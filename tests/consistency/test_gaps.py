@@ -53,7 +53,11 @@ def test_anees_counts_the_degrees_of_freedom_known():
     assert_allclose(found.high[there], (chi2.ppf(0.95, dof) / found.count)[there])
     total = np.nansum(consistency.nees(BELIEF, TRUTH), axis=0)
     assert_allclose(found.value[there], total[there] / found.count[there])
-    assert "count=" in repr(found)
+    title, inside, heads, *rows = repr(found).splitlines()
+    assert title == f"Average({found.value.shape} of them)"
+    assert inside.split()[0] == str(found.inside.sum())
+    assert heads.split()[-1] == "of"
+    assert [int(row.split()[-1]) for row in rows] == found.count.tolist()
 
 
 def test_coverage_is_of_the_regions_of_what_is_known():

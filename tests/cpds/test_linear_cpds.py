@@ -107,8 +107,8 @@ def test_cpds_are_immutable_and_keep_no_one_elses_arrays():
 
 COVARIANCES = [
     (np.eye(3), r"shape \(3, 3\).*need \(2, 2\)"),
-    ([1.0, 1.0], "shape"),
-    (1.0, "shape"),
+    ([1.0, 1.0, 1.0], "shape"),
+    (-1.0, "negative"),
     ([[1.0, 2.0], [2.0, 1.0]], "negative"),
     (-np.eye(2), "negative"),
     ([[1.0, 0.2], [0.0, 1.0]], "not symmetric"),

@@ -13,7 +13,7 @@ from experiments import differential_drive
 from experiments.differential_drive import page
 from experiments.differential_drive.animation import EVERY
 from experiments.differential_drive.errors import about_landmark
-from experiments.differential_drive.figures import drive_figure
+from experiments.differential_drive.figures import RINGS, drive_figure
 from experiments.differential_drive.particles import follow
 from experiments.differential_drive.problems import DT, NOISE, deviations, loop, problems
 from experiments.differential_drive.results import held_noise, solve, spread
@@ -175,17 +175,39 @@ def test_deviations_about_the_landmark():
 
 
 @pytest.mark.parametrize("name", ["1", "2b"])
-def test_an_ellipse_at_every_motion_and_at_every_reading(name):
+def test_two_seconds_have_an_ellipse_at_every_motion_and_at_every_reading(name):
     problem = problems("deviation", 6)[name]
     drive = solve(problem, 2, np.random.default_rng(0)).drive()
-    figure = drive_figure(drive)
-    counts = [
+    assert _ellipses(drive_figure(drive)) == [[6], [17, 3], [], []]
+    assert (problem.steps, len(problem.measured)) == (48, 6)
+    assert_allclose(problem.measured * DT, np.arange(1, 7))
+
+
+def test_a_long_drive_has_few_ellipses():
+    """At 800 motions and 100 readings none could be told from another."""
+    problem = problems("deviation", 100)["1"]
+    drive = solve(problem, 2, np.random.default_rng(0)).drive()
+    assert (problem.steps, len(problem.measured)) == (800, 100)
+    assert _ellipses(drive_figure(drive)) == [[RINGS], [17, 3], [], []]
+
+
+def test_errors_stand_in_the_filters_band():
+    drive = solve(problems("deviation", 6)["2b"], 2, np.random.default_rng(0)).drive()
+    _, _, *below = drive_figure(drive).axes
+    for k, ax in enumerate(below):
+        filtered, smoothed = (line.get_ydata() for line in ax.lines[:2])
+        assert_allclose(filtered, drive.filtered.mean[:, k] - drive.truth[:, k])
+        assert_allclose(smoothed, drive.smoothed.mean[:, k] - drive.truth[:, k])
+        band = ax.collections[0].get_paths()[0].vertices[:, 1]
+        assert band.max() == pytest.approx(1.96 * drive.filtered.std[:, k].max(), rel=1e-3)
+        assert ax.get_ylabel().endswith("[m]")
+
+
+def _ellipses(figure):
+    return [
         [len(c.get_offsets()) for c in ax.collections if isinstance(c, EllipseCollection)]
         for ax in figure.axes
     ]
-    assert counts == [[problem.steps, len(problem.measured)], [33, 5]]
-    assert (problem.steps, len(problem.measured)) == (48, 6)
-    assert_allclose(problem.measured * DT, np.arange(1, 7))
 
 
 @pytest.mark.parametrize("name", ["1", "2a", "2b"])

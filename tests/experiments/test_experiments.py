@@ -10,7 +10,7 @@ import pytest
 
 from experiments import localisation, plaza
 from experiments.__main__ import app, main
-from experiments.catalogue import EXPERIMENTS, summary_line
+from experiments.catalogue import EXPERIMENTS, NEEDS, THEMES, summary_line
 from experiments.plaza import log as plaza_log
 from experiments.plaza.experiment import localise
 from pgm import EvidenceError, consistency
@@ -32,19 +32,55 @@ BASELINES = {
 }
 
 
-def test_the_list_has_a_line_for_each():
+@pytest.mark.parametrize("words", [(), ("list",)])
+def test_the_list_has_a_line_for_each(words):
     found = subprocess.run(
-        [sys.executable, "-m", "experiments"], cwd=ROOT, capture_output=True, text=True, check=True
+        [sys.executable, "-m", "experiments", *words],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     lines = found.stdout.strip().splitlines()
-    assert [line.split()[0] for line in lines] == list(EXPERIMENTS)
-    for line, experiment in zip(lines, EXPERIMENTS.values(), strict=True):
-        assert line.endswith(summary_line(experiment))
+    assert [line for line in lines if line.endswith(":")] == [f"{theme}:" for theme in THEMES]
+    each = [line for line in lines if line.startswith("  ")]
+    assert [line.split()[0] for line in each] == list(EXPERIMENTS)
+    for line, (name, experiment) in zip(each, EXPERIMENTS.items(), strict=True):
+        needs = f" [{NEEDS[name]}]" if name in NEEDS else ""
+        assert line.endswith(f"  {summary_line(experiment)}{needs}")
     starts = [
-        len(line) - len(summary_line(experiment))
-        for line, experiment in zip(lines, EXPERIMENTS.values(), strict=True)
+        line.index(summary_line(e)) for line, e in zip(each, EXPERIMENTS.values(), strict=True)
     ]
     assert len(set(starts)) == 1
+
+
+@pytest.mark.parametrize("missing", ["typer", "rich"])
+def test_a_missing_package_is_told_in_a_line(missing):
+    code = (
+        f"import runpy, sys; sys.modules[{missing!r}] = None; "
+        "runpy.run_module('experiments', run_name='__main__')"
+    )
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert run.returncode == 1
+    (line,) = run.stderr.splitlines()
+    assert "typer and rich: pip install '.[experiments]'" in line
+
+
+@pytest.mark.parametrize(
+    ("name", "find"),
+    [
+        ("plaza", "experiments.plaza.log.find"),
+        ("freiburg", "experiments.freiburg.log.find"),
+        ("killian", "experiments.killian.log.find"),
+        ("global_localisation", "experiments.house.find"),
+        ("kidnapped", "experiments.house.find"),
+    ],
+)
+def test_the_list_says_what_cannot_run_without_data(name, find, monkeypatch, tmp_path):
+    assert name in NEEDS
+    monkeypatch.setattr(find, lambda *of: None)
+    EXPERIMENTS[name].run(out=tmp_path / name, seed=0)
+    assert not (tmp_path / name).exists()
 
 
 @pytest.mark.parametrize("words", [("kalman",), ("report", "--quick")])
@@ -133,4 +169,4 @@ def test_plaza_refuses_a_file_of_unknown_kind(tmp_path):
 
 
 def test_the_command_line_knows_them_all():
-    assert {command.name for command in app.registered_commands} == {*EXPERIMENTS, "report"}
+    assert {command.name for command in app.registered_commands} == {*EXPERIMENTS, "list", "report"}

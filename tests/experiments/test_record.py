@@ -73,7 +73,7 @@ def done(tmp_path):
 def _run(out, *, answer):
     record = Record("name", out, seed=answer)
     figure = plt.figure(figsize=(1, 1))
-    record.figure(figure, "plot")
+    record.figure(figure, "plot", "A plot.")
     plt.close(figure)
     record.summary(answer=answer)
 
@@ -101,7 +101,7 @@ def test_an_earlier_summary_does_not_stand_beside_newer_figures(done, monkeypatc
     record = Record("name", done)
     assert (done / "summary.json").exists()
     figure = plt.figure(figsize=(1, 1))
-    record.figure(figure, "plot")
+    record.figure(figure, "plot", "A plot.")
     plt.close(figure)
     assert not (done / "summary.json").exists()
 

@@ -12,16 +12,28 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from experiments import cluster_graph, kalman
-from experiments.catalogue import EXPERIMENTS
+from experiments.catalogue import EXPERIMENTS, THEMES
 from experiments.record import FolderError, Record, note
 from experiments.report import command, report
 from experiments.report.command import make_report
+from experiments.report.findings import FINDINGS
 from experiments.report.page import page
-from experiments.report.parts import part, settings, table
+from experiments.report.parts import LONG, WIDE, part, settings, table
 from experiments.report.reproduced import REPRODUCED
+from experiments.report.running import Outcome
 
 VOID = {"meta", "img", "br", "link"}
+# Experiments that take a second or less.
+SHORT = (
+    "kalman",
+    "imu_heading",
+    "cluster_graph",
+    "seven_nodes",
+    "grid_world",
+    "hallway",
+    "maze",
+    "topological",
+)
 GIF = b"GIF89a" + bytes(20)
 
 
@@ -37,7 +49,14 @@ def draws(out=None, seed=0, runs=100):
     plt.close(figure)
     (record.folder / "move.gif").write_bytes(GIF)
     record.picture("move.gif", "It moves.")
-    record.table("Numbers", ("what", "value", "why"), [("x", 1.25, "a"), ("y", -3, "b")])
+    record.table(
+        "Numbers",
+        ("what", "value", "why"),
+        [("x", 1.25, "a"), ("y", -3, "b")],
+        about="The <values>.",
+        best={"value": -float("inf")},
+    )
+    record.table("Aside", ("what",), [("z",)], folded=True)
     record.summary(answer=runs)
 
 
@@ -54,7 +73,7 @@ def speaks(out=None, seed=0):
 def half(out=None):
     """One whose picture is missing."""
     record = Record("half", out)
-    record.picture("nowhere.png")
+    record.picture("nowhere.png", "It is nowhere.")
     record.summary()
 
 
@@ -143,7 +162,8 @@ def test_pictures_are_inside_and_nothing_is_outside(done):
 def test_texts_are_shown_word_for_word_and_in_order(done):
     _, _, text, reader = done
     parts = ["a < b & <script>alert(1)</script>", "A “caption” <b>", "It moves.", "Numbers"]
-    places = [reader.text.index(words) for words in parts]
+    section = reader.text[reader.text.rindex("One that draws") :]
+    places = [section.index(words) for words in parts]
     assert places == sorted(places)
     assert "<script>" not in text
 
@@ -186,6 +206,7 @@ def test_settings_seed_versions_and_size_are_told(done):
 def test_numbers_are_set_right(done):
     _, _, text, _ = done
     assert "<tr><td>x</td><td class=number>1.25</td><td>a</td></tr>" in text
+    assert '<tr><td>y</td><td class="number best">-3</td><td>b</td></tr>' in text
     assert "<th class=number>value</th>" in text
 
 
@@ -205,13 +226,38 @@ def test_numbers_are_set_right(done):
     ],
 )
 def test_what_a_number_is(cell, right):
-    assert ("<td class=number>" in table("t", ("a",), [(cell,)])) == right
+    assert ("<td class=number>" in tabled(("a",), [(cell,)])) == right
 
 
 def test_a_column_with_a_gap_is_still_of_numbers():
-    assert table("t", ("a",), [("1.5",), ("",), ("–",)]).count("class=number") == 4
-    assert "class=number" not in table("t", ("a",), [("1.5",), ("filter",)])
-    assert "<th>a</th>" in table("t", ("a",), [])
+    assert tabled(("a",), [("1.5",), ("",), ("–",)]).count("class=number") == 4
+    assert "class=number" not in tabled(("a",), [("1.5",), ("filter",)])
+    assert "<th>a</th>" in tabled(("a",), [])
+
+
+def tabled(columns, rows, **more):
+    return table({"table": "t", "columns": columns, "rows": rows, **more})
+
+
+def test_a_table_says_what_its_columns_are(done):
+    _, _, text, reader = done
+    assert "The <values>. Bold: best of its column; near ones may differ by chance." in reader.text
+    assert "<p class=about>The &lt;values&gt;. Bold" in text
+    told = tabled(("s", "KL"), [("1", "2"), ("1", "3")], best=[[0, 1]], within=["s"])
+    assert "Bold: best of its column, within rows of one s; near" in told
+
+
+def test_wide_long_and_supporting_tables_are_folded(done):
+    wide, long = [["1"] * WIDE], [["1"]] * LONG
+    assert "<details>" not in tabled(["a"] * WIDE, wide)
+    assert "<details>" not in tabled(["a"], long)
+    assert "<details>" in tabled(["a"] * (WIDE + 1), [["1"] * (WIDE + 1)])
+    folded = tabled(["a"], [*long, ["1"]])
+    assert folded.startswith("<details>")
+    assert f"<span class=meta>{LONG + 1} rows</span></summary>" in folded
+    assert re.search(
+        r"<details>\n<summary><span class=title>Aside</span> <span class=meta>1 row<", done[2]
+    )
 
 
 def test_an_unknown_part_is_refused(tmp_path):
@@ -274,9 +320,14 @@ def test_an_unknown_experiment_is_named(run):
 
 def test_what_is_reproduced():
     assert {item: name for item, _, name in REPRODUCED} == {
+        "Figure 2.1": "basics",
+        "Figure 2.2": "basics",
+        "Figure 3.1": "basics",
+        "Figure 3.2": "basics",
         "Figure 4.1": "kalman",
         "Figure 4.2": "kalman",
         "Figure 4.3": "kalman",
+        "Figures 5.1 and 5.2": "basics",
         "Figures 5.3–5.5": "seven_nodes",
         "Figure 6.1": "cluster_graph",
         "Figure 6.2": "cluster_graph",
@@ -286,18 +337,123 @@ def test_what_is_reproduced():
     }
 
 
-def test_what_is_reproduced_is_linked_where_it_is_shown(tmp_path):
-    chosen = {"kalman": kalman, "cluster_graph": cluster_graph}
-    outcomes = make_report(chosen, tmp_path, quick=True)
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """The report of the experiments that take a second or less."""
+    out = tmp_path_factory.mktemp("short")
+    return out, make_report({name: EXPERIMENTS[name] for name in SHORT}, out, quick=True)
+
+
+def test_what_is_reproduced_is_linked_where_it_is_shown(short):
+    out, outcomes = short
     assert not any(outcome.error for outcome in outcomes)
-    reader = Reader((tmp_path / "index.html").read_text())
+    reader = Reader((out / "index.html").read_text())
     for item, _, name in REPRODUCED:
         assert item in reader.text
-        assert (f"#{name}" in reader.links) == (name in chosen)
-    assert sum(source.startswith("data:image/png") for source in reader.sources) == 6
+        assert (f"#{name}" in reader.links) == (name in SHORT)
     # Every figure that is said to be reproduced has its number in a caption.
     for item, _, name in REPRODUCED:
-        assert name not in chosen or f"{item}: " in reader.text
+        if name in ("kalman", "cluster_graph"):
+            assert f"{item}: " in reader.text
+
+
+def test_contents_are_by_theme(short):
+    text = Reader((short[0] / "index.html").read_text()).text
+    themes = [theme for theme, group in THEMES.items() if set(group) & set(SHORT)]
+    places = [text.index(theme) for theme in themes]
+    assert places == sorted(places)
+    assert "Recorded robots" not in text[text.index("Contents") : text.index("reproduced")]
+
+
+def test_the_page_can_be_read_by_itself(short):
+    readable(*short)
+
+
+def readable(out, outcomes):
+    """Nothing lacks its caption or its columns' meaning, and findings are the summaries' own."""
+    text = (out / "index.html").read_text()
+    reader = Reader(text)
+    shown = [(tag, found) for tag, found in reader.tags if tag == "img"]
+    captions = re.findall(r"<figcaption>([^<]+)</figcaption>", text)
+    assert len(captions) == len(shown)
+    assert all(found["alt"] for _, found in shown)
+    for outcome in outcomes:
+        for entry in (outcome.summary or {"page": ()})["page"]:
+            if "figure" in entry:
+                assert len(entry["caption"].split()) >= 3, (outcome.name, entry["figure"])
+            if "table" in entry:
+                named = (outcome.name, entry["table"])
+                assert entry["about"], named
+                assert all(entry["columns"]), named
+                assert len(set(entry["columns"])) == len(entry["columns"]) or "±" in str(
+                    entry["columns"]
+                ), named
+    # Outside a fold no table is wider or longer than a page.
+    for opened in re.sub(r"<details>.*?</details>", "", text, flags=re.S).split("<table>")[1:]:
+        head, body = opened.split("</table>")[0].split("</thead>")
+        assert head.count("<th") - 1 <= WIDE  # less that of <thead>
+        assert body.count("<tr>") <= LONG
+    bound = dict.fromkeys(FINDINGS, ())
+    for name in bound:
+        found = re.search(rf'<section id="{name}">.*?</section>', text, flags=re.S)
+        bound[name] = re.findall(r'<data value="([^"]+)">([^<]+)</data>', found[0] if found else "")
+    for outcome in outcomes:
+        if outcome.summary:
+            assert bound[outcome.name], outcome.name
+            for path, number in bound[outcome.name]:
+                form = re.escape(path) + r"(?::([^}]+))?\}"
+                shape = re.search(form, FINDINGS[outcome.name].sentence)[1] or ""
+                due = format(number_at(path, outcome.summary), shape)
+                assert number.replace("−", "-") == due, (outcome.name, path)
+
+
+def number_at(path, summary):
+    """The number at a path of a summary, found without the report's own code."""
+    one, _, other = path.partition(" against ")
+    if other:
+        return number_at(one, summary) / number_at(other, summary) - 1
+    for key in path.split("/"):
+        if isinstance(summary, list):
+            summary = summary[int(key)]
+        else:
+            summary = next(iter(summary.values())) if key == "*" else summary[key]
+    return summary
+
+
+def test_headlines_begin_the_page(tmp_path):
+    outcomes = [headline_outcome(tmp_path)]
+    text = page(outcomes, {"python": "3"}, "today", quick=False)
+    reader = Reader(text)
+    question = FINDINGS["smoothing"].question
+    assert reader.text.index("In short") < reader.text.index(question)
+    assert reader.text.index(question) < reader.text.index("Contents")
+    before, _, after = text.partition('<nav id="contents">')
+    assert re.findall(r'<data value="[^"]+">([^<]+)</data>', before) == [
+        "7", "20", "0.300", "0.400", "−25%", "3.10", "4.20",
+    ]  # fmt: skip
+    assert before.count("<img") == after.count("<img") == 1
+    assert "What it <shows>." in reader.text
+
+
+def test_a_headline_without_results_says_so(tmp_path):
+    (lost,) = make_report({"plaza": SimpleNamespace(run=speaks, QUICK={})}, tmp_path)
+    assert lost.summary is None
+    assert "plaza: no results in this run." in (tmp_path / "index.html").read_text()
+
+
+def headline_outcome(folder):
+    """An outcome as the experiment `smoothing` leaves it."""
+    (folder / "rmse.png").write_bytes(b"\x89PNG" + bytes(20))
+    each = {"rmse": (0.3, 0.4), "nees": (3.1, 4.2)}
+    summary = {
+        "settings": {"runs": 7, "steps": 20},
+        **{
+            key: {"Unscented": {"smoother": smoother, "filter": filtered}}
+            for key, (smoother, filtered) in each.items()
+        },
+        "page": [{"figure": "rmse.png", "caption": "What it <shows>."}],
+    }
+    return Outcome("smoothing", "Smooth", "python", folder, 1.0, summary, "", "")
 
 
 def test_an_empty_page_is_a_page():
@@ -308,6 +464,7 @@ def test_an_empty_page_is_a_page():
 def test_the_whole_report_quickly(tmp_path):
     outcomes = make_report(EXPERIMENTS, tmp_path, quick=True)
     assert {outcome.name for outcome in outcomes if outcome.error} == set()
+    readable(tmp_path, outcomes)
     reader = Reader((tmp_path / "index.html").read_text())
     assert set(EXPERIMENTS) <= set(reader.ids)
     assert {name for _, _, name in REPRODUCED} <= set(EXPERIMENTS)

@@ -70,7 +70,7 @@ def test_a_posterior_over_time():
 @pytest.mark.parametrize(
     ("index", "words"),
     [
-        (3, r"Gaussian\(x\), \(3, 4, 6\) of them: index 3 is out of bounds"),
+        (3, r"Gaussian\(x\), runs \(3, 4\), steps 2..7: index 3 is out of bounds"),
         (np.s_[..., [0, 9]], "index 9 is out of bounds"),
         (np.s_[0, 0, 0, 0], r"has 3 leading axes; \[0, 0, 0, 0\]"),
         (np.s_[..., 0, ...], r"has 3 leading axes; \[\.\.\., 0, \.\.\.\]"),

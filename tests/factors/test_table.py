@@ -567,25 +567,45 @@ def test_tables_are_copied_and_pickled(way):
         (
             Table((A, B), np.arange(6.0).reshape(2, 3)),
             "Table(a, b) of (2, 3) states\n"
-            "  a no, b: low 0, middle 1, high 2\n"
-            "  a yes, b: low 3, middle 4, high 5",
+            "  a    b: low  middle  high\n"
+            "  no        0       1     2\n"
+            "  yes       3       4     5",
         ),
         (
             Table((B, A), np.ones((2, 3, 2)), [np.log(2.0), -90.0], lead=2).reduce({B: "low"}),
-            "Table(a), (2,) of them\n  [0] a: no 2, yes 2\n  [1] a: no 1, yes 1; times exp(-90)",
+            "Table(a), (2,) of them\n"
+            "       a: no  yes     times\n"
+            "  [0]      2    2\n"
+            "  [1]      1    1  exp(-90)",
         ),
         (
             Table((A, B), np.ones((2, 1, 2, 3)), lead=(2, 1)).reduce({B: "low"}),
-            "Table(a), (2, 1) of them\n  [0, 0] a: no 1, yes 1\n  [1, 0] a: no 1, yes 1",
+            "Table(a), (2, 1) of them\n"
+            "          a: no  yes\n"
+            "  [0, 0]      1    1\n"
+            "  [1, 0]      1    1",
         ),
-        (Table.vacuous((B, C, A)), "Table(b, c, a) of (3, 4, 2) states"),
-        (Table(A, np.ones((9, 2)), lead=9), "Table(a), (9,) of them"),
         (Table(A, np.ones((0, 2)), lead=0), "Table(a), (0,) of them"),
-        (Table.vacuous(()), "Table()"),
+        (Table.vacuous(()), "Table()\n  1"),
     ],
 )
 def test_reprs(table, text):
     assert repr(table) == text
+
+
+@pytest.mark.parametrize(
+    ("table", "title", "rows"),
+    [
+        (Table.vacuous((B, C, A)), "Table(b, c, a) of (3, 4, 2) states", 12),
+        (Table(A, np.ones((9, 2)), lead=9), "Table(a), (9,) of them", 9),
+        (Table(A, np.ones((90, 2)), lead=90), "Table(a), (90,) of them", 12),
+    ],
+)
+def test_long_tables_show_their_ends(table, title, rows):
+    lines = repr(table).splitlines()
+    assert lines[0] == title
+    assert len(lines) == 2 + rows
+    assert ("  ..." in lines) == (table.log_scale.size > 9)
 
 
 def test_the_sprinkler_by_hand():

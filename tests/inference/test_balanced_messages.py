@@ -196,7 +196,7 @@ def test_large_coordinates_cost_few_digits():
 
 def test_clusters_by_value_and_strangers():
     posterior = on_a_tree(rolling(np.eye(2)), seen(6), 6)
-    assert repr(posterior) == "Posterior(smoothed, steps 0..6)"
+    assert repr(posterior).splitlines()[0] == "Posterior(smoothed, steps 0..6)"
     clusters = posterior.graph.clusters
     assert_form(posterior.belief(clusters[10]), posterior.belief(10), 0.0)
     assert_form(posterior.message(clusters[8], clusters[10]), posterior.message(8, 10), 0.0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.display import Shown
 from pgm.inference.chain.innovations import Innovations, autocorrelation, whitened
 from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Variable
@@ -15,8 +16,8 @@ from pgm.variables import Variable
 BAND = 2.576
 
 
-@dataclass(frozen=True, eq=False)
-class InnovationCheck:
+@dataclass(frozen=True, eq=False, repr=False)
+class InnovationCheck(Shown):
     """The innovations of one sensor beside those of a right model, whose filter is exact.
 
     Attributes
@@ -65,6 +66,10 @@ class InnovationCheck:
         """Whether neither number speaks against the model."""
         apart = abs(self.overall - 1.0) > self.band
         return not apart and not abs(self.autocorrelation) > self.autocorrelation_band
+
+    @property
+    def _title(self) -> str:
+        return f"InnovationCheck({self})"
 
     def __str__(self) -> str:
         verdict = "" if self.fits else ", which speaks against the model or its linearisation"

@@ -7,10 +7,12 @@ from types import MappingProxyType
 
 import numpy as np
 
+from pgm.display import Listing, Shown, Summary, number
 from pgm.errors import NumericalError
 from pgm.immutable import Immutable
 from pgm.inference.audit.innovations import InnovationCheck
 from pgm.inference.audit.tail import pareto_shape
+from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
@@ -18,7 +20,7 @@ from pgm.variables import Variable
 UNTRUSTED = 0.7
 
 
-class Audit(Immutable):
+class Audit(Shown, Immutable):
     """The distance of a Gaussian answer from the exact one, by importance sampling; (...) are runs.
 
     For draws x_s from the Gaussian answer q and weights w_s = p(x_s, z) / q(x_s).
@@ -108,16 +110,34 @@ class Audit(Immutable):
         """(...): `log_evidence` less `gaussian_log_evidence`."""
         return self.log_evidence - self.gaussian_log_evidence
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         lead = self.log_evidence.shape
         worst = " in the worst run" if lead else ""
+        least = float(self.effective_sample_size.min(initial=np.inf))
+        runs = f", runs {lead}" if lead else ""
+        return f"Audit({self.samples} samples{runs}, effective {least:.4g}{worst})"
+
+    def _summary(self) -> Summary:
+        if not self.log_evidence.size:
+            return Summary(self._title)
         k = float(self.pareto_k.max())
-        trust = ": these estimates are not to be trusted" if not k <= UNTRUSTED else ""
-        seen = "; ".join(map(str, self.innovations.values())) or "not seen by this audit"
-        return (
-            f"Audit({self.samples} samples{f', runs {lead}' if lead else ''}, effective "
-            f"{self.effective_sample_size.min():.4g}{worst}, Pareto shape {k:.2g} (to be below "
-            f"{UNTRUSTED}), estimated divergence {self.divergence.max():.3g} nats{trust}; this is "
-            "the Gaussian answer against the exact posterior of the same model. The model against "
-            f"its data: {seen})"
+        trust = "" if k <= UNTRUSTED else ": these estimates are not to be trusted"
+        of = ", most of all runs" if self.log_evidence.ndim else ""
+        rows = [
+            ("log-evidence", spread(self.log_evidence)),
+            ("its standard error", spread(self.standard_error, 3)),
+            ("that of the posterior", spread(self.gaussian_log_evidence)),
+            (f"divergence [nats]{of}", number(self.divergence.max(), 3)),
+        ]
+        seen = [f"  {check}" for check in self.innovations.values()]
+        return Summary(
+            self._title,
+            [
+                "The Gaussian answer against the exact posterior of the same model:",
+                Listing(("", ""), rows),
+                f"Pareto shape {k:.2g} (to be below {UNTRUSTED}){trust}",
+                "The model against its data:" + " not seen by this audit" * (not seen),
+                *seen,
+            ],
         )

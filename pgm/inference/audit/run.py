@@ -17,12 +17,19 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
+from pgm.progress import Progress, counted, reporting
 
 # Numbers drawn at once: what stays near the processor.
 BATCH = 2**18
 
 
-def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator | int) -> Audit:
+def audit(
+    posterior: Posterior,
+    *,
+    samples: int = 1000,
+    rng: np.random.Generator | int,
+    progress: Progress = False,
+) -> Audit:
     """Estimate the distance of a Gaussian answer from the exact one, by importance sampling.
 
     Exact is the posterior of the model as declared: of a wrong model, too. Whether the model fits
@@ -50,6 +57,8 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
         each draw, and the draws are made in batches of bounded size.
     rng : numpy.random.Generator or int
         The generator of draws, or its seed.
+    progress : bool or callable
+        As for `infer`, of batches of draws.
 
     Returns
     -------
@@ -105,9 +114,10 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
     require_runs(samples, known.size, "the weights of an audit")
     size = max(1, BATCH // (max(known.size, 1) * max(draws.width, 1)))
     weights = np.empty((known.size, samples))
-    for first in range(0, samples, size):
-        count = min(size, samples - first)
-        with np.errstate(over="ignore"):  # a residual too large to be squared has no weight
+    # A residual too large to be squared has no weight.
+    with reporting(progress), np.errstate(over="ignore"):
+        for first in counted(range(0, samples, size), "samples"):
+            count = min(size, samples - first)
             weights[:, first : first + count] = draws.log_weights(count, generator)
     seen = checks(posterior.innovations) if isinstance(posterior, ChainPosterior) else {}
     return Audit(weights.reshape(*known.shape, samples), known, seen)
@@ -115,9 +125,11 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
 
 def _advice(posterior: Any) -> str:
     if isinstance(posterior, KeptPosterior):
-        return f"{posterior!r} has kept marginals alone; leave keep= out to have what is audited"
+        return (
+            f"{posterior._title} has kept marginals alone; leave keep= out to have what is audited"
+        )
     if isinstance(posterior, Posterior):
-        return f"{posterior!r} is of a discrete network; of a tree its log-evidence is exact"
+        return f"{posterior._title} is of a discrete network; of a tree its log-evidence is exact"
     return (
         f"audit takes a posterior of pgm.filter, pgm.smooth or pgm.infer, not "
         f"{type(posterior).__name__}"

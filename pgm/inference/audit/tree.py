@@ -43,7 +43,7 @@ class TreeDraws:
         """Prepare to draw from the joint of a posterior."""
         if posterior.log_evidence_kind == "bethe":
             raise GraphError(
-                f"{posterior!r}: an audit draws from the joint of all variables, which only a "
+                f"{posterior._title}: an audit draws from the joint of all variables, which only a "
                 "calibrated tree has; infer on pgm.compile(network)"
             )
         model = posterior._model

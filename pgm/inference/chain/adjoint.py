@@ -44,6 +44,7 @@ from pgm.inference.iteration import Point
 from pgm.kernels import twofold
 from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stacked, variances
 from pgm.kernels.twofold import Twofold
+from pgm.progress import counted
 
 # A difference is found in another way where this part of it may be rounding.
 _CLOSE = 1e-12
@@ -205,7 +206,7 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
     said = Twofold.zeros(columns.shape), Twofold.zeros(cov.shape)
     later = Later(*said, nothing, nothing, np.zeros(len(nothing)))
     out: list[Smooth] = []
-    for step in range(last, first - 1, -1):
+    for step in counted(range(last, first - 1, -1), "back, in twice the digits"):
         move, _, taken = careful.steps[step]
         belief, parts, back = *_given(taken.belief, later), None
         if out and (parts > _CLOSE).any():

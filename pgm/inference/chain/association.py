@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri, logsumexp
 
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, NumericalError
@@ -27,9 +26,11 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.vector import vector
 from pgm.inference.schedule import Filtering
-from pgm.kernels import roots
+from pgm.kernels import normal, roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet
+from pgm.kernels.semirings import log_sum
 from pgm.linearisers import Lineariser
+from pgm.progress import counted
 from pgm.variables import Variable
 
 _ONCE = Filtering()
@@ -62,7 +63,7 @@ def associated(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser
     chain = MomentChain(plan, _ONCE, keep=False)
     pending = [_Pending(reading) for reading in bound.readings if reading.unknown is not None]
     belief = chain.start()
-    for step in range(bound.steps + 1):
+    for step in counted(range(bound.steps + 1), "associations"):
         if step:
             belief = chain.predict(step, belief)
         belief, _ = chain.take(step, belief)
@@ -139,13 +140,13 @@ class _Pending:
         )
         terms = density + unknown.log_shares[:-2]
         if unknown.gate is not None:
-            limit = chdtri(np.maximum(count, 1), 1.0 - unknown.gate)
+            limit = normal.square_within(unknown.gate, np.maximum(count, 1))
             terms = np.where(square > limit, -np.inf, terms)
         others = np.broadcast_to(unknown.log_outliers, (len(rows), runs, 2))
         terms = np.concatenate([terms, others], axis=-1)
         # What no one declared, and no candidate explains, is left out as spurious.
         terms[np.isneginf(terms).all(axis=-1), -2] = 0.0
-        probability = np.exp(terms - logsumexp(terms, axis=-1, keepdims=True))
+        probability = np.exp(terms - log_sum(terms, -1)[..., None])
         for row, shares in zip(rows, probability, strict=True):
             taken = np.broadcast_to(self.reading.taken[row], (runs, self.reading.taken.shape[-1]))
             shares[~taken.any(axis=-1)] = np.nan

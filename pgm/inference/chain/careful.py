@@ -52,6 +52,7 @@ from pgm.kernels import twofold
 from pgm.kernels.arrays import LOG_2PI, Array, Mask, quiet, variances
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.twofold import Twofold
+from pgm.progress import counted
 
 
 class Step(NamedTuple):
@@ -118,7 +119,7 @@ def sweep(
     move: Move | None = None
     settled = schedule is None or all(link.family.exact for link in plan.transition)
     every = transition(plan, slice(None)) if settled else None
-    for step in range(plan.steps + 1):
+    for step in counted(range(plan.steps + 1), "forward, in twice the digits"):
         if step:
             if every is None:
                 move = moving(plan, step, out.mean[step - 1], out.cov[step - 1])

@@ -31,6 +31,7 @@ from pgm.inference.schedule import ONCE, FixedLag
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Mask, stacked
 from pgm.kernels.twofold import Twofold
+from pgm.progress import counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +107,7 @@ def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     record = _Record(plan)
     begin: Beginning | None = None
     window: Window | None = None
-    for step in range(plan.steps + 1):
+    for step in counted(range(plan.steps + 1), "windows"):
         before = None if window is None else window.at(-1)
         plan.put(max(step - 1, 0), filter_step(plan, step, before).plan)
         first = max(step - schedule.lag, 0)

@@ -21,6 +21,7 @@ from pgm.inference.schedule import ONCE, Filtering
 from pgm.inference.status import Status
 from pgm.kernels import along_runs, memory
 from pgm.kernels.arrays import Array, stacked
+from pgm.progress import counted
 
 # From this many runs on, only the beliefs of a filter are kept until something else is asked for.
 MANY = 8
@@ -233,7 +234,7 @@ def filtered(
     parts, closest, converged = math.ceil(plan.runs / MOST), 1.0, np.ones(plan.runs, dtype=bool)
     records: list[list[Array]] = []
     edges = [part * plan.runs // parts for part in range(parts + 1)]
-    for runs in map(slice, edges, edges[1:]):
+    for runs in counted(list(map(slice, edges, edges[1:])), "parts of the runs"):
         part = plan.of(runs) if parts > 1 else plan
         record = _Record(part, (mean[:, runs], cov[:, runs], log_density[:, runs]))
         chain = MomentChain(part, schedule, keep=False, room=record.room)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from pgm.display import NoArray, Shown, Summary, number, stacked
 from pgm.errors import EvidenceError
+from pgm.factors.scope import listed
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
@@ -22,7 +24,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Innovations:
+class Innovations(Shown, NoArray):
     """The innovations of one sensor, one row a sighting, in the order of the evidence.
 
     Where measurements were linearised several times they are those of the last linearisation,
@@ -51,14 +53,31 @@ class Innovations:
     nis: Array
     dof: Integers
 
-    def __repr__(self) -> str:
+    _arrays: ClassVar[str] = ".residual, .cov and .nis"
+
+    @property
+    def _title(self) -> str:
         *lead, count, size = self.residual.shape
         runs = f", runs {tuple(lead)}" if lead else ""
         steps = f" at steps {self.step.min()}..{self.step.max()}" if count else ""
         return f"Innovations({count} of {size} components{steps}{runs})"
 
+    def _summary(self) -> Summary:
+        size = self.residual.shape[-1]
+        squares, read = np.nansum(self.nis), self.dof.sum()
+        said = f"NIS {number(squares / read)} a component (right: 1)" if read else "nothing read"
 
-class BySensor(Mapping[Variable, Innovations]):
+        def moments(at: tuple[int, ...]) -> tuple[Array, Array]:
+            return self.residual[at], self.cov[at]
+
+        shape = self.residual.shape[:-1]
+        return Summary(
+            self._title,
+            [said, stacked(["residual"] + [""] * (size - 1), shape, self.step, moments)],
+        )
+
+
+class BySensor(Shown, Mapping[Variable, Innovations]):
     """The innovations of each sensor that was read."""
 
     def __init__(self, innovations: Mapping[Variable, Innovations]) -> None:
@@ -82,8 +101,13 @@ class BySensor(Mapping[Variable, Innovations]):
     def __len__(self) -> int:
         return len(self._innovations)
 
-    def __repr__(self) -> str:
-        return f"BySensor({self._innovations})"
+    @property
+    def _title(self) -> str:
+        return f"BySensor({listed(self._innovations)})"
+
+    def _summary(self) -> Summary:
+        each = [f"{v!r}: {found._title}" for v, found in self._innovations.items()]
+        return Summary(self._title, each)
 
 
 def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovations:

@@ -10,21 +10,23 @@ import numpy as np
 
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph, SliceLayout
+from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import CanonicalForm, Gaussian
-from pgm.factors.scope import positions
+from pgm.factors.scope import Scope, listed, positions
 from pgm.inference.associations import Found
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.kind import FILTERED, Kind
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
+from pgm.inference.summaries import marginals_over_time, over_time
 from pgm.kernels.arrays import Array, block
 from pgm.variables import Variable
 
 
-@dataclass(frozen=True, eq=False)
-class Marginals:
+@dataclass(frozen=True, eq=False, repr=False)
+class Marginals(Shown, NoArray):
     """The marginals of hidden variables over all steps, by variable.
 
     Attributes
@@ -67,9 +69,14 @@ class Marginals:
             np.arange(first, last + 1),
         )
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         runs = f", runs {self.lead}" if self.lead else ""
         return f"Marginals({self.kind}, steps 0..{self.beliefs.mean.shape[0] - 1}{runs})"
+
+    def _summary(self) -> Summary:
+        last = self.beliefs.mean.shape[0] - 1
+        return marginals_over_time(self._title, self, self.layout, self.lead, last)
 
 
 def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variable, int]:
@@ -99,7 +106,7 @@ def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variabl
     return template, first
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class KeptPosterior(Posterior):
     """The marginals of some hidden variables at all their steps, and nothing else.
 
@@ -156,6 +163,10 @@ class KeptPosterior(Posterior):
         return Gaussian._make((variable,), found.mean[..., at, :], found.cov[..., at, :, :])
 
     @property
+    def _hidden(self) -> Scope:
+        return tuple(self._kept)
+
+    @property
     def log_evidence(self) -> Array:
         """The value ln p(measurements), (...)."""
         return self._log_evidence
@@ -204,9 +215,14 @@ class KeptPosterior(Posterior):
             "alone; leave keep= out to have everything"
         )
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         runs = self._log_evidence.shape
         return (
-            f"Posterior({self.kind}, kept {list(self._kept)}, steps 0..{self.graph.steps}"
+            f"Posterior({self.kind}, kept [{listed(self._kept)}], steps 0..{self.graph.steps}"
             f"{f', runs {runs}' if runs else ''})"
         )
+
+    def _summary(self) -> Summary:
+        runs, last = self._log_evidence.shape, self.graph.steps
+        return over_time(self._title, self, tuple(self._kept), runs, last)

@@ -10,6 +10,7 @@ import numpy as np
 
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
+from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names
@@ -29,12 +30,13 @@ from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
+from pgm.inference.summaries import over_time
 from pgm.kernels import canonical
 from pgm.kernels.arrays import Array, block, quiet
 from pgm.variables import Variable
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ChainPosterior(Posterior):
     """The beliefs of a chain of clusters after a schedule of messages.
 
@@ -89,6 +91,10 @@ class ChainPosterior(Posterior):
     @property
     def _beliefs(self) -> Beliefs:
         return self._smoothed or Beliefs(self._swept.mean, self._swept.cov)
+
+    @property
+    def _hidden(self) -> Scope:
+        return (*self.graph.model.states, *self.graph.model.controls)
 
     @property
     def predicted(self) -> Marginals:
@@ -356,7 +362,12 @@ class ChainPosterior(Posterior):
             scope, *(part.reshape((*lead, *part.shape[1:])) for part in parts)
         )
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         lead = self._planned.lead
         runs = f", runs {lead}" if lead else ""
         return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"
+
+    def _summary(self) -> Summary:
+        hidden, last = self.graph.layout.slice, self.graph.steps
+        return over_time(self._title, self, hidden, self._planned.lead, last)

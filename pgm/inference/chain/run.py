@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
+from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.arrays import as_rows, require_finite
@@ -30,7 +31,7 @@ def bind_chain(
 ) -> BoundEvidence:
     """Check the evidence of a dynamic network; sightings may leave open what was seen, or not."""
     if not isinstance(model, DynamicBayesianNetwork):
-        raise ModelError(f"a dynamic network was due, not {model!r}")
+        raise ModelError(f"a dynamic network was due, not {titled(model)}")
     if not isinstance(evidence, Mapping):
         raise EvidenceError(f"evidence maps variables to values; found {type(evidence).__name__}")
     cpds = model.transition, model.observation

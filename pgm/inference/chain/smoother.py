@@ -26,6 +26,7 @@ from pgm.inference.status import Status
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, block, components_first, components_last
 from pgm.kernels.scan import gather
+from pgm.progress import counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,7 +298,7 @@ def dead_reckoning(plan: ChainPlan) -> Point:
     mean[0][:, states] = careful.prior_mean(plan)
     rows = mean.transpose(0, 2, 1) if plan.batch else mean[:, 0]
     pair = np.empty((front + layout.slice_size, *plan.batch))
-    for row in range(plan.steps):
+    for row in counted(range(plan.steps), "dead reckoning"):
         pair[:front] = rows[row][states]
         for link in plan.transition:
             at, parents = link.family.at(row, row + 1), pair[link.parents]

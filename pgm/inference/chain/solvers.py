@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pgm.compile import BalancedGraph, DynamicGraph
+from pgm.display import titled
 from pgm.errors import GraphError
 from pgm.inference.chain import careful, fixed_lag, forward, parallel, smoother
 from pgm.inference.chain.backward import Beliefs, Reverse
@@ -98,8 +99,8 @@ class FilterSolver(Solver):
         for family in plan.families:
             if not family.exact:
                 raise GraphError(
-                    f"{family.cpd!r} is nonlinear, and {self.graph!r} solves for all steps at "
-                    "once, where a filter linearises at the belief before: compile without "
+                    f"{family.cpd!r} is nonlinear, and {titled(self.graph)} solves for all steps "
+                    "at once, where a filter linearises at the belief before: compile without "
                     "pgm.Balanced(), or smooth"
                 )
 
@@ -111,8 +112,8 @@ class LagSolver(Solver):
         super().__init__(graph, schedule)
         if self.balanced:
             raise GraphError(
-                f"{schedule!r} goes along a chain of slices, step after step, which {graph!r} is "
-                "not: compile without pgm.Balanced()"
+                f"{schedule!r} goes along a chain of slices, step after step, which "
+                f"{titled(graph)} is not: compile without pgm.Balanced()"
             )
 
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:

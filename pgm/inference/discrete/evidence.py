@@ -13,6 +13,7 @@ from pgm.inference.discrete.place import by_state
 from pgm.inference.discrete.storage import Storage
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
+from pgm.progress import counted
 
 # Runs at once, less than which are computed one by one: loops over a few are short, and the tables
 # of one run stay nearer the processor.
@@ -112,7 +113,7 @@ def pieces(evidence: BoundStates, size: int) -> Iterator[BoundStates]:
     if evidence.runs <= size:
         yield evidence
         return
-    for start in range(0, evidence.runs, size):
+    for start in counted(range(0, evidence.runs, size), "parts of the runs"):
         yield some_runs(evidence, slice(start, start + size))
 
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
+from pgm.display import LEFT_OUT, Listing, Shown, Summary, few, titled
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.discrete import BoundStates, bind_discrete
@@ -31,8 +32,10 @@ from pgm.inference.markov.path import most_probable_path
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.run import require_beliefs
 from pgm.inference.posterior import require_variable
+from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
+from pgm.progress import Progress, counted, reporting
 from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
@@ -42,8 +45,8 @@ if TYPE_CHECKING:
 LISTED = 10
 
 
-@dataclass(frozen=True, eq=False)
-class MostProbable(Immutable):
+@dataclass(frozen=True, eq=False, repr=False)
+class MostProbable(Shown, Immutable):
     """The most probable assignment of all variables, given evidence.
 
     Attributes
@@ -86,11 +89,12 @@ class MostProbable(Immutable):
         found = self.assignment[variable]
         return found if isinstance(found, str) else np.array(variable.states)[found]
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         lead = self.log_probability.shape
         if lead:
             return f"MostProbable({len(self.assignment)} variables, runs {lead})"
-        if any(not isinstance(state, str) for state in self.assignment.values()):
+        if self._over_time:
             steps = max(np.shape(state)[-1] for state in self.assignment.values())
             return (
                 f"MostProbable({len(self.assignment)} variables over {steps} steps; "
@@ -101,6 +105,26 @@ class MostProbable(Immutable):
             shown.append(f"... {len(self.assignment)} variables")
         return f"MostProbable({', '.join(shown)}; ln p {self.log_probability:.6g})"
 
+    @property
+    def _over_time(self) -> bool:
+        return any(not isinstance(state, str) for state in self.assignment.values())
+
+    def _summary(self) -> Summary:
+        lead = self.log_probability.shape
+        if not self._over_time or not self.log_probability.size:
+            return Summary(self._title)
+        rows = []
+        for variable, found in list(self.assignment.items())[:LISTED]:
+            path = np.asarray(found)[(0,) * len(lead)]
+            shown = few(path.size, LISTED)
+            names = [LEFT_OUT if k is None else variable.states[int(path.flat[k])] for k in shown]
+            rows.append((repr(variable), ", ".join(names)))
+        parts: list[str | Listing] = [Listing(("", "run 0" * bool(lead)), rows, names=2, cell=80)]
+        if lead:
+            parts.append(f"ln p {spread(self.log_probability)}")
+        left = len(self.assignment) - len(rows)
+        return Summary(self._title, parts + [f"... {left} more"] * (left > 0))
+
 
 def most_probable(
     graph: ClusterGraph,
@@ -108,6 +132,7 @@ def most_probable(
     *,
     memory: float | None = None,
     executor: Executor | None = None,
+    progress: Progress = False,
 ) -> MostProbable:
     r"""Find the assignment of all variables that is most probable given the evidence.
 
@@ -129,6 +154,8 @@ def most_probable(
         As for `infer`; of each worker, where there are several.
     executor : concurrent.futures.Executor, optional
         To whose workers parts of the sets of evidence are handed, as by `infer`.
+    progress : bool or callable
+        As for `infer`.
 
     Returns
     -------
@@ -149,7 +176,7 @@ def most_probable(
     """
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
-            f"most_probable takes a cluster graph (pgm.compile(network)), not {graph!r}"
+            f"most_probable takes a cluster graph (pgm.compile(network)), not {titled(graph)}"
         )
     if not isinstance(evidence, Mapping):
         raise EvidenceError(
@@ -162,7 +189,8 @@ def most_probable(
                 "memory= and executor= are for networks without time; of a dynamic one give fewer "
                 "runs to a call"
             )
-        return _most_probable_path(graph, evidence)
+        with reporting(progress):
+            return _most_probable_path(graph, evidence)
     if isinstance(graph, DynamicGraph) or not graph.network.discrete:
         raise GraphError(
             "the network is continuous; the most probable values of Gaussian variables are the "
@@ -170,7 +198,7 @@ def most_probable(
         )
     if not graph.is_tree:
         raise GraphError(
-            f"{graph!r} has loops, and most_probable is for trees; compile a junction tree, "
+            f"{titled(graph)} has loops, and most_probable is for trees; compile a junction tree, "
             "pgm.compile(network)"
         )
     room = Room.of(memory, graph)
@@ -178,9 +206,9 @@ def most_probable(
     distinct = Distinct.of(bound)
     plan = plan_for(graph, distinct.evidence.runs, room.batch)
     require_runs(len(plan.storage.homes), bound.runs, "the states of all variables")
-    found = _shared(
-        Workers(executor), _Search(graph, distinct.evidence, distinct.evidence.runs, room.batch)
-    )
+    search = _Search(graph, distinct.evidence, distinct.evidence.runs, room.batch)
+    with reporting(progress):
+        found = _shared(Workers(executor), search)
     states = np.concatenate([s for s, _ in found], axis=1, dtype=np.intp)
     log_tops = np.concatenate([t for _, t in found], axis=1)
     if distinct.which is not None:
@@ -224,7 +252,8 @@ def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
     if len(parts) == 1:
         return [_search(search)]
     jobs = [replace(search, evidence=some_runs(search.evidence, part)) for part in parts]
-    return [done.result() for done in workers.each(_search, jobs, parts, large=False)]
+    work = workers.each(_search, jobs, parts, large=False)
+    return [done.result() for done in counted(work, "parts of the runs", len(parts))]
 
 
 def _search(search: _Search) -> tuple[Integers, Array]:

@@ -9,10 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
-from pgm.factors.axes import States, sizes
-from pgm.factors.scope import as_scope, names
+from pgm.factors.axes import States, discrete, sizes
+from pgm.factors.scope import Scope, as_scope, names
 from pgm.inference import limits
 from pgm.inference.discrete.evidence import axes_left, entered, put_in
 from pgm.inference.discrete.first_beliefs import FirstBeliefs
@@ -22,12 +23,13 @@ from pgm.inference.discrete.storage import sepset_between
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
+from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.semirings import exp
 from pgm.variables import Discrete, Variable
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DiscretePosterior(Posterior):
     """The beliefs of a discrete network; leading axes are runs.
 
@@ -72,12 +74,20 @@ class DiscretePosterior(Posterior):
                 f"{list(self.graph.network.variables)}",
                 variable=variable,
             )
-        state = self._beliefs.evidence.states.get(variable)
-        if state is not None and np.min(state) >= 0:
+        if self._is_observed(variable):
             raise EvidenceError(
                 f"{variable!r} is observed: its value is its evidence", variable=variable
             )
         return variable
+
+    def _is_observed(self, variable: Variable) -> bool:
+        """Whether it is observed in all runs."""
+        state = self._beliefs.evidence.states.get(discrete((variable,))[0])
+        return state is not None and bool(np.min(state) >= 0)
+
+    @property
+    def _hidden(self) -> Scope:
+        return tuple(v for v in self.graph.network.variables if not self._is_observed(v))
 
     def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
         """The joint of variables that are not observed in all runs, in the order given.
@@ -230,6 +240,12 @@ class DiscretePosterior(Posterior):
         """The kind of `log_evidence`: exact, of a tree whose messages have settled, or bethe."""
         return "exact" if self.graph.is_tree and self.status.converged.all() else "bethe"
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         lead = self._beliefs.evidence.lead
-        return f"DiscretePosterior({self.graph!r}{f', runs {lead}' if lead else ''})"
+        return f"DiscretePosterior({self.graph._title}{f', runs {lead}' if lead else ''})"
+
+    def _summary(self) -> Summary:
+        states = self._beliefs.evidence.states
+        hidden = [v for v in self.graph.network.variables if np.min(states.get(v, -1)) < 0]
+        return of_network(self._title, self, hidden, self._beliefs.evidence.lead)

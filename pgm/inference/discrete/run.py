@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
+from pgm.display import titled
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.discrete import BoundStates, bind_discrete
@@ -29,8 +30,8 @@ def run(
     if isinstance(schedule, Loopy):
         if memory is not None:
             raise GraphError(
-                f"memory= is for graphs without loops: on {graph!r} all runs go round together; "
-                "to hold less at a time, give fewer runs to a call"
+                f"memory= is for graphs without loops: on {titled(graph)} all runs go round "
+                "together; to hold less at a time, give fewer runs to a call"
             )
         messages = TableMessages(graph, bound, schedule.damping)
         status = run_loopy(messages, schedule, bound.lead)

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names
@@ -20,12 +21,13 @@ from pgm.inference.gaussian.tree import TreePlan
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior, require_variable
 from pgm.inference.status import Status
+from pgm.inference.summaries import of_network
 from pgm.kernels.arrays import Array, Integers, apply, frozen, inner, quiet, transpose
 from pgm.kernels.rows import Rows
 from pgm.variables import Variable
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GaussianPosterior(Posterior):
     """The beliefs of a Gaussian network; leading axes are runs.
 
@@ -45,6 +47,10 @@ class GaussianPosterior(Posterior):
     _model: Model
     _done: Calibrated
     _sent: RowMessages | None = None
+
+    @property
+    def _hidden(self) -> Scope:
+        return self._model.layout.hidden
 
     @quiet()
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
@@ -292,6 +298,10 @@ class GaussianPosterior(Posterior):
             return "exact"
         return "laplace" if model.taylor and bool(self.status.converged.all()) else "linearised"
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         lead = self._model.lead
-        return f"GaussianPosterior({self.graph!r}{f', runs {lead}' if lead else ''})"
+        return f"GaussianPosterior({self.graph._title}{f', runs {lead}' if lead else ''})"
+
+    def _summary(self) -> Summary:
+        return of_network(self._title, self, self._plan.layout.hidden, self._model.lead)

@@ -19,6 +19,7 @@ from pgm.inference.gaussian.layout import Layout
 from pgm.inference.gaussian.rounds import Rounds, Stack
 from pgm.kernels.arrays import Array, Integers, frozen, transpose
 from pgm.kernels.rows import Eliminated
+from pgm.progress import counted
 
 # Variances below this, in units of the prior's, are rounding of what exact relations determine.
 CERTAIN = 1e-28
@@ -110,7 +111,7 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
     kept: list[list[Eliminated]] = []
     stacked, _, sides = buffer.proper.right.shape
     total = np.zeros((stacked, sides))
-    for level in plan.levels:
+    for level in counted(plan.levels, "up the tree"):
         kept.append([])
         for stack in level:
             done, log_scale = buffer.eliminate(stack)

@@ -11,18 +11,21 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_generator, as_lengths, is_whole
+from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
+from pgm.factors.frames import Framed
 from pgm.factors.scope import Scope
 from pgm.immutable import Immutable
 from pgm.inference.components import places_of, whole_variables
 from pgm.inference.grid.lattice import Axis
+from pgm.inference.summaries import moments_of
 from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
 
 
-class GridBelief(Immutable):
+class GridBelief(Framed, Shown, NoArray, Immutable):
     r"""A belief as probabilities of the cells of a grid.
 
     .. math:: p(x) = \sum_k p_k \, δ(x - c_k)
@@ -216,10 +219,13 @@ class GridBelief(Immutable):
                 steps = None
         return GridBelief(self._axes, values, steps)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         shape = " × ".join(f"{axis.label} {axis.cells}" for axis in self._axes)
-        lead = f", leading axes {self.lead}" if self.lead else ""
-        return f"GridBelief({shape}{lead})"
+        return f"GridBelief({shape}{axes(self.lead, self.steps)})"
+
+    def _summary(self) -> Summary:
+        return Summary(self._title, [moments_of(self)])
 
     def _marginal(self, places: tuple[int, ...]) -> Array:
         """The probabilities (..., cells of the axes), in the order given."""

@@ -14,7 +14,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import networkx as nx
 import numpy as np
 
 from pgm.errors import ModelError
@@ -132,6 +131,8 @@ class Motion:
         """
         if len(self.groups) == 1:
             return self.groups
+        import networkx as nx  # here, since it is slow to import
+
         while True:
             graph = nx.DiGraph()
             graph.add_nodes_from(range(len(self.groups)))
@@ -211,6 +212,8 @@ class _Maker:
 
     def _order(self) -> list[int] | None:
         """The places of the group's axes in the order in which they are moved, if there is one."""
+        import networkx as nx  # here, since it is slow to import
+
         group, found = self.group, self.dependence
         place = {axis: k for k, axis in enumerate(group.axes)}
         graph = nx.DiGraph()

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_mapping
+from pgm.display import InCode, NoArray, Shown, Summary, titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
@@ -24,12 +25,13 @@ from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED, Kind
 from pgm.inference.online import step_evidence
 from pgm.inference.posterior import require_variable
+from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
 
-class OnlineGridBelief(Immutable):
+class OnlineGridBelief(Shown, NoArray, Immutable):
     """The belief of an online filter at one step, on a grid.
 
     Attributes
@@ -110,14 +112,18 @@ class OnlineGridBelief(Immutable):
         own = [lattice.axes[k].label for k in scope_axes(lattice.axes, (template,))]
         return whole if len(own) == len(places) else whole.marginal(*own)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         runs = f", runs {self.lead}" if self.lead else ""
         return (
             f"OnlineGridBelief({self.kind}, step {self.step}, {self._lattice.size:,} cells{runs})"
         )
 
+    def _summary(self) -> Summary:
+        return at_a_step(self._title, self, self._lattice.states, self.lead)
 
-class OnlineGrid(Immutable):
+
+class OnlineGrid(InCode, Immutable):
     """A filter on a grid for one step at a time; made by ``OnlineFilter(model, belief=grid)``.
 
     It is immutable, and so are its beliefs. Runs are worked through one at a time.
@@ -254,7 +260,8 @@ class OnlineGrid(Immutable):
             or not belief._lattice.like(self._lattice)
         ):
             raise ModelError(
-                f"{belief!r} is no belief of this filter's model and grid; begin with initial()"
+                f"{titled(belief)} is no belief of this filter's model and grid; begin with "
+                "initial()"
             )
 
     def _each(

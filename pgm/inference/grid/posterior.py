@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.compile import DynamicGraph
+from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import Scope, as_scope, listed
@@ -20,12 +21,14 @@ from pgm.inference.grid.lattice import Lattice
 from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, Kind
+from pgm.inference.labelled import Labelled
 from pgm.inference.posterior import Viewed, require_variable
+from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class GridPosterior(Viewed, Immutable):
+class GridPosterior(Labelled, Viewed, Shown, NoArray, Immutable):
     """The beliefs of a dynamic network's states on a grid.
 
     Attributes
@@ -55,6 +58,8 @@ class GridPosterior(Viewed, Immutable):
     # Python would else iterate by asking for the variables 0, 1, ...
     __iter__: ClassVar[None] = None
 
+    _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
+
     def __init__(
         self,
         graph: DynamicGraph,
@@ -79,6 +84,10 @@ class GridPosterior(Viewed, Immutable):
             _filtered=filtered,
             _bound=bound,
         )
+
+    @property
+    def _hidden(self) -> Scope:
+        return self._lattice.states
 
     @property
     def log_evidence_kind(self) -> str:
@@ -179,7 +188,8 @@ class GridPosterior(Viewed, Immutable):
         every = every.transpose(*range(count), *(count + k for k in order))
         return GridBelief([lattice.axes[k] for k in places], every, steps)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         over: Scope = self._lattice.states
         runs = self.log_evidence.shape
         which = f", runs {runs}" if runs else ""
@@ -187,3 +197,7 @@ class GridPosterior(Viewed, Immutable):
             f"GridPosterior({self.kind}, over {list(over)}, {self._lattice.size:,} cells, "
             f"{self.graph.steps + 1} steps{which})"
         )
+
+    def _summary(self) -> Summary:
+        runs, last = self.log_evidence.shape, self.graph.steps
+        return over_time(self._title, self, self._lattice.states, runs, last)

@@ -23,6 +23,7 @@ from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.kinds import kind_of, require_chain
 from pgm.inference.schedule import Schedule
 from pgm.kernels.arrays import Array
+from pgm.progress import counted
 from pgm.sizes import NUMBER, gibibytes, require_memory
 
 # Arrays of one belief's size that a step works with.
@@ -120,7 +121,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
     added, sharpest = np.zeros((bound.runs, len(lattice.axes))), Sharpness(0.0, None, 0)
     narrowest, cut, split = Narrowness(np.inf, "", 0), Cut(0.0, 0), frozenset[int]()
     uneven = EVEN
-    for k in range(bound.runs):
+    for k in counted(range(bound.runs), "runs"):
         slices = GridSlices(model, k, grid.dtype if smoothing else None)
         chain = _Kept(slices, filtered[k]).run()
         slices.look(bound.steps, filtered[k, -1])

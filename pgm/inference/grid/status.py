@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.display import Shown, Summary, brief, number
 from pgm.errors import GridWarning
 from pgm.immutable import Immutable
 from pgm.inference.grid.cut import Cut
@@ -27,6 +28,8 @@ REMARKABLE = 1e-9
 SHARP = 2.0
 # From this share on a density has another shape on the cells.
 ROUGH = 0.1
+# More remarks than this stand on lines of their own.
+FEW = 3
 # Below this deviation in cells a belief is told to be narrow.
 NARROW = 0.7
 
@@ -51,8 +54,15 @@ class Refinement(NamedTuple):
     change: float
     seconds: float
 
+    def __repr__(self) -> str:
+        cells = " × ".join(map(str, self.cells))
+        return (
+            f"Refinement({cells} cells, figure {brief(self.figure)}, change "
+            f"{number(self.change)}, {number(self.seconds)} s)"
+        )
 
-class GridStatus(Immutable):
+
+class GridStatus(Shown, Immutable):
     """The status of a grid's answer.
 
     Attributes
@@ -229,7 +239,18 @@ class GridStatus(Immutable):
             )
             warnings.warn(message, GridWarning, stacklevel=_levels_to_user())
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
+        return f"GridStatus({'; '.join(self._parts)})"
+
+    def _summary(self) -> Summary:
+        first, *rest = self._parts
+        if len(rest) < FEW:
+            return Summary(self._title)
+        return Summary(f"GridStatus({first})", rest)
+
+    @property
+    def _parts(self) -> list[str]:
         parts = [f"outside {float(self.outside.max(initial=0.0)):.2g}"]
         parts += [
             f"variance added to {name} {float(value.max()):.2g}"
@@ -258,4 +279,4 @@ class GridStatus(Immutable):
             cells = " × ".join(map(str, self.refinements[-1].cells))
             settled = "settled" if self.converged else "not settled"
             parts.append(f"refined {len(self.refinements) - 1} times to {cells} cells, {settled}")
-        return f"GridStatus({'; '.join(parts)})"
+        return parts

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pgm.boundary import as_tuple, is_number, is_whole
+from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.inference.checks import require_count, require_tolerance
@@ -20,7 +21,7 @@ Figure = str | Callable[[Any], Any]
 _ADVICE = "give (lo, hi, cells), or of an angle the number of cells of its circle"
 
 
-class Grid(Immutable):
+class Grid(InCode, Immutable):
     r"""Beliefs as probabilities of the cells of a grid: the posterior as it is, of any shape.
 
     .. math:: p(x_t \mid z) \approx \sum_k p_k \, δ(x_t - c_k)

@@ -23,6 +23,7 @@ import numpy as np
 from pgm.inference import sweep
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
+from pgm.progress import counted
 
 # Beliefs above this, times factors whose product is, are numbers with all their digits.
 TINY = 1e-150
@@ -237,7 +238,7 @@ class StateChain(BackwardChain):
 
     def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
         """The steps from 0 to T, and the belief of each given the measurements a lag later."""
-        for step in range(self.slices.steps + 1):
+        for step in counted(range(self.slices.steps + 1), "back"):
             message = np.full(self.known[step].shape, self.semiring.one)
             last = min(step + lag, self.slices.steps)
             if last > step:

@@ -19,6 +19,7 @@ from pgm.inference.markov.plan import TableSlices
 from pgm.kernels import markov
 from pgm.kernels.arrays import Array
 from pgm.kernels.stochastic import Dense, Transition
+from pgm.progress import counted
 
 # Up to so many states, and from so many steps on, blocks of steps are worked at together.
 FEW, MANY = 16, 64
@@ -49,7 +50,7 @@ class DirectChain(StateChain):
         self.keep(0, known, known, log_density)
         rows, logs = np.asarray(self.known)[1:], self.log_density[1:]
         least, belief = smallest(known), known
-        for part in self._parts:
+        for part in counted(self._parts, "forward"):
             place = slice(part.start - 1, part.stop - 1)
             weights, scales = self._weights(part)
             own = rows[place]

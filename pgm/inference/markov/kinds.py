@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pgm.compile import BalancedGraph, DynamicGraph
+from pgm.display import titled
 from pgm.errors import GraphError, ModelError
 from pgm.inference.kind import Kind
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
@@ -12,8 +13,8 @@ def require_chain(graph: DynamicGraph, beliefs: str) -> None:
     """Refuse a balanced tree of slices; `beliefs` says what goes along them."""
     if isinstance(graph, BalancedGraph):
         raise GraphError(
-            f"{beliefs} go along a chain of slices, which {graph!r} is not: leave method= out of "
-            "pgm.compile or pgm.smooth"
+            f"{beliefs} go along a chain of slices, which {titled(graph)} is not: leave method= "
+            "out of pgm.compile or pgm.smooth"
         )
 
 

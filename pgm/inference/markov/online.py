@@ -12,6 +12,7 @@ import numpy as np
 
 from pgm.boundary import as_mapping
 from pgm.compile import compile
+from pgm.display import InCode, titled
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
@@ -29,7 +30,7 @@ from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
 
-class OnlineTables(Immutable):
+class OnlineTables(InCode, Immutable):
     """A filter of a discrete network for one step at a time.
 
     Made by ``OnlineFilter(model)``, of a network of tables. It is immutable, and so are its
@@ -222,8 +223,9 @@ class OnlineTables(Immutable):
         mine = isinstance(belief, OnlineStates) and belief._plan.model is self.model
         if not mine or belief.kind.lag > 0 or belief._lag != self.lag:
             raise ModelError(
-                f"{belief!r} is no belief to go on from with {self!r}: begin with its initial(), "
-                "and go on from the newest belief; copy or pickle a filter and its beliefs together"
+                f"{titled(belief)} is no belief to go on from with {self!r}: begin with its "
+                "initial(), and go on from the newest belief; copy or pickle a filter and its "
+                "beliefs together"
             )
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors import Table
 from pgm.factors.axes import discrete
@@ -17,6 +18,7 @@ from pgm.inference.markov.chain import TINY, BackwardChain, smallest
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import require_variable
 from pgm.inference.status import Status
+from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 from pgm.variables import Variable
@@ -73,7 +75,7 @@ class Passed(NamedTuple):
     ahead: TableSlices
 
 
-class OnlineStates(Immutable):
+class OnlineStates(Shown, NoArray, Immutable):
     """The belief of an online filter of a discrete network at one step.
 
     Attributes
@@ -100,6 +102,8 @@ class OnlineStates(Immutable):
     _held: Held
     _trail: tuple[Passed, ...]
     _lag: int | None
+
+    _arrays: ClassVar[str] = "probabilities by variable, belief[x].probabilities"
 
     def __init__(
         self,
@@ -160,7 +164,8 @@ class OnlineStates(Immutable):
         """
         if self._lag is None:
             raise EvidenceError(
-                f"{self!r} is of a filter without a lag; make it with OnlineFilter(model, lag=5)",
+                f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, "
+                "lag=5)",
                 step=self.step,
             )
         if not self._trail:
@@ -173,9 +178,14 @@ class OnlineStates(Immutable):
             self._plan, self.step - passed, kind, found, np.array(self.log_evidence), self._lag
         )
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         runs = f", runs {self.lead}" if self.lead else ""
         return f"OnlineStates({self.kind}, step {self.step}{runs})"
+
+    def _summary(self) -> Summary:
+        hidden = self._plan.slice if self.step else self._plan.states
+        return at_a_step(self._title, self, hidden, self.lead)
 
 
 class _Window:

@@ -19,6 +19,7 @@ from pgm.inference.markov.contraction import Move
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import MAX_PRODUCT
+from pgm.progress import counted
 
 
 def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
@@ -41,7 +42,7 @@ def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
     path = np.zeros((len(plan.slice), runs, slices.steps + 1), dtype=np.intp)
     states = _best(_by_run(chain.known[-1], chain.batch))
     path[:, :, -1] = states
-    for step in range(slices.steps, 0, -1):
+    for step in counted(range(slices.steps, 0, -1), "back"):
         before = _by_run(chain.known[step - 1], chain.batch)
         scores = before.max(axis=_axes(plan.controls), keepdims=True)
         scores = scores.reshape(runs, *(v.size for v in plan.states)) + _scores(own, step, states)

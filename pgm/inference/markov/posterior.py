@@ -12,10 +12,11 @@ import numpy as np
 
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
+from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
 from pgm.factors.axes import discrete, sizes
-from pgm.factors.scope import as_scope
+from pgm.factors.scope import Scope, as_scope
 from pgm.inference.chain.marginals import located
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
@@ -24,6 +25,7 @@ from pgm.inference.markov.joints import joint, pair, potential
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
+from pgm.inference.summaries import marginals_over_time, over_time
 from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Variable
 
@@ -33,8 +35,8 @@ Beliefs = Sequence[Array] | Array
 Passing = Callable[[int, Array], Array]
 
 
-@dataclass(frozen=True, eq=False)
-class StateMarginals:
+@dataclass(frozen=True, eq=False, repr=False)
+class StateMarginals(Shown, NoArray):
     """The marginals of the hidden variables of a discrete chain over all steps, by variable.
 
     Attributes
@@ -78,12 +80,17 @@ class StateMarginals:
         found: Array = belief.sum(axis=tuple(others))
         return found
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         runs = f", runs {self.lead}" if self.lead else ""
         return f"Marginals({self.kind}, steps 0..{len(self.beliefs) - 1}{runs})"
 
+    def _summary(self) -> Summary:
+        last = len(self.beliefs) - 1
+        return marginals_over_time(self._title, self, self.plan.layout, self.lead, last)
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class StatePosterior(Posterior):
     """The beliefs of a chain of tables after a schedule of messages.
 
@@ -109,6 +116,10 @@ class StatePosterior(Posterior):
     def _slices(self) -> TableSlices:
         found: Any = self._chain.slices
         return found  # type: ignore[no-any-return]
+
+    @property
+    def _hidden(self) -> Scope:
+        return (*self.graph.model.states, *self.graph.model.controls)
 
     @property
     def _lead(self) -> tuple[int, ...]:
@@ -371,6 +382,11 @@ class StatePosterior(Posterior):
         scale = weight.reshape(self._lead) if self._lead else weight.reshape(())
         return Table._make(scope, self._over_runs(values, len(scope)), scale)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         runs = f", runs {self._lead}" if self._lead else ""
         return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"
+
+    def _summary(self) -> Summary:
+        hidden, last = self.graph.layout.slice, self.graph.steps
+        return over_time(self._title, self, hidden, self._lead, last)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from copy import copy
 from functools import cached_property
 from types import MappingProxyType
-from typing import NoReturn
+from typing import ClassVar, NoReturn
 
 import numpy as np
 
 from pgm.compile import SliceLayout
+from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError, NumericalError
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
@@ -22,6 +23,7 @@ from pgm.inference.kind import Kind
 from pgm.inference.online.window import Sliding, Trail
 from pgm.inference.posterior import require_variable
 from pgm.inference.status import Status, digits
+from pgm.inference.summaries import at_a_step
 from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array, block, symmetric
 from pgm.variables import Variable
@@ -30,7 +32,7 @@ from pgm.variables import Variable
 _REGULAR = 1.0 / certificate.MODERATE
 
 
-class OnlineBelief(Immutable):
+class OnlineBelief(Shown, NoArray, Immutable):
     """The belief of an online filter at one step.
 
     Attributes
@@ -58,6 +60,8 @@ class OnlineBelief(Immutable):
     careful: Belief | None
     behind: Trail | Sliding | None
     associations: Found = NONE
+
+    _arrays: ClassVar[str] = ".mean and .cov by variable, belief[x].mean"
 
     def __init__(
         self,
@@ -135,7 +139,8 @@ class OnlineBelief(Immutable):
         """
         if self.behind is None:
             raise EvidenceError(
-                f"{self!r} is of a filter without a lag; make it with OnlineFilter(model, lag=5)",
+                f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, "
+                "lag=5)",
                 step=self.step,
             )
         step, mean, cov = self.behind.lagged(self.step, self.mean, self.cov)
@@ -146,8 +151,13 @@ class OnlineBelief(Immutable):
         parts = self.layout, self.lead, mean, cov, self.log_evidence, self.status, kind
         return OnlineBelief(step, *parts)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         return f"OnlineBelief({self.kind}, step {self.step}, over {list(self.layout.slice)})"
+
+    def _summary(self) -> Summary:
+        known = self.layout.slice if self.step else self.layout.states
+        return at_a_step(self._title, self, known, self.lead)
 
 
 def belief_of(

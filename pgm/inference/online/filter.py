@@ -9,6 +9,7 @@ from typing import Any, Self, overload
 import numpy as np
 
 from pgm.compile import compile
+from pgm.display import InCode, titled
 from pgm.errors import ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
@@ -54,7 +55,7 @@ _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged 
 _quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 
 
-class OnlineFilter(Immutable):
+class OnlineFilter(InCode, Immutable):
     """A filter for one step at a time; immutable, and so are its beliefs.
 
     Beliefs belong to the filter's own model: to go on from one in another process, pickle the two
@@ -384,13 +385,14 @@ class OnlineFilter(Immutable):
     def _check(self, belief: OnlineBelief) -> None:
         if not isinstance(belief, OnlineBelief) or belief.layout.model is not self.model:
             raise ModelError(
-                f"{belief!r} is no belief of this filter's model; begin with initial()"
+                f"{titled(belief)} is no belief of this filter's model; begin with initial()"
             )
         own, behind = self._behind, belief.behind
         if not is_like(behind, own) or belief.kind.lag > 0:
             raise ModelError(
-                f"{belief!r} is no belief to go on from with {self.schedule!r}: it is of a filter "
-                "with another schedule, or lags behind one; begin with initial(), and go on from "
+                f"{titled(belief)} is no belief to go on from with {self.schedule!r}: it is of a "
+                "filter with another schedule, or lags behind one; begin with initial(), and go "
+                "on from "
                 "the newest belief"
             )
 

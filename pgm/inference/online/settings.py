@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.inference.checks import require_gaussian, require_lineariser
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
@@ -15,7 +16,7 @@ def require_settings(
 ) -> Filtering | FixedLag:
     """The schedule of a filter, whose settings are refused if they are none, or do not fit."""
     if not isinstance(model, DynamicBayesianNetwork):
-        raise ModelError(f"a dynamic network was due, not {model!r}")
+        raise ModelError(f"a dynamic network was due, not {titled(model)}")
     require_lineariser(lineariser)
     if lag is not None and schedule is not None:
         raise ModelError(

@@ -27,6 +27,7 @@ from pgm.inference.particles.value import FULL, Particles
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices, systematic
+from pgm.progress import counted
 
 # Densities that are held at a time, where all pairs are asked for.
 _PAIRS = 2**20
@@ -71,7 +72,7 @@ class Backward:
         last = len(self.clouds) - 1
         place = self._last(last, last)
         found = [self._cloud(last, place)]
-        for step in range(last - 1, -1, -1):
+        for step in counted(range(last - 1, -1, -1), "trajectories"):
             place = self._before(step, place, found[-1].states, step)
             found.append(self._cloud(step, place))
         return tuple(reversed(found))
@@ -79,7 +80,7 @@ class Backward:
     def lagged(self, lag: int) -> tuple[Cloud, ...]:
         """The particles of each step given the measurements up to a lag later."""
         found = []
-        for step in range(len(self.clouds)):
+        for step in counted(range(len(self.clouds)), "trajectories"):
             last = min(step + lag, len(self.clouds) - 1)
             place = self._last(last, step)
             cloud = self._cloud(last, place)

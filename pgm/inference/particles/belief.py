@@ -10,18 +10,21 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_generator, as_lengths
+from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
+from pgm.factors.frames import Framed
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.inference.components import places_of, whole_variables
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.parts import Part
+from pgm.inference.summaries import moments_of, spread
 from pgm.kernels.angles import TURN, wrap
 from pgm.kernels.arrays import Array, Integers
 
 
-class ParticleBelief(Immutable):
+class ParticleBelief(Framed, Shown, NoArray, Immutable):
     r"""A belief as weighted draws.
 
     .. math:: p(x) = \sum_i w_i \, δ(x - x_i)
@@ -348,11 +351,16 @@ class ParticleBelief(Immutable):
         # What was computed is not part of the value.
         return {name: getattr(self, name) for name in ParticleBelief.__annotations__}
 
-    def __repr__(self) -> str:
-        lead = f", leading axes {self.lead}" if self.lead else ""
+    @property
+    def _title(self) -> str:
         least, most = int(self.number.min()), int(self.number.max())
         count = f"{most:,}" if least == most else f"{least:,} to {most:,}"
+        lead = axes(self.lead, self.steps)
         return f"ParticleBelief({listed(self.components)}: {count} particles{lead})"
+
+    def _summary(self) -> Summary:
+        effective = f"effective {spread(self.effective, 4)}"
+        return Summary(self._title, [effective, moments_of(self)])
 
 
 def _frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import KDTree
-from scipy.special import logsumexp
 
 from pgm.boundary import as_floats, is_number
+from pgm.display import InCode
 from pgm.errors import EvidenceError, ModelError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
@@ -16,6 +15,7 @@ from pgm.inference.particles.cloud import BLOCK
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array
 from pgm.kernels.resampling import indices, systematic
+from pgm.kernels.semirings import log_sum
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _TOUCHING = 1.0 - 1e-6
 
 
-class CellProposal(Immutable):
+class CellProposal(InCode, Immutable):
     r"""Draws of a state from the likelihood of a step's measurements, over cells.
 
     .. math:: q(x) = \frac{p(z \mid c_k)^{τ}}{V \sum_j p(z \mid c_j)^{τ}}
@@ -127,7 +127,7 @@ class CellProposal(Immutable):
         levels = np.zeros(len(self.centres))
         if self.temper > 0.0:
             levels = self.temper * self._log_likelihood(model, step, run)
-        total = logsumexp(levels)
+        total = log_sum(levels, 0)
         if not np.isfinite(total):
             raise EvidenceError(
                 f"{self!r}: the measurements of step {step}, run {run + model.bound.first_run}, "
@@ -184,6 +184,8 @@ class CellProposal(Immutable):
 
 def _require_apart(what: str, places: Array, around: Array) -> None:
     """Refuse cells of unit width that overlap; `around` is the length of a circle, or zero."""
+    from scipy.spatial import KDTree  # here, since it is slow to import
+
     if len(places) < 2:
         return
     turning = around > 0.0

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from pgm.boundary import is_number
+from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.inference.particles.cells import CellProposal
 from pgm.kernels.arrays import Array
 
 
-class Injection(Immutable):
+class Injection(InCode, Immutable):
     r"""A share of particles drawn afresh, when measurements are explained worse than they used to.
 
     .. math:: \ell_t = \Big( \sum_i w_{t-1}^i \, p(z_t \mid x_t^i) \Big)^{1/b}, \qquad

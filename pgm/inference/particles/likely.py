@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pgm.boundary import is_number, is_whole
+from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 
 
-class LikelihoodSampling(Immutable):
+class LikelihoodSampling(InCode, Immutable):
     r"""As many particles as explain a step's measurements together.
 
     Particles are drawn and moved, in batches that double their number, until

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pgm.boundary import is_number, is_whole
+from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from pgm.inference.particles.model import ParticleModel
 
 
-class KLDSampling(Immutable):
+class KLDSampling(InCode, Immutable):
     r"""As many particles as keep their divergence from the belief they are drawn of small.
 
     Particles are drawn anew, in batches that double their number, until there are enough for the k

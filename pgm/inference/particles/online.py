@@ -11,6 +11,7 @@ import numpy as np
 
 from pgm.boundary import as_mapping
 from pgm.compile import DynamicGraph, compile
+from pgm.display import InCode, NoArray, Shown, Summary, titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
@@ -28,12 +29,13 @@ from pgm.inference.particles.run import require_fitting, require_room
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import require_variable
+from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
 
-class OnlineParticleBelief(Immutable):
+class OnlineParticleBelief(Shown, NoArray, Immutable):
     """The belief of an online filter at one step, as particles.
 
     Attributes
@@ -117,13 +119,19 @@ class OnlineParticleBelief(Immutable):
             )
         return ParticleBelief(parts([(template, places[template].start)]), [self._cloud], self.lead)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         runs = f", runs {self.lead}" if self.lead else ""
         most = int(self._cloud.counts.max())
         return f"OnlineParticleBelief({self.kind}, step {self.step}, {most:,} particles{runs})"
 
+    def _summary(self) -> Summary:
+        model = self._filter.model
+        hidden = tuple(v for v in self._model.places if self.step or v in model.states)
+        return at_a_step(self._title, self, hidden, self.lead)
 
-class OnlineParticles(Immutable):
+
+class OnlineParticles(InCode, Immutable):
     """A particle filter for one step at a time; made by ``OnlineFilter(model, belief=particles)``.
 
     It is immutable, and so are its beliefs: draws are keyed by seed, run and step, so that they are
@@ -289,7 +297,7 @@ class OnlineParticles(Immutable):
             belief._filter.model is not self.model or belief._filter.belief is not self.belief
         ):
             raise ModelError(
-                f"{belief!r} is no belief of this filter's model and particles; begin with "
+                f"{titled(belief)} is no belief of this filter's model and particles; begin with "
                 "initial()"
             )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from pgm.factors.scope import distinct_labels
 from pgm.variables import Variable
 
 
@@ -35,12 +36,9 @@ class Part(NamedTuple):
 
 def parts(places: Sequence[tuple[Variable, int]]) -> list[Part]:
     """The components of variables whose first rows are given, with a name for each."""
-    names = [name for variable, _ in places for name in variable.components]
-    found = []
-    for variable, first in places:
-        for k, name in enumerate(variable.components):
-            label = name if names.count(name) == 1 else f"{variable!r}.{name}"
-            if variable.dimension == 1 and name == variable.name:
-                label = repr(variable) if names.count(name) > 1 else name
-            found.append(Part(variable, k, label, first + k))
-    return found
+    label = iter(distinct_labels(variable for variable, _ in places))
+    return [
+        Part(variable, k, next(label), first + k)
+        for variable, first in places
+        for k in range(variable.dimension)
+    ]

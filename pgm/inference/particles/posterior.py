@@ -11,12 +11,14 @@ import numpy as np
 
 from pgm.compile import DynamicGraph
 from pgm.cpds.unidentified import UnidentifiedCPD
+from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
-from pgm.factors.scope import as_scope, listed
+from pgm.factors.scope import Scope, as_scope, listed
 from pgm.immutable import Immutable
 from pgm.inference.associations import Found, collected
 from pgm.inference.grid.belief import require_step
 from pgm.inference.kind import FILTERED, Kind
+from pgm.inference.labelled import Labelled
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.laws import Some
@@ -25,11 +27,12 @@ from pgm.inference.particles.parts import parts
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import Viewed, require_variable
+from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 
-class ParticlePosterior(Viewed, Immutable):
+class ParticlePosterior(Labelled, Viewed, Shown, NoArray, Immutable):
     """The beliefs of a dynamic network as weighted draws.
 
     Attributes
@@ -58,6 +61,8 @@ class ParticlePosterior(Viewed, Immutable):
     # Python would else iterate by asking for the variables 0, 1, ...
     __iter__: ClassVar[None] = None
 
+    _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
+
     def __init__(
         self,
         graph: DynamicGraph,
@@ -82,6 +87,10 @@ class ParticlePosterior(Viewed, Immutable):
             _clouds=clouds,
             _filtered=filtered,
         )
+
+    @property
+    def _hidden(self) -> Scope:
+        return tuple(self._model.places)
 
     @property
     def log_evidence_kind(self) -> str:
@@ -220,10 +229,15 @@ class ParticlePosterior(Viewed, Immutable):
         cloud = Cloud(np.concatenate(states), first_cloud.log_weights, first_cloud.starts)
         return ParticleBelief(parts(places), [cloud], runs)
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         runs = self.log_evidence.shape
         which = f", runs {runs}" if runs else ""
         return (
             f"ParticlePosterior({self.kind}, over {list(self._model.places)}, {self.particles.n:,} "
             f"particles, {self.graph.steps + 1} steps{which})"
         )
+
+    def _summary(self) -> Summary:
+        runs, last = self.log_evidence.shape, self.graph.steps
+        return over_time(self._title, self, tuple(self._model.places), runs, last)

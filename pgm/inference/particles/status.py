@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.display import Shown
 from pgm.errors import ParticleWarning
 from pgm.immutable import Immutable
 from pgm.inference.status import _levels_to_user
@@ -19,7 +20,7 @@ FEW = 10.0
 _ROUNDING = 1e-9
 
 
-class ParticleStatus(Immutable):
+class ParticleStatus(Shown, Immutable):
     """The status of a particle filter's or smoother's answer.
 
     Attributes
@@ -137,7 +138,8 @@ class ParticleStatus(Immutable):
             )
             warnings.warn(message, ParticleWarning, stacklevel=_levels_to_user())
 
-    def __repr__(self) -> str:
+    @property
+    def _title(self) -> str:
         steps = self.effective.shape[-1]
         parts = [
             f"effective {self.effective.min():.3g} to {self.effective.max():.3g} of "

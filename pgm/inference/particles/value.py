@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from pgm.boundary import is_number, is_whole
+from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.inference.checks import require_lineariser
@@ -23,7 +24,7 @@ RAISE, IGNORE, RESTART = "raise", "ignore", "restart"
 METROPOLIS, FULL = "metropolis", "full"
 
 
-class Particles(Immutable):
+class Particles(InCode, Immutable):
     r"""Beliefs as weighted draws: the posterior as it is, of any shape.
 
     .. math:: p(x_t \mid z) \approx \sum_i w_t^i \, δ(x_t - x_t^i)

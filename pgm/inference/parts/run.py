@@ -31,6 +31,7 @@ from pgm.inference.start import Start
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
+from pgm.progress import counted
 from pgm.sizes import require_memory
 from pgm.variables import Variable
 
@@ -118,7 +119,7 @@ def _results(
     model, results = whole.graph.model, list[Result]()
     named = (*model.prior, *model.transition, *model.observation, lineariser)
     work = workers.each(run_job, jobs, [part.runs for part in parts], large=not room, named=named)
-    for part, done in zip(parts, work, strict=True):
+    for part, done in counted(zip(parts, work, strict=True), "parts of the runs", len(parts)):
         if isinstance(done.error, PgmError) and not isinstance(done.error, ExecutorError):
             _fail_alone(whole, part, schedule, lineariser, share)
         result: Result = done.result()

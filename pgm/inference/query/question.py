@@ -13,6 +13,7 @@ import numpy as np
 from pgm.boundary import as_tuple, is_unordered
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
+from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.evidence.discrete import BoundStates, bind_discrete
@@ -127,7 +128,9 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
     graph = network if isinstance(network, ClusterGraph) else None
     asked = graph.network if graph is not None else network
     if not isinstance(asked, BayesianNetwork):
-        raise ModelError(f"query takes a BayesianNetwork or its compiled graph, not {network!r}")
+        raise ModelError(
+            f"query takes a BayesianNetwork or its compiled graph, not {titled(network)}"
+        )
     if not asked.discrete:
         raise GraphError(
             "query is for discrete networks, and this one is continuous; its joints are "

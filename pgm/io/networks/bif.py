@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgm.io.networks import sources
+from pgm.io import sources
 from pgm.io.networks.assembly import Assembly, Family
 from pgm.io.networks.cursor import END, MARK, Cursor, shown
-from pgm.io.networks.sources import LIMIT, Source
+from pgm.io.sources import LIMIT, Source
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork
 

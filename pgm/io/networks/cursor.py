@@ -8,7 +8,7 @@ from array import array
 from typing import NoReturn
 
 from pgm.errors import FileError
-from pgm.io.networks.sources import Origin, line_of
+from pgm.io.sources import Origin, line_of
 
 # A stretch of a run of numbers, never cut within one; it bounds the memory of converting a run.
 STRETCH = re.compile(r"[-+.0-9eE,\s]{1,65536}+[-+.0-9eE]*+")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from pgm.cpds import TableCPD
 from pgm.errors import ModelError
 from pgm.io.networks.writers import tables
 from pgm.networks import BayesianNetwork
+from pgm.optional import optional
 from pgm.variables import Discrete
 
 
@@ -80,13 +80,10 @@ def to_pgmpy(network: BayesianNetwork) -> Any:
         If pgmpy is not installed.
     """
     cpds = tables(network)
-    try:
-        factors = import_module("pgmpy.factors.discrete")
-        models = import_module("pgmpy.models")
-    except ImportError:
-        raise ImportError(
-            "to_pgmpy needs pgmpy, version 1 or newer: pip install 'pgmpy>=1.0'"
-        ) from None
+    factors, models = (
+        optional(f"pgmpy.{module}", "to_pgmpy()", "pgmpy>=1.0")
+        for module in ("factors.discrete", "models")
+    )
     found = models.DiscreteBayesianNetwork()
     found.add_nodes_from(cpd.child.name for cpd in cpds)
     found.add_edges_from((v.name, cpd.child.name) for cpd in cpds for v in cpd.given)

@@ -11,10 +11,10 @@ from typing import NoReturn
 import numpy as np
 
 from pgm.errors import FileError, ModelError
-from pgm.io.networks import sources
+from pgm.io import sources
 from pgm.io.networks.assembly import AXES, Assembly
 from pgm.io.networks.cursor import ITEM, numbers, shown
-from pgm.io.networks.sources import LIMIT, Content, Source, line_of
+from pgm.io.sources import LIMIT, Content, Source, line_of
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork
 from pgm.variables import Discrete

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Iterator
 
 from pgm.cpds import TableCPD
 from pgm.errors import ModelError
-from pgm.io.networks import sources
+from pgm.io import sources
 from pgm.io.networks.cursor import shown
-from pgm.io.networks.sources import Source
+from pgm.io.sources import Source
 from pgm.networks import BayesianNetwork
 
 # What every reader takes without quotes; a keyword is quoted besides.

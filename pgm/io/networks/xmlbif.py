@@ -11,10 +11,10 @@ from xml.sax.handler import ContentHandler
 import numpy as np
 
 from pgm.errors import FileError
-from pgm.io.networks import sources
+from pgm.io import sources
 from pgm.io.networks.assembly import Assembly
 from pgm.io.networks.cursor import numbers, shown
-from pgm.io.networks.sources import LIMIT, Content, Source
+from pgm.io.sources import LIMIT, Content, Source
 from pgm.networks import BayesianNetwork
 
 # What may stand in what; a property holds anything, and is skipped.

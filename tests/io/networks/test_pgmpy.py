@@ -107,5 +107,5 @@ def test_what_is_no_network_of_pgmpy(peer):
 def test_without_pgmpy(monkeypatch):
     monkeypatch.setitem(sys.modules, "pgmpy.models", None)
     monkeypatch.setitem(sys.modules, "pgmpy.factors.discrete", None)
-    with pytest.raises(ImportError, match=r"to_pgmpy needs pgmpy, .*pip install"):
+    with pytest.raises(ImportError, match=r"to_pgmpy\(\) needs pgmpy: pip install 'pgmpy>=1.0'"):
         pgm.to_pgmpy(sprinkler())

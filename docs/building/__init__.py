@@ -1,0 +1,1 @@
+"""How the site is made: pages' programs are run, and what they draw is shown below them."""

@@ -1,0 +1,105 @@
+"""A Sphinx extension: a page's programs are run, and their pictures shown below them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
+from sphinx.transforms import SphinxTransform
+
+from building import programs
+
+_DPI = 160  # twice a screen's, for letters that stay sharp
+_FILES = {".gif"}
+
+
+class Pictures(SphinxTransform):
+    """Run the programs of a page that draws, and show after each block what it has drawn."""
+
+    default_priority = 200  # before images are collected
+
+    def apply(self, **kwargs: Any) -> None:
+        """Put images behind the blocks of Python that drew them."""
+        page = Path(self.env.doc2path(self.env.docname))
+        if page.suffix != ".md" or not draws(page):
+            return
+        target = Path(self.app.outdir).parent / "pictures" / self.env.docname
+        found = drawn(page, target)
+        literal = [
+            node
+            for node in self.document.findall(nodes.literal_block)
+            if node.get("language") == "python"
+        ]
+        if len(literal) != len(found):
+            raise ExtensionError(
+                f"{page}: {len(literal)} blocks of Python are shown and {len(found)} were run"
+            )
+        for node, paths in zip(literal, found, strict=True):
+            where = _last_of_block(node)
+            for path, width in reversed(paths):
+                uri = os.path.relpath(path, page.parent)
+                # A picture that a program draws is described by the text around it.
+                image = nodes.image(uri=uri, alt="", width=f"{width}px", classes=["drawn"])
+                where.parent.insert(where.parent.index(where) + 1, image)
+
+
+def draws(page: Path) -> bool:
+    """Whether a page's programs draw at all; others are run by the tests alone."""
+    code = "".join(block.code for block in programs.blocks(page.read_text(encoding="utf-8")))
+    return "pgm.plot." in code or "plt." in code
+
+
+def drawn(page: Path, target: Path) -> list[list[tuple[Path, int]]]:
+    """The pictures of each block of a page, as files, and their widths on a screen."""
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    target.mkdir(parents=True, exist_ok=True)
+    result: list[list[tuple[Path, int]]] = []
+    with (
+        tempfile.TemporaryDirectory() as place,
+        contextlib.chdir(place),
+        warnings.catch_warnings(),
+    ):
+        os.symlink(programs.DOCS, Path(place) / "docs")
+        warnings.simplefilter("error")
+        warnings.simplefilter("default", DeprecationWarning)
+        known: set[Path] = set()
+        for k, _ in enumerate(programs.run(page)):
+            paths = []
+            for number in plt.get_fignums():
+                figure = plt.figure(number)
+                path = target / f"{k}-{number}.png"
+                figure.savefig(path, dpi=_DPI)
+                paths.append((path, round(figure.get_figwidth() * 80)))
+            plt.close("all")
+            moving = {p for p in Path().iterdir() if p.suffix in _FILES} - known
+            known |= moving
+            for source in sorted(moving):
+                path = target / source.name
+                path.write_bytes(source.read_bytes())
+                paths.append((path, 400))
+            result.append(paths)
+    return result
+
+
+def _last_of_block(node: nodes.Element) -> nodes.Element:
+    """The block itself, or the output that stands right behind it."""
+    after = node.next_node(descend=False, siblings=True)
+    if isinstance(after, nodes.literal_block) and after.get("language") == "text":
+        return after
+    return node
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Tell Sphinx of the transform."""
+    app.add_transform(Pictures)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

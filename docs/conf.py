@@ -1,0 +1,57 @@
+"""The site: ``make docs`` builds it into build/docs."""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
+
+from pygments.lexers.special import TextLexer
+from sphinx.highlighting import lexers
+
+import pgm
+
+lexers["csv"] = TextLexer()
+
+project = "pgm"
+author = "The pgm developers"
+copyright = "The pgm developers"  # Sphinx's own name for it
+version = release = pgm.__version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx_copybutton",
+    "building.docstrings",
+    "building.mathjax",
+    "building.pictures",
+]
+exclude_patterns = ["building"]
+
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist"]
+myst_heading_anchors = 3
+myst_dmath_double_inline = True
+
+autosummary_generate = False
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # docstrings say types and shapes
+autodoc_default_options = {"members": True, "inherited-members": False}
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+default_role = "py:obj"
+python_use_unqualified_type_names = True
+add_module_names = False
+
+html_theme = "furo"
+html_title = "pgm"
+html_static_path = ["_static"]
+html_css_files = ["pgm.css"]
+html_copy_source = False
+html_show_sphinx = False
+pygments_style = "friendly"
+pygments_dark_style = "monokai"
+copybutton_exclude = ".linenos, .gp, .go"

@@ -1,0 +1,41 @@
+"""The two kinds of graphical models, and how one becomes the other."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+import pgm
+import pgm.plot
+
+a, b, c, d = pgm.variables("a b c d")
+
+# A loop, for which no arrows say the same: a is independent of c given b and d, and b of d given
+# a and c.
+FACTORS = [(a, b), (b, c), (c, d), (d, a)]
+
+
+def directed() -> pgm.BayesianNetwork:
+    """p(a) p(b | a) p(d | a) p(c | b, d)."""
+    return pgm.BayesianNetwork(
+        [
+            pgm.GaussianCPD(a, mean=0.0, cov=1.0),
+            pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+            pgm.LinearGaussianCPD(d, given={a: -1.0}, cov=1.0),
+            pgm.LinearGaussianCPD(c, given={b: 1.0, d: 1.0}, cov=1.0),
+        ]
+    )
+
+
+def kinds() -> Figure:
+    """A Markov network, a Bayesian network, and that as a Markov network."""
+    figure, axes = plt.subplots(1, 3, figsize=(7.5, 2.9))
+    pgm.plot.markov_network(FACTORS, ax=axes[0])
+    pgm.plot.network(directed(), ax=axes[1])
+    pgm.plot.markov_network(directed(), ax=axes[2])
+    for ax, title in zip(
+        axes, ("undirected", "directed", "the directed, made undirected"), strict=True
+    ):
+        ax.set_title(title, fontsize=10)
+    plt.close(figure)
+    return figure

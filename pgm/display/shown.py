@@ -1,0 +1,59 @@
+"""Values that show themselves: in a terminal, in a notebook, and not as arrays."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any, ClassVar, NoReturn
+
+from pgm.display.brief import brief
+from pgm.display.summary import Summary
+from pgm.errors import ArrayError
+
+
+class Shown:
+    """A value that is printed as its summary, as text and in HTML.
+
+    A class says once, in `_summary`, what it shows; `_title` is the first line of that, for
+    messages.
+    """
+
+    __slots__ = ()
+
+    @property
+    def _title(self) -> str:
+        raise NotImplementedError(f"{type(self).__name__} has no title")
+
+    def _summary(self) -> Summary:
+        return Summary(self._title)
+
+    def __repr__(self) -> str:
+        return self._summary().text()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html()
+
+
+def titled(value: object) -> str:
+    """A value of any kind in one line, for messages."""
+    return value._title if isinstance(value, Shown) else brief(value)
+
+
+class InCode:
+    """A small value, like a choice of parameters, whose text in HTML is that in a terminal."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        return f"<code>{escape(repr(self))}</code>"
+
+
+class NoArray:
+    """A value that NumPy would else put, whole, into an array of objects, without a word."""
+
+    __slots__ = ()
+
+    # What to take instead, for the message.
+    _arrays: ClassVar[str] = ".mean and .cov"
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NoReturn:
+        raise ArrayError(f"a {type(self).__name__} is no array; take its {self._arrays}")

@@ -1,0 +1,143 @@
+"""Summaries of values: a title, lines and listings, printed as text and as HTML."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+# What is printed at most: lines, columns of letters, letters of one cell and of a title.
+LINES, WIDTH, CELL, TITLE = 20, 100, 40, 300
+INDENT = "  "
+GAP = "  "
+LEFT_OUT = "..."
+# Numbers stand below each other in HTML too.
+_CELL = "padding: 0 0.6em; white-space: pre; font-variant-numeric: tabular-nums"
+
+# A row of cells; None stands for rows that are left out.
+Row = Sequence[str] | None
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A table of words and numbers.
+
+    Attributes
+    ----------
+    heads : sequence of str
+        The head of each column.
+    rows : sequence of (sequence of str or None)
+        Cells; None stands for rows that are left out.
+    names : int
+        How many of the columns, from the left, are words.
+    cell : int
+        The most letters of a cell.
+    """
+
+    heads: Sequence[str]
+    rows: Sequence[Row]
+    names: int = 1
+    cell: int = CELL
+
+    def lines(self, width: int) -> list[str]:
+        """The lines of the table, those columns left out that would not fit."""
+        table = self._filled()
+        if not any(map(any, table[:1])):
+            table = table[1:]
+        wide = [max(map(len, column)) for column in zip(*table, strict=True)]
+        kept = len(wide)
+        while kept > self.names + 1 and _total(wide[:kept], kept < len(wide)) > width:
+            kept -= 1
+        lines = []
+        for row in table:
+            cells = [
+                cell.ljust(size) if k < self.names else cell.rjust(size)
+                for k, (cell, size) in enumerate(zip(row[:kept], wide[:kept], strict=True))
+            ]
+            lines.append(GAP.join([*cells, *[LEFT_OUT] * (kept < len(wide))]).rstrip())
+        return lines
+
+    def html(self) -> str:
+        """The table in HTML."""
+        heads, *table = self._filled()
+        head = "".join(f'<th style="{_CELL}">{escape(cell)}</th>' for cell in heads)
+        rows = []
+        for row in table:
+            cells = [
+                f'<td style="text-align: {"left" if k < self.names else "right"}; {_CELL}">'
+                f"{escape(cell)}</td>"
+                for k, cell in enumerate(row)
+            ]
+            rows.append(f"<tr>{''.join(cells)}</tr>")
+        body = "".join(rows)
+        top = f"<thead><tr>{head}</tr></thead>" if any(self.heads) else ""
+        return f"<table>{top}<tbody>{body}</tbody></table>"
+
+    def _filled(self) -> list[list[str]]:
+        """The cells of all rows, the heads first."""
+        blank = [LEFT_OUT, *[""] * (len(self.heads) - 1)]
+        rows = [self.heads, *(blank if row is None else row for row in self.rows)]
+        return [[one_line(cell, self.cell) for cell in row] for row in rows]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A value in a few lines.
+
+    Attributes
+    ----------
+    title : str
+        Its first line.
+    parts : sequence of str or Listing
+        The lines and tables below.
+    """
+
+    title: str
+    parts: Sequence[str | Listing] = ()
+
+    def text(self) -> str:
+        """The summary as plain text, of no more lines than fit a terminal."""
+        lines = [one_line(self.title, TITLE)]
+        for part in self.parts:
+            lines += [INDENT + line for line in _lines(part)]
+        if len(lines) > LINES:
+            lines[LINES - 1 :] = [INDENT + LEFT_OUT]
+        return "\n".join(lines)
+
+    def html(self, picture: str = "") -> str:
+        """The summary in HTML, for notebooks.
+
+        Parameters
+        ----------
+        picture : str
+            Markup that stands below the title.
+        """
+        parts = [f"<p><b>{escape(one_line(self.title, TITLE))}</b></p>", picture]
+        for part in self.parts:
+            words = isinstance(part, str)
+            parts.append(f"<p>{escape(one_line(part))}</p>" if words else part.html())
+        return f"<div>{''.join(parts)}</div>"
+
+
+def one_line(text: str, most: int | None = None) -> str:
+    """A text without line breaks and other letters that would move the cursor."""
+    line = "".join(letter if letter.isprintable() else _code(letter) for letter in text)
+    return line if most is None or len(line) <= most else line[: most - 3] + LEFT_OUT
+
+
+def _code(letter: str) -> str:
+    return letter.encode("unicode_escape").decode("ascii")
+
+
+def _lines(part: str | Listing) -> list[str]:
+    width = WIDTH - len(INDENT)
+    if isinstance(part, Listing):
+        return part.lines(width)
+    return textwrap.wrap(one_line(part), width, subsequent_indent=INDENT) or [""]
+
+
+def _total(wide: Sequence[int], cut: bool) -> int:
+    """The width of some columns, and of the dots that stand for others."""
+    every = [*wide, *[len(LEFT_OUT)] * cut]
+    return sum(every) + len(GAP) * (len(every) - 1)

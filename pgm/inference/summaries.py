@@ -1,0 +1,211 @@
+"""Summaries of posteriors: log-evidence, status, and the ends of the beliefs over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from pgm.compile import SliceLayout
+from pgm.display import (
+    Listing,
+    Summary,
+    beside,
+    by_component,
+    few,
+    number,
+    places,
+    stacked,
+    whereabouts,
+)
+from pgm.display.places import Place
+from pgm.errors import PgmError
+from pgm.factors import Table
+from pgm.factors.listing import states_of
+from pgm.factors.scope import components
+from pgm.kernels.arrays import Array
+from pgm.variables import Discrete, Variable
+
+# Rows for the beliefs of all variables of a chain, and the most variables that share them.
+ROWS, VARIABLES = 12, 4
+# Rows of a network without time, and its first runs beside each other.
+NETWORK_ROWS, RUNS = 12, 2
+
+
+def over_time(
+    title: str, posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...], last: int
+) -> Summary:
+    """The summary of a posterior over time.
+
+    Only the beliefs that are shown are asked for, each at its step.
+
+    Parameters
+    ----------
+    title : str
+    posterior : object
+        ``posterior[x.at(3)]``, with leading axes `runs`, and its `log_evidence` and `status`.
+    variables : sequence of Variable
+        Hidden ones, templates; those that are no states begin at step 1.
+    runs : tuple of int
+    last : int
+        T.
+    """
+    states = posterior.graph.model.states
+    return Summary(title, [*figures(posterior), *ends(posterior, variables, states, runs, last)])
+
+
+def marginals_over_time(
+    title: str, marginals: Any, layout: SliceLayout, runs: tuple[int, ...], last: int
+) -> Summary:
+    """The summary of marginals over time, without evidence and status."""
+    return Summary(title, ends(marginals, layout.slice, layout.states, runs, last))
+
+
+def ends(
+    beliefs: Any,
+    variables: Sequence[Variable],
+    states: Sequence[Variable],
+    runs: tuple[int, ...],
+    last: int,
+) -> list[str | Listing]:
+    """The first and last beliefs of the first variables, a listing each."""
+    shown = variables[:VARIABLES]
+    most = max(ROWS // max(len(shown), 1) - (len(shown) > 1), 1)
+    parts: list[str | Listing] = [
+        _ends(beliefs, variable, 0 if variable in states else 1, runs, last, most)
+        for variable in shown
+        if all(runs)
+    ]
+    if len(variables) > len(shown):
+        parts.append(f"... {len(variables)} variables in all")
+    return parts
+
+
+def at_a_step(
+    title: str, belief: Any, variables: Sequence[Variable], runs: tuple[int, ...]
+) -> Summary:
+    """The summary of an online belief: its log-evidence, status and variables."""
+    parts: list[str | Listing] = [f"log-evidence {spread(np.asarray(belief.log_evidence))}"]
+    parts.append(belief.status._title)
+    return Summary(title, [*parts, *by_variable(belief, variables, runs)])
+
+
+def of_network(
+    title: str, posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...]
+) -> Summary:
+    """The summary of a posterior of a network without time.
+
+    Parameters
+    ----------
+    title : str
+    posterior : object
+        ``posterior[x]``, with leading axes `runs`, and its `log_evidence` and `status`.
+    variables : sequence of Variable
+        Those without evidence, which are asked for in this order.
+    runs : tuple of int
+    """
+    return Summary(title, [*figures(posterior), *by_variable(posterior, variables, runs)])
+
+
+def by_variable(
+    posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...]
+) -> list[str | Listing]:
+    """The beliefs of the first and last variables, of the first runs beside each other."""
+    picked = [place for place in places(runs, RUNS) if place is not None][:RUNS]
+    rows: list[Sequence[str] | None] = []
+    for k in few(len(variables), NETWORK_ROWS) if picked else ():
+        if k is None:
+            rows.append(None)
+            continue
+        try:
+            found = posterior[variables[k]]
+        except PgmError as error:
+            rows.append([repr(variables[k]), f"none: {error}", *[""] * (len(picked) - 1)])
+            continue
+        rows += _of_variable(variables[k], found, picked)
+    heads = ["", *(f"run {', '.join(map(str, place))}" if place else "" for place in picked)]
+    return [Listing(heads, rows[: NETWORK_ROWS + 1], cell=60)] if rows else []
+
+
+def moments_of(belief: Any) -> Listing:
+    """The means and deviations of a belief of point masses, of the runs and steps shown alone."""
+    names = [f"{c} [rad]" if c in belief.angles else c for c in belief.components]
+    if not belief.lead:
+        return by_component(names, belief.mean, belief.cov)
+
+    def moments(place: Place) -> tuple[Array, Array]:
+        found = belief[place]
+        return found.mean, found.cov
+
+    return stacked(names, belief.lead, belief.steps, moments)
+
+
+def figures(posterior: Any) -> Iterable[str]:
+    """The log-evidence with its kind, and the status, a line each."""
+    try:
+        found = np.asarray(posterior.log_evidence)
+        yield f"log-evidence {spread(found)} ({posterior.log_evidence_kind})"
+    except PgmError as error:
+        yield f"log-evidence: none, since {error}"
+    yield posterior.status._title
+
+
+def spread(values: Array, digits: int = 6) -> str:
+    """A number; of several runs their extent."""
+    if not values.ndim:
+        return number(float(values), digits)
+    if not values.size:
+        return "of no runs"
+    low, high = float(np.min(values)), float(np.max(values))
+    return number(low, digits) if low == high else f"{number(low, 4)} to {number(high, 4)}"
+
+
+def _ends(
+    beliefs: Any, variable: Variable, first: int, runs: tuple[int, ...], last: int, most: int
+) -> Listing:
+    """The first and last beliefs of a variable."""
+    steps = range(first, last + 1)
+    lead = (*runs, len(steps))
+    kept: dict[int, Any] = {}
+
+    def at(place: Place) -> Any:
+        step = steps[place[-1]]
+        if step not in kept:
+            kept[step] = beliefs[variable.at(step)]
+        return kept[step][place[:-1]] if runs and not isinstance(kept[step], Table) else kept[step]
+
+    if not isinstance(variable, Discrete):
+        heads = components((variable,))
+        if len(heads) > 1:
+            heads[0] = f"{variable.name}: {heads[0]}"
+
+        def moments(place: Place) -> tuple[Array, Array]:
+            found = at(place)
+            return found.mean, found.cov
+
+        return stacked(heads, lead, steps, moments, most)
+    rows: list[Sequence[str] | None] = []
+    names, where = whereabouts(lead, steps)
+    for place in places(lead, most):
+        row = None if place is None else [*where(place), states_of(at(place), place[:-1])]
+        rows.append(row)
+    return Listing([*names, repr(variable)], rows, names=len(names) + 1, cell=80)
+
+
+def _of_variable(variable: Variable, found: Any, picked: Sequence[Place]) -> list[list[str]]:
+    """The rows of a variable: one, or one a component."""
+    if isinstance(found, Table):
+        return [[repr(variable), *(states_of(found, place) for place in picked)]]
+    each = [
+        beside(
+            [float(found.mean[place][k]) for place in picked],
+            [float(found.std[place][k]) for place in picked],
+            alike=False,
+        )
+        for k in range(found.mean.shape[-1])
+    ]
+    names = components((variable,))
+    if len(names) > 1:
+        names = [f"{variable!r}.{name}" for name in names]
+    return [[name, *cells] for name, cells in zip(names, each, strict=True)]

@@ -1,0 +1,65 @@
+"""Poses over time, as files of trajectories hold them."""
+
+from __future__ import annotations
+
+from pgm.immutable import Immutable
+from pgm.io.stamped import clock
+from pgm.kernels import quaternions
+from pgm.kernels.arrays import Array, frozen
+
+
+class Poses(Immutable):
+    """Positions and orientations at moments in time, and how well they are known.
+
+    Attributes
+    ----------
+    times : ndarray
+        (n,), seconds, increasing.
+    position : ndarray
+        (n, 3): x, y, z, in metres.
+    orientation : ndarray
+        (n, 4): unit quaternions qx, qy, qz, qw, of the turn from the body to the world.
+    components : tuple of str
+        The components that `cov` is of, by name; empty without one.
+    cov : ndarray or None
+        (n, k, k), in units of the components; None where no file of covariances was read.
+    """
+
+    times: Array
+    position: Array
+    orientation: Array
+    components: tuple[str, ...]
+    cov: Array | None
+
+    def __init__(
+        self,
+        times: Array,
+        position: Array,
+        orientation: Array,
+        components: tuple[str, ...] = (),
+        cov: Array | None = None,
+    ) -> None:
+        self._set(
+            times=frozen(times),
+            position=frozen(position),
+            orientation=frozen(orientation),
+            components=components,
+            cov=None if cov is None else frozen(cov),
+        )
+
+    @property
+    def angles(self) -> Array:
+        """Roll, pitch and yaw, (n, 3), radians: the turn is R_z(yaw) R_y(pitch) R_x(roll)."""
+        return quaternions.angles(self.orientation)
+
+    @property
+    def planar(self) -> Array:
+        """East, north and heading, (n, 3): x, y and yaw, as they are seen from above."""
+        found = self.position.copy()
+        found[:, 2] = self.angles[:, 2]
+        return found
+
+    def __repr__(self) -> str:
+        known = f", covariances of {', '.join(self.components)}" if self.components else ""
+        first, last = clock(self.times[0]), clock(self.times[-1])
+        return f"Poses({len(self.times)} of them, {first} to {last}{known})"

@@ -1,0 +1,1 @@
+"""Pictures of beliefs: in the plane, over cells, and over time."""

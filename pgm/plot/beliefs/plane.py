@@ -1,0 +1,205 @@
+"""Beliefs in the plane: confidence ellipses, and the path that a belief takes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.cbook import normalize_kwargs
+from matplotlib.collections import EllipseCollection
+from matplotlib.colors import to_rgba
+
+from pgm.errors import ModelError
+from pgm.factors import Gaussian
+from pgm.factors.scope import labels
+from pgm.inference import Kind, ParticleBelief
+from pgm.plot.axes import equal_aspect, given_or_new, name_axes, plain, useful_legend
+from pgm.plot.beliefs.point_plane import as_landmarks
+from pgm.plot.colours import INK, next_colour
+from pgm.plot.components import as_gaussian, component_places, one_run, truth_columns
+
+# An ellipse smaller than this part of the picture is marked by a dot.
+_INVISIBLE = 1e-4
+# More ellipses than this along a path hide each other.
+_ELLIPSES = 25
+
+
+def ellipses(
+    gaussian: Gaussian | ParticleBelief,
+    *,
+    confidence: float = 0.95,
+    components: tuple[str, str] | None = None,
+    colour: str | None = None,
+    ax: Axes | None = None,
+    **style: Any,
+) -> Axes:
+    r"""Draw the confidence ellipse of each of a stack of Gaussians.
+
+    .. math:: \{x : (x-\mu)^\top P^{-1} (x-\mu) \le \chi^2_2(c)\}
+
+    A singular covariance is drawn as a line, a zero one as a point.
+
+    Parameters
+    ----------
+    gaussian : Gaussian or ParticleBelief
+        With any leading axes; of particles, the Gaussian of the same mean and covariance.
+    confidence : float
+        c, the probability of the region, in (0, 1).
+    components : pair of str, optional
+        Which components, by name; the first two without.
+    colour : str, optional
+        Of the outline, and faintly of the inside; the next of a colour-blind-safe palette without.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's without.
+    **style
+        Properties of `matplotlib.collections.EllipseCollection`, which win over the defaults.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ModelError
+        If `gaussian` is none, or lacks the components, or `confidence` is no probability.
+    """
+    gaussian = as_gaussian(gaussian)
+    found = gaussian.ellipse(confidence, components)
+    ax = given_or_new(ax)
+    colour = colour or next_colour(ax)
+    defaults: dict[str, Any] = {
+        "edgecolor": to_rgba(colour, 0.75),
+        "facecolor": to_rgba(colour, 0.1),
+        "linewidth": 0.9,
+    }
+    style = normalize_kwargs(style, EllipseCollection)
+    if "color" in style:
+        del defaults["edgecolor"], defaults["facecolor"]
+    centre, axes = found.centre.reshape(-1, 2), found.half_axes.reshape(-1, 2)
+    angle = found.orientation.reshape(-1)
+    collection = EllipseCollection(
+        2.0 * axes[:, 0],
+        2.0 * axes[:, 1],
+        np.degrees(angle),
+        units="xy",
+        offsets=centre,
+        offset_transform=ax.transData,
+        **(defaults | style),
+    )
+    ax.add_collection(collection, autolim=False)
+    # Matplotlib takes only the centres into its limits; these are the ellipses' own bounds.
+    cos, sin = np.cos(angle), np.sin(angle)
+    reach = np.stack(
+        [
+            np.hypot(axes[:, 0] * cos, axes[:, 1] * sin),
+            np.hypot(axes[:, 0] * sin, axes[:, 1] * cos),
+        ],
+        axis=-1,
+    )
+    bounds = np.concatenate([centre - reach, centre + reach])
+    ax.update_datalim(bounds)
+    span = np.ptp(bounds, axis=0).max() if bounds.size else 0.0
+    if (dots := axes[:, 0] <= _INVISIBLE * span).any():
+        shade = style.get("color", style.get("edgecolor", colour))
+        east, north = centre[dots].T
+        ax.scatter(east, north, s=7.0, color=shade, zorder=collection.get_zorder())
+    ax.autoscale_view()
+    pair = components or labels(gaussian.scope)[:2]
+    name_axes(ax, pair[0], pair[1])
+    return ax
+
+
+def trajectory(
+    belief: Gaussian | ParticleBelief,
+    *,
+    truth: npt.ArrayLike | None = None,
+    landmarks: npt.ArrayLike | None = None,
+    confidence: float = 0.95,
+    every: int | None = None,
+    components: tuple[str, str] | None = None,
+    label: str | Kind | None = None,
+    colour: str | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the path of a belief in the plane, with confidence ellipses.
+
+    Call it again with the same `ax` to compare beliefs: each takes the next colour.
+
+    Parameters
+    ----------
+    belief : Gaussian or ParticleBelief
+        Over steps, as ``posterior[x]``, or at one step, as ``posterior[x.at(3)]``; of one run. Of
+        particles, the Gaussian of the same mean and covariance.
+    truth : array_like, optional
+        (..., rows, k), columns in the order of the belief's components; leading axes are drawn
+        as further lines.
+    landmarks : array_like, optional
+        (L, 2), in the two components drawn.
+    confidence : float
+        Probability of an ellipse's inside.
+    every : int, optional
+        An ellipse at every so many steps; without, as many steps as leave at most 25 ellipses.
+    components : pair of str, optional
+        Which components are the plane's, by name; the first two without.
+    label : str or Kind, optional
+        In the legend, which is drawn where there are two things or more to tell apart.
+    colour : str, optional
+        The next of a colour-blind-safe palette without.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's without.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ModelError
+        If the belief has several runs or lacks the components, or an argument does not fit.
+
+    Examples
+    --------
+    >>> ax = trajectory(filtered[x], label=filtered.kind, truth=truth)  # doctest: +SKIP
+    >>> trajectory(smoothed[x], label=smoothed.kind, ax=ax)  # doctest: +SKIP
+    """
+    belief = one_run(belief)
+    if every is None:
+        every = max(1, math.ceil(len(belief.mean) / _ELLIPSES))
+    elif not isinstance(every, (int, np.integer)) or every < 1:
+        raise ModelError(f"every must be a number of steps, 1 or more, not {every!r}")
+    thinned = Gaussian._make(belief.scope, belief.mean[::every], belief.cov[::every])
+    pair = tuple(components or labels(belief.scope)[:2])
+    thinned.ellipse(confidence, components)  # refuses bad arguments before anything is drawn
+    places = component_places(belief, pair)
+    lines = None if truth is None else truth_columns(belief, truth, places)
+    marks = as_landmarks(landmarks)
+
+    ax = given_or_new(ax)
+    colour = colour or next_colour(ax)
+    if marks is not None:
+        ax.plot(*marks.T, "^", color=INK, markersize=6, zorder=1.5, label="landmarks")
+    if lines is not None:
+        lines = lines.reshape(-1, *lines.shape[-2:])
+        mark = "x" if lines.shape[1] == 1 else None
+        drawn = ax.plot(*lines.transpose(2, 1, 0), color=INK, lw=0.7, marker=mark, zorder=2.4)
+        if drawn:
+            drawn[0].set_label("truth")
+    ellipses(
+        thinned, confidence=confidence, components=components, colour=colour, ax=ax, zorder=1.8
+    )
+    ax.plot(
+        *belief.mean[:, places].T,
+        color=colour,
+        lw=1.8,
+        marker="o" if len(belief.mean) == 1 else None,
+        markersize=5,
+        zorder=2.3,
+        label=plain(f"estimate of {belief.scope[0]!r}") if label is None else str(label),
+    )
+    name_axes(ax, pair[0], pair[1])
+    equal_aspect(ax)
+    useful_legend(ax)
+    return ax

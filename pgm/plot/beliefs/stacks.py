@@ -1,0 +1,156 @@
+"""Beliefs over finitely many states through time: a row a step, one below the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+
+from pgm.errors import ModelError
+from pgm.factors import Table
+from pgm.inference import Kind
+from pgm.plot.axes import given_or_new, name_axes, plain, useful_legend
+from pgm.plot.beliefs.chances import as_index, chances, name_states
+from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.variables import Discrete
+
+# More rows than this are too low to be read.
+_ROWS = 16
+# The part of a row that the largest probability takes.
+_FULL = 0.86
+# A belief's drawing remembers by what its rows are scaled, for the next one on the same axes.
+_SCALE = "row of "
+
+
+def beliefs_over_time(
+    belief: Table,
+    *,
+    steps: Sequence[int] | None = None,
+    truth: npt.ArrayLike | None = None,
+    full: float | None = None,
+    filled: bool | None = None,
+    label: str | Kind | None = None,
+    colour: str | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw a belief over the states of a variable at each step, time going down.
+
+    All rows have one scale, which the label of the vertical axis tells. Call it again with the
+    same `ax` to compare beliefs: the first is filled, the next are outlines on its scale.
+
+    Parameters
+    ----------
+    belief : Table
+        Over one variable and steps, as ``posterior[x]``; of one run. Steps are counted from 0: a
+        hidden control, of steps 1..T, has its row k for step k + 1.
+    steps : sequence of int, optional
+        The steps to draw; all without, or as many as leave at most 16 rows.
+    truth : array_like, optional
+        (all steps,): the right state at each step, by name or number, marked by a line.
+    full : float, optional
+        The probability that fills a row; the largest of the belief without.
+    filled : bool, optional
+        Whether the belief is filled, or an outline; the first of the axes is filled without.
+    label : str or Kind, optional
+        In the legend, above the axes.
+    colour : str, optional
+        The next of a colour-blind-safe palette without.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's without.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ModelError
+        If the belief is over several variables or runs, or no steps, or an argument does not fit.
+    NumericalError
+        If a belief is all zero.
+
+    Examples
+    --------
+    >>> ax = beliefs_over_time(filtered[x], label=filtered.kind, truth=truth)  # doctest: +SKIP
+    >>> beliefs_over_time(smoothed[x], label=smoothed.kind, ax=ax)  # doctest: +SKIP
+    """
+    found = chances(belief, (1,), 1, "beliefs over one variable with one leading axis, of steps")
+    (variable,) = belief.scope
+    count = len(found)
+    chosen = _steps(steps, count)
+    right = None if truth is None else _truth(variable, truth, count)
+    if full is not None and not (np.isfinite(full) and full > 0.0):
+        raise ModelError(f"full must be a probability above 0, not {full!r}")
+
+    ax = given_or_new(ax)
+    before = [line for line in ax.lines if str(line.get_gid() or "").startswith(_SCALE)]
+    known = float(str(before[0].get_gid()).removeprefix(_SCALE)) if before else None
+    if known is not None and full is not None and full != known:
+        raise ModelError(
+            f"full is {full:g}, but rows of these axes are {known:g} high already; leave it out, "
+            "or give it with the first belief"
+        )
+    scale = float(known or full or found[chosen].max())
+    solid = not before if filled is None else filled
+    tint = colour or PALETTE[len({line.get_color() for line in before}) % len(PALETTE)]
+    edges = np.arange(variable.size + 1) - 0.5
+    for row, step in enumerate(chosen):
+        height = row - _FULL * found[step] / scale
+        if not before:
+            ax.axhline(row, color=MUTED, lw=0.5, zorder=1.0)
+        if solid:
+            top = np.append(height, height[-1])
+            ax.fill_between(
+                edges, row, top, step="post", color=to_rgba(tint, 0.3), lw=0, zorder=1.5
+            )
+        (line,) = ax.step(
+            np.concatenate([edges[:1], edges, edges[-1:]]),
+            np.concatenate([[row, row], height, [row]]),
+            where="pre",
+            color=tint,
+            lw=1.2,
+            zorder=2.0 if solid else 2.2,
+            gid=f"{_SCALE}{scale!r}",
+        )
+        if row == 0 and label is not None:
+            line.set_label(plain(str(label)))
+    if right is not None:
+        rows = np.arange(len(chosen))
+        ax.vlines(
+            right[chosen], rows - _FULL, rows, color=INK, lw=1.2, ls=":", zorder=2.4, label="truth"
+        )
+    ax.set_ylim(len(chosen) - 1 + 0.15, -1.0)
+    ax.set_xlim(edges[0], edges[-1])
+    ax.set_yticks(np.arange(len(chosen)), [str(step) for step in chosen])
+    name_states(ax, ax.xaxis, variable)
+    name_axes(ax, variable.name, f"step (rows are {scale / _FULL:.2g} high)")
+    useful_legend(ax, above=True)
+    return ax
+
+
+def _steps(steps: Sequence[int] | None, count: int) -> list[int]:
+    """The steps to draw, in the order they are given."""
+    if count == 0:
+        raise ModelError("beliefs over no steps; nothing is to draw")
+    if steps is None:
+        return list(range(0, count, max(1, math.ceil(count / _ROWS))))
+    array = np.asarray(steps)
+    if array.ndim != 1 or not array.size or array.dtype.kind not in "iu":
+        raise ModelError(f"steps must be a sequence of whole numbers, not {steps!r}")
+    if array.min() < 0 or array.max() >= count:
+        raise ModelError(f"steps are 0 to {count - 1}; found {steps!r}")
+    return [int(step) for step in array]
+
+
+def _truth(variable: Discrete, truth: npt.ArrayLike, count: int) -> npt.NDArray[np.int_]:
+    """The number of the right state at each step."""
+    array = np.asarray(truth)
+    if array.shape != (count,):
+        raise ModelError(
+            f"the truth has shape {array.shape}; ({count},) was due, a state at each step"
+        )
+    return np.array([as_index(variable, state) for state in array.tolist()])

@@ -1,0 +1,1 @@
+"""Diagrams: networks and cluster graphs, laid out in points, and written in DOT."""

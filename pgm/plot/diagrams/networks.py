@@ -1,0 +1,142 @@
+"""Networks: in layers, and where there is time, unrolled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import networkx as nx
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Ellipse
+from matplotlib.path import Path
+
+from pgm.errors import ModelError
+from pgm.kernels.arrays import Array
+from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
+from pgm.networks.static import density
+from pgm.plot.colours import INK, OBSERVED
+from pgm.plot.diagrams.canvas import Canvas, Size, open_canvas, room, slack, text_size
+from pgm.plot.diagrams.graphs import Network, directed, in_slices
+from pgm.plot.diagrams.labels import node_label
+from pgm.plot.diagrams.layered import layered
+from pgm.plot.diagrams.slices import sliced
+from pgm.variables import Variable
+
+Edge = tuple[Variable, Variable]
+
+_SMALLEST = 15.0
+_FILL = {True: OBSERVED, False: "white"}
+
+
+def network(
+    model: Network,
+    *,
+    steps: int | None = None,
+    evidence: Iterable[Variable] | None = None,
+    cpds: bool = False,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw a network: parents above their children, observed variables shaded.
+
+    A dynamic network is unrolled, with slices left to right; so is a static one whose variables
+    all stand at steps, like what unrolling gives. Any other static network stands in topological
+    layers, from top to bottom or, where that makes better use of the axes, from left to right.
+
+    Parameters
+    ----------
+    model : BayesianNetwork or DynamicBayesianNetwork
+    steps : int, optional
+        The last slice of a dynamic network drawn; 1 without, which is the whole pattern.
+    evidence : iterable or mapping of Variable, optional
+        What is observed beside the inputs, a template standing for all its steps. Without, the
+        sensors of a dynamic network, and nothing of a static one.
+    cpds : bool
+        Whether to write its density, like ``p(x[1] | x[0], u[1])``, below the name of each node
+        that has a CPD.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's, as large as it needs, without.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ModelError
+        If `model` is no network, or `steps` is no step.
+    EvidenceError
+        If the evidence names what is no variable of the network.
+    """
+    if not isinstance(model, BayesianNetwork | DynamicBayesianNetwork):
+        raise ModelError(
+            f"network draws a DynamicBayesianNetwork or BayesianNetwork, not {type(model).__name__}"
+        )
+    graph = directed(model, steps, evidence)
+    slices = isinstance(model, DynamicBayesianNetwork) or in_slices(graph)
+    texts = densities(model, graph) if cpds else {}
+    return draw_graph(graph, texts, ax, slices, _arrow)
+
+
+def draw_graph(
+    graph: nx.DiGraph,
+    below: dict[Variable, str],
+    ax: Axes | None,
+    slices: bool,
+    join: Callable[[Canvas, Edge, Array], None],
+    *,
+    fold: bool = True,
+) -> Axes:
+    """Draw circles, or ellipses as wide as their names and as the texts below some of these.
+
+    Parameters
+    ----------
+    graph : networkx.DiGraph
+        Nodes have the attribute ``observed``.
+    below : dict of Variable to str
+    ax : matplotlib.axes.Axes or None
+    slices : bool
+        Whether to place the nodes in slices, else in layers.
+    join : callable
+        Draws an edge along a curve (P, 2).
+    fold : bool
+        Whether layers that would run far to the right may be folded.
+    """
+    labels = {node: "\n".join(filter(None, (node_label(node), below.get(node)))) for node in graph}
+    texts = {node: text_size(label) for node, label in labels.items()}
+    if slices and not below:
+        # Circles of one size, the smallest about all names.
+        across = max(2.0 * _SMALLEST, *(float(np.hypot(*size)) + 6.0 for size in texts.values()))
+        sizes = dict.fromkeys(graph, Size(across, across))
+    else:
+        high = max(2.0 * _SMALLEST, *(1.3 * size.height + 6.0 for size in texts.values()))
+        sizes = {node: Size(max(high, _width(size, high)), high) for node, size in texts.items()}
+    page = room(ax)
+    layout = sliced(graph, sizes, page) if slices else layered(graph, sizes, page, fold=fold)
+    letters = slack(list(texts.values()), list(sizes.values()))
+    canvas = open_canvas(ax, layout.box(sizes), letters)
+    for node, at in layout.points.items():
+        canvas.shape(Ellipse(at, *sizes[node]), _FILL[graph.nodes[node]["observed"]], 1.0)
+        canvas.text(at, labels[node])
+    for edge, curve in layout.lines.items():
+        join(canvas, edge, curve)
+    for curve in layout.loose:
+        canvas.line(curve, colour=INK, width=0.9)
+    return canvas.ax
+
+
+def _arrow(canvas: Canvas, edge: Edge, curve: Array) -> None:
+    canvas.arrow(path=Path(curve))
+
+
+def _width(text: Size, height: float) -> float:
+    """The width of an ellipse of some height about a text."""
+    return text.width / float(np.sqrt(1.0 - (text.height / height) ** 2)) + 6.0
+
+
+def densities(
+    model: BayesianNetwork | DynamicBayesianNetwork, nodes: Iterable[Variable]
+) -> dict[Variable, str]:
+    """The density of each node that has a CPD."""
+    if isinstance(model, DynamicBayesianNetwork):
+        model = model.unroll(max(node.step or 0 for node in nodes))
+    return {cpd.child: density(cpd) for cpd in model.cpds}

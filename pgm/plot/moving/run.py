@@ -1,0 +1,204 @@
+"""The run of a filter and a smoother as a moving picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from pgm.boundary import as_tuple, is_whole
+from pgm.compile import BalancedGraph
+from pgm.errors import ModelError
+from pgm.factors import Gaussian
+from pgm.factors.scope import labels
+from pgm.inference import ChainPosterior, ParticlePosterior
+from pgm.inference.kind import SMOOTHED
+from pgm.kernels.arrays import Array
+from pgm.plot.beliefs.point_plane import as_landmarks
+from pgm.plot.components import as_gaussian, component_places, one_run, truth_columns
+from pgm.plot.moving.blitting import BlittedCanvas
+from pgm.plot.moving.chain import Chain
+from pgm.plot.moving.movies import movie_writer, write_movie
+from pgm.plot.moving.passes import frames
+from pgm.plot.moving.paths import FILTERED, REVISED, Paths
+from pgm.variables import Variable
+
+# How long the last picture of a pass stays [s].
+_PAUSE = 1.0
+# Left, bottom, width and height, of the figure: the plane, and the clusters below it.
+_PLANE, _STRIP = (0.1, 0.29, 0.88, 0.61), (0.01, 0.01, 0.98, 0.19)
+
+
+def animate(
+    posterior: ChainPosterior | ParticlePosterior,
+    path: str | PathLike[str],
+    *,
+    variable: Variable | None = None,
+    truth: npt.ArrayLike | None = None,
+    landmarks: npt.ArrayLike | None = None,
+    confidence: float = 0.95,
+    components: tuple[str, str] | None = None,
+    run: int | Sequence[int] | None = None,
+    clusters: int = 5,
+    every: int | None = None,
+    rate: float = 10.0,
+    figsize: tuple[float, float] = (8.0, 7.0),
+    dpi: int = 100,
+) -> Path:
+    """Write the run of a filter, or of a filter and a smoother, as a moving picture.
+
+    Above, the path of a state in the plane, with confidence ellipses; below, the cluster graph,
+    the cluster at work lit. The forward pass filters, and its messages flow to the right; after
+    smoothing the pass back revises the beliefs by messages to the left.
+
+    Parameters
+    ----------
+    posterior : ChainPosterior or ParticlePosterior
+        Of a dynamic network, as from `pgm.filter` or `pgm.smooth`. Of particles the ellipses are
+        those of the same mean and covariance.
+    path : path
+        Where to: a GIF, ``drive.gif``, or where the program ffmpeg is, ``drive.mp4``. It is
+        written whole or not at all.
+    variable : Variable, optional
+        The state that is drawn; the first of two components or more without.
+    truth : array_like, optional
+        (T+1, k), columns in the order of the state's components.
+    landmarks : array_like, optional
+        (L, 2), in the two components drawn.
+    confidence : float
+        Probability of an ellipse's inside.
+    components : pair of str, optional
+        Which components are the plane's, by name; the first two without.
+    run : int or sequence of int, optional
+        Which of several runs, an index for each leading axis.
+    clusters : int
+        The most clusters in the picture, which follows the one at work along a longer chain.
+    every : int, optional
+        Steps from a picture to the next; as many as leave at most 100 pictures a pass without.
+    rate : float
+        Pictures a second.
+    figsize : pair of float
+        Of a picture [inches].
+    dpi : int
+        Dots an inch.
+
+    Returns
+    -------
+    pathlib.Path
+        Of the file.
+
+    Raises
+    ------
+    ModelError
+        If it is no posterior of Gaussians or particles along a chain, or of several runs of which
+        none is chosen; if the file is of another kind, or an MP4 and there is no ffmpeg; or an
+        argument does not fit.
+
+    Examples
+    --------
+    >>> smoothed = pgm.smooth(model, evidence)  # doctest: +SKIP
+    >>> animate(smoothed, "drive.gif", truth=truth, landmarks=places)  # doctest: +SKIP
+    """
+    _check(posterior)
+    for value, name in ((clusters, "clusters"), (every, "every")):
+        if value is not None and (not is_whole(value) or value < 1):
+            raise ModelError(f"{name} is a whole number, 1 or more, not {value!r}")
+    state = _state(posterior, variable)
+    filtered, known = (_one(each[state], run) for each in (posterior.filtered, posterior))
+    pair = _pair(filtered, components, confidence)
+    places = component_places(filtered, pair)
+    line = None if truth is None else _truth(filtered, truth, places)
+    marks = as_landmarks(landmarks)
+    writer = movie_writer(path, rate)
+
+    graph, kind = posterior.graph, posterior.kind
+    pictures = frames(kind, graph.steps, every)
+    figure = Figure(figsize=figsize, dpi=dpi)
+    plane, below = figure.add_axes(_PLANE), figure.add_axes(_STRIP)
+    paths = Paths(plane, (filtered, known), kind, pair, line, marks, confidence)
+    chain = Chain(below, graph, clusters, (FILTERED, REVISED), kind == SMOOTHED)
+    title = plane.text(0.0, 1.075, "", transform=plane.transAxes, weight="bold")
+    BlittedCanvas(figure, [*paths.artists, *chain.artists, title])
+    pauses = max(1, round(_PAUSE * rate))
+    order = [
+        frame
+        for frame in pictures
+        for _ in range(pauses if frame.step == (0 if frame.back else graph.steps) else 1)
+    ]
+
+    def draw(k: int) -> None:
+        frame = order[k]
+        paths.show(frame)
+        chain.show(frame)
+        title.set_text(f"{'back' if frame.back else 'forward'}: step {frame.step} of {graph.steps}")
+
+    return write_movie(writer, path, figure, draw, len(order), dpi)
+
+
+def _check(posterior: Any) -> None:
+    if not isinstance(posterior, ChainPosterior | ParticlePosterior):
+        raise ModelError(
+            "animate draws the posterior of a dynamic network with Gaussian beliefs or particles, "
+            f"not a {type(posterior).__name__}; beliefs of cells, of grids or tables, are for "
+            "pgm.plot.animate_beliefs(posterior[x], path)"
+        )
+    if isinstance(posterior.graph, BalancedGraph):
+        raise ModelError(
+            "animate draws a chain, step after step, and this is a balanced tree, all of a level "
+            "of which sends at once; leave method=pgm.Balanced() out"
+        )
+
+
+def _state(posterior: ChainPosterior | ParticlePosterior, variable: Variable | None) -> Variable:
+    states = posterior.graph.layout.states
+    if variable is None:
+        found = next((each for each in states if each.dimension > 1), None)
+        if found is None:
+            raise ModelError(
+                f"a path is drawn of a state with two components or more; the states "
+                f"{list(states)} have one each: draw these with pgm.plot.errors"
+            )
+        return found
+    if variable not in states:
+        raise ModelError(f"variable={variable!r} is no state; the model has {list(states)}")
+    return variable
+
+
+def _one(belief: Any, run: int | Sequence[int] | None) -> Gaussian:
+    """The belief of one run."""
+    gaussian = as_gaussian(belief)
+    lead = gaussian.mean.shape[:-2]
+    if run is None:
+        if any(size != 1 for size in lead):
+            raise ModelError(
+                f"the posterior has the leading axes {lead}, of runs; choose one, as with run=0"
+            )
+        return one_run(gaussian)
+    index = (run,) if is_whole(run) else as_tuple(run) or ()
+    if len(index) != len(lead) or not all(
+        is_whole(k) and -size <= k < size for k, size in zip(index, lead, strict=False)
+    ):
+        raise ModelError(f"run={run!r} is none of the runs, whose axes are {lead}")
+    return one_run(gaussian.run(*index))
+
+
+def _pair(
+    belief: Gaussian, components: tuple[str, str] | None, confidence: float
+) -> tuple[str, str]:
+    belief.ellipse(confidence, components)  # refuses what does not fit
+    first, second = as_tuple(components) or labels(belief.scope)[:2]
+    return first, second
+
+
+def _truth(belief: Gaussian, truth: npt.ArrayLike, places: Sequence[int]) -> Array:
+    line = truth_columns(belief, truth, places)
+    if line.shape != (len(belief.mean), 2):
+        raise ModelError(
+            f"the truth is of the shape {line.shape[:-1]} and components; one run of "
+            f"{len(belief.mean)} steps was due"
+        )
+    return line

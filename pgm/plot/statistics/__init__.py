@@ -1,0 +1,1 @@
+"""Curves of statistics: errors, consistency, divergences, residuals."""

@@ -1,0 +1,118 @@
+"""The progress of a call that takes long: a bar on a terminal or in a notebook, or calls back.
+
+Loops say that their items may be `counted`. A call that was asked to report does so on the
+outermost loop that runs; else a loop is given its own items back, and costs nothing. The report is
+found by context, as NumPy's error state is, since it is no part of any result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache
+from typing import Any, TypeVar
+
+from pgm.errors import ModelError
+
+Progress = bool | Callable[[int, int], object]
+T = TypeVar("T")
+
+
+@contextmanager
+def reporting(progress: Progress) -> Iterator[None]:
+    """Report the progress of what is done within, as a user has asked for.
+
+    Parameters
+    ----------
+    progress : bool or callable
+        True for bars, ``progress(done, total)`` to call a function.
+
+    Raises
+    ------
+    ModelError
+        If it is neither.
+    """
+    if not isinstance(progress, bool) and (isinstance(progress, type) or not callable(progress)):
+        raise ModelError(
+            "progress= is True, for a bar, or a function that is called with the numbers done and "
+            f"in all, progress(done, total); found {progress!r}"
+        )
+    if progress is False:
+        yield
+        return
+    report = _Report(_bar if progress is True else _calls(progress))
+    token = _REPORT.set(report)
+    try:
+        yield
+    finally:
+        _REPORT.reset(token)
+        report.end()  # of a loop that an error has left
+
+
+def counted(items: Iterable[T], what: str, total: int | None = None) -> Iterable[T]:
+    """The items of a loop, counted where a call reports its progress and no loop around does.
+
+    Parameters
+    ----------
+    items : iterable
+        A sequence, or in all so many.
+    what : str
+        The loop, for the bar.
+    total : int, optional
+    """
+    report = _REPORT.get()
+    if report is None or report.busy:
+        return items
+    if total is None:
+        assert isinstance(items, Sequence)
+        total = len(items)
+    return report.each(items, what, total) if total > 1 else items
+
+
+# What a stage of work is told: how many are done, and that it is over.
+_Stage = tuple[Callable[[int], object], Callable[[], object]]
+
+
+class _Report:
+    """The report of a call, of one loop at a time."""
+
+    def __init__(self, begin: Callable[[str, int], _Stage]) -> None:
+        self.begin, self.busy = begin, False
+        self.end: Callable[[], object] = lambda: None
+
+    def each(self, items: Iterable[T], what: str, total: int) -> Iterator[T]:
+        self.busy = True
+        tell, self.end = self.begin(what, total)
+        try:
+            for done, item in enumerate(items, 1):
+                yield item
+                tell(done)
+        finally:
+            self.end()
+            self.busy = False
+
+
+_REPORT: ContextVar[_Report | None] = ContextVar("report", default=None)
+
+
+def _calls(function: Callable[[int, int], object]) -> Callable[[str, int], _Stage]:
+    def begin(what: str, total: int) -> _Stage:
+        function(0, total)
+        return lambda done: function(done, total), lambda: None
+
+    return begin
+
+
+def _bar(what: str, total: int) -> _Stage:
+    # None: on a terminal and in a notebook, but in no file and no pipe.
+    bar = _bars()(total=total, desc=what, disable=None)
+    return lambda done: bar.update(), bar.close
+
+
+@cache
+def _bars() -> Any:
+    from tqdm.auto import tqdm  # here, since only bars need it
+
+    # A thread that watches over slow loops would be forked into the workers of an executor.
+    return type("Bar", (tqdm,), {"monitor_interval": 0})

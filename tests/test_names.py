@@ -1,0 +1,108 @@
+"""The public names: in `dir`, in completion, to type checkers, and what importing them loads."""
+
+import re
+import rlcompleter
+import subprocess
+import sys
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+import pgm
+
+ROOT = Path(__file__).parents[1]
+LATER = ["comparison", "consistency", "maps", "plot", "compare", "read_bif", "write_xmlbif"]
+
+
+def test_dir_lists_what_is_public_and_nothing_else():
+    assert set(pgm.__all__) == {name for name in dir(pgm) if not name.startswith("__")}
+    assert set(LATER) <= set(pgm.__all__)
+    assert pgm.__all__ == sorted(pgm.__all__, key=lambda n: (not n.isupper(), n.islower(), n))
+
+
+@pytest.mark.parametrize("name", pgm.__all__)
+def test_every_name_is_there(name):
+    assert getattr(pgm, name) is not None
+
+
+@pytest.mark.parametrize(
+    ("begun", "completed"),
+    [
+        ("pgm.pl", "pgm.plot"),
+        ("pgm.consi", "pgm.consistency"),
+        ("pgm.ma", "pgm.maps"),
+        ("pgm.read_b", "pgm.read_bif("),
+        ("pgm.plot.traj", "pgm.plot.trajectory("),
+    ],
+)
+def test_completion_knows_what_is_loaded_later(begun, completed):
+    found = rlcompleter.Completer({"pgm": pgm}).complete(begun, 0)
+    assert found is not None
+    assert found.startswith(completed)
+
+
+def test_an_unknown_name():
+    with pytest.raises(AttributeError, match="module 'pgm' has no attribute 'plto'"):
+        pgm.plto  # noqa: B018  # the attribute is asked for, and that is all
+
+
+SCRIPT = """\
+import numpy as np
+import pgm
+
+x = pgm.Variable("x", components=("east", "north"))
+belief = pgm.Gaussian(x, mean=np.zeros((5, 2)), cov=1.0)
+ax = pgm.plot.trajectory(belief, confidence=0.9)
+pgm.plot.trajectory(belief, confidenze=0.9)
+pgm.consistency.anees(belief)
+pgm.maps.OccupancyMap(np.zeros((3, 3)), resolution="wide")
+pgm.compare(3, {})
+pgm.read_bif(3.0)
+pgm.plto
+"""
+
+
+def test_type_checkers_know_them(tmp_path, monkeypatch):
+    """Six deliberate errors are found, in their lines, and no others."""
+    api = pytest.importorskip("mypy.api")
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT, encoding="utf-8")
+    monkeypatch.setenv("MYPYPATH", str(ROOT))
+    monkeypatch.chdir(tmp_path)
+    told, failed, _ = api.run(["--follow-imports=silent", str(script)])
+    found = re.findall(r"script\.py:(\d+): error: (.*)", told)
+    assert [int(line) for line, _ in found] == [7, 8, 9, 10, 11, 12], told + failed
+    words = ["confidenze", "truth", "resolution", "compare", "read_bif", "plto"]
+    for (_, error), word in zip(found, words, strict=True):
+        assert word in error
+
+
+def test_the_package_says_that_it_is_typed():
+    assert resources.files("pgm").joinpath("py.typed").is_file()
+
+
+def loaded(program: str) -> set[str]:
+    """The modules that a program loads, whole names."""
+    code = f"{program}; import sys; print(*sys.modules)"
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return set(run.stdout.split())
+
+
+def test_importing_pgm_loads_nothing_that_is_slow_to_import():
+    slow = {"matplotlib", "networkx", "scipy", "pandas", "xarray", "tqdm", "IPython"}
+    slow |= {"typer", "rich", "yaml", "PIL", "defusedxml", "pgmpy", "gtsam", "concurrent.futures"}
+    slow |= {"multiprocessing", "experiments", "models", "pgm.plot", "pgm.maps", "pgm.comparison"}
+    assert not slow & loaded("import pgm")
+    assert not slow & loaded("import pgm; dir(pgm)")
+
+
+def test_what_is_asked_for_is_loaded():
+    assert {"matplotlib", "pgm.plot"} <= loaded("import pgm; pgm.plot")
+    assert "pgm.io.networks" in loaded("import pgm; pgm.read_bif")
