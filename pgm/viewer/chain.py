@@ -8,18 +8,20 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.inference import ChainPosterior
+from pgm.inference.chain.backward import Beliefs, Reverse, pairs
+from pgm.inference.chain.forward import Filtered, Forward
 from pgm.inference.chain.potentials import first_potential
 from pgm.inference.kind import FILTERED, SMOOTHED
-from pgm.kernels.arrays import Array, block, quiet
+from pgm.kernels.arrays import Array, Integers, block, cut, quiet
 from pgm.kernels.canonical import Canonical
+from pgm.kernels.moments import Conditional
 from pgm.viewer.limits import Limits, Run
-from pgm.viewer.numbers import SHOWN, Numbers, lower
+from pgm.viewer.numbers import EXACT, SHOWN, Numbers, lower
 from pgm.viewer.slices import head, sighted
 from pgm.viewer.words import number, went
 
-# Numbers of all runs together, up to which messages back and potentials are made for the page.
+# Entries of matrices of all runs together, up to which messages back and potentials are made.
 _MOST = 20_000_000
-_SINGULAR = "no canonical form: singular"
 
 
 @quiet()
@@ -27,61 +29,36 @@ def page(
     posterior: ChainPosterior, numbers: Numbers, runs: list[Run], span: range, limits: Limits
 ) -> dict[str, Any]:
     """The structure of the page, its numbers added to those given."""
-    graph, layout = posterior.graph, posterior.graph.layout
+    layout, plan = posterior.graph.layout, posterior._planned
+    found = head(posterior.graph, posterior.kind, span, layout.slice)
+    words = {"singular": "no canonical form: singular"}
+    if posterior.kind != SMOOTHED:
+        words["back"] = f"not sent: the posterior is {posterior.kind}; smoothing sends it"
     size = layout.state_size + layout.slice_size
-    found = head(graph, posterior.kind, span, layout.slice)
-    flat = [int(np.ravel_multi_index(run, posterior._planned.lead)) for run in runs]
-    forward, beliefs = posterior._forward, posterior._beliefs
-    fits = posterior._planned.runs * (graph.steps + 1) * size * size <= _MOST
-    whole = posterior._windows is None and posterior._careful is None
-    rest: Canonical | None = posterior._potentials if fits else None
-    first = first_potential(posterior._plan, forward) if fits else None
-    back = posterior._backward_messages if fits and posterior.kind == SMOOTHED else None
-    found["family"] = "gaussian"
-    found["words"] = _words(posterior, fits)
+    fits = plan.runs * (posterior.graph.steps + 1) * size * size <= _MOST
+    if not fits:
+        words["large"] = "left out: the batch is too large; keep fewer runs to see it"
+    # A cluster holds the states before its step.
+    held = np.arange(max(span[0] - 1, 0), span[-1] + 1)
+    found["steps"]["base"] = int(held[0])
     sensors = {
         s.family.cpd: (
             s.family.step,
             s.values if s.taken is None else np.where(s.taken, s.values, np.nan),
+            s.family.inputs,
         )
-        for s in posterior._planned.sensors
+        for s in plan.sensors
     }
-    weight = np.cumsum(forward.log_density, axis=0)
-    found["runs"] = []
-    held = range(max(span[0] - 1, 0), span[-1] + 1)  # a cluster holds the states before its step
-    rows = np.array(held)
-    found["steps"]["base"] = held[0]
-    for run, place in zip(runs, flat, strict=True):
-        own = {
-            "mean": beliefs.mean[rows, place],
-            "cov": lower(beliefs.cov[rows, place]),
-            "cross": _cross(posterior, rows, place, whole),
-            "weight": _known(posterior, rows, place),
-        }
-        states = layout.state_places
-        if posterior.kind != FILTERED or not whole:
-            own["there.mean"] = forward.mean[rows, place][:, states]
-            own["there.cov"] = lower(block(forward.cov[rows, place], states, states))
-        own["there.weight"] = weight[rows, place]
-        if back is not None:
-            own |= {
-                "back.K": lower(back[0][rows, place]),
-                "back.h": back[1][rows, place],
-                "back.g": back[2][rows, place],
-            }
-        refs = {name: numbers.add(array) for name, array in own.items()}
-        if rest is not None and first is not None:
-            at = rows[rows > 0] - 1
-            for name, part in zip("Khg", rest, strict=True):
-                values = part[at, place]
-                refs[f"own.{name}"] = numbers.add(lower(values) if name == "K" else values, SHOWN)
-            if not held[0]:
-                for name, part in zip("Khg", first, strict=True):
-                    values = part[None, place]
-                    refs[f"first.{name}"] = numbers.add(
-                        lower(values) if name == "K" else values, SHOWN
-                    )
-        found["runs"].append(
+    rows = []
+    for run in runs:
+        place = int(np.ravel_multi_index(run, plan.lead)) if run else 0
+        arrays = _moments(posterior, posterior._forward if fits else posterior._swept, held, place)
+        if fits:
+            arrays |= _pairs(posterior, held, place)
+        refs = {name: numbers.add(array) for name, array in arrays.items()}
+        if fits:
+            refs |= _information(posterior, numbers, held, place)
+        rows.append(
             {
                 "run": list(run),
                 "log_evidence": number(float(posterior._swept.log_density[:, place].sum())),
@@ -90,49 +67,81 @@ def page(
                 "sensors": sighted(numbers, sensors, span, place),
             }
         )
+    return found | {"family": "gaussian", "words": words, "runs": rows}
+
+
+def _moments(
+    posterior: ChainPosterior, forward: Forward | Filtered, rows: Integers, place: int
+) -> dict[str, Array]:
+    """Beliefs and forward messages of a run at some steps, a row a step.
+
+    From the moments the page makes canonical forms, with the log-evidence that each knows.
+    """
+    beliefs, windows = posterior._beliefs, posterior._windows
+    states, steps = posterior.graph.layout.state_places, posterior.graph.steps
+    passed = np.cumsum(forward.log_density[:, place])
+    known = passed if windows is None else windows.log_evidence[:, place]
+    found = {
+        "mean": beliefs.mean[rows, place],
+        "cov": lower(beliefs.cov[rows, place]),
+        "weight": known[[posterior.kind.last(int(step), steps) for step in rows]],
+        "there.weight": passed[rows],
+    }
+    if posterior.kind != FILTERED:
+        found["there.mean"] = forward.mean[rows, place][:, states]
+        found["there.cov"] = lower(block(forward.cov[rows, place], states, states))
     return found
 
 
-def _words(posterior: ChainPosterior, fits: bool) -> dict[str, str]:
-    """Why something is not there, by what it is."""
-    words = {"singular": _SINGULAR}
-    if not fits:
-        words["large"] = "left out: the batch is too large to make it for all runs"
-    if posterior.kind != SMOOTHED:
-        words["back"] = f"not sent: the posterior is {posterior.kind}; smoothing sends it"
-    return words
+def _pairs(posterior: ChainPosterior, rows: Integers, place: int) -> dict[str, Array]:
+    """The states before each step within its cluster's belief: moments, covariances with the slice.
 
-
-def _known(posterior: ChainPosterior, rows: Array, place: int) -> Array:
-    """The log-evidence that the belief of each step knows."""
-    total = np.cumsum(posterior._forward.log_density[:, place])
-    if posterior._windows is not None:
-        total = posterior._windows.log_evidence[:, place]
-    steps = posterior.graph.steps
-    found: Array = total[[posterior.kind.last(int(step), steps) for step in rows]]
-    return found
-
-
-def _cross(posterior: ChainPosterior, rows: Array, place: int, whole: bool) -> Array:
-    """The covariances of the states before each step with its slice, flat; NaN at step 0."""
+    Their moments are left out after smoothing, when they are those of the slice before. NaN at
+    step 0, and where joints were not kept.
+    """
     layout = posterior.graph.layout
     front, size = layout.state_size, layout.slice_size
-    found = np.full((len(rows), front, size), np.nan)
-    later = rows[rows > 0]
-    if not len(later):
-        return found
-    if whole or (posterior._windows is not None and posterior._windows.plain):
-        matrix = posterior._reverse.states.matrix[later - 1, place]
-        found[rows > 0] = matrix @ posterior._beliefs.cov[later, place]
-        return found
-    for row, step in enumerate(rows.tolist()):
-        if step:
+    mean = np.full((len(rows), front + size), np.nan)
+    cov = np.full((len(rows), front + size, front + size), np.nan)
+    later = rows > 0
+    windows = posterior._windows
+    if posterior._careful is None and (windows is None or windows.plain):
+        if later.any():
+            run = slice(place, place + 1)
+            beliefs = Beliefs(posterior._beliefs.mean[:, run], posterior._beliefs.cov[:, run])
+            states = Conditional(*(cut(part, run) for part in posterior._reverse.states))
+            own = slice(int(rows[later][0]) - 1, int(rows[-1]))
+            both = pairs(beliefs, Reverse(states, None), own)
+            mean[later], cov[later] = both.mean[:, 0], both.cov[:, 0]
+    else:
+        for row in np.flatnonzero(later).tolist():
             try:
-                joint = posterior.joint(*(v.at(step) for v in layout.pair))
+                joint = posterior.joint(*(v.at(int(rows[row])) for v in layout.pair))
             except NumericalError:
                 continue
-            found[row] = joint.cov.reshape(-1, front + size, front + size)[place, :front, front:]
+            mean[row] = joint.mean.reshape(-1, front + size)[place]
+            cov[row] = joint.cov.reshape(-1, front + size, front + size)[place]
+    found: dict[str, Array] = {"cross": cov[:, :front, front:]}
+    if posterior.kind != SMOOTHED:
+        found |= {"before.mean": mean[:, :front], "before.cov": lower(cov[:, :front, :front])}
     return found
 
 
-__all__ = ["page"]
+def _information(
+    posterior: ChainPosterior, numbers: Numbers, rows: Integers, place: int
+) -> dict[str, Any]:
+    """The messages back to some steps, and the potentials: K, h and g of a run, a row a step."""
+
+    def added(name: str, form: Canonical, which: Any, bits: int) -> dict[str, Any]:
+        K, h, g = (part[which, place] for part in form)
+        parts = {"K": lower(K), "h": h, "g": g}
+        return {f"{name}.{part}": numbers.add(array, bits) for part, array in parts.items()}
+
+    found = added("own", posterior._potentials, rows[rows > 0] - 1, SHOWN)
+    if not rows[0]:
+        first = first_potential(posterior._plan, posterior._forward)
+        K, h, g = (part[None] for part in first)
+        found |= added("first", (K, h, g), slice(None), SHOWN)
+    if posterior.kind == SMOOTHED:
+        found |= added("back", posterior._backward_messages, rows, EXACT)
+    return found

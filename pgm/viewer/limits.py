@@ -74,7 +74,7 @@ def chosen_runs(
 
 
 def _index(run: object) -> Run:
-    return (run,) if isinstance(run, int | np.integer) else tuple(as_tuple(run) or ("none",))  # type: ignore[return-value, arg-type]
+    return (run,) if isinstance(run, int | np.integer) else tuple(as_tuple(run) or ("none",))  # type: ignore[return-value]
 
 
 def chosen_steps(

@@ -11,7 +11,7 @@ from typing import Any
 from pgm.viewer.numbers import Numbers
 
 # In the order in which they build on one another.
-_SCRIPTS = (
+SCRIPTS = (
     "numbers",
     "algebra",
     "text",
@@ -21,6 +21,7 @@ _SCRIPTS = (
     "drawing",
     "pictures",
     "inspector",
+    "plot",
     "trajectory",
     "controls",
     "main",
@@ -41,7 +42,7 @@ def assembled(data: dict[str, Any], numbers: Numbers) -> str:
     str
     """
     folder = files("pgm.viewer")
-    modules = (folder.joinpath("script", f"{name}.js").read_text("utf-8") for name in _SCRIPTS)
+    modules = (folder.joinpath("script", f"{name}.js").read_text("utf-8") for name in SCRIPTS)
     script = '"use strict";\n(() => {\n' + "\n".join(modules) + "\n})();\n"
     style = folder.joinpath("viewer.css").read_text("utf-8")
     parts = {

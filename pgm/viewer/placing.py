@@ -1,4 +1,4 @@
-"""The places of clusters on the page: trees from their centre outwards, other graphs by distances."""
+"""The places of clusters on a page: trees from their centre on, other graphs by distances."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from pgm.kernels.arrays import Array
 # In pixels, at the size at which labels are read: what a letter, a cluster, a sepset take.
 _LETTER, _LEAST, _PADDING = 6.6, 44.0, 22.0
 HEIGHT, _PLATE, _ACROSS, _DOWN = 40.0, 20.0, 44.0, 22.0
+# What a screen has of width to height; rows stand up to so much further apart to fill it.
+_SHAPE, _STRETCH = 1.4, 2.6
 _ROUNDS = 80
 Edge = tuple[int, int]
 
 
 def place(
     clusters: Sequence[int], edges: Sequence[Edge], letters: Mapping[Any, int], graph: ClusterGraph
-) -> dict[str, list[float]]:
-    """Place clusters so that none lies on another.
+) -> dict[str, list[Any]]:
+    """Place clusters so that none lies on another, in about the shape of a screen.
 
     Parameters
     ----------
@@ -36,7 +38,7 @@ def place(
     Returns
     -------
     dict
-        x, y and width of each cluster, in pixels.
+        x, y and width of each cluster, in pixels; of trees the cluster towards the root.
     """
     width = {k: max(_LEAST, _PADDING + _LETTER * n) for k, n in letters.items()}
     neighbours: dict[int, list[int]] = {k: [] for k in clusters}
@@ -51,18 +53,24 @@ def place(
     count, part = connected_components(links, directed=False)
     members = [np.flatnonzero(part == k) for k in range(count)]
     boxes = []
+    towards: dict[int, int] = {}
     for rows in members:
-        nodes = [clusters[row] for row in rows]
+        nodes = [clusters[row] for row in rows.tolist()]
         joined = sum(len(neighbours[k]) for k in nodes) // 2
         if joined < len(nodes):
-            boxes.append(_tree(nodes, neighbours, width, graph))
+            boxes.append(_tree(nodes, neighbours, width, graph, towards))
         else:
             boxes.append(_by_distance(nodes, links[rows][:, rows], edges, width))
     at = np.zeros((len(clusters), 2))
     for rows, corner, box in zip(members, _packed(boxes), boxes, strict=True):
         at[rows] = box + corner
     wide = [width[k] for k in clusters]
-    return {"x": at[:, 0].round(1).tolist(), "y": at[:, 1].round(1).tolist(), "width": wide}
+    return {
+        "x": at[:, 0].round(1).tolist(),
+        "y": at[:, 1].round(1).tolist(),
+        "width": wide,
+        "towards": [towards.get(k) for k in clusters],
+    }
 
 
 def _tree(
@@ -70,6 +78,7 @@ def _tree(
     neighbours: Mapping[int, Sequence[int]],
     width: Mapping[Any, float],
     graph: ClusterGraph,
+    towards: dict[int, int],
 ) -> Array:
     """A tree from its root to the right, or from its centre to both sides, in columns."""
     balanced = isinstance(graph, BalancedGraph) and graph.root in nodes
@@ -98,7 +107,12 @@ def _tree(
         rows, depth = _rows({**children, root: first}, root)
         column = _columns(depth, parent, width)
         at |= {k: (side * column[depth[k]], row) for k, row in rows.items() if k != root}
-    return np.array([at[k] for k in nodes])
+    towards.update({k: parent[k] for k in sequence[1:]})
+    found = np.array([at[k] for k in nodes])
+    span = np.ptp(found, axis=0)
+    if span[1] > 0.0:  # wide trees have room between their rows
+        found[:, 1] *= np.clip(span[0] / _SHAPE / span[1], 1.0, _STRETCH)
+    return found
 
 
 def _centre(nodes: Sequence[int], neighbours: Mapping[int, Sequence[int]]) -> int:
@@ -247,7 +261,7 @@ def _apart(at: Array, width: Array) -> Array:
 
 def _packed(boxes: Sequence[Array]) -> list[Array]:
     """How far to move each part so that all stand in rows, the largest first."""
-    sizes = [np.ptp(box, axis=0) + (260.0, 110.0) for box in boxes]
+    sizes = [np.ptp(box, axis=0) + np.array([260.0, 110.0]) for box in boxes]
     widest = max(max(size[0] for size in sizes), 1.5 * np.sqrt(sum(s[0] * s[1] for s in sizes)))
     corners = [np.zeros(2)] * len(boxes)
     x = y = row = 0.0

@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from pgm.errors import EvidenceError, PgmError
-from pgm.factors import Gaussian, Table
+from pgm.errors import EvidenceError
+from pgm.factors import Gaussian
 from pgm.inference import GridPosterior, KeptPosterior, ParticlePosterior
+from pgm.kernels.arrays import Array
+from pgm.variables import Discrete, Variable
 from pgm.viewer.limits import Limits, Run
 from pgm.viewer.numbers import SHOWN, Numbers, lower
 from pgm.viewer.slices import head, readings, sighted
@@ -26,51 +28,57 @@ def page(
     posterior: Any, numbers: Numbers, runs: list[Run], span: range, limits: Limits
 ) -> dict[str, Any]:
     """The structure of the page, its numbers added to those given."""
-    graph = posterior.graph
-    beliefs = {}
+    graph, beliefs = posterior.graph, {}
     for variable in graph.layout.slice:
         try:
-            beliefs[variable] = posterior[variable]
+            belief = posterior[variable]
         except EvidenceError:  # of a hidden control, or of a variable that was not kept
             continue
+        if not isinstance(variable, Discrete):
+            beliefs[variable] = belief
     found = head(graph, posterior.kind, span, beliefs)
-    found["family"] = "moments"
-    found["words"] = {
-        "messages": next(why for kind, why in _WHY.items() if isinstance(posterior, kind))
-    }
     found["steps"]["base"] = span[0]
-    found["runs"] = []
     sensors = readings(_readings(posterior))
+    log_evidence = np.asarray(posterior.log_evidence)
+    rows = []
     for run in runs:
-        arrays, size = {}, sum(v.dimension for v in beliefs)
-        mean = np.full((graph.steps + 1, size), np.nan)
-        cov = np.full((graph.steps + 1, size, size), np.nan)
-        start = 0
-        for variable, belief in beliefs.items():
-            if isinstance(belief, Table):
-                continue
-            own = slice(start, start := start + variable.dimension)
-            first = graph.steps + 1 - belief.mean.shape[-2]
-            cov[first:] = np.where(np.isnan(cov[first:]), 0.0, cov[first:])
-            mean[first:, own], cov[first:, own, own] = belief.mean[run], belief.cov[run]
-        rows = np.array(span)
-        arrays["mean"], arrays["cov"] = numbers.add(mean[rows]), numbers.add(lower(cov[rows]))
-        draws = _drawn(beliefs, run, rows) if len(rows) * size * _DRAWS <= limits.numbers else None
+        place = int(np.ravel_multi_index(run, log_evidence.shape)) if run else 0
+        own = {v: _of_run(belief, v, posterior, run, span) for v, belief in beliefs.items()}
+        arrays = _moments(own, span)
+        draws = _drawn(own, span, limits)
         if draws is not None:
-            arrays["draws"] = numbers.add(draws, SHOWN)
-        lead = np.asarray(posterior.log_evidence).shape
-        found["runs"].append(
+            arrays["draws"] = draws
+        kept = isinstance(posterior, KeptPosterior)
+        rows.append(
             {
                 "run": list(run),
-                "log_evidence": number(float(np.asarray(posterior.log_evidence)[run])),
-                "went": went(posterior.status, int(np.ravel_multi_index(run, lead)) if run else 0)
-                if isinstance(posterior, KeptPosterior)
-                else None,
-                "arrays": arrays,
-                "sensors": sighted(numbers, sensors, span, 0),
+                "log_evidence": number(float(log_evidence[run])),
+                "went": went(posterior.status, place) if kept else None,
+                "arrays": {name: numbers.add(array, SHOWN) for name, array in arrays.items()},
+                "sensors": sighted(numbers, sensors, span, place),
             }
         )
-    return found
+    why = next(why for kind, why in _WHY.items() if isinstance(posterior, kind))
+    return found | {"family": "moments", "words": {"messages": why}, "runs": rows}
+
+
+def _of_run(belief: Any, variable: Variable, posterior: Any, run: Run, span: range) -> Any:
+    """A belief in one run at the steps shown; hidden controls begin at step 1."""
+    first = 0 if variable in posterior.graph.layout.states else 1
+    return belief[(*run, slice(max(span[0] - first, 0), span[-1] + 1 - first))]
+
+
+def _moments(beliefs: dict[Variable, Any], span: range) -> dict[str, Array]:
+    """The moments of all variables together, a row a step; NaN where one has none."""
+    size = sum(v.dimension for v in beliefs)
+    mean, cov = np.full((len(span), size), np.nan), np.zeros((len(span), size, size))
+    start = 0
+    for variable, belief in beliefs.items():
+        own = slice(start, start := start + variable.dimension)
+        late = len(span) - len(belief.mean)
+        cov[:late, own, own] = np.nan
+        mean[late:, own], cov[late:, own, own] = belief.mean, belief.cov
+    return {"mean": mean, "cov": lower(cov)}
 
 
 def _readings(posterior: Any) -> Any:
@@ -81,14 +89,12 @@ def _readings(posterior: Any) -> Any:
     return ()
 
 
-def _drawn(beliefs: dict[Any, Any], run: Run, rows: Any) -> Any:
-    """Draws of the first state at each step, (steps, draws * components); None of Gaussians."""
+def _drawn(beliefs: dict[Variable, Any], span: range, limits: Limits) -> Array | None:
+    """Draws of the first variable at each step, (steps, draws * components); None of Gaussians."""
     belief = next(iter(beliefs.values()), None)
-    if belief is None or isinstance(belief, Gaussian | Table):
+    if belief is None or isinstance(belief, Gaussian) or len(belief.mean) < len(span):
         return None
-    try:
-        draws = belief.sample(_DRAWS, rng=0)
-    except PgmError:
+    if belief.mean.size * _DRAWS > limits.numbers:
         return None
-    own = draws[(slice(None), *run)][:, rows]
-    return np.moveaxis(own, 0, 1).reshape(len(rows), -1)
+    draws: Array = belief.sample(_DRAWS, rng=0)
+    return np.moveaxis(draws, 0, 1).reshape(len(span), -1)

@@ -1,9 +1,9 @@
-"""The parts that the page of every chain has: its slices, its evidence, and how its schedule went."""
+"""The parts that the page of every chain has: its slices and its evidence."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -11,16 +11,9 @@ from pgm.compile import DynamicGraph
 from pgm.evidence import Reading
 from pgm.inference.kind import Kind
 from pgm.kernels.arrays import Array, Integers
+from pgm.variables import Variable
 from pgm.viewer.numbers import Numbers
 from pgm.viewer.words import cpd, variable
-from pgm.variables import Variable
-
-
-class Read(Protocol):
-    """The measurements of a sensor, sorted by step."""
-
-    step: Integers
-    values: Array
 
 
 def head(
@@ -40,42 +33,57 @@ def head(
 
 
 def sighted(
-    numbers: Numbers, sensors: Mapping[Any, tuple[Integers, Array]], span: range, run: int
+    numbers: Numbers,
+    sensors: Mapping[Any, tuple[Integers, Array, Mapping[Variable, Array]]],
+    span: range,
+    run: int,
 ) -> list[dict[str, Any]]:
     """The measurements of the steps shown in one run, by sensor.
 
     Parameters
     ----------
     numbers : Numbers
-    sensors : mapping of CPD to (ndarray, ndarray)
-        The step of each measurement, (M,) ascending, and its values, (M, runs or 1, d).
+    sensors : mapping of CPD to (ndarray, ndarray, mapping)
+        The step of each measurement, (M,) ascending, its values, (M, runs or 1, d), and those of
+        its observed parents.
     span : range
         The steps shown.
     run : int
     """
     found = []
-    for sensor, (step, values) in sensors.items():
+    for sensor, (step, values, inputs) in sensors.items():
         first, last = np.searchsorted(step, [span[0], span[-1] + 1])
         if first == last:
             continue
-        own = values[first:last, run if values.shape[1] > 1 else 0].astype(np.float64)
+
+        def own(rows: Array) -> Array:
+            """The rows of this run and these steps."""
+            return rows[first:last, run if rows.shape[1] > 1 else 0].astype(np.float64)  # noqa: B023 - called at once
+
         found.append(
             {
                 "cpd": cpd(sensor),
                 "child": variable(sensor.child),
                 "step": numbers.add(step[first:last, None].astype(np.float64)),
-                "values": numbers.add(own),
+                "values": numbers.add(own(values)),
+                "given": [
+                    {"components": list(v.components), "values": numbers.add(own(rows))}
+                    for v, rows in inputs.items()
+                    if v.dimension > 1
+                ],
             }
         )
     return found
 
 
-def readings(given: Iterable[Reading]) -> dict[Any, tuple[Integers, Array]]:
+def readings(
+    given: Iterable[Reading],
+) -> dict[Any, tuple[Integers, Array, Mapping[Variable, Array]]]:
     """The measurements of sensors as evidence holds them; missing components are NaN."""
     found = {}
     for each in given:
         values = each.values.astype(np.float64)
         if each.taken.shape[-1] == values.shape[-1]:
             values = np.where(each.taken, values, np.nan)
-        found[each.cpd] = each.step, values
+        found[each.cpd] = each.step, values, each.inputs
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -15,93 +16,113 @@ from pgm.viewer.numbers import Numbers
 from pgm.viewer.slices import head, readings, sighted
 from pgm.viewer.words import number, went
 
+# Entries of beliefs of all runs together, up to which messages back are made.
+_MOST = 20_000_000
+
 
 def page(
     posterior: StatePosterior, numbers: Numbers, runs: list[Run], span: range, limits: Limits
 ) -> dict[str, Any]:
     """The structure of the page, its numbers added to those given."""
-    graph, plan, chain = posterior.graph, posterior._plan, posterior._chain
-    found = head(graph, posterior.kind, span, plan.slice)
-    found["family"] = "table"
-    found["words"] = {}
-    found["steps"]["base"] = max(span[0] - 1, 0)
+    found = head(posterior.graph, posterior.kind, span, posterior._plan.slice)
+    words: dict[str, str] = {}
     if posterior.kind != SMOOTHED:
-        found["words"]["back"] = f"not sent: the posterior is {posterior.kind}; smoothing sends it"
+        words["back"] = f"not sent: the posterior is {posterior.kind}; smoothing sends it"
+    # A cluster holds the states before its step.
+    held = list(range(max(span[0] - 1, 0), span[-1] + 1))
+    chain = _Chain(posterior, held)
+    tables = chain.entries * len(held) <= limits.numbers and chain.entries <= limits.entries
+    if posterior.kind == SMOOTHED and not chain.back:
+        words["back"] = "left out: the batch is too large to make it for all runs"
+        tables = False
+    if not tables:
+        words["large"] = f"left out: {chain.entries:,} entries at each step are too many"
     sensors = readings(posterior._slices.bound.readings)
-    steps, states = (
-        list(range(max(span[0] - 1, 0), span[-1] + 1)),
-        int(np.prod([v.size for v in plan.states])),
-    )
-    width = int(np.prod(plan.shape))
-    room = len(steps) * states * width * (1 if posterior.kind in (FILTERED, SMOOTHED) else 2)
-    pairs = room <= limits.numbers and states * width <= limits.entries
-    if not pairs:
-        found["words"]["large"] = f"left out: {states * width:,} entries at each step are too many"
-    moved = [potential(chain, plan, step) for step in steps] if pairs else []
-    back = list(posterior.messages_back())[::-1] if posterior.kind == SMOOTHED else []
-    weight = np.cumsum(np.asarray(chain.log_density).reshape(graph.steps + 1, -1), axis=0)
-    found["runs"] = []
+    found["steps"]["base"] = held[0]
+    rows = []
     for run in runs:
         place = int(np.ravel_multi_index(run, posterior._lead)) if run else 0
-
-        def one(values: Array, axes: int) -> Array:
-            """The numbers of this run, flat."""
-            own = values[..., place] if values.ndim > axes else values  # noqa: B023 - called here
-            return np.asarray(own, dtype=np.float64).reshape(-1)
-
-        axes = len(plan.shape)
-        beliefs = [
-            chain.numbers(b) if posterior._beliefs is chain.known else b for b in posterior._beliefs
-        ]
-        there = [posterior._states(b) for b in posterior._filtered]
-        last = [posterior.kind.last(step, graph.steps) for step in steps]
-        own: dict[str, Any] = {
-            "belief": np.stack([_padded(one(beliefs[k], axes), width) for k in steps]),
-            "weight": weight[last, place],
-            "there": np.stack([one(there[k], len(plan.states)) for k in steps]),
-            "there.weight": weight[steps, place],
-        }
-        if back:
-            own["back"] = np.stack([one(back[k][0], len(plan.states)) for k in steps])
-            own["back.scale"] = np.array([float(np.reshape(back[k][1], -1)[place]) for k in steps])
-        if pairs:
-            linear = [
-                [chain.numbers(part) if part is not None else None for part in each[:2]]
-                for each in moved
-            ]
-            later = [k for k, step in enumerate(steps) if step]
-            ones = np.ones(width)
-            own["own.weights"] = np.stack(
-                [_padded(one(w, axes), width) if w is not None else ones for _, w in linear]
-            )
-            own["own.scale"] = np.array(
-                [
-                    float(np.broadcast_to(scale, max(weight.shape[1], 1))[place])
-                    for *_, scale in moved
-                ]
-            )
-            if later:
-                both = len(plan.states) + axes
-                own["own"] = np.stack([one(linear[k][0], both) for k in later])
-            if not steps[0]:
-                own["first"] = _padded(one(linear[0][0], axes), width)[None]
-            if posterior.kind not in (FILTERED, SMOOTHED) and later:
-                tables = [posterior.belief(steps[k]) for k in later]
-                own["pairs"] = np.stack([t.values[run].reshape(-1) for t in tables])
-        found["runs"].append(
+        arrays = chain.beliefs(place) | (chain.potentials(run, place) if tables else {})
+        rows.append(
             {
                 "run": list(run),
-                "log_evidence": number(float(weight[-1, place])),
+                "log_evidence": number(float(chain.weight[-1, place])),
                 "went": went(posterior.status, place),
-                "arrays": {name: numbers.add(array) for name, array in own.items()},
+                "arrays": {name: numbers.add(array) for name, array in arrays.items()},
                 "sensors": sighted(numbers, sensors, span, place),
             }
         )
-    return found
+    return found | {"family": "table", "words": words, "runs": rows}
 
 
-def _padded(values: Array, width: int) -> Array:
-    """A belief of step 0, where controls have one entry, at the length of the others."""
-    found = np.full(width, np.nan)
-    found[: values.size] = values
-    return found
+class _Chain:
+    """The numbers of a posterior at some steps, which are made once for all runs."""
+
+    def __init__(self, posterior: StatePosterior, steps: list[int]) -> None:
+        self.posterior, self.steps = posterior, steps
+        self.plan, self.chain = posterior._plan, posterior._chain
+        self.width = math.prod(self.plan.shape)
+        # Of the states before a step with its slice.
+        self.entries = math.prod(v.size for v in self.plan.states) * self.width
+        last = posterior.graph.steps
+        density = np.asarray(self.chain.log_density).reshape(last + 1, -1)
+        self.weight: Array = np.cumsum(density, axis=0)
+        fits = self.width * self.weight.size <= _MOST
+        back = posterior.messages_back() if posterior.kind == SMOOTHED and fits else ()
+        self.back = list(back)[::-1]
+
+    def _of(self, values: Array, axes: int, place: int, width: int = 0) -> Array:
+        """The numbers of a run, flat; at step 0, without controls, at the length of the others."""
+        own = values[..., place] if values.ndim > axes else values
+        found = np.full(max(own.size, width), np.nan)
+        found[: own.size] = own.reshape(-1)
+        return found
+
+    def beliefs(self, place: int) -> dict[str, Array]:
+        """Marginals and messages of a run, a row a step."""
+        posterior, steps = self.posterior, self.steps
+        axes, states = len(self.plan.shape), len(self.plan.states)
+        beliefs, filtered = posterior._beliefs, posterior._filtered
+        last = [posterior.kind.last(step, posterior.graph.steps) for step in steps]
+        found = {
+            "belief": np.stack([self._of(beliefs[k], axes, place, self.width) for k in steps]),
+            "weight": self.weight[last, place],
+            "there": np.stack(
+                [self._of(posterior._states(filtered[k]), states, place) for k in steps]
+            ),
+            "there.weight": self.weight[steps, place],
+        }
+        if self.back:
+            found["back"] = np.stack([self._of(self.back[k][0], states, place) for k in steps])
+            found["back.scale"] = np.array([np.reshape(self.back[k][1], -1)[place] for k in steps])
+        return found
+
+    def potentials(self, run: Run, place: int) -> dict[str, Array]:
+        """Transitions and weights of measurements of a run; beliefs, where others do not make them.
+
+        Transitions are the same at all steps, mostly, and then take no room.
+        """
+        chain, steps, kind = self.chain, self.steps, self.posterior.kind
+        axes, states = len(self.plan.shape), len(self.plan.states)
+        later = [step for step in steps if step]
+        moved, weights, scales = [], [], []
+        found = {}
+        for step in steps:
+            transition, own, scale = potential(chain, self.plan, step)
+            if step:
+                moved.append(self._of(chain.numbers(transition), states + axes, place))
+            else:
+                found["first"] = self._of(chain.numbers(transition), axes, place, self.width)[None]
+            # Weights have one entry for variables that the measurements do not depend on.
+            shape = self.plan.shape if step else self.plan.first_shape
+            likely = np.ones(shape) if own is None else chain.numbers(own)
+            likely = np.broadcast_to(likely, (*shape, *likely.shape[axes:]))
+            weights.append(self._of(likely, axes, place, self.width))
+            scales.append(np.broadcast_to(scale, self.weight.shape[1])[place])
+        found |= {"own.weights": np.stack(weights), "own.scale": np.array(scales)}
+        if later:
+            found["own"] = np.stack(moved)
+            if kind not in (FILTERED, SMOOTHED):
+                tables = (self.posterior.belief(step).values[run] for step in later)
+                found["pairs"] = np.stack([table.reshape(-1) for table in tables])
+        return found

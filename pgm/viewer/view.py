@@ -113,7 +113,8 @@ def _content(
     elif steps is not None:
         raise GraphError("steps=(first, last) cuts a chain; this graph has no steps: leave it out")
     else:
-        found = graph.page(posterior, numbers, runs, limits, {"kind": "graph"})
+        assert isinstance(posterior, Posterior)
+        found = graph.page(posterior, numbers, runs, limits)
         cut = found["cut"]
     found["notes"] = [note for note in (few, cut) if note]
     found["evidence"] = str(posterior.log_evidence_kind)

@@ -1,8 +1,7 @@
 """The backward sweep: Bayes' rule reverses every transition, then beliefs flow back.
 
-Messages in information form are for those who want to read them. Marginals and joints do not need
-them: they come from the reversed chain, which exists where these do not (a static state read
-exactly).
+Marginals and joints come from the reversed chain, which exists where messages in information form
+(`messages.py`) do not: of a static state read exactly.
 """
 
 from __future__ import annotations
@@ -13,26 +12,19 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from pgm.inference import sweep as loops
-from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.readings import stored
-from pgm.inference.chain.vector import stacks
-from pgm.kernels import canonical, conditionals, elements, moments, roots
+from pgm.kernels import conditionals, moments, roots
 from pgm.kernels.arrays import (
-    LOG_2PI,
     Array,
     Index,
     apply,
     block,
-    inner,
     room,
     sandwich,
     symmetric,
     transpose,
 )
-from pgm.kernels.canonical import Canonical
 from pgm.kernels.conditionals import Moments
-from pgm.kernels.elements import Element, Likelihood
 from pgm.kernels.moments import Conditional
 from pgm.kernels.scan import gather, in_chunks, levels, prefixes, take
 
@@ -197,6 +189,11 @@ def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
     return Conditional(gain, offset, symmetric(sandwich(rest, forward.cov)))
 
 
+def stepwise_is_faster(steps: int, runs: int) -> bool:
+    """Whether one step after another is faster than a scan."""
+    return runs >= _MANY_RUNS or steps < _FEW_STEPS
+
+
 @dataclass(frozen=True, eq=False)
 class Beliefs:
     """Moments of the slice at every step: (T+1, runs, n) and (T+1, runs, n, n)."""
@@ -207,8 +204,7 @@ class Beliefs:
 
 def smoothed(forward: Ahead, reverse: Reverse) -> Beliefs:
     """Smoothed moments of every slice: by a scan, or step by step where that is faster."""
-    steps, runs = forward.mean.shape[:2]
-    stepwise = runs >= _MANY_RUNS or steps < _FEW_STEPS
+    stepwise = stepwise_is_faster(*forward.mean.shape[:2])
     return sweep(forward, reverse) if stepwise else scan(forward, reverse)
 
 
@@ -281,136 +277,3 @@ def pairs(beliefs: Beliefs, reverse: Reverse, steps: slice | int) -> Beliefs:
             axis=-2,
         ),
     )
-
-
-def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
-    """The likelihood of the measurements after each step, as a function of the states at it.
-
-    Messages are carried about the filtered mean, so that large coordinates cost no digits, and
-    moved to the origin at the end: by a scan, or step by step where that is faster. NaN in runs
-    where the message does not exist.
-
-    Returns
-    -------
-    Canonical
-        (T+1, runs, ...).
-    """
-    states, size = plan.layout.state_places, plan.layout.state_size
-    message: Canonical = (
-        np.zeros((plan.runs, size, size)),
-        np.zeros((plan.runs, size)),
-        np.zeros(plan.runs),
-    )
-    found = None
-    if plan.steps >= _FEW_STEPS and plan.runs < _MANY_RUNS:
-        found = _scanned(plan, forward, message)
-    if found is None:
-        found = _stepwise(plan, forward, message)
-    return canonical.shift(*found, forward.mean[..., states])
-
-
-def _stepwise(plan: ChainPlan, forward: Forward, message: Canonical) -> Canonical:
-    messages = [message]
-    conditionals = transition(plan)
-    for later in range(plan.steps, 0, -1):
-        conditional, likelihood = absorbed(plan, forward, conditionals, later)
-        message = canonical.backward(*conditional, *message)
-        if likelihood is not None:
-            message = canonical.product(message, likelihood)
-        messages.append(message)
-    K, h, g = (np.stack(parts[::-1]) for parts in zip(*messages, strict=True))
-    return K, h, g
-
-
-def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | None:
-    """In 2 log₂ T rounds; None where a part of it does not exist, such as a root of a noise."""
-    segments = take(absorbed_at_once(plan, forward), slice(None, None, -1))
-    tree = levels(segments, lambda later, sooner: elements.compose(sooner, later))
-    start = Likelihood(*(part[None] for part in last))
-    found = prefixes(start, tree, _passed)
-    if not all(np.isfinite(part).all() for part in found):
-        return None
-    K, h, g = (np.concatenate([a, b])[::-1] for a, b in zip(start, found, strict=True))
-    return K, h, g
-
-
-def _passed(message: Likelihood, element: Element) -> Likelihood:
-    """A message from the right end of a segment to its left end."""
-    back = canonical.backward(*element[:3], *message)
-    return Likelihood(*(a + b for a, b in zip(back, element[3:], strict=True)))
-
-
-def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:
-    """`absorbed`, of the steps 1..T in batched calls: (T, runs, ...)."""
-    layout = plan.layout
-    select = np.eye(layout.slice_size)[layout.state_places]
-    matrix, _, noise = transition(plan)
-    size, shape = layout.state_size, (plan.steps, plan.runs)
-    matrix, noise = matrix.copy(), np.broadcast_to(noise, (*shape, *noise.shape[2:])).copy()
-    offset = np.zeros((*shape, layout.slice_size))
-    K, h, g = np.zeros((*shape, size, size)), np.zeros((*shape, size)), np.zeros(shape)
-    read = [sensor for sensor in plan.sensors if sensor.family.step.size]
-    for steps, *measured in stacks(plan, read, forward.predicted_mean):
-        later = steps > 0
-        rows = steps[later] - 1
-        if rows.size:
-            parts = (part[later] for part in measured)
-            keep, shift, left, likelihood = absorb_readings(matrix[rows], noise[rows], *parts)
-            matrix[rows], offset[rows], noise[rows] = keep, shift, left
-            K[rows], h[rows], g[rows] = likelihood
-    offset += forward.predicted_mean[1:] - forward.mean[1:]
-    return Element(select @ matrix, apply(select, offset), sandwich(select, noise), K, h, g)
-
-
-def absorbed(
-    plan: ChainPlan, forward: Forward, conditionals: Conditional, later: int
-) -> tuple[Conditional, Canonical | None]:
-    """The states at a step given those before it and the step's measurements, and what these say.
-
-    Both about the filtered means: of the states at the step, and of those before it, of which the
-    measurements' likelihood is a function.
-    """
-    layout = plan.layout
-    select = np.eye(layout.slice_size)[layout.state_places]
-    matrix, noise = conditionals.matrix[later - 1], conditionals.cov[later - 1]
-    predicted = forward.predicted_mean[later]
-    offset = np.zeros_like(predicted)
-    likelihood: Canonical | None = None
-    found = stored(plan, later, predicted)
-    if found is not None:
-        matrix, offset, noise, likelihood = absorb_readings(matrix, noise, *found)
-    shift = offset + predicted - forward.mean[later]
-    return Conditional(select @ matrix, apply(select, shift), sandwich(select, noise)), likelihood
-
-
-def absorb_readings(
-    matrix: Array,
-    noise: Array,
-    h_matrix: Array,
-    residual: Array,
-    reading_noise: Array,
-    missing: Array | None,
-) -> tuple[Array, Array, Array, Canonical]:
-    """Bring a step's measurements into its transition w = A x + q, both about predicted means.
-
-    Returns the conditional of w given x and the measurements, and their likelihood as a function of
-    x, through S = H Q Hᵀ + noise of the measurement, which has to be regular.
-    """
-    cross = h_matrix @ noise
-    lower = canonical.strict_root(cross @ transpose(h_matrix) + reading_noise)
-    gain = roots.gain(transpose(cross), lower)
-    reach = h_matrix @ matrix
-    white = roots.solve_lower(lower, reach)
-    white_residual = roots.solve_lower(lower, residual[..., None])
-    keep, absorbed = moments.joseph(noise, gain, h_matrix, reading_noise)
-    h = (transpose(white) @ white_residual)[..., 0]
-    white_residual = white_residual[..., 0]
-    g = -0.5 * (
-        inner(white_residual, white_residual)
-        + roots.log_determinant(lower)
-        + residual.shape[-1] * LOG_2PI
-    )
-    if missing is not None:
-        g = g + 0.5 * LOG_2PI * missing
-    likelihood = (transpose(white) @ white, h, g)
-    return keep @ matrix, apply(gain, residual), absorbed, likelihood

@@ -9,7 +9,8 @@ import numpy as np
 from pgm.clustergraph import Cluster
 from pgm.compile import BalancedGraph
 from pgm.factors import CanonicalForm
-from pgm.inference.chain.backward import absorbed, transition
+from pgm.inference.chain.backward import transition
+from pgm.inference.chain.messages import absorbed
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.kind import FILTERED, SMOOTHED
 from pgm.kernels import canonical

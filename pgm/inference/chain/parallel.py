@@ -14,9 +14,10 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.inference.chain import certificate, forward, newton
-from pgm.inference.chain.backward import Ahead, about, absorb_readings, between_slices
+from pgm.inference.chain.backward import Ahead, about, between_slices
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.likelihoods import Readings, know
+from pgm.inference.chain.messages import absorb_readings
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.vector import Stack

@@ -1,4 +1,4 @@
-"""The potentials of a chain's clusters: CPDs as they were linearised, with their evidence put in."""
+"""The potentials of a chain's clusters: CPDs as they were linearised, with their evidence."""
 
 from __future__ import annotations
 

@@ -279,10 +279,12 @@ class StatePosterior(Posterior):
         """
         chain, last = self._chain, self.graph.steps
         plain = chain.unit()
-        for step in range(last, -1, -1):
-            if step < last:
-                with np.errstate(invalid="ignore"):
-                    plain = chain.message(step, plain)
+        # Nothing is later than the last slice: one for each of its states, its controls apart.
+        runs = plain.shape[len(self._plan.shape) :]
+        yield np.ones((*sizes(self._plan.states), *runs)), np.zeros(runs)
+        for step in range(last - 1, -1, -1):
+            with np.errstate(invalid="ignore"):
+                plain = chain.message(step, plain)
             yield self._scaled_back(
                 step, partial(np.asarray, plain), partial(self._message_back, step)
             )

@@ -12,11 +12,11 @@ class ChainSource {
     this.hidden = data.variables;
     this.states = data.variables.filter((variable) => variable.state);
     this.run = 0;
-    const widest = Math.max(...[this.first, this.last].map((t) => this.label(t).length));
-    this.width = Math.max(72, 26 + 6.6 * widest);
-    const plate = listedNames(this.at(this.states, this.last).map((v) => v.name), 18).length;
-    this.plate = 14 + 6.2 * plate;
-    this.across = this.width + this.plate + 44;
+    const some = [this.first, Math.min(this.first + 1, this.last), this.last];
+    this.width = Math.max(72, 24 + Math.max(...some.map((step) => measured(this.label(step)))));
+    const names = this.at(this.states, this.last).map((v) => v.name);
+    this.plate = 16 + measured(listedNames(names, 18), 11);
+    this.across = this.width + this.plate + 32;
   }
 
   set run(run) {
@@ -30,6 +30,7 @@ class ChainSource {
       ...sensor,
       step: new Rows(this.numbers, sensor.step).column(0),
       values: new Rows(this.numbers, sensor.values),
+      given: sensor.given.map((parent) => ({ ...parent, rows: new Rows(this.numbers, parent.values) })),
     }));
   }
 
@@ -49,7 +50,7 @@ class ChainSource {
   }
 
   label(step) {
-    return listedNames(this.scope(step).map((variable) => variable.name), 22);
+    return listedNames(this.scope(step).map((variable) => variable.name), 28);
   }
 
   node(id) {
@@ -150,19 +151,21 @@ class ChainSource {
       return gaussian(kept, { moments, why: "moments alone: this belief is no Gaussian in canonical form" });
     }
     let moments;
+    if (step > 0 && !this.arrays.cross) {
+      return gaussian(this.at(this.hidden, step), { moments: own, why: this.data.words.large });
+    }
     if (step === 0) {
       moments = { mean: pick(own.mean, columns), cov: submatrix(own.cov, n, columns) };
     } else {
-      const before = this.slice(step - 1);
+      const before = this.before(step, columns);
       const cross = this.arrays.cross.row(step - this.base);
       const front = columns.length;
       const size = front + n;
       const mean = new Float64Array(size);
       const cov = new Float64Array(size * size);
-      const first = submatrix(before.cov, n, columns);
       for (let i = 0; i < front; i++) {
-        mean[i] = before.mean[columns[i]];
-        for (let j = 0; j < front; j++) cov[i * size + j] = first[i * front + j];
+        mean[i] = before.mean[i];
+        for (let j = 0; j < front; j++) cov[i * size + j] = before.cov[i * front + j];
         for (let j = 0; j < n; j++) {
           cov[i * size + front + j] = cov[(front + j) * size + i] = cross[i * n + j];
         }
@@ -175,6 +178,16 @@ class ChainSource {
     }
     const canonical = canonicalOf(moments.mean, moments.cov, this.arrays.weight.at(step - this.base, 0));
     return gaussian(this.scope(step), { moments, canonical, why: canonical ? null : this.data.words.singular });
+  }
+
+  // The states before a step as its cluster's belief knows them: after smoothing as the one before.
+  before(step, columns) {
+    if (this.arrays["before.mean"]) {
+      const mean = this.arrays["before.mean"].row(step - this.base);
+      return { mean, cov: fromLower(this.arrays["before.cov"].row(step - this.base), mean.length) };
+    }
+    const own = this.slice(step - 1);
+    return { mean: pick(own.mean, columns), cov: submatrix(own.cov, own.mean.length, columns) };
   }
 
   potential(step) {

@@ -2,6 +2,14 @@
 
 const NEAR = 0.55;
 const MID = 0.28;
+// Names of the lines in which messages are drawn; more than these share the last.
+const LINES = ["first", "second", "third", "fourth"];
+
+// On a chain the way of a message tells its line, else the order of its sender.
+function lineOf(source, sender, receiver) {
+  if (source instanceof ChainSource) return Number(sender > receiver);
+  return Math.min(source.senders(receiver).indexOf(sender), LINES.length - 1);
+}
 
 class Drawing {
   constructor(svgElement, source, { curved, choose }) {
@@ -37,10 +45,10 @@ class Drawing {
   fit() {
     const { width, height } = this.size;
     const box = this.source.bounds();
-    const across = box.right - box.left + 48;
-    const down = box.bottom - box.top + 40;
-    let zoom = Math.min(width / across, height / down, 1.15);
-    if (this.source instanceof ChainSource) zoom = Math.min(Math.max(zoom, 0.85), height / down);
+    const across = box.right - box.left;
+    const down = box.bottom - box.top;
+    let zoom = Math.min((width - 56) / across, (height - 48) / down, 1.15);
+    if (this.source instanceof ChainSource) zoom = Math.max(zoom, 0.92);
     this.least = Math.min(zoom, this.source instanceof ChainSource ? width / (60 * this.source.across) : zoom) * 0.8;
     this.view = { zoom, x: 0.5 * (box.left + box.right), y: 0.5 * (box.top + box.bottom) };
     this.fitted = true;
@@ -56,12 +64,23 @@ class Drawing {
     this.render();
   }
 
+  // Near enough to read labels.
+  approach(id) {
+    if (this.view.zoom < NEAR) {
+      this.view.zoom = 0.85;
+      this.centre(id);
+    }
+  }
+
   // Move the view so that a cluster is well inside.
   reveal(id) {
     const node = this.source.node(id);
     if (!node || !this.fitted) return;
-    const box = this.box(-0.5 * node.width - 30);
-    if (node.x < box.left || node.x > box.right || node.y < box.top || node.y > box.bottom) this.centre(id);
+    const box = this.box();
+    const beside = 0.5 * node.width + 30;
+    const above = this.source instanceof ChainSource ? 0 : this.source.height;
+    if (node.x < box.left + beside || node.x > box.right - beside
+      || node.y < box.top + above || node.y > box.bottom - above) this.centre(id);
   }
 
   zoomBy(factor, at = null) {
@@ -131,8 +150,19 @@ class Drawing {
     });
   }
 
+  // Chains stay in the middle, and leave no room empty before or after them.
+  clamp() {
+    if (!(this.source instanceof ChainSource)) return;
+    const box = this.source.bounds();
+    const half = 0.5 * this.size.width / this.view.zoom - 24;
+    const [low, high] = [box.left + half, box.right - half];
+    this.view.x = low > high ? 0.5 * (box.left + box.right) : Math.min(Math.max(this.view.x, low), high);
+    this.view.y = 0.5 * (box.top + box.bottom);
+  }
+
   render() {
     if (!this.fitted) return;
+    this.clamp();
     const { width, height } = this.size;
     const { x, y, zoom } = this.view;
     const shift = `translate(${0.5 * width - x * zoom} ${0.5 * height - y * zoom}) scale(${zoom})`;
@@ -192,7 +222,7 @@ class Drawing {
     const a = this.source.node(i);
     const b = this.source.node(j);
     const route = this.route(a, b);
-    const wide = Math.max(24, 12 + 6.2 * edge.label.length);
+    const wide = Math.max(24, 14 + measured(edge.label, 11));
     const group = svg("g", {
       class: "edge", "data-edge": edge.id, role: "button",
       "aria-label": `messages between clusters ${i} and ${j}, over ${edge.label}`,
@@ -216,7 +246,12 @@ class Drawing {
     if (this.curved && end > start) {
       const middle = 0.5 * (start + end);
       const path = `M${start} ${left.y}C${middle} ${left.y} ${middle} ${right.y} ${end} ${right.y}`;
-      return { path, x: middle, y: 0.5 * (left.y + right.y), angle: turned };
+      // In trees nearer to the child, where curves have parted.
+      const t = right.towards === left.id ? 0.7 : left.towards === right.id ? 0.3 : 0.5;
+      const [p, q, r, s] = [(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t ** 3];
+      return {
+        path, x: (p * start) + (q + r) * middle + s * end, y: (p + q) * left.y + (r + s) * right.y, angle: turned,
+      };
     }
     // Between the borders of the two shapes.
     const dx = b.x - a.x;
@@ -237,6 +272,11 @@ class Drawing {
     group.classList.toggle("to", j === id);
     group.classList.toggle("from", i === id);
     const value = this.residuals ? this.residuals[edge.place] : null;
+    // Arrows of what is selected have the lines of their messages in the panel.
+    const [there, back] = group.querySelectorAll(".arrow");
+    const line = (sender, receiver) => (receiver === id ? LINES[lineOf(this.source, sender, id)] : null);
+    there.setAttribute("class", `arrow there ${line(i, j) ?? "first"}`);
+    back.setAttribute("class", `arrow back ${line(j, i) ?? "second"}`);
     const wire = group.querySelector(".wire");
     wire.style.stroke = value === null ? "" : residualColour(value);
     wire.style.strokeWidth = value === null ? "" : String(1.5 + 4 * residualShare(value));
@@ -297,6 +337,9 @@ function arrow(name, angle, aside) {
 // Residuals from 1e-8 to 1 on a scale of decades, from blue over grey to yellow (cividis).
 const DECADES = 8;
 const CIVIDIS = [[0, 52, 110], [62, 76, 109], [107, 108, 115], [146, 141, 118], [196, 178, 99], [253, 231, 55]];
+// On a dark page its dark end is lighter.
+const ON_DARK = [[58, 108, 182], [92, 118, 160], [124, 132, 146], [156, 153, 126], [204, 186, 98], [253, 231, 55]];
+const dark = window.matchMedia("(prefers-color-scheme: dark)");
 
 function residualShare(value) {
   if (!(value > 0)) return 0;
@@ -304,8 +347,9 @@ function residualShare(value) {
 }
 
 function residualColour(value) {
-  const at = residualShare(value) * (CIVIDIS.length - 1);
-  const k = Math.min(Math.floor(at), CIVIDIS.length - 2);
-  const mixed = CIVIDIS[k].map((low, c) => Math.round(low + (at - k) * (CIVIDIS[k + 1][c] - low)));
+  const scale = dark.matches ? ON_DARK : CIVIDIS;
+  const at = residualShare(value) * (scale.length - 1);
+  const k = Math.min(Math.floor(at), scale.length - 2);
+  const mixed = scale[k].map((low, c) => Math.round(low + (at - k) * (scale[k + 1][c] - low)));
   return `rgb(${mixed.join(",")})`;
 }

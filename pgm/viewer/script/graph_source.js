@@ -18,8 +18,9 @@ class GraphSource {
         x: data.places.x[k],
         y: data.places.y[k],
         width: data.places.width[k],
+        towards: data.places.towards[k],
         names,
-        label: listedNames(names),
+        label: fittedNames(names, data.places.width[k] - 14),
         neighbours: [],
       });
     });
@@ -28,7 +29,7 @@ class GraphSource {
       this.clusters.get(i).neighbours.push(j);
       this.clusters.get(j).neighbours.push(i);
       const names = edge.scope.map((v) => data.variables[v].name);
-      return { ...edge, place: k, id: `${i}-${j}`, names, label: listedNames(names) };
+      return { ...edge, place: k, id: `${i}-${j}`, names, label: fittedNames(names, 150, 11) };
     });
     this.byEnds = new Map(this.edges.map((edge) => [edge.id, edge]));
     for (const cluster of this.clusters.values()) cluster.neighbours.sort((a, b) => a - b);

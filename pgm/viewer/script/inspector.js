@@ -1,7 +1,5 @@
 // The panel of what is selected: a cluster's belief, potential and messages, or an edge's two.
 
-// Names of the lines in which messages are drawn; more than these share the last.
-const LINES = ["first", "second", "third", "fourth"];
 const MOST_ROWS = 64;
 const MOST_COLUMNS = 40;
 
@@ -28,11 +26,9 @@ class Inspector {
     const about = source.about(id);
     const senders = source.senders(id);
     const entries = [{ role: "belief", title: "belief", key: "belief", factor: source.belief(id) }];
-    // On a chain the way of a message tells its line, as on its edges.
-    senders.forEach((k, at) => {
-      const line = source instanceof ChainSource ? Number(k > id) : Math.min(at, LINES.length - 1);
+    senders.forEach((k) => {
       entries.push({
-        role: LINES[line], title: `message ${k} → ${id}`, key: `message-${k}-${id}`, factor: source.message(k, id), from: k,
+        role: LINES[lineOf(source, k, id)], title: `message ${k} → ${id}`, key: `message-${k}-${id}`, factor: source.message(k, id), from: k,
       });
     });
     entries.push({ role: "potential", title: "potential", key: "potential", factor: source.potential(id) });
@@ -85,7 +81,7 @@ class Inspector {
       const names = variables.map((variable) => variable.name);
       const fallback = this.source instanceof ChainSource ? names.length - 1 : 0;
       this.choice(box, [{ names, label: "variable", fallback, key: "state" }], ([name]) => (
-        [this.legend(tables), bars(tables, name, variables[names.indexOf(name)].states)]));
+        [this.legend(entries, having(tables, name)), bars(tables, name, variables[names.indexOf(name)].states)]));
       return box;
     }
     const drawn = entries.filter(({ factor }) => factor.type === "gaussian" && factor.moments);
@@ -136,8 +132,11 @@ class Inspector {
   legend(entries, parts = null) {
     const drawn = parts && new Set(parts.map((each) => each.role));
     const items = entries.map(({ role, title, factor }) => {
-      const missing = factor.type === "none" || (factor.type === "gaussian" && !factor.moments) || (drawn && !drawn.has(role));
-      return el("li", { class: missing ? "missing" : "" }, sample(role), title.replace(/^belief of the sepset.*/, "product"), missing && factor.type !== "none" ? el("span", { class: "aside" }, " no moments") : null);
+      const flat = factor.type === "gaussian" && !factor.moments;
+      const missing = factor.type === "none" || flat || (drawn && !drawn.has(role));
+      const name = title.replace(/^belief of the sepset.*/, "product");
+      const why = flat ? el("span", { class: "aside" }, "no moments") : null;
+      return el("li", { class: missing ? "missing" : "" }, sample(role), name, why);
     });
     return el("ul", { class: "legend" }, ...items);
   }
@@ -148,7 +147,7 @@ class Inspector {
     details.addEventListener("toggle", () => {
       if (!wide) this.open[kind] = details.open;
     });
-    details.append(el("summary", {}, sample(role), el("span", {}, title)));
+    details.append(el("summary", {}, sample(role), el("span", {}, title[0].toUpperCase() + title.slice(1))));
     details.append(...numbersOf(factor));
     if (from !== undefined && this.source.node(from)) details.append(el("p", { class: "ends" }, this.link(from)));
     return details;
@@ -221,23 +220,37 @@ function matrix(labels, values, part) {
   return found;
 }
 
+// The factors over some variable.
+const having = (entries, name) => entries.filter(({ factor }) => factor.variables.some((v) => v.name === name));
+
 function tableNumbers(factor) {
   const sparse = factor.type === "largest";
-  const total = sparse ? null : sum(factor.values);
+  const total = sparse ? 0 : sum(factor.values);
   const order = Array.from(factor.values.keys());
   if (!sparse && order.length > MOST_ROWS) order.sort((a, b) => factor.values[b] - factor.values[a]);
   const kept = order.slice(0, MOST_ROWS);
   const texts = aligned(kept.map((k) => factor.values[k]));
-  const rows = kept.map((k, row) => {
+  // Behind many variables numbers would be out of sight.
+  const row = (states, numbers) => (factor.variables.length > 5 ? [...numbers, ...states] : [...states, ...numbers]);
+  const rows = kept.map((k, at) => {
     const entry = sparse ? factor.places[k] : k;
-    const share = total > 0 ? factor.values[k] / total : NaN;
-    return el("tr", { "data-entry": entry }, ...statesAt(factor.variables, entry).map((state) => el("th", { scope: "row" }, clipped(state, 24))),
-      cell(factor.values[k], texts[row]), sparse ? null : el("td", { class: "number" }, Number.isNaN(share) ? "—" : `${(100 * share).toFixed(2)} %`));
+    const states = statesAt(factor.variables, entry).map((state) => (
+      el("th", { scope: "row", title: state }, clipped(state, 24))));
+    const numbers = [cell(factor.values[k], texts[at])];
+    if (!sparse) {
+      const share = total > 0 ? `${((100 * factor.values[k]) / total).toFixed(2)} %` : "—";
+      numbers.push(el("td", { class: "number" }, share));
+    }
+    return el("tr", { "data-entry": entry }, ...row(states, numbers));
   });
-  const head = el("tr", {}, ...factor.variables.map((variable) => el("th", { scope: "col" }, clipped(variable.name, 20))), el("th", { scope: "col", class: "number" }, "value"), sparse ? null : el("th", { scope: "col", class: "number" }, "share"));
-  const found = [wrapped(el("table", { "data-part": "values", class: "states" }, el("thead", {}, head), el("tbody", {}, ...rows)))];
-  if (!sparse && order.length > MOST_ROWS) found.push(el("p", { class: "aside" }, `the ${MOST_ROWS} largest of ${thousands(order.length)} entries`));
-  if (factor.why) found.push(el("p", { class: "aside" }, factor.why));
-  found.push(el("p", { class: "aside scale", "data-part": "scale", "data-value": factor.scale }, "values times exp(", el("span", { class: "number" }, shown(factor.scale)), ")"));
+  const names = factor.variables.map(({ name }) => el("th", { scope: "col", title: name }, clipped(name, 20)));
+  const columns = (sparse ? ["value"] : ["value", "share"]).map((name) => el("th", { scope: "col", class: "number" }, name));
+  const found = [wrapped(el("table", { "data-part": "values", class: "states" },
+    el("thead", {}, el("tr", {}, ...row(names, columns))), el("tbody", {}, ...rows)))];
+  const aside = (...content) => found.push(el("p", { class: "aside" }, ...content));
+  if (!sparse && order.length > MOST_ROWS) aside(`the ${MOST_ROWS} largest of ${thousands(order.length)} entries`);
+  if (factor.why) aside(factor.why);
+  found.push(el("p", { class: "aside", "data-part": "scale", "data-value": factor.scale },
+    "values times exp(", el("span", { class: "number" }, shown(factor.scale)), ")"));
   return found;
 }

@@ -15,9 +15,9 @@ async function started() {
   const count = chain ? data.steps.end + 1 : data.clusters.length;
   const facts = () => {
     const { log_evidence: evidence } = data.runs[source.run];
-    const edges = chain ? [] : [el("span", {}, `${thousands(data.edges.length)} edges`)];
+    const edges = chain ? [] : [el("span", {}, counted(data.edges.length, "edge"))];
     at("facts").replaceChildren(
-      el("span", {}, `${thousands(count)} clusters`), ...edges,
+      el("span", {}, counted(count, "cluster")), ...edges,
       el("span", {}, "ln p(evidence) ", el("span", { class: "number" }, shown(evidence)), ` ${data.evidence}`));
   };
   at("notes").replaceChildren(...data.notes.map((note) => el("p", {}, note)));
@@ -28,6 +28,9 @@ async function started() {
   const drawing = new Drawing(at("graph"), source, {
     curved: chain || data.graph !== "cluster graph with loops", choose,
   });
+  // No arrow says that a message was sent that was not.
+  at("graph").classList.toggle("silent", Boolean(data.words?.messages));
+  at("graph").classList.toggle("forth", Boolean(data.words?.back));
   const inspector = new Inspector(at("inspector"), source, choose);
 
   function choose(wanted) {
@@ -54,7 +57,10 @@ async function started() {
     if (selection?.edge) inspector.show(selection);
   });
   bar.hidden = !bar.querySelector("input");
-  const field = searchField(at("tools"), source, choose);
+  const field = searchField(at("tools"), source, (wanted) => {
+    choose(wanted);
+    drawing.approach(wanted.cluster);
+  });
   runControls(at("tools"), data, (run) => {
     source.run = run;
     facts();
@@ -68,7 +74,10 @@ async function started() {
     tool("+", "zoom in", () => drawing.zoomBy(1.3)), tool("−", "zoom out", () => drawing.zoomBy(1 / 1.3)), tool("⤢", "show the whole graph", () => drawing.fit()));
   at("tools").append(tool("?", "keys and help", () => help.showModal()));
   keys({ drawing, source, steps, field, help, choose, selected: () => selection });
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => trajectory?.draw());
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    trajectory?.draw();
+    drawing.remark();
+  });
 
   facts();
   choose({ cluster: chain ? source.first : source.ids[0] });
@@ -80,6 +89,7 @@ const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], Arrow
 
 function keys({ drawing, source, steps, field, help, choose, selected }) {
   document.addEventListener("keydown", (event) => {
+    if (!(event.target instanceof Element)) return;
     const typing = event.target.closest("input, select, textarea, dialog");
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === "Escape") {

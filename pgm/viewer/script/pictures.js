@@ -105,7 +105,7 @@ function ellipses(parts, names, alike) {
   const limits = [0, 1].map((k) => {
     const size = Math.max(...lead.map((each) => reach(each, k)), 1e-9);
     // Messages much wider than the beliefs run out of the picture.
-    const near = parts.filter((each) => lead.includes(each) || reach(each, k) < 5 * size);
+    const near = parts.filter((each) => lead.includes(each) || reach(each, k) < 2.5 * size);
     const low = Math.min(...near.map((each) => each.mean[k] - reach(each, k)));
     const high = Math.max(...near.map((each) => each.mean[k] + reach(each, k)));
     const pad = 0.08 * (high - low) || 1;
@@ -131,10 +131,13 @@ function ellipses(parts, names, alike) {
     }
     frame.clip.append(svg("path", { class: `shape ${each.role}`, d: `M${points.join("L")}Z` }, svg("title", {}, `${each.title} ${each.name}`)));
     frame.clip.append(svg("circle", { class: `dot ${each.role}`, cx: frame.x(each.mean[0]), cy: frame.y(each.mean[1]), r: 2.4 }));
-    if (each.role === "belief" && each.name) {
-      frame.clip.append(svg("text", {
-        class: "mark", x: frame.x(each.mean[0]) + 6, y: frame.y(each.mean[1]) - 5,
-      }, clipped(each.name, 16)));
+    if (each.role === "belief" && each.name && main.length > 1) {
+      // At either end of the long axis, so that slices that follow on another are told apart.
+      const way = main.indexOf(each) % 2 ? -1 : 1;
+      const sign = (Math.sin(angle) >= 0 ? 1 : -1) * way;
+      const x = frame.x(each.mean[0] + sign * long * Math.cos(angle));
+      const y = frame.y(each.mean[1] + sign * long * Math.sin(angle));
+      frame.clip.append(svg("text", { class: "mark", x: x + (sign * Math.cos(angle) >= 0 ? 4 : -4), y: y - 4 * way + (way < 0 ? 8 : 0), "text-anchor": sign * Math.cos(angle) >= 0 ? "start" : "end" }, clipped(each.name, 16)));
     }
   }
   return frame.root;

@@ -41,6 +41,8 @@ function thousands(value) {
   return value.toLocaleString("en-GB");
 }
 
+const counted = (value, noun) => `${thousands(value)} ${noun}${value === 1 ? "" : "s"}`;
+
 // A cell of a table of numbers; all digits are in its title and its data.
 function cell(value, text = shown(value)) {
   return el("td", { class: "number", title: String(value), "data-value": String(value) }, text);
@@ -65,6 +67,24 @@ function aligned(values) {
 
 function clipped(text, most) {
   return text.length <= most ? text : `${text.slice(0, most - 1)}…`;
+}
+
+// The width of a text on the page, in pixels.
+const ruler = document.createElement("canvas").getContext("2d");
+function measured(text, size = 12) {
+  ruler.font = `${size}px ${getComputedStyle(document.body).fontFamily}`;
+  return ruler.measureText(text).width;
+}
+
+// As many names as fit a width, and how many others there are.
+function fittedNames(names, width, size = 12) {
+  let most = 40;
+  let text = listedNames(names, most);
+  while (measured(text, size) > width && most > 4) {
+    most -= 1;
+    text = listedNames(names, most);
+  }
+  return text;
 }
 
 // As many names as fit, and how many others there are.

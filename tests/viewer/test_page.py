@@ -1,0 +1,222 @@
+"""The text of pages: what they hold, what they leave out and say so, what is refused."""
+
+import base64
+import gzip
+import hashlib
+import html
+import json
+import re
+
+import numpy as np
+import pytest
+from viewer import posteriors
+
+import pgm
+from pgm.viewer.numbers import EXACT, SHOWN, Numbers, lower, rounded
+from pgm.viewer.page import embedded
+from pgm.viewer.placing import HEIGHT, place
+
+
+def written(posterior, tmp_path, **choice):
+    return pgm.view(posterior, tmp_path / "page.html", **choice).read_text("utf-8")
+
+
+def data_of(page):
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)
+    return json.loads(found[1])
+
+
+def numbers_of(page):
+    packed = re.search(r'id="numbers">(.*?)</script>', page, re.S)[1]
+    planes = np.frombuffer(gzip.decompress(base64.b64decode(packed)), np.uint8)
+    return np.ascontiguousarray(planes.reshape(8, -1).T).view("<f8").reshape(-1)
+
+
+def test_numbers_come_back_as_they_were_packed():
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((5, 3)) * 10.0 ** rng.integers(-200, 200, (5, 3))
+    rows[0] = [np.nan, np.inf, -np.inf]
+    numbers = Numbers()
+    numbers.flat(np.array([1.0, -2.0]))
+    ref = numbers.add(rows)
+    assert ref == {"at": 2, "rows": 5, "columns": 3}
+    planes = np.frombuffer(gzip.decompress(base64.b64decode(numbers.text())), np.uint8)
+    found = np.ascontiguousarray(planes.reshape(8, -1).T).view("<f8").reshape(-1)
+    assert found[:2].tolist() == [1.0, -2.0]
+    np.testing.assert_allclose(found[2:].reshape(3, 5).T, rows, rtol=2.0**-EXACT)
+
+
+@pytest.mark.parametrize("bits", [EXACT, SHOWN])
+def test_rounding_keeps_its_digits(bits):
+    values = np.random.default_rng(1).standard_normal(1000) * 1e5
+    found = rounded(values, bits)
+    assert (np.abs(found - values) <= 2.0 ** -(bits + 1) * np.abs(values)).all()
+    assert not (found.view(np.uint64) & np.uint64((1 << (52 - bits)) - 1)).any()
+    assert rounded(np.array([np.nan, -np.inf, 0.0]), bits)[1] == -np.inf
+
+
+def test_lower_triangles_go_row_by_row():
+    assert lower(np.array([[1.0, 2.0], [2.0, 3.0]])).tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("text", [*posteriors.HOSTILE, "{{script}}", "\u2028&amp;<", "</SCRIPT >"])
+def test_data_ends_no_element(text):
+    found = embedded({"name": text})
+    assert not set("<>&") & set(found)
+    assert json.loads(found)["name"] == text
+
+
+@pytest.mark.parametrize("made", [posteriors.hostile, posteriors.hostile_states])
+def test_a_page_has_three_scripts_whatever_users_wrote(made, tmp_path):
+    page = written(made(), tmp_path)
+    assert len(re.findall(r"<script", page, re.I)) == page.count("</script>") == 3
+    assert "{{" not in re.sub(r'id="data">.*?</script>', "", page, flags=re.S)
+
+
+def test_the_policy_names_the_script_and_the_style_and_nothing_else(tmp_path):
+    page = written(posteriors.tree(), tmp_path)
+    policy = re.search(r'Content-Security-Policy" content="(.*?)"', page)[1]
+    for kind, start in (("script-src", "<script>"), ("style-src", "<style>")):
+        text = page.split(start)[1].split(f"</{start[1:]}")[0]
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"{kind} 'sha256-{digest}'" in policy
+    assert policy.startswith("default-src 'none'")
+    assert not re.search(r"https?:", page.replace("http://www.w3.org/2000/svg", ""))
+
+
+def test_frames_of_notebooks_are_small_and_say_what_is_cut():
+    posterior = pgm.smooth(posteriors.robot(), posteriors.drive(400))
+    frame = posterior._repr_html_()
+    page = html.unescape(re.search(r'srcdoc="(.*?)" sandbox="allow-scripts"', frame, re.S)[1])
+    assert data_of(page)["steps"] == {"first": 0, "last": 199, "end": 400, "base": 0}
+    assert data_of(page)["notes"] == ["steps 0 to 199 of 0 to 400 are shown in this small page"]
+    assert len(frame) < 400_000
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        posteriors.smoothed,
+        posteriors.still,
+        posteriors.days,
+        posteriors.lattice,
+        posteriors.tree,
+        posteriors.balanced,
+        posteriors.particles,
+        posteriors.grid,
+    ],
+)
+def test_every_posterior_shows_itself(made):
+    assert made()._repr_html_().startswith("<iframe srcdoc=")
+
+
+def test_large_graphs_and_tables_are_cut_in_a_frame():
+    posterior = posteriors.lattice(14, schedule=pgm.Flooding(max_iterations=2))
+    frame = posterior._repr_html_()
+    page = html.unescape(re.search(r'srcdoc="(.*?)" sandbox', frame, re.S)[1])
+    data = data_of(page)
+    assert len(data["clusters"]) == 150
+    assert data["notes"] == [
+        f"150 of {len(posterior.graph)} clusters are shown, the nearest to cluster 0"
+    ]
+    kept = {cluster["index"] for cluster in data["clusters"]}
+    for cluster in data["clusters"]:
+        others = set(posterior.graph.neighbours(cluster["index"]))
+        assert set(cluster["cut"]) == others - kept
+
+
+def test_of_a_large_table_the_largest_entries_are_kept(tmp_path):
+    parents = [pgm.Discrete(f"p{k}", states=2) for k in range(12)]
+    child = pgm.Discrete("c", states=2)
+    rng = np.random.default_rng(0)
+    table = rng.dirichlet([1.0, 1.0], (2,) * 12)
+    cpds = [pgm.TableCPD(p, table=[0.4, 0.6]) for p in parents]
+    net = pgm.BayesianNetwork([*cpds, pgm.TableCPD(child, given=parents, table=table)])
+    posterior = pgm.infer(pgm.compile(net), {})
+    page = written(posterior, tmp_path)
+    belief = data_of(page)["clusters"][0]["belief"][0]
+    assert (belief["form"], belief["entries"], belief["count"]) == ("largest", 8192, 64)
+    numbers, at = numbers_of(page), belief["at"]
+    flat = posterior.belief(0).values.reshape(-1)
+    places = numbers[at : at + 64].astype(int)
+    np.testing.assert_allclose(numbers[at + 64 : at + 128], flat[places], rtol=1e-12)
+    assert set(places) == set(np.argsort(flat)[-64:])
+    names = [data_of(page)["variables"][k]["name"] for k in belief["scope"]]
+    start = at + 129
+    for name in names:
+        v = next(v for v in net.variables if v.name == name)
+        np.testing.assert_allclose(numbers[start : start + 2], posterior[v].values, rtol=1e-12)
+        start += 2
+
+
+def test_a_drive_of_ten_thousand_steps_is_below_five_megabytes(tmp_path):
+    posterior = pgm.smooth(posteriors.robot(), posteriors.drive(10_000))
+    page = pgm.view(posterior, tmp_path / "page.html")
+    assert page.stat().st_size < 5_000_000
+    data, numbers = data_of(text := page.read_text("utf-8")), numbers_of(text)
+    ref = data["runs"][0]["arrays"]["back.K"]
+    own = numbers[ref["at"] :].reshape(-1)[: ref["rows"] * ref["columns"]]
+    found = own.reshape(ref["columns"], ref["rows"])[:, 5_000]
+    np.testing.assert_allclose(found, lower(posterior.message(5_001, 5_000).K), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("choice", "word"),
+    [
+        ({"run": (12,)}, r"there is no run \(12,\)"),
+        ({"run": "first"}, "there is no run"),
+        ({"run": (0, 1)}, "there is no run"),
+        ({"run": [(k,) for k in range(9)]}, "holds 8 runs, not 9"),
+        ({"steps": (0, 41)}, "the chain has the steps 0 to 40"),
+        ({"steps": 3}, "are two steps"),
+    ],
+)
+def test_choices_that_do_not_exist_are_refused(choice, word, tmp_path):
+    with pytest.raises(pgm.GraphError, match=word):
+        pgm.view(posteriors.batch(), tmp_path / "page.html", **choice)
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_what_is_no_chain_has_no_steps(tmp_path):
+    with pytest.raises(pgm.GraphError, match="this graph has no steps"):
+        pgm.view(posteriors.tree(), tmp_path / "page.html", steps=(0, 1))
+    with pytest.raises(pgm.GraphError, match="view shows a posterior"):
+        pgm.view(posteriors.tree().graph, tmp_path / "page.html")
+
+
+def test_more_steps_than_a_page_holds_are_refused(tmp_path):
+    a, b = pgm.variables("a b")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(a, 0.0, 1.0)],
+        transition=[pgm.LinearGaussianCPD(a, given={a.previous: 1.0}, cov=0.1)],
+        observation=[pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=0.5)],
+    )
+    posterior = pgm.filter(model, {b: np.zeros((20_001, 1))})
+    with pytest.raises(pgm.GraphError, match=r"give steps=\(first, last\)"):
+        pgm.view(posterior, tmp_path / "page.html")
+    page = pgm.view(posterior, tmp_path / "page.html", steps=(19_000, 20_001))
+    assert data_of(page.read_text("utf-8"))["steps"]["base"] == 18_999
+
+
+@pytest.mark.parametrize("made", [posteriors.lattice, posteriors.tree, posteriors.balanced])
+def test_no_cluster_lies_on_another(made):
+    graph = made().graph
+    edges = list(graph.sepsets)
+    letters = dict.fromkeys(range(len(graph)), 16) | dict.fromkeys(edges, 6)
+    at = place(range(len(graph)), edges, letters, graph)
+    x, y, width = (np.array(at[name]) for name in ("x", "y", "width"))
+    beside = np.abs(x[:, None] - x) >= 0.5 * (width[:, None] + width)
+    above = np.abs(y[:, None] - y) >= HEIGHT
+    assert (beside | above | np.eye(len(graph), dtype=bool)).all()
+
+
+def test_the_package_holds_what_the_page_is_made_of():
+    from importlib.resources import files
+
+    from pgm.viewer.page import SCRIPTS
+
+    folder = files("pgm.viewer")
+    there = {each.name for each in folder.joinpath("script").iterdir()}
+    assert there == {f"{name}.js" for name in SCRIPTS}
+    assert folder.joinpath("viewer.css").is_file()
+    assert folder.joinpath("page.html").is_file()
