@@ -6,6 +6,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 
+from numpydoc.xref import DEFAULT_LINKS
 from pygments.lexers.special import TextLexer
 from sphinx.highlighting import lexers
 
@@ -22,7 +23,7 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.napoleon",
+    "numpydoc",
     "sphinx.ext.mathjax",
     "sphinx_copybutton",
     "building.docstrings",
@@ -39,9 +40,15 @@ autosummary_generate = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings say types and shapes
 autodoc_default_options = {"members": True, "inherited-members": False}
-napoleon_google_docstring = False
-napoleon_use_rtype = False
-napoleon_use_ivar = True
+numpydoc_show_class_members = False  # autodoc does
+numpydoc_class_members_toctree = False
+numpydoc_xref_param_type = True
+# Types of Python and NumPy are words: links to them would need the network.
+numpydoc_xref_aliases = {word: word for word in DEFAULT_LINKS}
+numpydoc_xref_ignore = {
+    *DEFAULT_LINKS,
+    *("optional", "of", "or", "and", "to", "mapping", "pair", "collection", "numpy.ndarray"),
+}
 default_role = "py:obj"
 python_use_unqualified_type_names = True
 add_module_names = False

@@ -1,15 +1,16 @@
 """A Sphinx extension: docstrings as they are written are read as reStructuredText.
 
-They are plain text first: shapes are ``(*runs, n)``, norms are |x|, and a formula may be an indented
-paragraph. Here stars and bars that mark nothing are escaped, and such paragraphs keep their lines.
+They are plain text first: shapes are ``(*runs, n)``, norms are |x|, and a formula may be an
+indented paragraph. Stars and bars that mark nothing are escaped, such paragraphs keep their lines.
 """
 
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sphinx.application import Sphinx
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 _LITERAL = re.compile(r"(``.*?``|`[^`]*`)")
 _ENDED = re.compile(r"((?<!`)`[^`]+`)(?=[a-z])")  # `Gaussian`s
@@ -20,20 +21,17 @@ _ARGUMENTS = re.compile(r"^\*{1,2}\w+(\s*:.*)?$")  # `**style`, the name of a pa
 def escaped(lines: list[str]) -> list[str]:
     """The lines of a docstring, with the signs escaped that would else be read as markup."""
     result: list[str] = []
-    inside: int | None = None  # how far the directive or example is indented that goes on
+    directive: int | None = None  # how far one is indented whose body goes on
+    example = False
     for line in lines:
         indent = len(line) - len(line.lstrip())
         text = line.strip()
-        if inside is not None and (not text or indent > inside):
-            result.append(line)
-            continue
-        inside = None
-        if text.startswith(">>>"):
-            # Output ends at a blank line, which is no deeper than the example.
-            inside = indent - 1
-        elif text.startswith(".. "):
-            inside = indent
-        if inside is not None or _ARGUMENTS.match(text):
+        example = text.startswith(">>>") or (example and bool(text))
+        if text.startswith(".. "):
+            directive = indent
+        elif directive is not None and text and indent <= directive:
+            directive = None
+        if example or directive is not None or _ARGUMENTS.match(text):
             result.append(line)
             continue
         parts = _LITERAL.split(line)
@@ -75,6 +73,6 @@ def _process(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: l
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Read docstrings before napoleon does."""
+    """Read docstrings before numpydoc does."""
     app.connect("autodoc-process-docstring", _process, priority=400)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

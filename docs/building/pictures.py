@@ -46,8 +46,8 @@ class Pictures(SphinxTransform):
             where = _last_of_block(node)
             for path, width in reversed(paths):
                 uri = os.path.relpath(path, page.parent)
-                # A picture that a program draws is described by the text around it.
-                image = nodes.image(uri=uri, alt="", width=f"{width}px", classes=["drawn"])
+                alt = "the picture that the program above draws"
+                image = nodes.image(uri=uri, alt=alt, width=f"{width}px", classes=["drawn"])
                 where.parent.insert(where.parent.index(where) + 1, image)
 
 

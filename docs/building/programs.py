@@ -14,8 +14,8 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent.parent
 DOCS = ROOT / "docs"
 
-# A fence of Python, and right behind it the text that it prints, where the page shows that. Before it
-# a comment may name the test that runs it, where it needs what no page can give.
+# A fence of Python, and right behind it the text that it prints, where the page shows that. Before
+# it a comment may name the test that runs it, where it needs what no page can give.
 _BLOCK = re.compile(
     r"(?:^<!-- run by (?P<elsewhere>[\w/]+\.py) -->\n)?"
     r"^```python\n(?P<code>.*?)^```$(?:\s*?\n```text\n(?P<shown>.*?)^```$)?",
@@ -87,7 +87,7 @@ def blocks(text: str) -> list[Block]:
 def run(page: Path) -> Iterator[Ran]:
     """Run the blocks of a page in the working directory, one after the other.
 
-    A block whose packages are not installed is passed over, and says so; as is one that a test runs.
+    A block whose packages are not installed is passed over, and says so; so is one of a test's.
     """
     names: dict[str, object] = {"__name__": "__main__"}
     for block in blocks(page.read_text(encoding="utf-8")):

@@ -7,6 +7,7 @@ import pytest
 from building import programs
 
 import pgm
+from experiments.catalogue import EXPERIMENTS
 
 README = programs.ROOT / "README.md"
 PAGES = [README, *sorted(programs.DOCS.rglob("*.md"))]
@@ -55,9 +56,8 @@ def documented(module):
         if head == module:
             rest = rest.partition("```")[0]
             listed = set(re.findall(r"^   (\w+)$", rest, flags=re.MULTILINE))
-            entries = re.findall(
-                r"^\.\. auto(?:class|function|exception):: (\w+)$", rest, re.MULTILINE
-            )
+            entry = r"^\.\. auto(?:class|function|exception):: (\w+)$"
+            entries = re.findall(entry, rest, flags=re.MULTILINE)
             assert listed == set(entries), head
             found |= listed
     return found
@@ -79,6 +79,11 @@ def test_the_gallery_has_every_picture():
     assert headings == set(pgm.plot.__all__)
     for each in pgm.plot.__all__:
         assert f"pgm.plot.{each}(" in gallery
+
+
+def test_the_experiments_are_listed():
+    page = text(programs.DOCS / "experiments.md")
+    assert {each for each in EXPERIMENTS if f"`{each}`" not in page} == set()
 
 
 def test_the_log_shown_is_the_log():
