@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 PICTURE = ROOT / "docs" / "images" / "trajectories.png"
 sys.path.insert(0, str(ROOT))  # the experiments belong to the checkout
 
-from experiments import localisation  # noqa: E402 (the path has to be there)
+from experiments import localisation
 
 
 def draw() -> Figure:
