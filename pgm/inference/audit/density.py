@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,21 @@ from pgm.kernels.angles import difference, nearest_branch
 from pgm.kernels.arrays import LOG_2PI, Array, Mask, independent, transpose
 
 Stack = TypeVar("Stack", Array, Mask)
+
+
+class Afresh(NamedTuple):
+    """Defensive draws that a CPD draws itself, where (runs, S) says so."""
+
+    where: Mask
+    rng: np.random.Generator
+
+
+class Drawn(NamedTuple):
+    """A child (runs, S, d), its log-density, and where its mean was lost, (runs, S)."""
+
+    values: Array
+    log_density: Array
+    lost: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +85,10 @@ class Term:
         """The mask of child components that parents leave open, (rows or 1, runs or 1, d)."""
         return ~roots.determined(self.own)
 
-    def child(self, row: int, parents: Array, proposed: Array) -> tuple[Array, Array]:
-        """The child, and its log-density, for free components as proposed.
+    def child(
+        self, row: int, parents: Array, proposed: Array, afresh: Afresh | None = None
+    ) -> Drawn:
+        """The child, for free components as proposed, or drawn by the CPD itself.
 
         The others follow from the parents and the noise that the free ones imply, as the model has
         it.
@@ -83,19 +100,26 @@ class Term:
             (runs, S, n).
         proposed : ndarray
             (runs, S, d).
+        afresh : Afresh, optional
+            Of defensive draws: which of them the CPD draws.
         """
-        value = self._value(row, parents, on_chart=True)
+        value, lost = self._value(row, parents, on_chart=True, strict=afresh is None)
         own = _at(self.own, row)
+        if afresh is not None:
+            white = afresh.rng.standard_normal(proposed.shape)
+            proposed = np.where(afresh.where[..., None], value + white @ transpose(own), proposed)
         white, _ = normal.whitened(own, proposed - value)
         log_density = normal.log_density(own, white)
         free = self.free()
         if not free.all():
             implied = value + white @ transpose(own)
             proposed = np.where(_at(free, row)[..., None, :], proposed, implied)
-        return proposed, self._relative(row, parents, proposed, log_density)
+        return Drawn(proposed, self._relative(row, parents, proposed, log_density), lost)
 
-    def readings(self, rows: slice, parents: Array, values: Array, moved: Array) -> Array:
-        """The log-density of measurements, (runs, S), their sum over rows.
+    def readings(
+        self, rows: slice, parents: Array, values: Array, moved: Array, *, strict: bool = True
+    ) -> Array:
+        """The log-density of measurements, (runs, S), their sum over rows; NaN where it is lost.
 
         Parameters
         ----------
@@ -105,10 +129,12 @@ class Term:
         values, moved : ndarray
             (k, runs or 1, d): as given, and with angles on the branch of the linearisation, where
             an affine CPD takes them.
+        strict : bool
+            Whether a function that is not finite is an error, or loses the draw.
         """
         if self.relative and self.family.exact:
             return np.zeros(parents.shape[1:3])
-        value = self._value(rows, parents)
+        value, lost = self._value(rows, parents, strict=strict)
         reading = moved if self.family.exact else values
         angles = self.family.cpd.child.angle_mask & (not self.family.exact)
         residual = self._read(rows, difference(reading[..., None, :], value, angles))
@@ -117,7 +143,7 @@ class Term:
         if self.taken is not None and not self.relative:
             missing = (~self.taken[rows]).sum(axis=-1)
             log_density = log_density + 0.5 * LOG_2PI * missing[..., None]
-        total: Array = log_density.sum(axis=0)
+        total: Array = np.where(lost, np.nan, log_density).sum(axis=0)
         return total
 
     def _read(self, rows: int | slice, residual: Array) -> Array:
@@ -147,8 +173,11 @@ class Term:
         parents: Array,
         *,
         on_chart: bool = False,
-    ) -> Array:
-        """The CPD's mean at draws of its parents, (..., S, d).
+        strict: bool = True,
+    ) -> tuple[Array, Mask]:
+        """The CPD's mean at draws of its parents, (..., S, d), and where that is lost, (..., S).
+
+        There it is the linearised mean, if that is no error.
 
         The branch of an angle is a matter of the parents alone, so that the density of the child
         on the unwrapped chart integrates to one: that of the linearisation, where the function may
@@ -156,16 +185,18 @@ class Term:
         """
         family = self.family
         if family.exact:
-            return self._affine(rows, parents)
+            return self._affine(rows, parents), np.zeros(parents.shape[:-1], dtype=bool)
         function = family.bound(rows, parents.ndim - 2, parents.shape[:-2])
         with np.errstate(all="ignore"):  # non-finite values are refused below
             value = function(parents)
         lost = np.asarray((~np.isfinite(value) & self._seen(rows)).any(axis=-1))
         if lost.any():
-            self._refuse(rows, parents, lost)
+            if strict:
+                self._refuse(rows, parents, lost)
+            value = np.where(lost[..., None], self._affine(rows, parents), value)
         if on_chart and function.angles.any():
-            return nearest_branch(value, self._affine(rows, parents), function.angles)
-        return value
+            value = nearest_branch(value, self._affine(rows, parents), function.angles)
+        return value, lost
 
     def _refuse(self, rows: int | slice, parents: Array, lost: Mask) -> None:
         where = tuple(int(axis[0]) for axis in np.nonzero(lost))

@@ -9,6 +9,7 @@ import numpy as np
 from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
 from pgm.inference.audit.chain import ChainDraws
+from pgm.inference.audit.estimate import estimate
 from pgm.inference.audit.innovations import checks
 from pgm.inference.audit.result import Audit
 from pgm.inference.audit.tree import TreeDraws
@@ -17,9 +18,6 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
-
-# Numbers drawn at once: what stays near the processor.
-BATCH = 2**18
 
 
 def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator | int) -> Audit:
@@ -102,15 +100,10 @@ def audit(posterior: Posterior, *, samples: int = 1000, rng: np.random.Generator
     else:
         raise ModelError(_advice(posterior))
     known = posterior.log_evidence
-    require_runs(samples, known.size, "the weights of an audit")
-    size = max(1, BATCH // (max(known.size, 1) * max(draws.width, 1)))
-    weights = np.empty((known.size, samples))
-    for first in range(0, samples, size):
-        count = min(size, samples - first)
-        with np.errstate(over="ignore"):  # a residual too large to be squared has no weight
-            weights[:, first : first + count] = draws.log_weights(count, generator)
+    require_runs(8 * samples, known.size, "the weights of an audit")
+    mixture, compared = estimate(draws, known.size, samples, generator)
     seen = checks(posterior.innovations) if isinstance(posterior, ChainPosterior) else {}
-    return Audit(weights.reshape(*known.shape, samples), known, seen)
+    return Audit(mixture, known, compared, seen)
 
 
 def _advice(posterior: Any) -> str:
