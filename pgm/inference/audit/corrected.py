@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import log, sqrt
 
 import numpy as np
 
@@ -14,13 +15,11 @@ from pgm.kernels.arrays import Array, Index, Integers, Mask, frozen, symmetric, 
 from pgm.variables import Variable
 
 
-# What chance may leave is this many times its expectation.
-_CHANCE = 3.0
-
-
 @dataclass(frozen=True, eq=False)
 class Compared:
     """A hidden variable's exact moments beside the Gaussian's, at its steps.
+
+    The bound on χ² is Laurent & Massart's (2000, lemma 1).
 
     Attributes
     ----------
@@ -43,9 +42,14 @@ class Compared:
     judged: Mask
 
     def excess(self, draws: Array) -> Array:
-        """The largest divergence judged, less what chance may leave of so many draws, (runs,)."""
+        """The largest divergence judged, less what chance may leave, (runs,).
+
+        Moments of n effective draws are χ²/2n nats off, with a degree of freedom for each of them;
+        the largest of m such numbers by as much as a bound says that one in m exceeds.
+        """
         size = self.variable.dimension
-        chance = _CHANCE * 0.25 * size * (size + 3) / draws
+        freedom, spread = 0.5 * size * (size + 3), log(max(int(self.judged.sum()), 1))
+        chance = (0.5 * freedom + sqrt(freedom * spread) + spread) / draws
         found = np.where(self.judged[:, None] & np.isfinite(self.divergence), self.divergence, 0.0)
         return np.asarray(found.max(axis=0, initial=0.0) - chance)
 
