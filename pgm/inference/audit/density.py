@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -106,15 +107,20 @@ class Term:
         value, lost = self._value(row, parents, on_chart=True, strict=afresh is None)
         own = _at(self.own, row)
         if afresh is not None:
-            white = afresh.rng.standard_normal(proposed.shape)
-            proposed = np.where(afresh.where[..., None], value + white @ transpose(own), proposed)
-        white, _ = normal.whitened(own, proposed - value)
+            proposed = self._redrawn(value, own, proposed, afresh)
+        white = self._white(row, proposed - value)
         log_density = normal.log_density(own, white)
         free = self.free()
         if not free.all():
             implied = value + white @ transpose(own)
             proposed = np.where(_at(free, row)[..., None, :], proposed, implied)
         return Drawn(proposed, self._relative(row, parents, proposed, log_density), lost)
+
+    def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
+        white = np.zeros(proposed.shape)
+        places = afresh.where
+        white[places] = afresh.rng.standard_normal((int(places.sum()), white.shape[-1]))
+        return np.where(places[..., None], value + white @ transpose(own), proposed)
 
     def readings(
         self, rows: slice, parents: Array, values: Array, moved: Array, *, strict: bool = True
@@ -138,13 +144,25 @@ class Term:
         reading = moved if self.family.exact else values
         angles = self.family.cpd.child.angle_mask & (not self.family.exact)
         residual = self._read(rows, difference(reading[..., None, :], value, angles))
-        log_density = _log_density(_at(self.own, rows), residual)
+        log_density = normal.log_density(_at(self.own, rows), self._white(rows, residual))
         log_density = self._relative(rows, parents, moved[..., None, :], log_density)
         if self.taken is not None and not self.relative:
             missing = (~self.taken[rows]).sum(axis=-1)
             log_density = log_density + 0.5 * LOG_2PI * missing[..., None]
-        total: Array = np.where(lost, np.nan, log_density).sum(axis=0)
+        log_density = np.where(lost, np.nan, log_density) if lost.any() else log_density
+        total: Array = log_density.sum(axis=0)
         return total
+
+    def _white(self, rows: int | slice, residual: Array) -> Array:
+        """White residuals (..., S, d) of the CPD's own noise, zero where determined."""
+        if self._inverse is None:
+            return normal.whitened(_at(self.own, rows), residual)[0]
+        white: Array = residual @ transpose(_at(self._inverse, rows))
+        return white
+
+    @cached_property
+    def _inverse(self) -> Array | None:
+        return normal.whitener(self.own)
 
     def _read(self, rows: int | slice, residual: Array) -> Array:
         """Residuals (..., S, d), zero in components that were not read."""
@@ -189,7 +207,9 @@ class Term:
         function = family.bound(rows, parents.ndim - 2, parents.shape[:-2])
         with np.errstate(all="ignore"):  # non-finite values are refused below
             value = function(parents)
-        lost = np.asarray((~np.isfinite(value) & self._seen(rows)).any(axis=-1))
+        lost = np.zeros(value.shape[:-1], dtype=bool)
+        if not np.isfinite(value).all():
+            lost = np.asarray((~np.isfinite(value) & self._seen(rows)).any(axis=-1))
         if lost.any():
             if strict:
                 self._refuse(rows, parents, lost)

@@ -55,7 +55,7 @@ class Strand:
 
     def __post_init__(self) -> None:
         self.gaussian = np.zeros(self.shape)
-        self._logs = self.excursions.log_start(self.shape)
+        self._density = self.excursions.begin(self.shape)
         self._stage: Integers = self.excursions.start(*self.shape)
         self._white = np.zeros(0)
         self._index = 0
@@ -79,13 +79,17 @@ class Strand:
         if away.any():
             again = proposal.whitened(row, given, values)
             white = np.where(away[..., None], again, white)
-        log_gaussian = 0.0 if self.relative else proposal.log_density(row, white)
-        gaussian = np.broadcast_to(log_gaussian, self.shape)
-        others = np.stack([predicted, gaussian + proposal.log_tails(row, white)])
-        self._logs = self.excursions.log_advance(self._index, self._logs, gaussian, others)
-        self.gaussian = self.gaussian + gaussian
+        squared = np.einsum("rsi,rsi->rs", white, white)
+        gaussian = np.zeros(self.shape)
+        if not self.relative:
+            gaussian = proposal.log_density(row, squared)
+        tails = proposal.log_tails(row, squared)
+        self._density = self.excursions.extend(
+            self._index, self._density, gaussian, predicted, tails
+        )
+        self.gaussian += gaussian
         self._index += 1
 
     def drawn(self, target: Array, values: list[Array]) -> Draws:
         """The draws, once all slices are taken in."""
-        return Draws(target, self.gaussian, self.excursions.log_density(self._logs), values)
+        return Draws(target, self.gaussian, self._density.log(), values)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import log
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,39 +58,59 @@ class Excursions:
             stage == BEFORE, begun, np.where((stage != AFTER) & (chance < END), AFTER, stage)
         )
 
-    def log_start(self, shape: tuple[int, ...]) -> Array:
-        """The log-density before the first slice, by stage, (4, *shape)."""
-        logs = np.full((4, *shape), -np.inf)
-        logs[BEFORE] = 0.0
-        return logs
+    def begin(self, shape: tuple[int, int]) -> Density:
+        """The density before the first slice."""
+        shares = np.zeros((4, *shape))
+        shares[BEFORE] = 1.0
+        return Density(np.zeros(shape), shares)
 
-    def log_advance(self, index: int, logs: Array, gaussian: Array, others: Array) -> Array:
-        """The log-density of draws up to a slice, by the slice's stage, (4, runs, S).
+    def extend(
+        self, index: int, so_far: Density, gaussian: Array, predicted: Array, tails: Array
+    ) -> Density:
+        """The density of draws up to a slice.
 
         Parameters
         ----------
         index : int
-        logs : ndarray
-            (4, runs, S): up to the slice before.
-        gaussian : ndarray
-            (runs, S): the log-density of the slice by the Gaussian.
-        others : ndarray
-            (2, runs, S): by the model, and with Student tails.
+        so_far : Density
+            Up to the slice before.
+        gaussian, predicted : ndarray
+            (runs, S): the log-density of the slice by the Gaussian, and by the model.
+        tails : ndarray
+            (runs, S): that with Student tails, less the Gaussian's.
         """
-        begin = self._begin(index)
-        with np.errstate(divide="ignore"):  # what cannot be has a density of zero
-            fresh = np.log([begin * self.predicted, begin * (1.0 - self.predicted)])
-            never = np.log(1.0 - begin) if begin < 1.0 else -np.inf
-        away = logs[PREDICTION : TAILS + 1]
-        new = np.empty_like(logs)
-        new[BEFORE] = logs[BEFORE] + never + gaussian
-        new[PREDICTION : TAILS + 1] = others + np.logaddexp(
-            away + log(1.0 - END), logs[BEFORE] + fresh[:, None, None]
-        )
-        back = np.logaddexp(*away) + log(END)
-        new[AFTER] = np.logaddexp(logs[AFTER], back) + gaussian
-        return new
+        begin, before = self._begin(index), so_far.shares
+        scale = np.maximum(np.maximum(predicted, gaussian), gaussian + tails)
+        by_gaussian = np.exp(gaussian - scale)
+        shares = np.empty_like(before)
+        shares[BEFORE] = (1.0 - begin) * before[BEFORE] * by_gaussian
+        for kind, part in ((PREDICTION, self.predicted), (TAILS, 1.0 - self.predicted)):
+            shares[kind] = (1.0 - END) * before[kind] + begin * part * before[BEFORE]
+        shares[PREDICTION] *= np.exp(predicted - scale)
+        shares[TAILS] *= np.exp(gaussian + tails - scale)
+        shares[AFTER] = before[AFTER] + END * (before[PREDICTION] + before[TAILS])
+        shares[AFTER] *= by_gaussian
+        return Density(so_far.scale + scale, shares)
 
-    def log_density(self, logs: Array) -> Array:
-        """The log-density of whole draws, (runs, S)."""
-        return np.logaddexp.reduce(logs[PREDICTION:], axis=0)
+
+class Density(NamedTuple):
+    """The density of draws so far, (runs, S), with a logarithm of its own as its scale.
+
+    A share of a stage that is too small for float64 beside another's stays so: whatever follows one
+    may follow the other.
+
+    Attributes
+    ----------
+    scale : ndarray
+        (runs, S).
+    shares : ndarray
+        (4, runs, S): by stage, over the exponential of the scale.
+    """
+
+    scale: Array
+    shares: Array
+
+    def log(self) -> Array:
+        """The log-density of whole draws, whose excursion has begun."""
+        total: Array = self.scale + np.log(self.shares[PREDICTION:].sum(axis=0))
+        return total

@@ -65,8 +65,7 @@ class Proposal:
         lower = self.lower[row]
         white = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
         if tails is not None:
-            stretch = np.sqrt(FREEDOM / rng.chisquare(FREEDOM, tails.shape))
-            white *= np.where(tails, stretch, 1.0)[..., None]
+            white[tails] *= np.sqrt(FREEDOM / rng.chisquare(FREEDOM, (int(tails.sum()), 1)))
         fixed = self._fixed[row]
         return np.where(fixed[:, None, :], 0.0, white) if fixed.any() else white
 
@@ -76,19 +75,33 @@ class Proposal:
 
     def whitened(self, row: int, given: Array, values: Array) -> Array:
         """The white noise (runs, S, n) of draws."""
-        return normal.whitened(self.lower[row], values - self._mean(row, given))[0]
+        off = values - self._mean(row, given)
+        if self._inverse is None:
+            return normal.whitened(self.lower[row], off)[0]
+        white: Array = off @ transpose(self._inverse[row])
+        return white
 
-    def log_density(self, row: int, white: Array) -> Array:
-        """The log-density (runs, S) of draws by the Gaussian, at their white noise."""
-        return normal.log_density(self.lower[row], white)
+    @cached_property
+    def _inverse(self) -> Array | None:
+        return normal.whitener(self.lower)
 
-    def log_tails(self, row: int, white: Array) -> Array:
+    @cached_property
+    def _constants(self) -> tuple[Array, Array, Array]:
+        """Free components; the constants of the Gaussian's log-density, and of Student's less it."""
+        size = (~self._fixed).sum(axis=-1)
+        student = np.array([_log_constant(k) for k in range(self.lower.shape[-1] + 1)])
+        return size, -0.5 * (roots.log_determinant(self.lower) + size * LOG_2PI), student[size]
+
+    def log_density(self, row: int, squared: Array) -> Array:
+        """The log-density (runs, S) of draws by the Gaussian, at their |s|²."""
+        value: Array = self._constants[1][row][:, None] - 0.5 * squared
+        return value
+
+    def log_tails(self, row: int, squared: Array) -> Array:
         """The log-density (runs, S) by Student's t, less that by the Gaussian."""
-        size = (~self._fixed[row]).sum(axis=-1)
-        constant = np.array([_log_constant(k) for k in range(white.shape[-1] + 1)])[size]
-        squared = (white * white).sum(axis=-1)
-        power = 0.5 * (FREEDOM + size)[:, None]
-        value: Array = constant[:, None] - power * np.log1p(squared / FREEDOM) + 0.5 * squared
+        size, _, constant = (part[row][:, None] for part in self._constants)
+        power = 0.5 * (FREEDOM + size)
+        value: Array = constant - power * np.log1p(squared / FREEDOM) + 0.5 * squared
         return value
 
     def _mean(self, row: int, given: Array) -> Array:
