@@ -168,7 +168,7 @@ def test_the_kl_of_the_summary_is_that_of_the_twin(done, name):
 def test_iterating_in_the_engine_is_iterating_in_the_twin(name):
     """Beliefs of single simulations, to part of a deviation, where iterating came to rest."""
     case = simulate(SENSORS[name], 0.6, 40, 3)
-    after = rules(0)["IteratedCubature"].filter(case)
+    after = rules(0)["IteratedCubature"].solve(case)
     belief = after[pose.at(1)]
     mean, cov = twin(case, name, CUBATURE, 10)
     rest = after.status.converged
@@ -180,7 +180,7 @@ def test_iterating_in_the_engine_is_iterating_in_the_twin(name):
 def test_the_twin_would_notice_a_second_count_of_the_reading():
     """Restarting from the posterior instead of the prediction is another answer."""
     case = simulate(SENSORS["far"], 0.3, 20, 0)
-    belief = rules(0)["IteratedCubature"].filter(case)[pose.at(1)]
+    belief = rules(0)["IteratedCubature"].solve(case)[pose.at(1)]
     once = twin(case, "far", CUBATURE, 1)
     assert np.abs((belief.mean - once[0]) / belief.std).max() > 0.1
 
@@ -336,8 +336,8 @@ def test_counting_changes_no_belief():
     case = simulate(SENSORS["far"], 0.3, 5, 0)
     rule = rules(0)["Unscented"]
     assert cost(rule, case, repeats=1).evaluations == 14
-    counted = rule.filter(case, Tally(rule.lineariser))
-    np.testing.assert_allclose(counted[pose].mean, rule.filter(case)[pose].mean, atol=1e-13)
+    counted = rule.solve(case, Tally(rule.lineariser))
+    np.testing.assert_allclose(counted[pose].mean, rule.solve(case)[pose].mean, atol=1e-13)
 
 
 def test_z_is_in_standard_errors_of_the_difference(done):

@@ -39,7 +39,9 @@ def estimate(
     drawing: Drawing, runs: int, samples: int, rng: np.random.Generator
 ) -> tuple[Mixture, Mapping[Variable, Compared]]:
     """Draw so often from the Gaussian, and as often defensively, and sum up, batch by batch."""
-    size = max(1, min(BATCH // max(drawing.width, 1), ROOM // max(drawing.length, 1)) // max(runs, 1))
+    size = max(
+        1, min(BATCH // max(drawing.width, 1), ROOM // max(drawing.length, 1)) // max(runs, 1)
+    )
     shape = (runs, 2 * samples)
     log_weights, control, log_ratio = np.empty(shape), np.empty(shape), np.empty(shape)
     lost, peak = np.zeros(runs), np.full(runs, -np.inf)

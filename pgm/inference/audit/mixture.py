@@ -149,9 +149,7 @@ def _evidence(weights: Array, control: Array) -> tuple[Array, Array]:
     return np.where(proper, slope, 0.0), np.where(proper, evidence, mean)
 
 
-def _divergence(
-    values: Array, control: Array, surplus: Array, sign: float
-) -> tuple[Array, Array]:
+def _divergence(values: Array, control: Array, surplus: Array, sign: float) -> tuple[Array, Array]:
     """The mean of values, with a control variate of mean zero, and its standard error.
 
     The values are v ln Z/w or (y/Z) ln w/Z, and change with ln Z as the sign says.

@@ -132,8 +132,7 @@ class Audit(Immutable):
         for each in compared.values():
             found["suspect"] |= each.excess(mixture.effective_draws) > SUSPECT
         reshaped = {
-            name: frozen(value.reshape((*lead, *value.shape[1:])))
-            for name, value in found.items()
+            name: frozen(value.reshape((*lead, *value.shape[1:]))) for name, value in found.items()
         }
         self._set(
             **reshaped,
@@ -181,7 +180,11 @@ class Audit(Immutable):
         told = f"{where} is {divergence:.3g} nats from the exact posterior's moments; "
         if not self.suspect.any():
             return told
-        runs = f" in {int(self.suspect.sum())} of {self.suspect.size} runs" if self.suspect.ndim else ""
+        runs = (
+            f" in {int(self.suspect.sum())} of {self.suspect.size} runs"
+            if self.suspect.ndim
+            else ""
+        )
         return f"SUSPECT{runs}: {told}"
 
     def _gaps(self) -> str:
