@@ -50,12 +50,16 @@ class Compared:
         size = self.variable.dimension
         freedom, spread = 0.5 * size * (size + 3), log(max(int(self.judged.sum()), 1))
         chance = (0.5 * freedom + sqrt(freedom * spread) + spread) / draws
-        found = np.where(self.judged[:, None] & np.isfinite(self.divergence), self.divergence, 0.0)
-        return np.asarray(found.max(axis=0, initial=0.0) - chance)
+        return np.asarray(self._known.max(axis=0, initial=0.0) - chance)
+
+    @property
+    def _known(self) -> Array:
+        known = self.judged[:, None] & np.isfinite(self.divergence)
+        return np.where(known, self.divergence, 0.0)
 
     def furthest(self, lead: tuple[int, ...]) -> tuple[float, str]:
         """The largest divergence judged, and where it is, in words."""
-        found = np.where(self.judged[:, None], self.divergence, 0.0)
+        found = self._known
         if not found.size:
             return 0.0, ""
         step, run = np.unravel_index(int(found.argmax()), found.shape)

@@ -54,7 +54,7 @@ class Audit(Immutable):
         mode was lost.
     moment_divergence : mapping of Variable to ndarray
         KL(N(exact moments) ‖ q) of each variable alone, (..., steps) of a chain, (...) of a network
-        without time, in nats.
+        without time, in nats; infinite where too few draws leave no covariance.
     corrected : mapping of Variable to Gaussian
         The exact posterior's mean and covariance of each hidden variable, estimated: what the
         moments of a Gaussian answer should be.
@@ -127,7 +127,7 @@ class Audit(Immutable):
             "undefined": mixture.undefined,
             "log_weights": mixture.gaussian_log_weights,
             "suspect": np.zeros(mixture.peak.shape, dtype=bool),
-            "trusted": ~(mixture.pareto_k > UNTRUSTED) & (mixture.effective_draws >= ENOUGH),
+            "trusted": (mixture.pareto_k <= UNTRUSTED) & (mixture.effective_draws >= ENOUGH),
         }
         for each in compared.values():
             found["suspect"] |= each.excess(mixture.effective_draws) > SUSPECT
