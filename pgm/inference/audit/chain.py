@@ -173,7 +173,7 @@ class ChainDraws:
             for link, term in links:
                 drawn = term.child(row, vector[..., link.parents], vector[..., link.child], afresh)
                 vector[..., link.child] = drawn.values
-                predicted += drawn.log_density
+                predicted += drawn.log_tails
                 total += np.where(drawn.lost, np.nan, drawn.log_density)
             strand.weigh(proposal, row, states, vector[..., start:], predicted)
             if step:

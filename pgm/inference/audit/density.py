@@ -12,6 +12,7 @@ import numpy as np
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
 from pgm.inference.family import Family
+from pgm.inference.audit import tails
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference, nearest_branch
 from pgm.kernels.arrays import LOG_2PI, Array, Mask, independent, transpose
@@ -27,10 +28,14 @@ class Afresh(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A child (runs, S, d), its log-density, and where its mean was lost, (runs, S)."""
+    """A child (runs, S, d), and over (runs, S) its log-density, with Student's tails, and losses.
+
+    Lost are draws at whose parents the function is not finite.
+    """
 
     values: Array
     log_density: Array
+    log_tails: Array
     lost: Mask
 
 
@@ -114,12 +119,19 @@ class Term:
         if not free.all():
             implied = value + white @ transpose(own)
             proposed = np.where(_at(free, row)[..., None, :], proposed, implied)
-        return Drawn(proposed, self._relative(row, parents, proposed, log_density), lost)
+        squared = np.einsum("rsi,rsi->rs", white, white)
+        size = (~roots.determined(own)).sum(axis=-1)[:, None]
+        return Drawn(
+            proposed,
+            self._relative(row, parents, proposed, log_density),
+            log_density + tails.log_ratio(size, squared),
+            lost,
+        )
 
     def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
-        white = np.zeros(proposed.shape)
-        places = afresh.where
+        white, places = np.zeros(proposed.shape), afresh.where
         white[places] = afresh.rng.standard_normal((int(places.sum()), white.shape[-1]))
+        tails.stretch(white, places, afresh.rng)
         return np.where(places[..., None], value + white @ transpose(own), proposed)
 
     def readings(

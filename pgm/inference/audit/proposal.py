@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import lgamma, log, pi
 
 import numpy as np
 
 from pgm.errors import NumericalError
+from pgm.inference.audit import tails
 from pgm.kernels import moments, normal, roots
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, transpose
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
 from pgm.kernels.moments import Conditional
-
-# The degrees of freedom of Student tails: as few as leave a covariance.
-FREEDOM = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +56,13 @@ class Proposal:
         return roots.determined(self.lower)
 
     def white(
-        self, row: int, count: int, rng: np.random.Generator, tails: Mask | None = None
+        self, row: int, count: int, rng: np.random.Generator, away: Mask | None = None
     ) -> Array:
-        """White noise s, (runs, S, n), zero where determined; of Student's t where `tails`."""
+        """White noise s, (runs, S, n), zero where determined; of Student's t where `away`."""
         lower = self.lower[row]
         white = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
-        if tails is not None:
-            white[tails] *= np.sqrt(FREEDOM / rng.chisquare(FREEDOM, (int(tails.sum()), 1)))
+        if away is not None:
+            tails.stretch(white, away, rng)
         fixed = self._fixed[row]
         return np.where(fixed[:, None, :], 0.0, white) if fixed.any() else white
 
@@ -86,11 +83,10 @@ class Proposal:
         return normal.whitener(self.lower)
 
     @cached_property
-    def _constants(self) -> tuple[Array, Array, Array]:
-        """Free components; the constants of the Gaussian's log-density, and of Student's less it."""
+    def _constants(self) -> tuple[Integers, Array]:
+        """The number of free components, and the constant of the Gaussian's log-density."""
         size = (~self._fixed).sum(axis=-1)
-        student = np.array([_log_constant(k) for k in range(self.lower.shape[-1] + 1)])
-        return size, -0.5 * (roots.log_determinant(self.lower) + size * LOG_2PI), student[size]
+        return size, -0.5 * (roots.log_determinant(self.lower) + size * LOG_2PI)
 
     def log_density(self, row: int, squared: Array) -> Array:
         """The log-density (runs, S) of draws by the Gaussian, at their |s|²."""
@@ -99,17 +95,8 @@ class Proposal:
 
     def log_tails(self, row: int, squared: Array) -> Array:
         """The log-density (runs, S) by Student's t, less that by the Gaussian."""
-        size, _, constant = (part[row][:, None] for part in self._constants)
-        power = 0.5 * (FREEDOM + size)
-        value: Array = constant - power * np.log1p(squared / FREEDOM) + 0.5 * squared
-        return value
+        return tails.log_ratio(self._constants[0][row][:, None], squared)
 
     def _mean(self, row: int, given: Array) -> Array:
         mean: Array = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
         return mean
-
-
-def _log_constant(size: int) -> float:
-    """The logarithm of the ratio of the constants of Student's t and of a Gaussian."""
-    gammas = lgamma(0.5 * (FREEDOM + size)) - lgamma(0.5 * FREEDOM)
-    return gammas + 0.5 * size * (LOG_2PI - log(FREEDOM * pi))

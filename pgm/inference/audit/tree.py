@@ -134,7 +134,7 @@ class TreeDraws:
                 child = group.child[row]
                 drawn = term.child(row, parents, values[..., child], afresh)
                 values[..., child] = drawn.values
-                predicted += drawn.log_density
+                predicted += drawn.log_tails
                 total += np.where(drawn.lost, np.nan, drawn.log_density)
         strand.weigh(self.proposal, 0, nothing, values, predicted)
         return strand.drawn(total, [values])
