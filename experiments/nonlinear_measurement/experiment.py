@@ -2,9 +2,9 @@
 
 A robot at a heading known to s = 0.1, 0.3 or 0.6 rad drives one step along an arc and reads one of
 five sensors. Each rule's belief after the step is compared with the exact posterior's mean and
-covariance, found by importance sampling. Rules linearise once, or the sensor again (IteratedCubature),
-or motion and sensor: IteratedSmoother and TaylorSmoother over all steps, IteratedLag in a window of
-one.
+covariance, found by importance sampling. Rules linearise once, or the sensor again
+(IteratedCubature), or motion and sensor: IteratedSmoother and TaylorSmoother over all steps,
+IteratedLag in a window of one.
 
 summary.json, by sensor (far, near, two_ranges, collinear, position), s and rule:
 

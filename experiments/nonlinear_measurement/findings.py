@@ -45,9 +45,8 @@ def verdict(found: Study) -> list[str]:
     if harmed or worse:
         parts = []
         if harmed:
-            parts.append(
-                f"iterating sensors, from once to ten times: {pairs(harmed, 'Cubature', ITERATED)}"
-            )
+            told = pairs(harmed, "Cubature", ITERATED)
+            parts.append(f"sensors ten times instead of once: {told}")
         if worse:
             parts.append(f"the motion too: {pairs(worse, ITERATED, SMOOTHER)}")
         sentences.append(

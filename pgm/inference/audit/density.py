@@ -11,8 +11,8 @@ import numpy as np
 
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
-from pgm.inference.family import Family
 from pgm.inference.audit import tails
+from pgm.inference.family import Family
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference, nearest_branch
 from pgm.kernels.arrays import LOG_2PI, Array, Mask, independent, transpose

@@ -10,7 +10,7 @@ import numpy as np
 from pgm.inference.audit.corrected import Compared, Sums
 from pgm.inference.audit.draws import Draws
 from pgm.inference.audit.mixture import Mixture, weigh
-from pgm.kernels.arrays import Array, quiet
+from pgm.kernels.arrays import quiet
 from pgm.variables import Variable
 
 # Numbers drawn at once: what stays near the processor, and what whole draws may take.

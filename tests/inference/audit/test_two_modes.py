@@ -1,4 +1,4 @@
-"""Readings that leave two modes, of which the Gaussian answer knows one; and readings that do not."""
+"""Readings that leave two modes, of which the Gaussian knows one; and readings that do not."""
 
 import numpy as np
 import pytest
