@@ -50,15 +50,15 @@ def verdict(found: Study) -> list[str]:
         if worse:
             parts.append(f"the motion too: {pairs(worse, ITERATED, SMOOTHER)}")
         sentences.append(
-            f"Iterating harms where a reading leaves two places ({'; '.join(parts)} nats), since it "
-            "settles at one of them."
+            f"Iterating harms where a reading leaves two places ({'; '.join(parts)} nats), since "
+            "it settles at one of them."
         )
     else:
         sentences.append("In this run iterating does no certain harm with any sensor.")
     total = _sum(each for audits in found.audits.values() for each in audits.values())
     sentences.append(
-        f"An audit tells which: it calls {_share(total.caught, total.wrong)} of the beliefs suspect "
-        f"whose KL is {WRONG:g} nats or more, and {_share(total.alarms, total.right)} of those "
+        f"An audit tells which: it calls {_share(total.caught, total.wrong)} of the beliefs "
+        f"suspect whose KL is {WRONG:g} nats or more, and {_share(total.alarms, total.right)} of those "
         f"below {RIGHT:g}."
     )
     return sentences
@@ -153,8 +153,8 @@ def rest(found: Study) -> str:
         for each in cases.values()
     )
     return (
-        f"Fewest simulations came to rest with {SENSORS[sensor].title} at s = {s} rad, {share:.1%}; "
-        f"with every other sensor at least {others:.1%}."
+        f"Fewest simulations came to rest with {SENSORS[sensor].title} at s = {s} rad, {share:.1%}"
+        f"; with every other sensor at least {others:.1%}."
     )
 
 
@@ -162,8 +162,8 @@ def audits(found: Study) -> str:
     """How often the audit's verdict is right."""
     total = _sum(each for audits in found.audits.values() for each in audits.values())
     return (
-        f"With every sensor at s = {_WIDEST} rad, {total.caught} of {total.wrong} beliefs with a KL "
-        f"of {WRONG:g} nats or more are suspect, {total.alarms} of {total.right} with one below "
+        f"With every sensor at s = {_WIDEST} rad, {total.caught} of {total.wrong} beliefs with a "
+        f"KL of {WRONG:g} nats or more are suspect, {total.alarms} of {total.right} with one below "
         f"{RIGHT:g}; {total.missed} of the former are neither suspect nor told to be beyond the "
         "audit's trust."
     )
