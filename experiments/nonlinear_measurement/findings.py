@@ -58,8 +58,8 @@ def verdict(found: Study) -> list[str]:
     total = _sum(each for audits in found.audits.values() for each in audits.values())
     sentences.append(
         f"An audit tells which: it calls {_share(total.caught, total.wrong)} of the beliefs "
-        f"suspect whose KL is {WRONG:g} nats or more, and {_share(total.alarms, total.right)} of those "
-        f"below {RIGHT:g}."
+        f"suspect whose KL is {WRONG:g} nats or more, and {_share(total.alarms, total.right)} "
+        f"of those below {RIGHT:g}."
     )
     return sentences
 
@@ -172,7 +172,7 @@ def audits(found: Study) -> str:
 def _below(one: Score, other: Score) -> bool:
     """Whether a mean KL is certainly the lower one."""
     error = (one.kl_se**2 + other.kl_se**2) ** 0.5
-    return other.kl - one.kl > _SURE * error
+    return bool(other.kl - one.kl > _SURE * error)
 
 
 def _sum(every: Iterable[Audited]) -> Audited:

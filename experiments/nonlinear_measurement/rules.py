@@ -42,11 +42,15 @@ class Rule:
 
     def solve(self, case: Case, lineariser: pgm.Lineariser | None = None) -> pgm.ChainPosterior:
         """The beliefs of all simulations of a case at once."""
-        given = {"lineariser": lineariser or self.lineariser, "iterations": self.iterations}
+        rule = lineariser or self.lineariser
         if self.lag == 0:
-            return pgm.filter(case.model, case.evidence, **given)
-        lag = {} if self.lag == math.inf else {"lag": self.lag}
-        return pgm.smooth(case.model, case.evidence, **given, **lag)
+            return pgm.filter(
+                case.model, case.evidence, lineariser=rule, iterations=self.iterations
+            )
+        lag = None if self.lag == math.inf else int(self.lag)
+        return pgm.smooth(
+            case.model, case.evidence, lineariser=rule, lag=lag, iterations=self.iterations
+        )
 
 
 def rules(seed: int) -> dict[str, Rule]:

@@ -66,7 +66,7 @@ class ChainDraws:
         reverse = posterior._reverse
         smoothed = posterior.kind == SMOOTHED
         beliefs = posterior._beliefs if smoothed else backward.sweep(posterior._forward, reverse)
-        steps = np.arange(plan.steps + 1)
+        steps = range(plan.steps + 1)
         judged = np.array([posterior.kind.last(k, plan.steps) == plan.steps for k in steps])
         draws = cls._make(plan, beliefs, reverse, None, judged)
         if not exact and draws.first.regular and draws.later.regular:

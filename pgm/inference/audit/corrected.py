@@ -80,8 +80,8 @@ class Compared:
     def _stacked(self, values: Array, lead: tuple[int, ...]) -> Array:
         tail = values.shape[2:]
         if self.steps is None:
-            return values[0].reshape((*lead, *tail))
-        return values.swapaxes(0, 1).reshape((*lead, len(values), *tail))
+            return np.asarray(values[0].reshape((*lead, *tail)))
+        return np.asarray(values.swapaxes(0, 1).reshape((*lead, len(values), *tail)))
 
 
 @dataclass(eq=False)

@@ -129,8 +129,9 @@ class Term:
         )
 
     def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
-        white, places = np.zeros(proposed.shape), afresh.where
-        white[places] = afresh.rng.standard_normal((int(places.sum()), white.shape[-1]))
+        places = afresh.where
+        white: Array = np.zeros(proposed.shape)
+        white[places] = afresh.rng.standard_normal((int(places.sum()), self.family.shape[2]))
         tails.stretch(white, places, afresh.rng)
         return np.where(places[..., None], value + white @ transpose(own), proposed)
 

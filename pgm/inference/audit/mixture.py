@@ -181,4 +181,4 @@ def _error(values: Array) -> Array:
 def _effective(weights: Array) -> Array:
     # Equal weights give exactly the number of draws.
     size = weights.sum(axis=-1) ** 2 / (weights**2).sum(axis=-1)
-    return np.minimum(size, weights.shape[-1])
+    return np.asarray(np.minimum(size, weights.shape[-1]))
