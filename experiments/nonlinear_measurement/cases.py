@@ -14,6 +14,7 @@ from models import motion, sensors
 from models.networks import distance, fix, landmark, pose, sighting, velocity
 
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.integer]
 
 CONTROL = np.array([1.0, 0.5])  # speed [m/s] and turn rate [rad/s], for one second
 START_STD = 0.2  # of either coordinate [m]

@@ -2,7 +2,9 @@
 
 A robot at a heading known to s = 0.1, 0.3 or 0.6 rad drives one step along an arc and reads one of
 five sensors. Each rule's belief after the step is compared with the exact posterior's mean and
-covariance, found by importance sampling.
+covariance, found by importance sampling. Rules linearise once, or the sensor again
+(IteratedCubature), or motion and sensor: IteratedSmoother and TaylorSmoother over all steps,
+IteratedLag in a window of one.
 
 summary.json, by sensor (far, near, two_ranges, collinear, position), s and rule:
 
@@ -14,6 +16,10 @@ summary.json, by sensor (far, near, two_ranges, collinear, position), s and rule
   of a robot;
 - ``settled``: by sensor and s, the ``share`` of simulations in which iterating came to rest, their
   mean ``kl``, and ``kl_others``, 0 where there are none;
+- ``audits``: by sensor and rule, at the widest s, how many simulations have a KL of 2 or more
+  (``wrong``) and below 0.2 (``right``), how many of these the audit calls suspect (``caught``,
+  ``alarms``), and how many wrong ones it neither does nor says to be beyond its trust (``missed``);
+- ``verdict``: three sentences made of these numbers;
 - ``truth``: by sensor and s, the least and the median effective sample size, and how many
   simulations were dropped because theirs was too small;
 - ``against_reference``: the difference of ``kl`` from an earlier implementation's, and z, in
@@ -26,7 +32,7 @@ from typing import Annotated, Any
 
 import typer
 
-from experiments.nonlinear_measurement import figures, reference, tables
+from experiments.nonlinear_measurement import figures, findings, reference, tables
 from experiments.nonlinear_measurement.rules import rules
 from experiments.nonlinear_measurement.study import study
 from experiments.record import Out, Record, Seed
@@ -47,8 +53,11 @@ def run(
     """Which lineariser for a nonlinear measurement: KL from the exact posterior, and its cost."""
     record = Record("nonlinear_measurement", out, seed=seed, runs=runs, log2_points=log2_points)
     enough = ENOUGH * 2.0 ** (log2_points - POINTS)
-    found, solved = study(rules(seed), runs, log2_points, enough, seed)
+    compared = rules(seed)
+    found, solved = study(compared, runs, log2_points, enough, seed)
     against = reference.compare(found.scores, runs)
+    verdict = findings.verdict(found)
+    record.note(" ".join(verdict))
     record.figure(
         figures.kl_against_cost(found),
         "kl_against_cost",
@@ -58,7 +67,7 @@ def run(
         "by side. Where the sensor is linear, only the motion is linearised.",
     )
     record.figure(figures.scenes(solved), "scenes", figures.SCENES_CAPTION)
-    tables.write(record, found, against, runs)
+    tables.write(record, found, against, runs, compared)
     largest, where = reference.largest(against)
     record.summary(
         **{key: found.by_rule(key) for key in ("kl", "kl_se", "kl_median")},
@@ -71,6 +80,11 @@ def run(
             for sensor, costs in found.costs.items()
         },
         settled=found.settled,
+        audits={
+            sensor: {rule: vars(each) for rule, each in audits.items()}
+            for sensor, audits in found.audits.items()
+        },
+        verdict=verdict,
         truth=found.truth,
         against_reference=against,
         largest_z={"z": largest, "where": where},

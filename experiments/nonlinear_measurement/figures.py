@@ -27,6 +27,9 @@ STYLES = {
     "MonteCarlo100": (PALETTE[4], "P", 0.95),
     "Antithetic10": (PALETTE[3], "X", 1.1),
     "IteratedCubature": (PALETTE[1], "*", 1.0),
+    "IteratedSmoother": (PALETTE[1], "p", 0.9),
+    "IteratedLag": (PALETTE[1], "d", 1.12),
+    "TaylorSmoother": (INK, "p", 1.0),
 }
 SCENES = {"near": ("Unscented", "IteratedCubature"), "collinear": ("Cubature", "IteratedCubature")}
 SCENE_HEADING = 0.6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -15,31 +16,40 @@ from experiments.nonlinear_measurement.cases import Array, Case
 
 Mask = npt.NDArray[np.bool_]
 
+# The rule that linearises the sensors again, and the motion once.
+ITERATED = "IteratedCubature"
 # Where the last linearisation moved no mean by more than this, in deviations, it came to rest.
 SETTLED = 0.01
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A lineariser, and how often it linearises a step's sensors.
+    """A lineariser, a schedule, and how often it linearises.
 
     Attributes
     ----------
     lineariser : Lineariser
     iterations : int
-        Linearisations of the sensors at the most.
+        Linearisations at the most.
+    lag : float
+        0 of a filter, which linearises a step's sensors again; 1 of a fixed-lag smoother and
+        `math.inf` of a smoother, which linearise the motion again too.
     """
 
     lineariser: pgm.Lineariser
     iterations: int = 1
+    lag: float = 0
 
-    def filter(self, case: Case, lineariser: pgm.Lineariser | None = None) -> pgm.ChainPosterior:
-        """Filter all simulations of a case at once."""
-        return pgm.filter(
-            case.model,
-            case.evidence,
-            lineariser=lineariser or self.lineariser,
-            iterations=self.iterations,
+    def solve(self, case: Case, lineariser: pgm.Lineariser | None = None) -> pgm.ChainPosterior:
+        """The beliefs of all simulations of a case at once."""
+        rule = lineariser or self.lineariser
+        if self.lag == 0:
+            return pgm.filter(
+                case.model, case.evidence, lineariser=rule, iterations=self.iterations
+            )
+        lag = None if self.lag == math.inf else int(self.lag)
+        return pgm.smooth(
+            case.model, case.evidence, lineariser=rule, lag=lag, iterations=self.iterations
         )
 
 
@@ -53,7 +63,10 @@ def rules(seed: int) -> dict[str, Rule]:
         "MonteCarlo10": Rule(pgm.MonteCarlo(10, seed=seed, fresh_per_run=True)),
         "MonteCarlo100": Rule(pgm.MonteCarlo(100, seed=seed, fresh_per_run=True)),
         "Antithetic10": Rule(pgm.MonteCarlo(10, seed=seed, fresh_per_run=True, antithetic=True)),
-        "IteratedCubature": Rule(pgm.Cubature(), iterations=10),
+        ITERATED: Rule(pgm.Cubature(), iterations=10),
+        "IteratedSmoother": Rule(pgm.Cubature(), iterations=10, lag=math.inf),
+        "IteratedLag": Rule(pgm.Cubature(), iterations=10, lag=1),
+        "TaylorSmoother": Rule(pgm.Taylor(), iterations=10, lag=math.inf),
     }
 
 
@@ -83,11 +96,11 @@ class Cost:
 def cost(rule: Rule, case: Case, repeats: int = 3) -> Cost:
     """Count a rule's evaluations, and take the least time of some repeats."""
     tally = Tally(rule.lineariser)
-    rule.filter(case, tally)
+    rule.solve(case, tally)
     times = []
     for _ in range(repeats):
         start = perf_counter()
-        rule.filter(case)
+        rule.solve(case)
         times.append(perf_counter() - start)
     runs = len(case.truth)
     return Cost(tally.count[0] / runs, 1e6 * min(times) / runs)

@@ -6,19 +6,27 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 import pgm
-from experiments.nonlinear_measurement.cases import HEADINGS, SENSORS, Array, Case, simulate
-from experiments.nonlinear_measurement.rules import Cost, Mask, Rule, cost, settled
+from experiments.nonlinear_measurement.audits import Audited, audited
+from experiments.nonlinear_measurement.cases import (
+    HEADINGS,
+    SENSORS,
+    Array,
+    Case,
+    Integers,
+    simulate,
+)
+from experiments.nonlinear_measurement.rules import ITERATED, Cost, Mask, Rule, cost, settled
 from experiments.nonlinear_measurement.scores import Score, score
 from experiments.nonlinear_measurement.truth import Truth, posterior
 from experiments.record import progress
 from models.networks import pose
 
-Integers = npt.NDArray[np.integer]
 Scores = dict[str, dict[str, dict[str, Score]]]  # by sensor, s and rule
 EXACT = "Exact"
+# Whose beliefs are audited, at the widest heading.
+AUDITED = ("Cubature", ITERATED, "IteratedSmoother")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +62,8 @@ class Study:
         Effective sample sizes, and how many simulations were dropped.
     settled : dict
         The part of simulations in which the iterated rule came to rest, and mean KL there.
+    audits : dict
+        By sensor and rule, at the widest heading.
     costs : dict
         By sensor and rule.
     """
@@ -61,6 +71,7 @@ class Study:
     scores: Scores = field(default_factory=dict)
     truth: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
     settled: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
+    audits: dict[str, dict[str, Audited]] = field(default_factory=dict)
     costs: dict[str, dict[str, Cost]] = field(default_factory=dict)
 
     @property
@@ -103,31 +114,39 @@ def study(
             truth = posterior(case, log2_points, enough, seed)
             kept = np.flatnonzero(truth.effective >= enough)
             found.truth[sensor][s] = _quality(truth, runs - len(kept))
-            solution, rest = _solve(case, truth, kept, compared)
+            solution, rest, posteriors = _solve(case, truth, kept, compared)
             found.scores[sensor][s] = {
                 rule: score(belief, solution.kl[rule], case.truth[kept])
                 for rule, belief in solution.beliefs.items()
             }
             found.settled[sensor][s] = rest
             solved[sensor, s] = solution
+        found.audits[sensor] = {
+            name: audited(pgm.audit(posteriors[name], rng=seed), kept, solution.kl[name])
+            for name in AUDITED
+            if name in posteriors
+        }
         found.costs[sensor] = {name: cost(rule, case) for name, rule in compared.items()}
     return found, solved
 
 
 def _solve(
     case: Case, truth: Truth, kept: Integers, compared: dict[str, Rule]
-) -> tuple[Solved, dict[str, float]]:
-    """Beliefs of all rules, and how iterating ended."""
+) -> tuple[Solved, dict[str, float], dict[str, pgm.ChainPosterior]]:
+    """Beliefs of all rules, how iterating ended, and the posteriors that are audited."""
     after = pose.at(1)
     exact = pgm.Gaussian(after, truth.mean[kept], truth.cov[kept])
-    beliefs, rest = {EXACT: exact}, {}
+    beliefs, rest, posteriors = {EXACT: exact}, {}, {}
     for name, rule in compared.items():
-        filtered = rule.filter(case)
-        belief = filtered[after]
+        solved = rule.solve(case)
+        belief = solved[after]
         beliefs[name] = pgm.Gaussian(after, belief.mean[kept], belief.cov[kept])
-        if rule.iterations > 1:
-            rest = _rest(settled(filtered.status)[kept], exact.kl(beliefs[name]))
-    return Solved(case, kept, beliefs, {n: exact.kl(b) for n, b in beliefs.items()}), rest
+        if name in AUDITED:
+            posteriors[name] = solved
+        if name == ITERATED:
+            rest = _rest(settled(solved.status)[kept], exact.kl(beliefs[name]))
+    kl = {name: exact.kl(belief) for name, belief in beliefs.items()}
+    return Solved(case, kept, beliefs, kl), rest, posteriors
 
 
 def _rest(at_rest: Mask, kl: Array) -> dict[str, float]:

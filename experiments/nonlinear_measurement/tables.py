@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from experiments.nonlinear_measurement import reference
+from experiments.nonlinear_measurement import findings, reference
+from experiments.nonlinear_measurement.audits import RIGHT, WRONG
 from experiments.nonlinear_measurement.cases import HEADINGS
 from experiments.nonlinear_measurement.reference import Against
-from experiments.nonlinear_measurement.rules import SETTLED
+from experiments.nonlinear_measurement.rules import SETTLED, Rule
 from experiments.nonlinear_measurement.scores import Score
 from experiments.nonlinear_measurement.study import EXACT, Study
 from experiments.record import Record
@@ -17,9 +18,12 @@ Shown = Callable[[Score], str]
 _WIDEST = str(HEADINGS[-1])
 
 
-def write(record: Record, found: Study, against: Against, runs: int) -> None:
-    """Write all tables and notes."""
+def write(
+    record: Record, found: Study, against: Against, runs: int, compared: dict[str, Rule]
+) -> None:
+    """Write all tables, each with its finding, and notes."""
     for s in map(str, HEADINGS):
+        record.note(findings.means(found, s, compared))
         _table(record, found, f"mean KL [nats] ± standard error, s = {s} rad", _means(found, s))
         if s in next(iter(against.values())):
             title = (
@@ -35,6 +39,7 @@ def write(record: Record, found: Study, against: Against, runs: int) -> None:
         "the mean is far above the median a few simulations make it, and its standard error is "
         "itself uncertain."
     )
+    record.note(findings.medians(found))
     record.table(
         "median KL [nats]",
         ("rule", "s [rad]", *found.scores),
@@ -49,11 +54,17 @@ def write(record: Record, found: Study, against: Against, runs: int) -> None:
         within=("s [rad]",),
         folded=True,
     )
-    for title, shown in (
-        ("NEES, 3 is right", lambda each: f"{each.nees:.2f} ± {each.nees_se:.2g}"),
-        ("RMSE of position [m] / heading [rad]", _rmse),
+    for finding, title, shown in (
+        (
+            findings.calibration,
+            "NEES, 3 is right",
+            lambda each: f"{each.nees:.2f} ± {each.nees_se:.2g}",
+        ),
+        (findings.errors, "RMSE of position [m] / heading [rad]", _rmse),
     ):
+        record.note(finding(found))
         _table(record, found, f"{title}, s = {_WIDEST} rad", _at_widest(found, shown))
+    record.note(findings.costs(found))
     record.table(
         "evaluations of functions / µs, of a step of a robot; all simulations in one batch",
         ("rule", *found.costs),
@@ -65,6 +76,7 @@ def write(record: Record, found: Study, against: Against, runs: int) -> None:
         "sensor.",
         folded=True,
     )
+    record.note(findings.rest(found))
     record.table(
         "IteratedCubature: simulations at rest, whose last linearisation moved no mean by more "
         f"than {SETTLED:g} deviations, their mean KL [nats], and that of the others",
@@ -76,6 +88,17 @@ def write(record: Record, found: Study, against: Against, runs: int) -> None:
         ],
         about="At rest: the share of simulations. Their mean KL [nats], and that of the others.",
         folded=True,
+    )
+    record.note(findings.audits(found))
+    record.table(
+        f"the audit at s = {_WIDEST} rad: beliefs with a KL of {WRONG:g} nats or more, and below "
+        f"{RIGHT:g}, and how many of each are suspect",
+        ("sensor", "rule", f"KL ≥ {WRONG:g}", "suspect", f"KL < {RIGHT:g}", "suspect ", "trusted"),
+        [
+            (sensor, rule, a.wrong, a.caught, a.right, a.alarms, f"{a.trusted:.1%}")
+            for sensor, audits in found.audits.items()
+            for rule, a in audits.items()
+        ],
     )
     truths = [each for cases in found.truth.values() for each in cases.values()]
     record.note(
@@ -101,7 +124,7 @@ def _references(found: Study, against: Against, s: str) -> dict[str, list[str]]:
             f"{due['reference']:g} ({due['z']:+z.1f})"
             for due in (against[sensor][s][rule] for sensor in found.scores)
         ]
-        for rule in found.rules
+        for rule in reference.KL
     }
 
 

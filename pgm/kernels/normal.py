@@ -36,6 +36,13 @@ def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
     return _without(fixed, white), _without(~fixed, white)
 
 
+def whitener(lower: Array) -> Array | None:
+    """L⁻¹, by which many residuals are whitened at once; None where a component is determined."""
+    if roots.determined(lower).any():
+        return None
+    return roots.solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape))
+
+
 def _without(gone: Mask, vectors: Array) -> Array:
     return np.where(gone[..., None, :], 0.0, vectors)
 

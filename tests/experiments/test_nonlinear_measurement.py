@@ -1,14 +1,17 @@
 """The experiment's numbers against twins written out: one step of each filter, and a dense grid."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from experiments import nonlinear_measurement
-from experiments.nonlinear_measurement import reference
+from experiments.nonlinear_measurement import findings, reference
 from experiments.nonlinear_measurement.cases import HEADINGS, SENSORS, simulate
 from experiments.nonlinear_measurement.rules import Tally, cost, rules
+from experiments.nonlinear_measurement.scores import Score
+from experiments.nonlinear_measurement.study import Study
 from experiments.nonlinear_measurement.truth import draw, posterior
 from models.networks import pose
 
@@ -30,7 +33,10 @@ DUE = {
     for name, cell in zip(NAMES, cells, strict=True)
     for s, number in zip(("0.3", "0.6"), cell.split("/"), strict=True)
 }
-RULES = {rule for rule, *_ in DUE}
+OLD = {rule for rule, *_ in DUE}
+AGAIN = ["IteratedSmoother", "IteratedLag", "TaylorSmoother"]
+RULES = OLD | {*AGAIN}
+ORDER = [*reference.KL, *AGAIN]
 RUNS = 60
 LANDMARKS = {
     "far": [(3.0, 2.0)],
@@ -168,7 +174,7 @@ def test_the_kl_of_the_summary_is_that_of_the_twin(done, name):
 def test_iterating_in_the_engine_is_iterating_in_the_twin(name):
     """Beliefs of single simulations, to part of a deviation, where iterating came to rest."""
     case = simulate(SENSORS[name], 0.6, 40, 3)
-    after = rules(0)["IteratedCubature"].filter(case)
+    after = rules(0)["IteratedCubature"].solve(case)
     belief = after[pose.at(1)]
     mean, cov = twin(case, name, CUBATURE, 10)
     rest = after.status.converged
@@ -180,7 +186,7 @@ def test_iterating_in_the_engine_is_iterating_in_the_twin(name):
 def test_the_twin_would_notice_a_second_count_of_the_reading():
     """Restarting from the posterior instead of the prediction is another answer."""
     case = simulate(SENSORS["far"], 0.3, 20, 0)
-    belief = rules(0)["IteratedCubature"].filter(case)[pose.at(1)]
+    belief = rules(0)["IteratedCubature"].solve(case)[pose.at(1)]
     once = twin(case, "far", CUBATURE, 1)
     assert np.abs((belief.mean - once[0]) / belief.std).max() > 0.1
 
@@ -291,7 +297,7 @@ def test_the_point_of_linearisation_matters_more_than_the_rule(done):
     kl = done[1]["kl"]
     for name in ("far", "near", "two_ranges"):
         for found in kl[name].values():
-            others = [value for rule, value in found.items() if rule != "IteratedCubature"]
+            others = [found[rule] for rule in OLD - {"IteratedCubature"}]
             assert found["IteratedCubature"] < 0.7 * min(others)
     assert kl["near"]["0.6"]["Taylor"] > 10 * kl["near"]["0.6"]["IteratedCubature"]
     assert done[1]["nees"]["near"]["0.6"]["Taylor"] > 6.0
@@ -308,6 +314,76 @@ def test_iterating_hurts_where_the_posterior_has_two_modes(done):
     assert mean == pytest.approx(found["IteratedCubature"])
 
 
+def test_linearising_the_motion_again_wins_where_one_mode_is_left(done):
+    kl = done[1]["kl"]
+    for name, factor in {"far": 30, "near": 10, "two_ranges": 5, "position": 5}.items():
+        found = kl[name]["0.6"]
+        assert factor * found["IteratedSmoother"] < found["IteratedCubature"]
+        assert factor * found["TaylorSmoother"] < found["IteratedCubature"]
+    assert kl["collinear"]["0.6"]["IteratedSmoother"] > 4 * kl["collinear"]["0.6"]["Cubature"]
+
+
+def test_a_window_of_one_step_is_the_smoother_of_one_step(done):
+    for cases in done[1]["kl"].values():
+        for found in cases.values():
+            assert found["IteratedLag"] == pytest.approx(found["IteratedSmoother"], rel=1e-4)
+
+
+def test_the_audit_knows_wrong_beliefs_from_right_ones(done):
+    each = [found for rules_ in done[1]["audits"].values() for found in rules_.values()]
+    wrong, caught, right, alarms = (
+        sum(found[key] for found in each) for key in ("wrong", "caught", "right", "alarms")
+    )
+    assert wrong > 20
+    assert right > 300
+    assert caught >= 0.9 * wrong
+    assert alarms <= 0.02 * right
+    for found in done[1]["audits"]["collinear"].values():
+        assert found["caught"] >= 0.9 * found["wrong"]
+        assert found["alarms"] <= 0.1 * found["right"]
+
+
+def test_the_verdict_is_three_sentences_of_the_run(done):
+    first, second, third = done[1]["verdict"]
+    assert done[1]["page"][0]["note"] == f"{first} {second} {third}"
+    kl = done[1]["kl"]
+    for name in ("near", "far"):
+        pair = (kl[name]["0.6"][rule] for rule in ("IteratedCubature", "IteratedSmoother"))
+        assert "{:.2g} to {:.2g}".format(*pair) in first
+    harm = kl["collinear"]["0.6"]
+    pair = (harm[rule] for rule in ("IteratedCubature", "IteratedSmoother"))
+    assert "{:.2g} to {:.2g}".format(*pair) in second or "no certain harm" in second
+    assert "suspect" in third
+
+
+def test_findings_follow_the_numbers_and_not_the_other_way():
+    """With the rules' numbers exchanged the verdict says that nothing is gained."""
+
+    def made(kl):
+        return Score(kl, 0.01, kl, 3.0, 0.1, 0.1, 0.1)
+
+    def of(cubature, iterated, smoother):
+        scores = {"Cubature": cubature, "IteratedCubature": iterated, "IteratedSmoother": smoother}
+        cases = {str(s): {r: made(kl) for r, kl in scores.items()} for s in HEADINGS}
+        return findings.verdict(Study(scores={"near": cases}))
+
+    assert "1 to 0.1 nats" in of(1.0, 1.0, 0.1)[0]
+    first, second, third = of(1.0, 1.0, 1.0)
+    assert "gains nothing certain" in first
+    assert "no certain harm" in second
+    assert "none of the beliefs" in third
+    assert "0.1 to 2" in of(0.1, 2.0, 3.0)[1]
+    assert "2 to 3 nats" in of(0.1, 2.0, 3.0)[1]
+
+
+def test_every_table_but_the_references_has_its_finding(done):
+    page = done[1]["page"]
+    assert set(page[0]) == {"note"}
+    for before, part in pairwise(page):
+        if "table" in part and not part["table"].startswith("the reference"):
+            assert "note" in before, part["table"]
+
+
 def test_iterating_changes_nothing_about_a_linear_reading(done):
     for found in done[1]["kl"]["position"].values():
         assert found["IteratedCubature"] == pytest.approx(found["Cubature"], rel=1e-12)
@@ -315,7 +391,7 @@ def test_iterating_changes_nothing_about_a_linear_reading(done):
 
 def test_kl_grows_with_the_spread_of_the_heading(done):
     for name, cases in done[1]["kl"].items():
-        for rule in RULES:
+        for rule in OLD:
             low, middle, high = (cases[str(s)][rule] for s in HEADINGS)
             assert low < middle < high, (name, rule)
 
@@ -336,8 +412,8 @@ def test_counting_changes_no_belief():
     case = simulate(SENSORS["far"], 0.3, 5, 0)
     rule = rules(0)["Unscented"]
     assert cost(rule, case, repeats=1).evaluations == 14
-    counted = rule.filter(case, Tally(rule.lineariser))
-    np.testing.assert_allclose(counted[pose].mean, rule.filter(case)[pose].mean, atol=1e-13)
+    counted = rule.solve(case, Tally(rule.lineariser))
+    np.testing.assert_allclose(counted[pose].mean, rule.solve(case)[pose].mean, atol=1e-13)
 
 
 def test_z_is_in_standard_errors_of_the_difference(done):
@@ -371,12 +447,12 @@ def test_tables_of_kl_are_the_summary(done, s):
     assert columns == ["rule", *NAMES]
     assert rows == [
         [r, *(f"{kl[n][s][r]:.3g} ±{100 * se[n][s][r] / kl[n][s][r]:.0f}%" for n in NAMES)]
-        for r in reference.KL
+        for r in ORDER
     ]
     columns, rows = table(done[1], "median KL")
     assert columns == ["rule", "s [rad]", *NAMES]
     assert [row for row in rows if row[1] == s] == [
-        [r, s, *(f"{median[n][s][r]:.4g}" for n in NAMES)] for r in reference.KL
+        [r, s, *(f"{median[n][s][r]:.4g}" for n in NAMES)] for r in ORDER
     ]
 
 
@@ -384,7 +460,7 @@ def test_tables_of_kl_are_the_summary(done, s):
 def test_tables_of_the_reference_are_the_reference(done, s):
     columns, rows = table(done[1], f"the reference's mean KL [nats], s = {s}")
     assert columns == ["rule", *NAMES]
-    assert {row[0] for row in rows} == RULES
+    assert {row[0] for row in rows} == OLD
     against = done[1]["against_reference"]
     for rule, *cells in rows:
         for name, cell in zip(NAMES, cells, strict=True):
@@ -399,7 +475,7 @@ def test_tables_of_the_widest_heading_are_the_summary(done):
         {n: summary[key][n]["0.6"] for n in NAMES}
         for key in ("nees", "nees_se", "rmse", "rmse_heading")
     )
-    order = ["Exact", *reference.KL]
+    order = ["Exact", *ORDER]
     columns, rows = table(summary, "NEES, 3 is right")
     assert columns == ["rule", *NAMES]
     assert rows == [[r, *(f"{nees[n][r]:.2f} ± {error[n][r]:.2g}" for n in NAMES)] for r in order]
@@ -412,7 +488,7 @@ def test_tables_of_cost_and_of_rest_are_the_summary(done):
     summary = done[1]
     columns, rows = table(summary, "evaluations of functions / µs")
     assert columns == ["rule", *NAMES]
-    each = {rule: [summary["cost"][name][rule] for name in NAMES] for rule in reference.KL}
+    each = {rule: [summary["cost"][name][rule] for name in NAMES] for rule in ORDER}
     assert rows == [
         [rule, *(f"{c['evaluations']:.0f} / {c['microseconds']:.1f}" for c in costs)]
         for rule, costs in each.items()

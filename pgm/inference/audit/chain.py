@@ -7,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.errors import NumericalError
+from pgm.inference.audit.corrected import Sums
 from pgm.inference.audit.density import Term, has_exact
+from pgm.inference.audit.draws import Draws, Strand
+from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.proposal import Proposal
 from pgm.inference.chain import backward
 from pgm.inference.chain.backward import Beliefs, Reverse
@@ -38,6 +41,10 @@ class ChainDraws:
     relative : bool
         Whether weights are relative to the densities of the linearised model, whose evidence then
         is the reference.
+    beliefs : Beliefs
+        The smoothed moments of every slice.
+    judged : ndarray of bool
+        (T+1,): the steps whose beliefs in the posterior know all measurements.
     """
 
     plan: ChainPlan
@@ -48,6 +55,8 @@ class ChainDraws:
     sensors: list[tuple[Sensor, Term]]
     reference: Array
     relative: bool
+    beliefs: Beliefs
+    judged: Mask
 
     @classmethod
     def make(cls, posterior: ChainPosterior) -> ChainDraws:
@@ -57,7 +66,9 @@ class ChainDraws:
         reverse = posterior._reverse
         smoothed = posterior.kind == SMOOTHED
         beliefs = posterior._beliefs if smoothed else backward.sweep(posterior._forward, reverse)
-        draws = cls._make(plan, beliefs, reverse, None)
+        steps = range(plan.steps + 1)
+        judged = np.array([posterior.kind.last(k, plan.steps) == plan.steps for k in steps])
+        draws = cls._make(plan, beliefs, reverse, None, judged)
         if not exact and draws.first.regular and draws.later.regular:
             return draws
         # The draws' support is the linearised model's: weights are relative to its densities, with
@@ -65,13 +76,17 @@ class ChainDraws:
         _refuse_grouped(plan)
         forward = posterior._forward
         reverse = Reverse.make(plan, forward)
-        return cls._make(
-            plan, backward.sweep(forward, reverse), reverse, forward.log_density.sum(axis=0)
-        )
+        beliefs = backward.sweep(forward, reverse)
+        return cls._make(plan, beliefs, reverse, forward.log_density.sum(axis=0), judged)
 
     @classmethod
     def _make(
-        cls, plan: ChainPlan, beliefs: Beliefs, reverse: Reverse, reference: Array | None
+        cls,
+        plan: ChainPlan,
+        beliefs: Beliefs,
+        reverse: Reverse,
+        reference: Array | None,
+        judged: Mask,
     ) -> ChainDraws:
         relative = reference is not None
         prior, transition = (
@@ -103,6 +118,8 @@ class ChainDraws:
             ],
             np.zeros(plan.runs) if reference is None else reference,
             relative,
+            beliefs,
+            judged,
         )
 
     @property
@@ -115,33 +132,61 @@ class ChainDraws:
         ]
         return size + int(max(seen, default=0))
 
-    def log_weights(self, count: int, rng: np.random.Generator) -> Array:
-        """Log-weights, (runs, S), of so many new trajectories."""
+    @property
+    def length(self) -> int:
+        """Numbers of a whole draw."""
+        return (self.plan.steps + 1) * self.plan.layout.slice_size
+
+    def sums(self) -> list[Sums]:
+        """Empty sums, one a hidden variable; judged are beliefs that know all measurements."""
+        layout, mean, cov = self.plan.layout, self.beliefs.mean, self.beliefs.cov
+        sums = []
+        for variable, places in layout.places.items():
+            first = 0 if variable in layout.states else 1
+            sums.append(
+                Sums(
+                    variable,
+                    places,
+                    first,
+                    mean[first:][..., places],
+                    block(cov[first:], places, places),
+                    self.judged[first:],
+                    timed=True,
+                )
+            )
+        return sums
+
+    def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
+        """So many new trajectories a run."""
         plan, layout = self.plan, self.plan.layout
         shape, places = (plan.runs, count), layout.state_places
         total = np.repeat(self.reference[:, None], count, axis=1)
-        states = np.zeros((*shape, 0))
+        strand = Strand(self.excursions, shape, rng, defensive, self.relative)
+        states, values = np.zeros((*shape, 0)), []
         for step in range(plan.steps + 1):
             links, proposal = (self.transition, self.later) if step else (self.prior, self.first)
             row = max(step - 1, 0)
-            fresh, log_density = proposal.draw(row, states, count, rng)
-            total -= 0.0 if self.relative else log_density
+            fresh, afresh = strand.propose(proposal, row, states)
             vector = np.concatenate([states, fresh], axis=-1)
+            start = states.shape[-1]
+            predicted = np.zeros(shape)
             for link, term in links:
-                child = vector[..., link.child]
-                child, weight = term.child(row, vector[..., link.parents], child)
-                vector[..., link.child] = child
-                total += weight
+                drawn = term.child(row, vector[..., link.parents], vector[..., link.child], afresh)
+                vector[..., link.child] = drawn.values
+                predicted += drawn.log_tails
+                total += np.where(drawn.lost, np.nan, drawn.log_density)
+            strand.weigh(proposal, row, states, vector[..., start:], predicted)
             if step:
-                slices = vector[..., layout.state_size :]
+                slices = vector[..., start:]
             else:
                 slices = np.zeros((*shape, layout.slice_size))
                 slices[..., places] = vector
-            total += self._readings(step, slices)
+            total += self._readings(step, slices, strict=not defensive)
+            values.append(slices)
             states = slices[..., places]
-        return total
+        return strand.drawn(total, values)
 
-    def _readings(self, step: int, slices: Array) -> Array:
+    def _readings(self, step: int, slices: Array, *, strict: bool) -> Array:
         total = np.zeros(slices.shape[:2])
         for sensor, term in self.sensors:
             rows = sensor.rows(step)
@@ -153,8 +198,14 @@ class ChainDraws:
                 np.broadcast_to(parents, (rows.stop - rows.start, *parents.shape)),
                 sensor.values[rows],
                 sensor.moved[rows],
+                strict=strict,
             )
         return total
+
+    @property
+    def excursions(self) -> Excursions:
+        """Where defensive draws leave the Gaussian; beside exact readings the model draws none."""
+        return Excursions(self.plan.steps + 1, 0.0 if self.relative else PREDICTED)
 
 
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:

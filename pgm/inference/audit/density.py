@@ -4,18 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TypeVar
+from functools import cached_property
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
+from pgm.inference.audit import tails
 from pgm.inference.family import Family
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference, nearest_branch
 from pgm.kernels.arrays import LOG_2PI, Array, Mask, independent, transpose
 
 Stack = TypeVar("Stack", Array, Mask)
+
+
+class Afresh(NamedTuple):
+    """Defensive draws that a CPD draws itself, where (runs, S) says so."""
+
+    where: Mask
+    rng: np.random.Generator
+
+
+class Drawn(NamedTuple):
+    """A child (runs, S, d), and over (runs, S) its log-density, with Student's tails, and losses.
+
+    Lost are draws at whose parents the function is not finite.
+    """
+
+    values: Array
+    log_density: Array
+    log_tails: Array
+    lost: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +91,10 @@ class Term:
         """The mask of child components that parents leave open, (rows or 1, runs or 1, d)."""
         return ~roots.determined(self.own)
 
-    def child(self, row: int, parents: Array, proposed: Array) -> tuple[Array, Array]:
-        """The child, and its log-density, for free components as proposed.
+    def child(
+        self, row: int, parents: Array, proposed: Array, afresh: Afresh | None = None
+    ) -> Drawn:
+        """The child, for free components as proposed, or drawn by the CPD itself.
 
         The others follow from the parents and the noise that the free ones imply, as the model has
         it.
@@ -83,19 +106,39 @@ class Term:
             (runs, S, n).
         proposed : ndarray
             (runs, S, d).
+        afresh : Afresh, optional
+            Of defensive draws: which of them the CPD draws.
         """
-        value = self._value(row, parents, on_chart=True)
+        value, lost = self._value(row, parents, on_chart=True, strict=afresh is None)
         own = _at(self.own, row)
-        white, _ = normal.whitened(own, proposed - value)
+        if afresh is not None:
+            proposed = self._redrawn(value, own, proposed, afresh)
+        white = self._white(row, proposed - value)
         log_density = normal.log_density(own, white)
         free = self.free()
         if not free.all():
             implied = value + white @ transpose(own)
             proposed = np.where(_at(free, row)[..., None, :], proposed, implied)
-        return proposed, self._relative(row, parents, proposed, log_density)
+        squared = np.einsum("rsi,rsi->rs", white, white)
+        size = (~roots.determined(own)).sum(axis=-1)[:, None]
+        return Drawn(
+            proposed,
+            self._relative(row, parents, proposed, log_density),
+            log_density + tails.log_ratio(size, squared),
+            lost,
+        )
 
-    def readings(self, rows: slice, parents: Array, values: Array, moved: Array) -> Array:
-        """The log-density of measurements, (runs, S), their sum over rows.
+    def _redrawn(self, value: Array, own: Array, proposed: Array, afresh: Afresh) -> Array:
+        places = afresh.where
+        white: Array = np.zeros(proposed.shape)
+        white[places] = afresh.rng.standard_normal((int(places.sum()), self.family.shape[2]))
+        tails.stretch(white, places, afresh.rng)
+        return np.where(places[..., None], value + white @ transpose(own), proposed)
+
+    def readings(
+        self, rows: slice, parents: Array, values: Array, moved: Array, *, strict: bool = True
+    ) -> Array:
+        """The log-density of measurements, (runs, S), their sum over rows; NaN where it is lost.
 
         Parameters
         ----------
@@ -105,20 +148,34 @@ class Term:
         values, moved : ndarray
             (k, runs or 1, d): as given, and with angles on the branch of the linearisation, where
             an affine CPD takes them.
+        strict : bool
+            Whether a function that is not finite is an error, or loses the draw.
         """
         if self.relative and self.family.exact:
             return np.zeros(parents.shape[1:3])
-        value = self._value(rows, parents)
+        value, lost = self._value(rows, parents, strict=strict)
         reading = moved if self.family.exact else values
         angles = self.family.cpd.child.angle_mask & (not self.family.exact)
         residual = self._read(rows, difference(reading[..., None, :], value, angles))
-        log_density = _log_density(_at(self.own, rows), residual)
+        log_density = normal.log_density(_at(self.own, rows), self._white(rows, residual))
         log_density = self._relative(rows, parents, moved[..., None, :], log_density)
         if self.taken is not None and not self.relative:
             missing = (~self.taken[rows]).sum(axis=-1)
             log_density = log_density + 0.5 * LOG_2PI * missing[..., None]
+        log_density = np.where(lost, np.nan, log_density) if lost.any() else log_density
         total: Array = log_density.sum(axis=0)
         return total
+
+    def _white(self, rows: int | slice, residual: Array) -> Array:
+        """White residuals (..., S, d) of the CPD's own noise, zero where determined."""
+        if self._inverse is None:
+            return normal.whitened(_at(self.own, rows), residual)[0]
+        white: Array = residual @ transpose(_at(self._inverse, rows))
+        return white
+
+    @cached_property
+    def _inverse(self) -> Array | None:
+        return normal.whitener(self.own)
 
     def _read(self, rows: int | slice, residual: Array) -> Array:
         """Residuals (..., S, d), zero in components that were not read."""
@@ -147,8 +204,11 @@ class Term:
         parents: Array,
         *,
         on_chart: bool = False,
-    ) -> Array:
-        """The CPD's mean at draws of its parents, (..., S, d).
+        strict: bool = True,
+    ) -> tuple[Array, Mask]:
+        """The CPD's mean at draws of its parents, (..., S, d), and where that is lost, (..., S).
+
+        There it is the linearised mean, if that is no error.
 
         The branch of an angle is a matter of the parents alone, so that the density of the child
         on the unwrapped chart integrates to one: that of the linearisation, where the function may
@@ -156,16 +216,20 @@ class Term:
         """
         family = self.family
         if family.exact:
-            return self._affine(rows, parents)
+            return self._affine(rows, parents), np.zeros(parents.shape[:-1], dtype=bool)
         function = family.bound(rows, parents.ndim - 2, parents.shape[:-2])
         with np.errstate(all="ignore"):  # non-finite values are refused below
             value = function(parents)
-        lost = np.asarray((~np.isfinite(value) & self._seen(rows)).any(axis=-1))
+        lost = np.zeros(value.shape[:-1], dtype=bool)
+        if not np.isfinite(value).all():
+            lost = np.asarray((~np.isfinite(value) & self._seen(rows)).any(axis=-1))
         if lost.any():
-            self._refuse(rows, parents, lost)
+            if strict:
+                self._refuse(rows, parents, lost)
+            value = np.where(lost[..., None], self._affine(rows, parents), value)
         if on_chart and function.angles.any():
-            return nearest_branch(value, self._affine(rows, parents), function.angles)
-        return value
+            value = nearest_branch(value, self._affine(rows, parents), function.angles)
+        return value, lost
 
     def _refuse(self, rows: int | slice, parents: Array, lost: Mask) -> None:
         where = tuple(int(axis[0]) for axis in np.nonzero(lost))

@@ -1,20 +1,22 @@
-"""Gaussian proposals: draws of the components that the model leaves open."""
+"""Proposals: draws of the components that the model leaves open, Gaussian or with Student tails."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from pgm.errors import NumericalError
+from pgm.inference.audit import tails
 from pgm.kernels import moments, normal, roots
-from pgm.kernels.arrays import Array, Mask, transpose
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
 from pgm.kernels.moments import Conditional
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Affine Gaussians, one a row: y = F x + b + L s, s ~ N(0, I).
+    """Affine Gaussians, one a row: y = F x + b + L s, s ~ N(0, I), or multivariate Student t.
 
     Attributes
     ----------
@@ -49,14 +51,52 @@ class Proposal:
         regular = bool((roots.determined(lower) == ~free).all())
         return cls(matrix, offset, lower, regular)
 
-    def draw(
-        self, row: int, given: Array, count: int, rng: np.random.Generator
-    ) -> tuple[Array, Array]:
-        """Draws (runs, S, n) given others (runs, S, m), and their log-densities (runs, S)."""
+    @cached_property
+    def _fixed(self) -> Mask:
+        return roots.determined(self.lower)
+
+    def white(
+        self, row: int, count: int, rng: np.random.Generator, away: Mask | None = None
+    ) -> Array:
+        """White noise s, (runs, S, n), zero where determined; of Student's t where `away`."""
         lower = self.lower[row]
         white = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
-        fixed = roots.determined(lower)
-        if fixed.any():
-            white = np.where(fixed[:, None, :], 0.0, white)
-        mean = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
-        return mean + white @ transpose(lower), normal.log_density(lower, white)
+        if away is not None:
+            tails.stretch(white, away, rng)
+        fixed = self._fixed[row]
+        return np.where(fixed[:, None, :], 0.0, white) if fixed.any() else white
+
+    def values(self, row: int, given: Array, white: Array) -> Array:
+        """The draws (runs, S, n) given others (runs, S, m), of white noise."""
+        return self._mean(row, given) + white @ transpose(self.lower[row])
+
+    def whitened(self, row: int, given: Array, values: Array) -> Array:
+        """The white noise (runs, S, n) of draws."""
+        off = values - self._mean(row, given)
+        if self._inverse is None:
+            return normal.whitened(self.lower[row], off)[0]
+        white: Array = off @ transpose(self._inverse[row])
+        return white
+
+    @cached_property
+    def _inverse(self) -> Array | None:
+        return normal.whitener(self.lower)
+
+    @cached_property
+    def _constants(self) -> tuple[Integers, Array]:
+        """The number of free components, and the constant of the Gaussian's log-density."""
+        size = (~self._fixed).sum(axis=-1)
+        return size, -0.5 * (roots.log_determinant(self.lower) + size * LOG_2PI)
+
+    def log_density(self, row: int, squared: Array) -> Array:
+        """The log-density (runs, S) of draws by the Gaussian, at their |s|²."""
+        value: Array = self._constants[1][row][:, None] - 0.5 * squared
+        return value
+
+    def log_tails(self, row: int, squared: Array) -> Array:
+        """The log-density (runs, S) by Student's t, less that by the Gaussian."""
+        return tails.log_ratio(self._constants[0][row][:, None], squared)
+
+    def _mean(self, row: int, given: Array) -> Array:
+        mean: Array = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
+        return mean

@@ -8,44 +8,72 @@ from types import MappingProxyType
 import numpy as np
 
 from pgm.display import Listing, Shown, Summary, number
-from pgm.errors import NumericalError
+from pgm.factors import Gaussian
 from pgm.immutable import Immutable
+from pgm.inference.audit.corrected import Compared
 from pgm.inference.audit.innovations import InnovationCheck
-from pgm.inference.audit.tail import pareto_shape
+from pgm.inference.audit.mixture import Mixture
 from pgm.inference.summaries import spread
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Mask, frozen
 from pgm.variables import Variable
 
 # Above this shape of the weights' tail no estimate made of them is to be trusted.
 UNTRUSTED = 0.7
+# A belief whose moments are further than this from the exact ones, in nats, is suspect.
+SUSPECT = 0.5
+# Effective draws that an estimate to be trusted is made of.
+ENOUGH = 10.0
 
 
 class Audit(Shown, Immutable):
     """The distance of a Gaussian answer from the exact one, by importance sampling; (...) are runs.
 
-    For draws x_s from the Gaussian answer q and weights w_s = p(x_s, z) / q(x_s).
+    For draws x_s from the Gaussian answer q and weights w_s = p(x_s, z) / q(x_s), and for as many
+    defensive draws d, with which these are weighed as a mixture, p(x_s, z) / r(x_s), r = (q + d)/2.
 
     Attributes
     ----------
     log_evidence : ndarray
-        (...): ln of the mean weight, the corrected ln p(z). The mean weight is unbiased; its
-        logarithm is low by about half the square of the standard error.
+        (...): the corrected ln p(z), from all draws: ln of the mean weight p/r, with q/r as its
+        control variate, whose mean is one.
     standard_error : ndarray
-        (...): of `log_evidence`, √((S/n − 1)/(S − 1)) for an effective sample size n (the delta
-        method).
+        (...): of `log_evidence` (the delta method).
     effective_sample_size : ndarray
-        (...): n = (Σ w)² / Σ w², from 1 to S.
+        (...): n = (Σ w)² / Σ w² of the Gaussian's own draws, from 1 to S: what the Gaussian would
+        be worth as a proposal.
+    effective_draws : ndarray
+        (...): the same of all draws, weighed by the mixture: what the estimates are made of.
     gaussian_log_evidence : ndarray
         (...): that of the posterior.
     divergence : ndarray
-        (...): KL(q ‖ p(x | z)) in nats, estimated as ln of the mean weight less the mean of ln w:
-        never negative, zero where all weights are equal, as in linear models. It is low by as much
-        as `log_evidence`, and where draws miss what matters by more: it cannot see more than
-        they do.
+        (...): KL(q ‖ p(x | z)) of all variables in nats: `log_evidence` less the mean of ln w.
+        A Gaussian that fits one of two modes and has lost the other is ln 2 away, if both weigh
+        the same, and less, if it fits the heavier one.
+    divergence_error : ndarray
+        (...): its standard error.
+    inclusive_divergence, inclusive_error : ndarray
+        (...): KL(p(x | z) ‖ q) of all variables in nats, and its standard error: large, where a
+        mode was lost.
+    moment_divergence : mapping of Variable to ndarray
+        KL(N(exact moments) ‖ q) of each variable alone, (..., steps) of a chain, (...) of a network
+        without time, in nats; infinite where too few draws leave no covariance.
+    corrected : mapping of Variable to Gaussian
+        The exact posterior's mean and covariance of each hidden variable, estimated: what the
+        moments of a Gaussian answer should be.
+    suspect : ndarray of bool
+        (...): whether a belief that knows all measurements is further than 0.5 nats from the exact
+        moments, beyond what so few effective draws may leave by chance. Of a smoother all beliefs
+        know them, of a filter the last one.
+    trusted : ndarray of bool
+        (...): whether ten draws or more are effective, and the tail of their weights allows
+        estimates; where not, nothing follows from `suspect` being False.
     pareto_k : ndarray
-        (...): the shape of the weights' tail. Below 0.5 their variance is finite; above about 0.7
-        neither the standard error nor the effective sample size is to be trusted. −∞ where all
-        weights are equal, NaN for fewer than 25 draws.
+        (...): the shape of the tail of the weights p/r at the Gaussian's draws. Below 0.5 their
+        variance is finite; above about 0.7 neither the standard error nor the effective sample
+        sizes are to be trusted. −∞ where all w are equal, NaN for fewer than 25 draws.
+    undefined : ndarray
+        (...): the part of defensive draws at which a function was NaN or infinite, which count as
+        impossible.
     log_weights : ndarray
         (..., S): ln w.
     innovations : mapping of Variable to InnovationCheck
@@ -55,54 +83,73 @@ class Audit(Shown, Immutable):
 
     References
     ----------
-    Owen, Monte Carlo theory, methods and examples, 2013, chapter 9; Vehtari, Simpson, Gelman, Yao &
-    Gabry, Pareto smoothed importance sampling, 2024.
+    Owen, Monte Carlo theory, methods and examples, 2013, chapter 9; Owen & Zhou, Safe and effective
+    importance sampling, 2000; Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance
+    sampling, 2024.
     """
 
     log_evidence: Array
     standard_error: Array
     effective_sample_size: Array
+    effective_draws: Array
     gaussian_log_evidence: Array
     divergence: Array
+    divergence_error: Array
+    inclusive_divergence: Array
+    inclusive_error: Array
+    moment_divergence: Mapping[Variable, Array]
+    corrected: Mapping[Variable, Gaussian]
+    suspect: Mask
+    trusted: Mask
     pareto_k: Array
+    undefined: Array
     log_weights: Array
     innovations: Mapping[Variable, InnovationCheck]
+    _furthest: tuple[float, str]
 
     def __init__(
         self,
-        log_weights: Array,
+        mixture: Mixture,
         gaussian_log_evidence: Array,
+        compared: Mapping[Variable, Compared] = MappingProxyType({}),
         innovations: Mapping[Variable, InnovationCheck] = MappingProxyType({}),
     ) -> None:
-        lead, samples = log_weights.shape[:-1], log_weights.shape[-1]
-        largest = log_weights.max(axis=-1)
-        if not np.isfinite(largest).all():
-            run = int(np.flatnonzero(~np.isfinite(largest))[0])
-            raise NumericalError(
-                f"run {run}: no draw from the Gaussian answer has a density under the model that "
-                "float64 can hold; are its units and noises of a size that fits the data?"
-            )
-        weights = np.exp(log_weights - largest[..., None])
-        # Equal weights give exactly the number of draws.
-        size = np.minimum(weights.sum(axis=-1) ** 2 / (weights**2).sum(axis=-1), samples)
-        log_evidence = largest + np.log(weights.mean(axis=-1))
+        known = np.array(gaussian_log_evidence, dtype=float)
+        lead = known.shape
         found = {
-            "log_evidence": log_evidence,
-            "standard_error": np.sqrt((samples / size - 1.0) / (samples - 1)),
-            "effective_sample_size": size,
-            "gaussian_log_evidence": np.array(gaussian_log_evidence, dtype=float),
-            "divergence": np.maximum(log_evidence - log_weights.mean(axis=-1), 0.0),
-            "pareto_k": pareto_shape(log_weights.reshape(-1, samples)).reshape(lead),
-            "log_weights": log_weights,
+            "log_evidence": mixture.log_evidence,
+            "standard_error": mixture.standard_error,
+            "effective_sample_size": mixture.gaussian_sample_size,
+            "effective_draws": mixture.effective_draws,
+            "divergence": mixture.divergence,
+            "divergence_error": mixture.divergence_error,
+            "inclusive_divergence": mixture.inclusive_divergence,
+            "inclusive_error": mixture.inclusive_error,
+            "pareto_k": mixture.pareto_k,
+            "undefined": mixture.undefined,
+            "log_weights": mixture.gaussian_log_weights,
+            "suspect": np.zeros(mixture.peak.shape, dtype=bool),
+            "trusted": (mixture.pareto_k <= UNTRUSTED) & (mixture.effective_draws >= ENOUGH),
         }
-        found = {name: np.asarray(value) for name, value in found.items()}
-        for value in found.values():
-            value.flags.writeable = False
-        self._set(**found, innovations=MappingProxyType(dict(innovations)))
+        for each in compared.values():
+            found["suspect"] |= each.excess(mixture.effective_draws) > SUSPECT
+        reshaped = {
+            name: frozen(value.reshape((*lead, *value.shape[1:]))) for name, value in found.items()
+        }
+        self._set(
+            **reshaped,
+            gaussian_log_evidence=frozen(known),
+            corrected=MappingProxyType({v: each.gaussian(lead) for v, each in compared.items()}),
+            moment_divergence=MappingProxyType(
+                {v: each.divergences(lead) for v, each in compared.items()}
+            ),
+            innovations=MappingProxyType(dict(innovations)),
+            _furthest=max((each.furthest(lead) for each in compared.values()), default=(0.0, "")),
+        )
 
     @property
     def samples(self) -> int:
-        """S, the number of draws of each run."""
+        """S, the number of draws of the Gaussian of each run; there are as many defensive ones."""
         return int(self.log_weights.shape[-1])
 
     @property
@@ -122,7 +169,9 @@ class Audit(Shown, Immutable):
         if not self.log_evidence.size:
             return Summary(self._title)
         k = float(self.pareto_k.max())
-        trust = "" if k <= UNTRUSTED else ": these estimates are not to be trusted"
+        trust = "" if self.trusted.all() else ": these estimates are not to be trusted"
+        if trust and self.trusted.any():
+            trust = f"{trust} in {(~self.trusted).sum()} runs"
         of = ", most of all runs" if self.log_evidence.ndim else ""
         rows = [
             ("log-evidence", spread(self.log_evidence)),
@@ -135,9 +184,29 @@ class Audit(Shown, Immutable):
             self._title,
             [
                 "The Gaussian answer against the exact posterior of the same model:",
+                *self._verdict(),
                 Listing(("", ""), rows),
                 f"Pareto shape {k:.2g} (to be below {UNTRUSTED}){trust}",
+                *self._gaps(),
                 "The model against its data:" + " not seen by this audit" * (not seen),
                 *seen,
             ],
         )
+
+    def _verdict(self) -> list[str]:
+        """Which belief is furthest from the exact moments, and how many runs are suspect."""
+        divergence, where = self._furthest
+        if not where:
+            return []
+        told = f"{where} is {divergence:.3g} nats from the exact posterior's moments"
+        if not self.suspect.any():
+            return [told]
+        runs = f" in {self.suspect.sum()} of {self.suspect.size} runs" if self.suspect.ndim else ""
+        return [f"SUSPECT{runs}: {told}"]
+
+    def _gaps(self) -> list[str]:
+        share = float(self.undefined.max(initial=0.0))
+        return [
+            f"a function was NaN or infinite at {share:.2g} of the defensive draws, which count as "
+            "impossible"
+        ] * (share > 0.0)

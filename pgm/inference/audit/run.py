@@ -9,6 +9,7 @@ import numpy as np
 from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
 from pgm.inference.audit.chain import ChainDraws
+from pgm.inference.audit.estimate import estimate
 from pgm.inference.audit.innovations import checks
 from pgm.inference.audit.result import Audit
 from pgm.inference.audit.tree import TreeDraws
@@ -17,10 +18,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.gaussian.posterior import GaussianPosterior
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
-from pgm.progress import Progress, counted, reporting
-
-# Numbers drawn at once: what stays near the processor.
-BATCH = 2**18
+from pgm.progress import Progress, reporting
 
 
 def audit(
@@ -44,6 +42,20 @@ def audit(
     controls and every measurement taken. For a linear model all weights are p(z). Where a CPD
     without noise determines components, q proposes the others, and these follow from the model.
     After filtering, q is the smoothed joint of the filter's linearisation.
+
+    Where q has lost a mode its own draws do not tell. As many draws come from a defensive d, and
+    log-evidence, divergences and exact moments from all of them, weighed by the mixture:
+
+        r = (q + d)/2,    Z = mean of p/r − β (mean of q/r − 1).
+
+    A draw of d leaves q for one excursion: from some slice on and for some slices it follows the
+    model's own CPDs, with Student's t₅ for their noise, or q's conditionals with such tails. In a
+    network without time it is all from the prior, or q with tails. The control q/r has mean one,
+    and for a linear model leaves no error. A belief whose moments are off is `suspect`.
+
+    It sees a mode that draws of the prediction reach: one that they hardly reach, or that is told
+    from the other only by many steps of readings, or a network of many variables, may escape it.
+    The cost is about three times that of the Gaussian's draws alone.
 
     Residuals of measurements of angles are wrapped, and an angle that a function wraps is taken on
     the branch of the linearisation, so that wrapping it or not gives the same.
@@ -76,11 +88,13 @@ def audit(
         If nothing can be drawn: a nonlinear sensor with singular noise was read, or nonlinear CPDs
         with singular noise stand beside linear sensors with it.
     LinearisationError
-        If a function is NaN or infinite at a draw.
+        If a function is NaN or infinite at a draw of q; defensive ones are counted, `undefined`.
 
     References
     ----------
-    Owen, Monte Carlo theory, methods and examples, 2013, chapter 9; Särkkä & Svensson, Bayesian
+    Hesterberg, Weighted average importance sampling and defensive mixture distributions, 1995; Owen
+    & Zhou, Safe and effective importance sampling, 2000; Owen, Monte Carlo theory, methods and
+    examples, 2013, chapter 9; Särkkä & Svensson, Bayesian
     Filtering and Smoothing, 2nd edition, 2023, chapter 11.
 
     Examples
@@ -111,16 +125,11 @@ def audit(
     else:
         raise ModelError(_advice(posterior))
     known = posterior.log_evidence
-    require_runs(samples, known.size, "the weights of an audit")
-    size = max(1, BATCH // (max(known.size, 1) * max(draws.width, 1)))
-    weights = np.empty((known.size, samples))
-    # A residual too large to be squared has no weight.
-    with reporting(progress), np.errstate(over="ignore"):
-        for first in counted(range(0, samples, size), "samples"):
-            count = min(size, samples - first)
-            weights[:, first : first + count] = draws.log_weights(count, generator)
+    require_runs(8 * samples, known.size, "the weights of an audit")
+    with reporting(progress):
+        mixture, compared = estimate(draws, known.size, samples, generator)
     seen = checks(posterior.innovations) if isinstance(posterior, ChainPosterior) else {}
-    return Audit(weights.reshape(*known.shape, samples), known, seen)
+    return Audit(mixture, known, compared, seen)
 
 
 def _advice(posterior: Any) -> str:

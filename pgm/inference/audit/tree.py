@@ -7,11 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.errors import GraphError
+from pgm.inference.audit.corrected import Sums
 from pgm.inference.audit.density import Term, has_exact
+from pgm.inference.audit.draws import Draws, Strand
+from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.proposal import Proposal
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.posterior import GaussianPosterior
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, block
 from pgm.kernels.moments import Conditional
 
 
@@ -30,6 +33,8 @@ class TreeDraws:
         (runs,): the log-weight that is common to all draws.
     relative : bool
         Whether weights are relative to the densities of the linearised network.
+    mean, cov : ndarray
+        (1, runs, n), (1, runs, n, n): the joint's moments.
     """
 
     model: Model
@@ -37,6 +42,8 @@ class TreeDraws:
     terms: list[Term]
     reference: Array
     relative: bool
+    mean: Array
+    cov: Array
 
     @classmethod
     def make(cls, posterior: GaussianPosterior) -> TreeDraws:
@@ -75,19 +82,43 @@ class TreeDraws:
             Conditional(np.zeros((1, *mean.shape, 0)), mean[None], cov[None]), free
         )
         known = posterior.log_evidence.reshape(runs) if relative else np.zeros(runs)
-        return cls(model, proposal, terms, known, relative)
+        return cls(model, proposal, terms, known, relative, mean[None], cov[None])
 
     @property
     def width(self) -> int:
         """Numbers that one draw of one run takes at a time."""
         return 3 * self.model.layout.size
 
-    def log_weights(self, count: int, rng: np.random.Generator) -> Array:
-        """Log-weights, (runs, S), of so many new draws."""
+    @property
+    def length(self) -> int:
+        """Numbers of a whole draw."""
+        return self.model.layout.size
+
+    def sums(self) -> list[Sums]:
+        """Empty sums, one a hidden variable."""
+        every = np.ones(1, dtype=bool)
+        return [
+            Sums(
+                variable,
+                places,
+                0,
+                self.mean[..., places],
+                block(self.cov, places, places),
+                every,
+                timed=False,
+            )
+            for variable, places in self.model.layout.places.items()
+        ]
+
+    def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
+        """So many new draws a run: defensive ones follow the prior, or have Student tails."""
         model = self.model
         total = np.repeat(self.reference[:, None], count, axis=1)
-        values, log_density = self.proposal.draw(0, np.zeros((*total.shape, 0)), count, rng)
-        total -= 0.0 if self.relative else log_density
+        excursions = Excursions(1, 0.0 if self.relative else PREDICTED)
+        strand = Strand(excursions, total.shape, rng, defensive, self.relative)
+        nothing = np.zeros((*total.shape, 0))
+        values, afresh = strand.propose(self.proposal, 0, nothing)
+        predicted = np.zeros(total.shape)
         for g, row in model.layout.order:
             group, term = model.layout.groups[g], self.terms[g]
             parents = values[..., group.parents[row]]
@@ -96,9 +127,14 @@ class TreeDraws:
                 assert given is not None
                 assert moved is not None
                 rows = slice(row, row + 1)
-                total += term.readings(rows, parents[None], given[rows], moved[rows])
+                total += term.readings(
+                    rows, parents[None], given[rows], moved[rows], strict=not defensive
+                )
             else:
                 child = group.child[row]
-                values[..., child], weight = term.child(row, parents, values[..., child])
-                total += weight
-        return total
+                drawn = term.child(row, parents, values[..., child], afresh)
+                values[..., child] = drawn.values
+                predicted += drawn.log_tails
+                total += np.where(drawn.lost, np.nan, drawn.log_density)
+        strand.weigh(self.proposal, 0, nothing, values, predicted)
+        return strand.drawn(total, [values])

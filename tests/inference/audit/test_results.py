@@ -8,7 +8,8 @@ from textbooks import refusal
 
 import pgm
 from pgm import GraphError, LinearisationError, ModelError, NumericalError
-from pgm.inference.audit import run
+from pgm.inference.audit import estimate
+from pgm.inference.audit.mixture import Mixture
 from pgm.inference.audit.tail import pareto_shape
 
 a, b, z, fix = pgm.variables("a b z fix")
@@ -29,22 +30,22 @@ def posterior(runs=(), **parts):
     return pgm.smooth(chain(**parts), {z: values[..., None]})
 
 
-def test_the_numbers_are_made_of_the_weights():
+def test_the_numbers_of_the_gaussian_are_made_of_its_weights():
     found = pgm.audit(posterior((2, 3)), samples=400, rng=7)
     weights = np.exp(found.log_weights)
     assert weights.shape == (2, 3, 400)
-    mean = weights.mean(-1)
-    np.testing.assert_allclose(found.log_evidence, np.log(mean))
     np.testing.assert_allclose(
         found.effective_sample_size, weights.sum(-1) ** 2 / (weights**2).sum(-1)
     )
-    np.testing.assert_allclose(
-        found.standard_error, weights.std(-1, ddof=1) / np.sqrt(400) / mean, rtol=1e-10
-    )
-    np.testing.assert_allclose(found.divergence, np.log(mean) - np.log(weights).mean(-1))
     np.testing.assert_allclose(found.correction, found.log_evidence - found.gaussian_log_evidence)
     assert found.samples == 400
     assert found.pareto_k.shape == (2, 3)
+    for belief in (found.corrected[a], posterior((2, 3))[a]):
+        assert belief.mean.shape == (2, 3, 4, 1)
+        assert belief.steps.tolist() == [0, 1, 2, 3]
+    assert found.moment_divergence[a].shape == (2, 3, 4)
+    for value in (found.suspect, found.trusted, found.undefined, found.inclusive_divergence):
+        assert value.shape == (2, 3)
 
 
 def test_an_audit_is_a_value():
@@ -73,7 +74,7 @@ def test_batches_of_draws_are_of_one_law(monkeypatch):
     """Many small batches, whose estimate is within the error of one large one's."""
     given = posterior((2,))
     whole = pgm.audit(given, samples=4000, rng=1)
-    monkeypatch.setattr(run, "BATCH", 100)
+    monkeypatch.setattr(estimate, "BATCH", 100)
     parts = pgm.audit(given, samples=4000, rng=2)
     gap = np.abs(whole.log_evidence - parts.log_evidence)
     assert (gap > 0).all()
@@ -327,10 +328,19 @@ def test_the_summary_bounds_nothing_and_says_against_what():
     assert "The Gaussian answer against the exact posterior of the same model:" in told
 
 
+def summed_up(log_weights):
+    """An audit of weights of the Gaussian, and of as many that say nothing."""
+    both = np.concatenate([log_weights, np.full_like(log_weights, -np.inf)])[None]
+    control = np.where(np.isfinite(both), 2.0, 0.0)
+    return pgm.Audit(Mixture.make(both, control, both, np.zeros(1)), np.array(0.0))
+
+
 def test_estimates_of_a_heavy_tail_are_not_to_be_trusted():
-    heavy = pgm.Audit(-2.0 * np.log(np.random.default_rng(0).uniform(size=1000)), np.array(0.0))
-    light = pgm.Audit(-0.2 * np.log(np.random.default_rng(0).uniform(size=1000)), np.array(0.0))
+    uniform = np.random.default_rng(0).uniform(size=1000)
+    heavy, light = (summed_up(-shape * np.log(uniform)) for shape in (2.0, 0.2))
+    assert not heavy.trusted
     assert "these estimates are not to be trusted" in repr(heavy)
+    assert light.trusted
     assert "not to be trusted" not in repr(light)
     assert repr(light).endswith("The model against its data: not seen by this audit")
 
