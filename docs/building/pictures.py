@@ -12,6 +12,7 @@ from typing import Any
 
 import matplotlib
 from docutils import nodes
+from PIL import Image
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 from sphinx.transforms import SphinxTransform
@@ -19,6 +20,7 @@ from sphinx.transforms import SphinxTransform
 from building import programs
 
 _DPI = 160  # twice a screen's, for letters that stay sharp
+_TEXT = 720  # dots that a line of text is wide
 _FILES = {".gif", ".html"}
 _LIVE = "_views"  # the folder of the viewer's pages, within the site
 
@@ -58,8 +60,8 @@ class Pictures(SphinxTransform):
         shutil.copyfile(path, folder / name)
         up = "../" * self.env.docname.count("/")
         frame = (
-            f'<iframe class="drawn" src="{up}{_LIVE}/{name}" sandbox="allow-scripts" loading="lazy" '
-            'title="the page that the program above writes"></iframe>'
+            f'<iframe class="drawn" src="{up}{_LIVE}/{name}" sandbox="allow-scripts" '
+            'loading="lazy" title="the page that the program above writes"></iframe>'
         )
         return nodes.raw("", frame, format="html")
 
@@ -99,9 +101,17 @@ def drawn(page: Path, target: Path) -> list[list[tuple[Path, int]]]:
             for source in sorted(moving):
                 path = target / source.name
                 path.write_bytes(source.read_bytes())
-                paths.append((path, 400))
+                paths.append((path, _width(path)))
             result.append(paths)
     return result
+
+
+def _width(path: Path) -> int:
+    """Of a moving picture, or of a page, which is as wide as the text."""
+    if path.suffix == ".html":
+        return _TEXT
+    with Image.open(path) as picture:
+        return min(picture.width, _TEXT)
 
 
 def _image(page: Path, path: Path, width: int) -> nodes.Node:
