@@ -5,18 +5,22 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import sys
 import tempfile
 from io import BytesIO
 from pathlib import Path
 
 import matplotlib
-from building import programs
 from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
+
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
+
+from building import programs
 
 PICTURE = programs.DOCS / "images" / "viewer.png"
 
@@ -44,7 +48,8 @@ def taken() -> bytes:
 
 def save(path: Path = PICTURE) -> None:
     """Write the picture with few colours."""
-    Image.open(BytesIO(taken())).convert("RGB").quantize(64).save(path, optimize=True)
+    picture = Image.open(BytesIO(taken())).convert("RGB")
+    picture.quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
 
 
 if __name__ == "__main__":

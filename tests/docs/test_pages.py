@@ -89,6 +89,12 @@ def test_the_experiments_are_listed():
     assert {each for each in EXPERIMENTS if f"`{each}`" not in page} == set()
 
 
+@pytest.mark.parametrize("picture", sorted((programs.DOCS / "images").glob("*")), ids=name)
+def test_pictures_are_small_and_shown(picture):
+    assert picture.stat().st_size <= 160_000
+    assert any(picture.name in text(page) for page in PAGES)
+
+
 def test_the_log_shown_is_the_log():
     page = text(programs.DOCS / "tutorials" / "own_log.md")
     (head,) = re.findall(r"^```csv\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
