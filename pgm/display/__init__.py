@@ -1,4 +1,4 @@
-"""What values look like: summaries of a few lines, as text and in HTML."""
+"""Summaries of values, of a few lines, as text and in HTML."""
 
 from pgm.display.brief import as_numbers, brief, called, table, vector
 from pgm.display.drawn import Drawn

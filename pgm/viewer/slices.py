@@ -19,7 +19,7 @@ from pgm.viewer.words import cpd, variable
 def head(
     graph: DynamicGraph, kind: Kind, span: range, hidden: Iterable[Variable]
 ) -> dict[str, Any]:
-    """What the page says of a chain whatever its beliefs are."""
+    """The part of the page that every chain has, whatever its beliefs are."""
     model, states = graph.model, graph.layout.states
     return {
         "kind": "chain",

@@ -19,7 +19,7 @@ BATCH, ROOM = 2**18, 2**24
 
 
 class Drawing(Protocol):
-    """What draws: of a chain, or of a tree."""
+    """A source of draws: a chain's, or a tree's."""
 
     @property
     def width(self) -> int:
