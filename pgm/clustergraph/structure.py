@@ -65,8 +65,16 @@ class ClusterGraph(Drawn, Immutable):
 
     Examples
     --------
-    >>> graph = ClusterGraph(net, [{a, b}, {b, c}, {c, a}],
-    ...                      sepsets={(0, 1): {b}, (1, 2): {c}})  # doctest: +SKIP
+    >>> import pgm
+    >>> a, b, c = pgm.variables("a b c")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ...     pgm.LinearGaussianCPD(c, given={a: 1.0}, cov=1.0),
+    ... ])
+    >>> graph = pgm.ClusterGraph(net, [{a, b}, {a, c}], sepsets={(0, 1): {a}})
+    >>> pgm.infer(graph, {b: [1.0], c: [2.0]})[a].mean
+    array([1.])
     """
 
     network: BayesianNetwork
