@@ -414,7 +414,7 @@ class ClusterGraph(Drawn, Immutable):
             scope = listed(self.clusters[k].scope)
             rows.append([str(k), scope, "; ".join(each + more)])
         heads = ("cluster", "variables", "joined to")
-        return Summary(self._title, [Listing(heads, rows, names=3, cell=60)])
+        return Summary(self._title, [Listing(heads, rows, names=3)])
 
 
 def _edge(edge: Any, count: int) -> Edge:

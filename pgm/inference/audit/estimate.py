@@ -19,7 +19,7 @@ BATCH, ROOM = 2**18, 2**24
 
 
 class Drawing(Protocol):
-    """A source of draws: a chain's, or a tree's."""
+    """The source of draws: a chain, or a tree."""
 
     @property
     def width(self) -> int:
