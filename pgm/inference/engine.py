@@ -205,6 +205,20 @@ def infer(
         If a number that is needed does not exist.
     ExecutorError
         If a worker dies, or the executor takes no work; ``.runs`` tells which runs were lost.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ... ])
+    >>> posterior = pgm.infer(pgm.compile(net), {b: [2.0]})
+    >>> posterior[a]
+    Gaussian(a)
+         mean ± deviation
+      a     1.000 ± 0.707
     """
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
@@ -240,8 +254,7 @@ def infer(
         raise GraphError(
             f"only a dynamic network is filtered, or smoothed by a lag; {titled(graph)} has no "
             f"time, for which {schedule!r} is: leave the schedule out for a tree, and on a graph "
-            "with loops "
-            "give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
+            "with loops give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
         )
     if isinstance(schedule, Smoothing) and schedule.damping:
         raise GraphError(

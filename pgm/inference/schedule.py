@@ -41,6 +41,20 @@ class Filtering(InCode):
     References
     ----------
     García-Fernández, Svensson, Morelande & Särkkä, Posterior linearization filter, 2015.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> graph = pgm.compile(model, steps=1)
+    >>> posterior = pgm.infer(graph, {z: [[4.0]]}, schedule=pgm.Filtering())
+    >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
+    (array([0., 2.]), array([1., 1.]))
     """
 
     iterations: int = 1
@@ -81,6 +95,23 @@ class Calibration(InCode):
     ------
     ModelError
         If one of them is no such number.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net, method=pgm.JunctionTree())
+    >>> posterior = pgm.infer(graph, {b: [2.0]}, schedule=pgm.Calibration())
+    >>> posterior[a]
+    Gaussian(a)
+         mean ± deviation
+      a     1.000 ± 0.707
+    >>> posterior.status.iterations
+    1
     """
 
     iterations: int = 1
@@ -118,6 +149,20 @@ class Smoothing(Calibration):
     References
     ----------
     García-Fernández, Svensson & Särkkä, Iterated posterior linearization smoother, 2017.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> graph = pgm.compile(model, steps=1)
+    >>> posterior = pgm.infer(graph, {z: [[4.0]]}, schedule=pgm.Smoothing())
+    >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
+    (array([1., 2.]), array([0.75, 1.  ]))
     """
 
     damping: Damping = 0.0
@@ -272,6 +317,23 @@ class Flooding(Loopy):
     ------
     ModelError
         If one of them is no such number.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net, method=pgm.Bethe())
+    >>> posterior = pgm.infer(graph, {b: [2.0]}, schedule=pgm.Flooding(tolerance=1e-6))
+    >>> posterior[a]
+    Gaussian(a)
+         mean ± deviation
+      a     1.000 ± 0.707
+    >>> bool(posterior.status.converged)
+    True
     """
 
 
@@ -293,6 +355,23 @@ class Sequential(Loopy):
     ------
     ModelError
         If one of them is no such number.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net, method=pgm.Bethe())
+    >>> posterior = pgm.infer(graph, {b: [2.0]}, schedule=pgm.Sequential(tolerance=1e-6))
+    >>> posterior[a]
+    Gaussian(a)
+         mean ± deviation
+      a     1.000 ± 0.707
+    >>> bool(posterior.status.converged)
+    True
     """
 
 
@@ -321,6 +400,23 @@ class Residual(Loopy):
     References
     ----------
     Elidan, McGraw & Koller, Residual belief propagation, 2006.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net, method=pgm.Bethe())
+    >>> posterior = pgm.infer(graph, {b: [2.0]}, schedule=pgm.Residual(tolerance=1e-6))
+    >>> posterior[a]
+    Gaussian(a)
+         mean ± deviation
+      a     1.000 ± 0.707
+    >>> bool(posterior.status.converged)
+    True
     """
 
 

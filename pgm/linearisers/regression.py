@@ -52,6 +52,15 @@ class Points(_Points):
         (N,), the former adding up to one.
     centred : bool
         Whether the first point is the origin.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pgm.linearisers import Points
+    >>> weights = np.array([0.5, 0.5])
+    >>> rule = Points(np.array([[1.0], [-1.0]]), weights, weights, centred=False)
+    >>> rule.mean_weights @ rule.points**2  # the variance of N(0, 1)
+    array([1.])
     """
 
     @cached_property
@@ -97,6 +106,24 @@ class StatisticalRegression(ArrayLineariser):
     References
     ----------
     García-Fernández, Svensson, Morelande & Särkkä, Posterior linearization filter, 2015.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> class Ends(pgm.StatisticalRegression):
+    ...     def points(self, dimension, name, step):
+    ...         arm = np.sqrt(dimension) * np.eye(dimension)
+    ...         weights = np.full(2 * dimension, 0.5 / dimension)
+    ...         return pgm.linearisers.Points(np.vstack([arm, -arm]), weights, weights, False)
+    ...
+    >>> pgm.infer(pgm.compile(net), {}, lineariser=Ends())[y].mean.round(2)
+    array([10.])
     """
 
     @abstractmethod

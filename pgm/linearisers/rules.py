@@ -40,6 +40,18 @@ class Unscented(StatisticalRegression):
     References
     ----------
     Wan & van der Merwe, The unscented Kalman filter for nonlinear estimation, 2000.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net)
+    >>> pgm.infer(graph, {}, lineariser=pgm.Unscented())[y].mean.round(2)
+    array([10.])
     """
 
     alpha: float | None = None
@@ -91,6 +103,18 @@ class Cubature(StatisticalRegression):
     References
     ----------
     Arasaratnam & Haykin, Cubature Kalman filters, 2009.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net)
+    >>> pgm.infer(graph, {}, lineariser=pgm.Cubature())[y].mean.round(2)
+    array([10.])
     """
 
     def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
@@ -134,6 +158,18 @@ class GaussHermite(StatisticalRegression):
     References
     ----------
     Ito & Xiong, Gaussian filters for nonlinear filtering problems, 2000.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net)
+    >>> pgm.infer(graph, {}, lineariser=pgm.GaussHermite(order=3))[y].mean.round(2)
+    array([10.])
     """
 
     order: int = 3

@@ -104,6 +104,23 @@ class StatePosterior(Posterior):
         Tables need no iterations.
     kind : Kind
         Which measurements the beliefs know: filtered, fixed-lag or smoothed.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = (pgm.Discrete(name, ("no", "yes")) for name in "xz")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.TableCPD(x, table=[0.5, 0.5])],
+    ...     transition=[pgm.TableCPD(x, given=x.previous, table=[[1.0, 0.0], [0.0, 1.0]])],
+    ...     observation=[pgm.TableCPD(z, given=x, table=[[0.75, 0.25], [0.25, 0.75]])],
+    ... )
+    >>> posterior = pgm.filter(model, {z: [1, 1]})
+    >>> posterior[x].probabilities
+    array([[0.5 , 0.5 ],
+           [0.25, 0.75],
+           [0.1 , 0.9 ]])
+    >>> posterior[x.at(2)]
+    Table(x[2]: no 0.1, yes 0.9)
     """
 
     graph: DynamicGraph

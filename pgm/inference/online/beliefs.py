@@ -47,6 +47,25 @@ class OnlineBelief(Shown, NoArray, Immutable):
         Which measurements it knows: filtered after an update, predicted before.
     associations : mapping of Variable to Associations
         By sensor, of the update's sightings that left open what was seen, with `unknown`.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> robot = pgm.OnlineFilter(model)
+    >>> belief = robot.predict(robot.initial())
+    >>> belief = robot.update(belief, {z: [4.0]})
+    >>> belief[x]
+    Gaussian(x)
+         mean ± deviation
+      x       2.00 ± 1.00
+    >>> belief.step, str(belief.kind)
+    (1, 'filtered')
     """
 
     step: int

@@ -85,11 +85,18 @@ class OnlineFilter(InCode, Immutable):
 
     Examples
     --------
-    >>> robot = OnlineFilter(model)  # doctest: +SKIP
-    >>> belief = robot.initial()  # doctest: +SKIP
-    >>> belief = robot.predict(belief, {u: odometry})  # doctest: +SKIP
-    >>> belief = robot.update(belief, {z: sightings(zs, given={m: ms})})  # doctest: +SKIP
-    >>> belief[x].mean, belief.lagged[x].mean  # with lag=5  # doctest: +SKIP
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> robot = pgm.OnlineFilter(model)
+    >>> belief = robot.predict(robot.initial())
+    >>> belief = robot.update(belief, {z: [4.0]})
+    >>> belief[x].mean, belief[x].cov
+    (array([2.]), array([[1.]]))
     """
 
     model: DynamicBayesianNetwork
