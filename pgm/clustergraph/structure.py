@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain, repeat
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from pgm.boundary import as_tuple, is_whole
 from pgm.clustergraph.assignment import assign, spanning_tree
@@ -18,29 +18,24 @@ from pgm.clustergraph.checks import (
     is_forest,
 )
 from pgm.clustergraph.cluster import Cluster
+from pgm.clustergraph.deriving import Deriving
 from pgm.clustergraph.size import amount, extent, is_discrete, work
 from pgm.display import Drawn, Listing, Summary, few, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed
-from pgm.immutable import Immutable
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
     import networkx as nx
 
-T = TypeVar("T")
 Places = tuple[int, ...]
-
-# Plans that a graph keeps: one for each set of observed variables that is asked about in turn.
-PLANS_KEPT = 32
-
 
 # Sepsets of a cluster, and variables of a sepset, that are shown.
 FEW = 3
 
 
-class ClusterGraph(Drawn, Immutable):
+class ClusterGraph(Drawn, Deriving):
     """An undirected graph of clusters; its edges are labelled with sepsets.
 
     Structure alone: it holds no evidence, message or belief. Made by `compile`, or by hand from
@@ -351,36 +346,6 @@ class ClusterGraph(Drawn, Immutable):
         graph.add_nodes_from((cluster.index, {"cluster": cluster}) for cluster in self.clusters)
         graph.add_edges_from((i, j, {"sepset": scope}) for (i, j), scope in self.sepsets.items())
         return graph
-
-    def derived(self, make: Callable[..., T], *key: Any) -> T:
-        """The result of a function of this graph and a key, made once.
-
-        The place of plans that the layers above compile from the structure; the latest are kept.
-
-        Parameters
-        ----------
-        make : callable
-            ``make(graph, *key)``.
-        *key : hashable
-
-        Returns
-        -------
-        object
-            The result of that call.
-        """
-        plans = self._derived
-        found: T = plans.pop((make, key)) if (make, key) in plans else make(self, *key)
-        plans[make, key] = found
-        if len(plans) > PLANS_KEPT:
-            del plans[next(iter(plans))]
-        return found
-
-    @cached_property
-    def _derived(self) -> dict[Any, Any]:
-        return {}
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in super().__getstate__().items() if k != "_derived"}
 
     def __iter__(self) -> Iterator[Cluster]:
         return iter(self.clusters)

@@ -79,6 +79,8 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
     >>> belief = Gaussian(x, mean=[1.0, 2.0], cov=[4.0, 1.0])
     >>> belief.std
     array([2., 1.])
+    >>> belief.sample(5, rng=0).shape
+    (5, 2)
     """
 
     __slots__ = ("cov", "mean", "scope", "steps")
@@ -199,6 +201,13 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         ------
         ModelError
             If a variable is not in the scope, or is named twice.
+
+        Examples
+        --------
+        >>> import pgm
+        >>> x, y = pgm.variables("x y")
+        >>> pgm.Gaussian((x, y), mean=[1.0, 2.0], cov=[4.0, 9.0]).marginal(y).mean
+        array([2.])
         """
         scope = as_scope(keep)
         places = positions(self.scope, scope)

@@ -65,6 +65,15 @@ class StatePosterior(Posterior):
            [0.1 , 0.9 ]])
     >>> posterior[x.at(2)]
     Table(x[2]: no 0.1, yes 0.9)
+    >>> posterior.joint(x.at(0), x.at(1))
+    Table(x[0], x[1]) of (2, 2) states
+      x[0]  x[1]: no   yes
+      no        0.25     0
+      yes          0  0.75
+    >>> posterior.message(0, 1)
+    Table(x[0]: no 0.5, yes 0.5)
+    >>> posterior.belief(2).normalised().marginal(x.at(2))
+    Table(x[2]: no 0.1, yes 0.9)
     """
 
     graph: DynamicGraph
