@@ -3,39 +3,42 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain, repeat
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pgm.boundary import as_tuple, is_whole
 from pgm.clustergraph.assignment import assign, spanning_tree
 from pgm.clustergraph.checks import (
     Edge,
+    as_edge,
     check_families,
     check_running_intersection,
     is_forest,
 )
 from pgm.clustergraph.cluster import Cluster
-from pgm.clustergraph.deriving import Deriving
+from pgm.clustergraph.listing import neighbourhoods
 from pgm.clustergraph.size import amount, extent, is_discrete, work
-from pgm.display import Drawn, Listing, Summary, few, titled
+from pgm.display import Drawn, Summary, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed
+from pgm.immutable import Immutable
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
     import networkx as nx
 
+T = TypeVar("T")
 Places = tuple[int, ...]
 
-# Sepsets of a cluster, and variables of a sepset, that are shown.
-FEW = 3
+# Plans that a graph keeps: one for each set of observed variables that is asked about in turn.
+PLANS_KEPT = 32
 
 
-class ClusterGraph(Drawn, Deriving):
+class ClusterGraph(Drawn, Immutable):
     """An undirected graph of clusters; its edges are labelled with sepsets.
 
     Structure alone: it holds no evidence, message or belief. Made by `compile`, or by hand from
@@ -61,14 +64,11 @@ class ClusterGraph(Drawn, Deriving):
     Examples
     --------
     >>> import pgm
-    >>> a, b, c = pgm.variables("a b c")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(a, 0.0, 1.0),
-    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
-    ...     pgm.LinearGaussianCPD(c, given={a: 1.0}, cov=1.0),
-    ... ])
-    >>> graph = pgm.ClusterGraph(net, [{a, b}, {a, c}], sepsets={(0, 1): {a}})
-    >>> pgm.infer(graph, {b: [1.0], c: [2.0]})[a].mean
+    >>> a, b = pgm.variables("a b")
+    >>> prior = pgm.GaussianCPD(a, 0.0, 1.0)
+    >>> net = pgm.BayesianNetwork([prior, pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)])
+    >>> graph = pgm.ClusterGraph(net, [{a}, {a, b}], sepsets={(0, 1): {a}})
+    >>> pgm.infer(graph, {b: [2.0]})[a].mean
     array([1.])
     """
 
@@ -121,7 +121,7 @@ class ClusterGraph(Drawn, Deriving):
                 )
             joined = {}
             for edge, members in sepsets.items():
-                i, j = _edge(edge, len(scopes))
+                i, j = as_edge(edge, len(scopes))
                 if (i, j) in joined:
                     raise GraphError(f"clusters {i} and {j} are given two sepsets", cluster=i)
                 joined[i, j] = places(members, f"the sepset between clusters {i} and {j}")
@@ -347,6 +347,36 @@ class ClusterGraph(Drawn, Deriving):
         graph.add_edges_from((i, j, {"sepset": scope}) for (i, j), scope in self.sepsets.items())
         return graph
 
+    def derived(self, make: Callable[..., T], *key: Any) -> T:
+        """The result of a function of this graph and a key, made once.
+
+        The place of plans that the layers above compile from the structure; the latest are kept.
+
+        Parameters
+        ----------
+        make : callable
+            ``make(graph, *key)``.
+        *key : hashable
+
+        Returns
+        -------
+        object
+            The result of that call.
+        """
+        plans = self._derived
+        found: T = plans.pop((make, key)) if (make, key) in plans else make(self, *key)
+        plans[make, key] = found
+        if len(plans) > PLANS_KEPT:
+            del plans[next(iter(plans))]
+        return found
+
+    @cached_property
+    def _derived(self) -> dict[Any, Any]:
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in super().__getstate__().items() if k != "_derived"}
+
     def __iter__(self) -> Iterator[Cluster]:
         return iter(self.clusters)
 
@@ -366,30 +396,4 @@ class ClusterGraph(Drawn, Deriving):
         )
 
     def _summary(self) -> Summary:
-        rows: list[Sequence[str] | None] = []
-        for k in few(self._count):
-            if k is None:
-                rows.append(None)
-                continue
-            joined = self.neighbours(k)
-            each = [
-                f"{j} by {listed(self.sepsets[min(k, j), max(k, j)], FEW)}" for j in joined[:FEW]
-            ]
-            more = [f"... {len(joined)} in all"] * (len(joined) > FEW)
-            scope = listed(self.clusters[k].scope)
-            rows.append([str(k), scope, "; ".join(each + more)])
-        heads = ("cluster", "variables", "joined to")
-        return Summary(self._title, [Listing(heads, rows, names=3, cell=60)])
-
-
-def _edge(edge: Any, count: int) -> Edge:
-    """A pair of different clusters, lower index first."""
-    ends = as_tuple(edge) or ()
-    if len(ends) != 2 or not all(map(is_whole, ends)):
-        raise GraphError(f"sepsets map pairs of clusters to variables; {edge!r} is none")
-    i, j = sorted(map(int, ends))
-    if i == j or not (i >= 0 and j < count):
-        raise GraphError(
-            f"a sepset joins two of the clusters 0..{count - 1}, not {edge!r}", cluster=i
-        )
-    return i, j
+        return Summary(self._title, [neighbourhoods(self)])

@@ -255,8 +255,7 @@ def infer(
         raise GraphError(
             f"only a dynamic network is filtered, or smoothed by a lag; {titled(graph)} has no "
             f"time, for which {schedule!r} is: leave the schedule out for a tree, and on a graph "
-            "with loops "
-            "give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
+            "with loops give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
         )
     if isinstance(schedule, Smoothing) and schedule.damping:
         raise GraphError(
