@@ -9,20 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats, as_mapping
-from pgm.display import NoArray, Shown, Summary, axes, named_matrix, number
+from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.arrays import as_matrix, as_points, as_vector, require_broadcast
+from pgm.factors.canonical_listing import summary
 from pgm.factors.gaussian import Gaussian, as_gaussian
-from pgm.factors.scope import (
-    Scope,
-    as_scope,
-    as_value,
-    components,
-    dimension,
-    listed,
-    names,
-    positions,
-)
+from pgm.factors.scope import Scope, as_scope, as_value, dimension, listed, names, positions
 from pgm.immutable import Immutable
 from pgm.kernels import canonical as kernel
 from pgm.kernels.arrays import Array, apply, frozen, inner
@@ -408,13 +400,4 @@ class CanonicalForm(Shown, NoArray, Immutable):
         return f"CanonicalForm({listed(self.scope)}){axes(self.g.shape, None)}"
 
     def _summary(self) -> Summary:
-        if not self.g.size:
-            return Summary(self._title)
-        first = (0,) * self.g.ndim
-        heads, K, h = components(self.scope), self.K[first], self.h[first]
-        scale = f"g = {number(self.g[first], 6)}"
-        if first:
-            scale = f"run {', '.join(map(str, first))}: {scale}"
-        if not heads:
-            return Summary(self._title, [scale])
-        return Summary(self._title, [scale, named_matrix(heads, heads, K, "K", before=[("h", h)])])
+        return summary(self._title, self.scope, self.K, self.h, self.g)

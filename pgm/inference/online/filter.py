@@ -398,9 +398,8 @@ class OnlineFilter(InCode, Immutable):
         if not is_like(behind, own) or belief.kind.lag > 0:
             raise ModelError(
                 f"{titled(belief)} is no belief to go on from with {self.schedule!r}: it is of a "
-                "filter with another schedule, or lags behind one; begin with initial(), and go "
-                "on from "
-                "the newest belief"
+                "filter with another schedule, or lags behind one; begin with initial(), and go on "
+                "from the newest belief"
             )
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
