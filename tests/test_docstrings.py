@@ -4,6 +4,7 @@ import doctest
 import importlib
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import pytest
 
 import pgm
@@ -19,4 +20,5 @@ MODULES = [
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_run_as_written(name):
     found = doctest.testmod(importlib.import_module(name))
+    plt.close("all")
     assert not found.failed

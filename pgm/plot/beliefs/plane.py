@@ -73,6 +73,15 @@ def ellipses(
     ------
     ModelError
         If `gaussian` is none, or lacks the components, or `confidence` is no probability.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x", components=("east", "north"))
+    >>> belief = pgm.Gaussian(x, mean=[1.0, 2.0], cov=[[4.0, 1.0], [1.0, 2.0]])
+    >>> ax = pgm.plot.ellipses(belief, confidence=0.95, unit="m")
+    >>> ax.get_xlabel()
+    'east [m]'
     """
     gaussian = as_gaussian(gaussian)
     found = gaussian.ellipse(confidence, components)
