@@ -74,7 +74,7 @@ def view(
     >>> cpds = [pgm.GaussianCPD(a, 0.0, 1.0), pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)]
     >>> posterior = pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), {b: 0.5})
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     pgm.view(posterior, Path(folder) / "run.html").name
+    ...     pgm.view(posterior, f"{folder}/run.html").name
     'run.html'
     """
     target = Path(path)

@@ -147,13 +147,12 @@ def write_xmlbif(network: BayesianNetwork, target: Source) -> None:
     Examples
     --------
     >>> import tempfile
-    >>> from pathlib import Path
     >>> import pgm
     >>> side = pgm.Discrete("side", ("heads", "tails"))
     >>> network = pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])])
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     pgm.write_xmlbif(network, Path(folder) / "coin.xml")
-    ...     pgm.read_xmlbif(Path(folder) / "coin.xml").variables
+    ...     pgm.write_xmlbif(network, f"{folder}/coin.xml")
+    ...     pgm.read_xmlbif(f"{folder}/coin.xml").variables
     (side,)
     """
     sources.write(target, "".join(_xmlbif(tables(network))))

@@ -213,8 +213,13 @@ def trajectory(
 
     Examples
     --------
-    >>> ax = trajectory(filtered[x], label=filtered.kind, truth=truth)  # doctest: +SKIP
-    >>> trajectory(smoothed[x], label=smoothed.kind, ax=ax)  # doctest: +SKIP
+    >>> import pgm
+    >>> x = pgm.Variable("x", components=("east", "north"))
+    >>> path = [[0.0, 0.0], [1.0, 0.5], [2.0, 0.5]]
+    >>> belief = pgm.Gaussian(x, mean=path, cov=0.04, steps=[0, 1, 2])
+    >>> ax = pgm.plot.trajectory(belief, label="filtered", truth=[[0.0, 0.1], [2.0, 0.6]])
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['truth', 'filtered']
     """
     belief = one_run(belief)
     if every is None:
