@@ -76,8 +76,10 @@ def beliefs_over_time(
 
     Examples
     --------
-    >>> ax = beliefs_over_time(filtered[x], label=filtered.kind, truth=truth)  # doctest: +SKIP
-    >>> beliefs_over_time(smoothed[x], label=smoothed.kind, ax=ax)  # doctest: +SKIP
+    >>> import pgm
+    >>> rain = pgm.Discrete("rain", states=("no", "yes"))
+    >>> belief = pgm.Table(rain, [[0.5, 0.5], [0.2, 0.8], [0.1, 0.9]], lead=3)
+    >>> ax = pgm.plot.beliefs_over_time(belief, label="filtered", truth=["no", "yes", "yes"])
     """
     found = chances(belief, (1,), 1, "beliefs over one variable with one leading axis, of steps")
     (variable,) = belief.scope
