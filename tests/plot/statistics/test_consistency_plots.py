@@ -197,7 +197,7 @@ def test_the_band_of_a_curve_that_differs_is_drawn_in_its_tint():
     seven, one = ax.collections
     assert labels(ax) == ["95 % band", "c, 95 % band"]
     assert_allclose(one.get_edgecolor()[:, :3], [to_rgba("C2")[:3]])
-    assert (seven.get_facecolor()[0, 3] > 0.0) and (one.get_facecolor()[0, 3] == 0.0)
+    assert one.get_facecolor()[0, 3] == 0.0 < seven.get_facecolor()[0, 3]
     for band, runs in ((seven, 7), (one, 1)):
         _, low, high = ends(band)
         assert_allclose([low[0], high[0]], consistency.mean_band(2, runs, 0.95))
