@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.boundary import as_generator, as_lengths, as_tuple, is_number, is_unordered, is_whole
+from pgm.boundary import (
+    as_generator,
+    as_lengths,
+    is_whole,
+)
 from pgm.display import (
     NoArray,
     Shown,
@@ -21,7 +25,7 @@ from pgm.display import (
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.arrays import as_points, as_steps, as_vector
 from pgm.factors.covariance import as_covariance
-from pgm.factors.ellipse import Ellipse
+from pgm.factors.ellipse import Ellipse, confidence_ellipse
 from pgm.factors.frames import Framed
 from pgm.factors.scope import (
     Scope,
@@ -30,7 +34,6 @@ from pgm.factors.scope import (
     components,
     dimension,
     distinct_labels,
-    labels,
     listed,
     names,
     positions,
@@ -76,6 +79,8 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
     >>> belief = Gaussian(x, mean=[1.0, 2.0], cov=[4.0, 1.0])
     >>> belief.std
     array([2., 1.])
+    >>> belief.sample(5, rng=0).shape
+    (5, 2)
     """
 
     __slots__ = ("cov", "mean", "scope", "steps")
@@ -196,6 +201,13 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         ------
         ModelError
             If a variable is not in the scope, or is named twice.
+
+        Examples
+        --------
+        >>> import pgm
+        >>> x, y = pgm.variables("x y")
+        >>> pgm.Gaussian((x, y), mean=[1.0, 2.0], cov=[4.0, 9.0]).marginal(y).mean
+        array([2.])
         """
         scope = as_scope(keep)
         places = positions(self.scope, scope)
@@ -361,21 +373,7 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         ModelError
             If the confidence is not in (0, 1), or the components are not two of the scope's.
         """
-        known = labels(self.scope)
-        if not is_number(confidence) or not 0.0 < confidence < 1.0:
-            raise ModelError(f"a confidence lies between 0 and 1; {confidence!r} does not")
-        if len(known) < 2:
-            raise ModelError(f"{names(self.scope)} has one component; an ellipse needs two")
-        pair = known[:2] if components is None else as_tuple(components)
-        if pair is None or len(pair) != 2 or is_unordered(components):
-            raise ModelError(f"an ellipse is of two components, not of {components!r}")
-        for label in pair:
-            if known.count(label) != 1 or pair[0] == pair[1]:
-                raise ModelError(
-                    f"{names(self.scope)} has no single component {label!r}; it has {known}"
-                )
-        i, j = (known.index(label) for label in pair)
-        return Ellipse.make(self.mean[..., [i, j]], self.cov[..., [[i], [j]], [i, j]], confidence)
+        return confidence_ellipse(self.scope, self.mean, self.cov, confidence, components)
 
     @property
     def _title(self) -> str:

@@ -48,10 +48,9 @@ class FunctionTemplate:
     >>> import pgm
     >>> from pgm.linearisers import FunctionTemplate
     >>> x, y = pgm.variables("x y")
-    >>> slope = lambda x: 2.0 * x[..., None]
-    >>> template = FunctionTemplate(y, (x,), (x,), lambda x: x**2, (slope,), (1.0,))
+    >>> template = FunctionTemplate(y, (x,), (x,), lambda x: x**2, (None,), (1.0,))
     >>> template.size, template.height, template.numerical
-    (1, 1, ())
+    (1, 1, (0,))
     """
 
     child: Variable

@@ -12,7 +12,8 @@ from numpy.polynomial.hermite_e import hermegauss
 from pgm.boundary import is_number, is_whole
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.linearisers.regression import Points, StatisticalRegression
+from pgm.linearisers.points import Points
+from pgm.linearisers.regression import StatisticalRegression
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ import numpy.typing as npt
 from pgm.boundary import is_whole
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers
-from pgm.linearisers.regression import Points, StatisticalRegression
+from pgm.linearisers.points import Points
+from pgm.linearisers.regression import StatisticalRegression
 from pgm.sizes import require_memory
 
 Words = npt.NDArray[np.uint64]

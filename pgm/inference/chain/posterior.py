@@ -73,6 +73,10 @@ class ChainPosterior(Posterior):
     >>> posterior.joint(x.at(0), x.at(1)).cov
     array([[0.75, 0.5 ],
            [0.5 , 1.  ]])
+    >>> posterior.belief(0).gaussian().mean
+    array([1.])
+    >>> posterior.message(0, 1).gaussian().cov
+    array([[1.]])
     """
 
     graph: DynamicGraph

@@ -59,6 +59,8 @@ class GridPosterior(Labelled, Viewed, Shown, NoArray, Immutable):
     array([1., 2.])
     >>> posterior[x.at(1)].std.round(2)
     array([1.])
+    >>> posterior.joint(x.at(1)).mean.round(2)
+    array([2.])
     """
 
     graph: DynamicGraph

@@ -58,6 +58,8 @@ class ParticlePosterior(Labelled, Viewed, Shown, NoArray, Immutable):
     ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
     ... )
     >>> posterior = pgm.filter(model, {z: [[4.0]]}, belief=pgm.Particles(10_000, seed=0))
+    >>> posterior.joint(x.at(1)).std.round(1)
+    array([1.])
     >>> posterior[x].mean.ravel().round(1)
     array([0., 2.])
     """
