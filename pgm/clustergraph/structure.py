@@ -21,7 +21,7 @@ from pgm.clustergraph.checks import (
 from pgm.clustergraph.cluster import Cluster
 from pgm.clustergraph.listing import neighbourhoods
 from pgm.clustergraph.size import amount, extent, is_discrete, work
-from pgm.display import Drawn, Summary, titled
+from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed
 from pgm.immutable import Immutable
@@ -391,8 +391,9 @@ class ClusterGraph(Drawn, Immutable):
     def _title(self) -> str:
         unit = "table entries" if is_discrete(self._clusters[0].scope) else "components"
         return (
-            f"ClusterGraph({len(self)} clusters, {len(self.sepsets)} sepsets, width {self.width}, "
-            f"largest cluster {amount(max(self.sizes))} {unit}, cost {amount(self.cost)})"
+            f"ClusterGraph({count(len(self), 'cluster')}, {count(len(self.sepsets), 'sepset')}, "
+            f"width {self.width}, largest cluster {amount(max(self.sizes))} {unit}, "
+            f"cost {amount(self.cost)})"
         )
 
     def _summary(self) -> Summary:

@@ -272,7 +272,7 @@ def test_repr_tells_what_to_expect():
     a, b = (net := discrete([[], [0]], [4, 5])).variables
     assert (
         repr(pgm.ClusterGraph(net, [{a, b}])).splitlines()[0]
-        == "ClusterGraph(1 clusters, 0 sepsets, width 1, largest cluster 20 table entries, "
+        == "ClusterGraph(1 cluster, 0 sepsets, width 1, largest cluster 20 table entries, "
         "cost 20)"
     )
     net = discrete([[]] * 40, [10] * 40)

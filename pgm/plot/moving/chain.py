@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
@@ -10,7 +12,7 @@ from matplotlib.text import Text
 
 from pgm.compile import DynamicGraph
 from pgm.plot.colours import INK, MUTED, SEPSET
-from pgm.plot.diagrams.canvas import Box, Canvas, Size, open_canvas, text_size
+from pgm.plot.diagrams.canvas import Box, Canvas, Size, open_canvas, readable, room, text_size
 from pgm.plot.diagrams.clusters import cluster_name, message_name
 from pgm.plot.diagrams.contents import contents
 from pgm.plot.diagrams.labels import scope_label
@@ -20,6 +22,9 @@ _GAP, _AWAY, _APART = 8.0, 6.0, 3.0
 _ARROW, _HEAD = 26.0, 9.0
 _DOTS = 14.0  # room for the dots at an end
 _LIT, _DONE = 0.6, 0.2  # of a pass's colour in a cluster
+# Where letters would be too small there are fewer clusters, down to so many; where that does not
+# do, sepsets name fewer variables, and clusters none.
+_FEW, _SHORT = 3, 2
 
 
 class Flow:
@@ -77,25 +82,19 @@ class Chain:
         self, ax: Axes, graph: DynamicGraph, most: int, colours: tuple[str, str], both: bool
     ) -> None:
         self._graph, self._colours = graph, colours
-        self._count = min(most, graph.steps + 1)
-        self._labels: dict[int, str] = {}
-        widest = _oval([self._label(k) for k in {0, min(1, graph.steps), graph.steps}])
-        plate = _plate([self._shared(k) for k in {0, graph.steps - 1} if 0 <= k < graph.steps])
-        name = text_size(message_name(graph.steps, graph.steps))
-        between = max(plate.width, name.width, _ARROW) + 2.0 * _GAP
-        pitch = widest.width + between
-        half = max(
-            0.5 * widest.height,
-            0.5 * plate.height + _AWAY + _APART + name.height if graph.steps else 0.0,
-        )
-        across = 0.5 * widest.width + _DOTS
-        right = pitch * (self._count - 1) + across
-        canvas = open_canvas(ax, Box(-across, -half, right, half))
+        most = min(most, graph.steps + 1)
+        counts = range(most, min(most, _FEW) - 1, -1)
+        for self._named, self._count in product((True, False), counts):
+            self._labels: dict[int, str] = {}
+            widest, plate, pitch, box = self._measured()
+            if readable(box.size, 1.0, room(ax)):
+                break
+        canvas = open_canvas(ax, box)
         if self._count > 1:
             canvas.line([(0.0, 0.0), (pitch * (self._count - 1), 0.0)])
         self._dots = [
             canvas.text((x, 0.0), "…", colour=MUTED)
-            for x in (-across + 0.3 * _DOTS, right - 0.3 * _DOTS)
+            for x in (box.left + 0.3 * _DOTS, box.right - 0.3 * _DOTS)
         ]
         self._ovals: list[Ellipse] = []
         self._texts: list[Text] = []
@@ -114,6 +113,20 @@ class Chain:
                 self._plates.append(canvas.text(middle, ""))
                 ways = (1, -1) if both else (1,)
                 self._flows.append(tuple(Flow(canvas, middle, plate.height, w) for w in ways))
+
+    def _measured(self) -> tuple[Size, Size, float, Box]:
+        """The sizes of clusters and sepsets, from one cluster to the next, and about them all."""
+        last = self._graph.steps
+        widest = _oval([self._label(k) for k in {0, min(1, last), last}])
+        plate = _plate([self._shared(k) for k in {0, last - 1} if 0 <= k < last])
+        name = text_size(message_name(last, last))
+        pitch = widest.width + max(plate.width, name.width, _ARROW) + 2.0 * _GAP
+        half = max(
+            0.5 * widest.height,
+            0.5 * plate.height + _AWAY + _APART + name.height if last else 0.0,
+        )
+        across = 0.5 * widest.width + _DOTS
+        return widest, plate, pitch, Box(-across, -half, pitch * (self._count - 1) + across, half)
 
     @property
     def artists(self) -> list[Artist]:
@@ -155,13 +168,15 @@ class Chain:
 
     def _label(self, index: int) -> str:
         if index not in self._labels:
-            cluster = self._graph.clusters[index]
-            text = contents(self._graph, [cluster], {}, None, False)[index]
-            self._labels[index] = f"{cluster_name(index)}\n{text}"
+            self._labels[index] = cluster_name(index)
+            if self._named:
+                cluster = self._graph.clusters[index]
+                text = contents(self._graph, [cluster], {}, None, False)[index]
+                self._labels[index] += f"\n{text}"
         return self._labels[index]
 
     def _shared(self, left: int) -> str:
-        return scope_label(self._graph.sepsets[left, left + 1])
+        return scope_label(self._graph.sepsets[left, left + 1], None if self._named else _SHORT)
 
 
 def tint(colour: str, part: float) -> tuple[float, float, float]:

@@ -82,7 +82,8 @@ def animate(
     run : int or sequence of int, optional
         Which of several runs, an index for each leading axis.
     clusters : int
-        The most clusters in the picture, which follows the one at work along a longer chain.
+        The most clusters in the picture, fewer where their letters would be too small; it follows
+        the one at work along a longer chain.
     every : int, optional
         Steps from a picture to the next; as many as leave at most 100 pictures a pass without.
     rate : float

@@ -16,10 +16,12 @@ import pgm
 import pgm.plot
 from pgm import ModelError
 from pgm.inference import Kind
+from pgm.plot.diagrams.canvas import LEGIBLE
 from pgm.plot.moving.blitting import BlittedCanvas
 from pgm.plot.moving.chain import Chain
 from pgm.plot.moving.passes import Frame, frames
 from pgm.plot.moving.paths import FILTERED, REVISED, Paths
+from tests.plot.diagrams.zoo import hub
 
 x = pgm.Variable("x", components=("east", "north"))
 y = pgm.Variable("y", components=("east", "north"))
@@ -62,9 +64,9 @@ def test_long_passes_skip_steps_and_end_at_the_last():
     assert [f.step for f in frames(Kind(0), 7, 3)] == [0, 3, 6, 7]
 
 
-def chain_at(frame, most=5, graph=SMOOTHED.graph, both=True):
+def chain_at(frame, most=5, graph=SMOOTHED.graph, both=True, wide=8):
     """The names of the clusters and of the messages shown, and the cluster that is lit."""
-    ax = plt.subplots(figsize=(8, 1.5))[1]
+    ax = plt.subplots(figsize=(wide, 1.5))[1]
     chain = Chain(ax, graph, most, (FILTERED, REVISED), both)
     chain.show(frame)
     clusters = [text.get_text().split("\n")[0].translate(SUBSCRIPTS) for text in chain._texts]
@@ -92,7 +94,8 @@ def test_the_cluster_at_work_is_lit_and_messages_flow():
 
 def test_a_window_ends_where_the_chain_does():
     assert chain_at(Frame(T, False, T, (0, -1)), 3)[0] == ["C6", "C7", "C8"]
-    assert chain_at(Frame(0, False, 0, (0, -1)), 40)[0] == [f"C{k}" for k in range(T + 1)]
+    every = [f"C{k}" for k in range(T + 1)]
+    assert chain_at(Frame(0, False, 0, (0, -1)), 40, wide=16)[0] == every
     assert chain_at(Frame(5, False, 5, (0, -1)), 1)[0] == ["C5"]
 
 
@@ -113,6 +116,18 @@ def test_texts_of_the_chain_lie_in_their_shapes_and_all_in_the_axes():
                 box = artist.get_window_extent()
                 assert figure.bbox.x0 <= box.x0 <= box.x1 <= figure.bbox.x1
                 assert figure.bbox.y0 <= box.y0 <= box.y1 <= figure.bbox.y1
+
+
+@pytest.mark.parametrize("landmarks", [1, 5, 12])
+def test_letters_of_the_chain_are_legible_however_many_variables_a_cluster_has(landmarks):
+    graph = pgm.compile(hub(landmarks), steps=30)
+    clusters, lit, _, chain = chain_at(Frame(14, True, 30, (14, 30)), graph=graph)
+    assert lit == "C14"
+    assert len(clusters) >= 3
+    flows = [flow.text for slot in chain._flows for flow in slot]
+    texts = [*chain._texts, *chain._plates, *flows]
+    assert min(text.get_fontsize() for text in texts) >= LEGIBLE
+    assert ("\n" in chain._texts[0].get_text()) == (landmarks != 5)  # twelve stand on one line
 
 
 def paths(kind, ax, truth=None):
