@@ -71,7 +71,7 @@ def counted(items: Iterable[T], what: str, total: int | None = None) -> Iterable
     return report.each(items, what, total) if total > 1 else items
 
 
-# What a stage of work is told: how many are done, and that it is over.
+# A stage of work, as two calls: so many are done, and it is over.
 _Stage = tuple[Callable[[int], object], Callable[[], object]]
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
 
+from pgm.boundary import as_tuple, is_whole
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed
 from pgm.variables import Variable
@@ -152,3 +154,16 @@ def _some(clusters: Collection[int]) -> str:
     """The first clusters, for messages."""
     shown = ", ".join(map(str, sorted(clusters)[:5]))
     return f"[{shown}{', ...' if len(clusters) > 5 else ''}]"
+
+
+def as_edge(edge: Any, count: int) -> Edge:
+    """A pair of different clusters, lower index first."""
+    ends = as_tuple(edge) or ()
+    if len(ends) != 2 or not all(map(is_whole, ends)):
+        raise GraphError(f"sepsets map pairs of clusters to variables; {edge!r} is none")
+    i, j = sorted(map(int, ends))
+    if i == j or not (i >= 0 and j < count):
+        raise GraphError(
+            f"a sepset joins two of the clusters 0..{count - 1}, not {edge!r}", cluster=i
+        )
+    return i, j

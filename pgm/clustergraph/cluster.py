@@ -21,6 +21,20 @@ class Cluster(Shown):
     cpds : tuple of CPD
     families : tuple of tuple of Variable
         The family of each CPD, child first, all inside the scope.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ... ])
+    >>> cluster = pgm.compile(net).clusters[0]
+    >>> cluster
+    Cluster(0: (a, b))
+    >>> cluster.cpds
+    (GaussianCPD(a), LinearGaussianCPD(b | a))
     """
 
     index: int

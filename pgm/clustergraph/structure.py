@@ -13,13 +13,15 @@ from pgm.boundary import as_tuple, is_whole
 from pgm.clustergraph.assignment import assign, spanning_tree
 from pgm.clustergraph.checks import (
     Edge,
+    as_edge,
     check_families,
     check_running_intersection,
     is_forest,
 )
 from pgm.clustergraph.cluster import Cluster
+from pgm.clustergraph.listing import neighbourhoods
 from pgm.clustergraph.size import amount, extent, is_discrete, work
-from pgm.display import Drawn, Listing, Summary, few, titled
+from pgm.display import Drawn, Summary, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed
 from pgm.immutable import Immutable
@@ -34,10 +36,6 @@ Places = tuple[int, ...]
 
 # Plans that a graph keeps: one for each set of observed variables that is asked about in turn.
 PLANS_KEPT = 32
-
-
-# Sepsets of a cluster, and variables of a sepset, that are shown.
-FEW = 3
 
 
 class ClusterGraph(Drawn, Immutable):
@@ -65,8 +63,13 @@ class ClusterGraph(Drawn, Immutable):
 
     Examples
     --------
-    >>> graph = ClusterGraph(net, [{a, b}, {b, c}, {c, a}],
-    ...                      sepsets={(0, 1): {b}, (1, 2): {c}})  # doctest: +SKIP
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> prior = pgm.GaussianCPD(a, 0.0, 1.0)
+    >>> net = pgm.BayesianNetwork([prior, pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)])
+    >>> graph = pgm.ClusterGraph(net, [{a}, {a, b}], sepsets={(0, 1): {a}})
+    >>> pgm.infer(graph, {b: [2.0]})[a].mean
+    array([1.])
     """
 
     network: BayesianNetwork
@@ -118,7 +121,7 @@ class ClusterGraph(Drawn, Immutable):
                 )
             joined = {}
             for edge, members in sepsets.items():
-                i, j = _edge(edge, len(scopes))
+                i, j = as_edge(edge, len(scopes))
                 if (i, j) in joined:
                     raise GraphError(f"clusters {i} and {j} are given two sepsets", cluster=i)
                 joined[i, j] = places(members, f"the sepset between clusters {i} and {j}")
@@ -393,30 +396,4 @@ class ClusterGraph(Drawn, Immutable):
         )
 
     def _summary(self) -> Summary:
-        rows: list[Sequence[str] | None] = []
-        for k in few(self._count):
-            if k is None:
-                rows.append(None)
-                continue
-            joined = self.neighbours(k)
-            each = [
-                f"{j} by {listed(self.sepsets[min(k, j), max(k, j)], FEW)}" for j in joined[:FEW]
-            ]
-            more = [f"... {len(joined)} in all"] * (len(joined) > FEW)
-            scope = listed(self.clusters[k].scope)
-            rows.append([str(k), scope, "; ".join(each + more)])
-        heads = ("cluster", "variables", "joined to")
-        return Summary(self._title, [Listing(heads, rows, names=3, cell=60)])
-
-
-def _edge(edge: Any, count: int) -> Edge:
-    """A pair of different clusters, lower index first."""
-    ends = as_tuple(edge) or ()
-    if len(ends) != 2 or not all(map(is_whole, ends)):
-        raise GraphError(f"sepsets map pairs of clusters to variables; {edge!r} is none")
-    i, j = sorted(map(int, ends))
-    if i == j or not (i >= 0 and j < count):
-        raise GraphError(
-            f"a sepset joins two of the clusters 0..{count - 1}, not {edge!r}", cluster=i
-        )
-    return i, j
+        return Summary(self._title, [neighbourhoods(self)])

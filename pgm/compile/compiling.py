@@ -77,11 +77,16 @@ def compile(
 
     Examples
     --------
-    >>> graph = compile(model, steps=100)  # doctest: +SKIP
-    >>> tree = compile(model, steps=100, method=Balanced())  # doctest: +SKIP
-    >>> graph = compile(network, method=JunctionTree(order=WeightedMinFill()))  # doctest: +SKIP
-    >>> graph.check()  # doctest: +SKIP
-    >>> graph.cost  # doctest: +SKIP
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net, method=pgm.JunctionTree(order=pgm.WeightedMinFill()))
+    >>> graph.check()
+    >>> graph.clusters
+    (Cluster(0: (a, b)),)
     """
     if isinstance(model, DynamicBayesianNetwork):
         return _dynamic(model, steps, method)

@@ -56,6 +56,18 @@ class MinFill(Rule):
     References
     ----------
     Koller and Friedman (2009), Probabilistic Graphical Models, section 9.4.3.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> states = [pgm.Discrete(f"x{i}", 2) for i in range(100)]
+    >>> cpds = [pgm.TableCPD(states[0], table=[0.5, 0.5])]
+    >>> for before, after in zip(states, states[1:]):
+    ...     cpds.append(pgm.TableCPD(after, given=before, table=[[0.9, 0.1], [0.1, 0.9]]))
+    ...
+    >>> tree = pgm.JunctionTree(order=pgm.MinFill())
+    >>> pgm.compile(pgm.BayesianNetwork(cpds), method=tree).cost
+    396
     """
 
     def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
@@ -72,6 +84,18 @@ class WeightedMinFill(Rule):
     References
     ----------
     Koller and Friedman (2009), Probabilistic Graphical Models, section 9.4.3.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> states = [pgm.Discrete(f"x{i}", 2) for i in range(100)]
+    >>> cpds = [pgm.TableCPD(states[0], table=[0.5, 0.5])]
+    >>> for before, after in zip(states, states[1:]):
+    ...     cpds.append(pgm.TableCPD(after, given=before, table=[[0.9, 0.1], [0.1, 0.9]]))
+    ...
+    >>> tree = pgm.JunctionTree(order=pgm.WeightedMinFill())
+    >>> pgm.compile(pgm.BayesianNetwork(cpds), method=tree).cost
+    396
     """
 
     def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
@@ -105,6 +129,18 @@ class StochasticMinFill(Rule):
     ----------
     Kask, Gelfand, Otten and Dechter (2011), Pushing the power of stochastic greedy ordering schemes
     for inference in graphical models.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> states = [pgm.Discrete(f"x{i}", 2) for i in range(100)]
+    >>> cpds = [pgm.TableCPD(states[0], table=[0.5, 0.5])]
+    >>> for before, after in zip(states, states[1:]):
+    ...     cpds.append(pgm.TableCPD(after, given=before, table=[[0.9, 0.1], [0.1, 0.9]]))
+    ...
+    >>> tree = pgm.JunctionTree(order=pgm.StochasticMinFill(tries=10))
+    >>> pgm.compile(pgm.BayesianNetwork(cpds), method=tree).cost
+    396
     """
 
     tries: int = 200
@@ -146,6 +182,18 @@ class NestedDissection(Rule):
     References
     ----------
     George and Liu (1981), Computer Solution of Large Sparse Positive Definite Systems, section 8.1.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> states = [pgm.Discrete(f"x{i}", 2) for i in range(100)]
+    >>> cpds = [pgm.TableCPD(states[0], table=[0.5, 0.5])]
+    >>> for before, after in zip(states, states[1:]):
+    ...     cpds.append(pgm.TableCPD(after, given=before, table=[[0.9, 0.1], [0.1, 0.9]]))
+    ...
+    >>> tree = pgm.JunctionTree(order=pgm.NestedDissection())
+    >>> pgm.compile(pgm.BayesianNetwork(cpds), method=tree).cost
+    700
     """
 
     small: int = 8

@@ -283,7 +283,7 @@ class CPD(Shown, Immutable):
         return Summary(self._title, self._parts())
 
     def _parts(self) -> Sequence[str | Listing]:
-        """What is shown below the title."""
+        """The lines and listings below the title."""
         return ()
 
     def __repr__(self) -> str:

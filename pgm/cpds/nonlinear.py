@@ -48,6 +48,20 @@ class NonlinearGaussianCPD(ConditionalGaussian):
     ------
     ModelError
         If shapes do not fit, `cov` is not a covariance, or something callable is not.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> cpd = pgm.NonlinearGaussianCPD(
+    ...     y, given=x, function=np.sin, cov=0.0, jacobian={x: lambda x: np.cos(x)[..., None]}
+    ... )
+    >>> cpd
+    NonlinearGaussianCPD(y | x)
+    >>> cpd.sample({x: [[0.0], [np.pi / 2]]}, rng=0)
+    array([[0.],
+           [1.]])
     """
 
     function: Callable[..., Any]

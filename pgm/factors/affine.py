@@ -41,6 +41,16 @@ class AffineGaussian(Shown, NoArray, Immutable):
     ------
     ModelError
         If the shapes do not fit one another.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x")
+    >>> double = pgm.AffineGaussian(F=[[2.0]], b=[1.0], cov=1.0)
+    >>> double.forward(pgm.Gaussian(x, mean=3.0, cov=1.0), pgm.Variable("y"))
+    Gaussian(y)
+         mean ± deviation
+      y       7.00 ± 2.24
     """
 
     __slots__ = ("F", "b", "cov")

@@ -11,7 +11,7 @@ from pgm.boundary import as_floats, as_wholes
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, dimension, labels, names
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.checks import symmetrised
+from pgm.kernels.checks import is_symmetric, symmetrised
 
 
 def as_vector(scope: Scope, value: Any, what: str) -> Array:
@@ -27,6 +27,26 @@ def as_matrix(scope: Scope, value: Any, what: str, **about: Any) -> Array:
         array = array[None, None]
     square = array.ndim >= 2 and array.shape[-1] == array.shape[-2]
     return symmetrised(array) if square else array
+
+
+def as_information(
+    scope: Scope, K: npt.ArrayLike, h: npt.ArrayLike, g: npt.ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Copies of the matrix, vector and constant of a canonical form; refuses what is none."""
+    size = dimension(scope)
+    what = f"canonical form over {names(scope)}:"
+    K, h = as_matrix(scope, K, f"{what} K"), as_vector(scope, h, f"{what} h")
+    g = as_floats(g, f"{what} g").copy()
+    if K.shape[-2:] != (size, size) or h.shape[-1:] != (size,):
+        raise ModelError(
+            f"canonical form over {names(scope)}: K has shape {K.shape} and h {h.shape}; "
+            f"they must end in ({size}, {size}) and ({size},)"
+        )
+    if not all(np.isfinite(part).all() for part in (K, h, g)):
+        raise ModelError(f"canonical form over {names(scope)}: K, h and g must be finite")
+    if not is_symmetric(K):
+        raise ModelError(f"canonical form over {names(scope)}: K is not symmetric")
+    return K, h, g
 
 
 def as_points(scope: Scope, value: Any, lead: tuple[int, ...], what: str) -> Array:

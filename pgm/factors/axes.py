@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats, is_whole
-from pgm.errors import ModelError
+from pgm.errors import ModelError, NumericalError
 from pgm.factors.scope import Scope, as_scope, names
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
@@ -83,6 +83,18 @@ def as_entries(
     if np.isnan(scale).any() or (scale == np.inf).any():
         raise ModelError(f"{what}: log_scale must be finite, or −inf for a table of zeros")
     return entries, scale
+
+
+def require_positive(scope: States, largest: Array) -> None:
+    """Refuse tables of which one is all zero, by the largest entry of each."""
+    empty = np.argwhere(largest == 0.0)
+    if empty.shape[0]:
+        first = tuple(map(int, empty[0]))
+        where = f" (first in run {first[0] if len(first) == 1 else first})" if first else ""
+        raise NumericalError(
+            f"the table over {names(scope)} is all zero{where}: it has neither "
+            "probabilities nor a largest entry; the factors it is made of contradict each other"
+        )
 
 
 def _is_within(own: tuple[int, ...], lead: tuple[int, ...]) -> bool:

@@ -9,15 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats, as_mapping
-from pgm.display import NoArray, Shown, Summary, axes, named_matrix, number
+from pgm.display import NoArray, Shown, Summary, axes
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import as_matrix, as_points, as_vector, require_broadcast
+from pgm.factors.arrays import as_information, as_points, require_broadcast
 from pgm.factors.gaussian import Gaussian, as_gaussian
+from pgm.factors.listing import canonical_summary
 from pgm.factors.scope import (
     Scope,
     as_scope,
     as_value,
-    components,
     dimension,
     listed,
     names,
@@ -26,7 +26,6 @@ from pgm.factors.scope import (
 from pgm.immutable import Immutable
 from pgm.kernels import canonical as kernel
 from pgm.kernels.arrays import Array, apply, frozen, inner
-from pgm.kernels.checks import is_symmetric
 from pgm.variables import Variable
 
 
@@ -83,20 +82,7 @@ class CanonicalForm(Shown, NoArray, Immutable):
         g: npt.ArrayLike = 0.0,
     ) -> None:
         scope = as_scope(scope)
-        size = dimension(scope)
-        what = f"canonical form over {names(scope)}:"
-        K, h = as_matrix(scope, K, f"{what} K"), as_vector(scope, h, f"{what} h")
-        g = as_floats(g, f"{what} g").copy()
-        if K.shape[-2:] != (size, size) or h.shape[-1:] != (size,):
-            raise ModelError(
-                f"canonical form over {names(scope)}: K has shape {K.shape} and h {h.shape}; "
-                f"they must end in ({size}, {size}) and ({size},)"
-            )
-        if not all(np.isfinite(part).all() for part in (K, h, g)):
-            raise ModelError(f"canonical form over {names(scope)}: K, h and g must be finite")
-        if not is_symmetric(K):
-            raise ModelError(f"canonical form over {names(scope)}: K is not symmetric")
-        self._put(scope, K, h, g)
+        self._put(scope, *as_information(scope, K, h, g))
 
     def _put(self, scope: Scope, K: Array, h: Array, g: Array) -> None:
         try:
@@ -408,13 +394,4 @@ class CanonicalForm(Shown, NoArray, Immutable):
         return f"CanonicalForm({listed(self.scope)}){axes(self.g.shape, None)}"
 
     def _summary(self) -> Summary:
-        if not self.g.size:
-            return Summary(self._title)
-        first = (0,) * self.g.ndim
-        heads, K, h = components(self.scope), self.K[first], self.h[first]
-        scale = f"g = {number(self.g[first], 6)}"
-        if first:
-            scale = f"run {', '.join(map(str, first))}: {scale}"
-        if not heads:
-            return Summary(self._title, [scale])
-        return Summary(self._title, [scale, named_matrix(heads, heads, K, "K", before=[("h", h)])])
+        return canonical_summary(self._title, self.scope, self.K, self.h, self.g)

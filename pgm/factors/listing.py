@@ -1,4 +1,4 @@
-"""Tables as text: rows of the last variable's states with their entries."""
+"""Factors as text: tables by rows of the last variable's states, canonical forms by components."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pgm.display import Listing, Summary, column, few, places
+from pgm.display import Listing, Summary, column, few, named_matrix, number, places
 from pgm.display.places import Place
 from pgm.display.summary import LEFT_OUT
 from pgm.factors.axes import States, sizes
-from pgm.factors.scope import MOST, listed
+from pgm.factors.scope import MOST, Scope, components, listed
 from pgm.kernels.arrays import Array
 from pgm.kernels.tables import entries
 
@@ -99,3 +99,18 @@ def _row(scope: States, values: Array, log_scale: Array) -> str:
     if len(states) > STATES:
         shown.append(f"... {len(states)} states")
     return ", ".join(shown) + (f"; times {factor}" if factor else "")
+
+
+def canonical_summary(title: str, scope: Scope, K: Array, h: Array, g: Array) -> Summary:
+    """A canonical form's constant, vector and matrix; of several forms those of the first."""
+    if not g.size:
+        return Summary(title)
+    first = (0,) * g.ndim
+    heads = components(scope)
+    scale = f"g = {number(g[first], 6)}"
+    if first:
+        scale = f"run {', '.join(map(str, first))}: {scale}"
+    if not heads:
+        return Summary(title, [scale])
+    matrix = named_matrix(heads, heads, K[first], "K", before=[("h", h[first])])
+    return Summary(title, [scale, matrix])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -93,29 +94,31 @@ def labels(scope: Iterable[Variable]) -> tuple[str, ...]:
     return tuple(name for variable in scope for name in variable.components)
 
 
-def components(scope: Sequence[Variable]) -> list[str]:
-    """The components of the stacked vector as they are shown: ``heading [rad]``, ``x[3].east``."""
-    found = []
-    for variable in scope:
-        for component in variable.components:
-            name = component if len(scope) == 1 else f"{variable!r}.{component}"
-            if component == variable.name and variable.dimension == 1:
-                name = repr(variable)
-            found.append(f"{name} [rad]" if component in variable.angles else name)
-    return found
-
-
 def distinct_labels(scope: Iterable[Variable]) -> tuple[str, ...]:
     """The names of the components, with that of the variable where variables share one."""
     scope = tuple(scope)
-    each = labels(scope)
-    found = []
-    for variable in scope:
-        for name in variable.components:
-            alone = variable.dimension == 1 and name == variable.name
-            own = repr(variable) if alone else f"{variable!r}.{name}"
-            found.append(name if each.count(name) == 1 else own)
-    return tuple(found)
+    count = Counter(labels(scope))
+    return tuple(
+        name if count[name] == 1 else _name(variable, name)
+        for variable in scope
+        for name in variable.components
+    )
+
+
+def components(scope: Sequence[Variable]) -> list[str]:
+    """The components of the stacked vector as they are shown: ``heading [rad]``, ``x[3].east``."""
+    return [
+        _name(variable, component, whole=len(scope) > 1) + " [rad]" * (component in variable.angles)
+        for variable in scope
+        for component in variable.components
+    ]
+
+
+def _name(variable: Variable, component: str, *, whole: bool = True) -> str:
+    """A component's name, `whole` with that of its variable; of most scalars the two are one."""
+    if variable.dimension == 1 and component == variable.name:
+        return repr(variable)
+    return f"{variable!r}.{component}" if whole else component
 
 
 def angle_mask(scope: Sequence[Variable]) -> Mask:

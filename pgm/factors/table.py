@@ -19,6 +19,7 @@ from pgm.factors.axes import (
     as_states,
     at,
     axes_of,
+    require_positive,
     sizes,
     spread,
     without,
@@ -69,11 +70,12 @@ class Table(FramedTable, Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> rain = Discrete("rain", states=("no", "yes"))
-    >>> wet = Discrete("wet", states=("no", "yes"))
+    >>> rain, wet = (Discrete(name, states=("no", "yes")) for name in ("rain", "wet"))
     >>> f = Table(rain, [0.8, 0.2]) * Table((rain, wet), [[0.9, 0.1], [0.3, 0.7]])
     >>> f.reduce({wet: "yes"}).normalised()
     Table(rain: no 0.364, yes 0.636)
+    >>> f.marginal(wet)
+    Table(wet: no 0.78, yes 0.22)
     >>> float(round(f["yes", "no"], 6))
     0.06
     """
@@ -358,14 +360,7 @@ class Table(FramedTable, Shown, NoArray, Immutable):
     def _positive(self) -> Array:
         """Rescaled values, of which none may be all zero."""
         values, _ = self._rescaled
-        empty = np.argwhere(kernel.largest(values, len(self.scope)) == 0.0)
-        if empty.shape[0]:
-            first = tuple(map(int, empty[0]))
-            where = f" (first in run {first[0] if len(first) == 1 else first})" if first else ""
-            raise NumericalError(
-                f"the table over {names(self.scope)} is all zero{where}: it has neither "
-                "probabilities nor a largest entry; the factors it is made of contradict each other"
-            )
+        require_positive(self.scope, kernel.largest(values, len(self.scope)))
         return values
 
     def __getitem__(self, states: str | int | tuple[str | int, ...]) -> Array:

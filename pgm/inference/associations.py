@@ -34,6 +34,22 @@ class Associations(Shown, Immutable):
     candidate : ndarray of int
         (..., M): the likeliest, as a row of the candidates; −1 spurious, −2 new. −1 too where
         nothing was measured, and where all candidates were beyond the gate.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, m, z = pgm.variables("x m z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={m: 1.0, x: -1.0}, cov=1.0)],
+    ... )
+    >>> seen = pgm.sightings([[2.0]], step=[1], given={m: pgm.unknown([[2.0], [20.0]])})
+    >>> found = pgm.filter(model, {z: seen}, steps=1).associations[z]
+    >>> found.candidate
+    array([0])
+    >>> found.probability.round(3)
+    array([[1., 0., 0., 0.]])
     """
 
     step: Integers

@@ -146,6 +146,19 @@ def filter(
     ------
     PgmError
         As `infer`.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> posterior = pgm.filter(model, {z: [[4.0]]})
+    >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
+    (array([0., 2.]), array([1., 1.]))
     """
     schedule = Filtering(iterations, tolerance, damping)
     require_lineariser(lineariser)
@@ -302,6 +315,19 @@ def smooth(
     ------
     PgmError
         As `infer`.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> posterior = pgm.smooth(model, {z: [[4.0]]})
+    >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
+    (array([1., 2.]), array([0.75, 1.  ]))
     """
     rest = iterations, tolerance, damping
     schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)

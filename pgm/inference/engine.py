@@ -17,11 +17,12 @@ from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.value import Grid
+from pgm.inference.loopy_schedules import Loopy
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.value import Particles
 from pgm.inference.points import PointMasses
 from pgm.inference.posterior import Posterior
-from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule, Smoothing
+from pgm.inference.schedule import Filtering, FixedLag, Schedule, Smoothing
 from pgm.inference.start import Start
 from pgm.inference.temporal import runner
 from pgm.linearisers import TAYLOR, Lineariser
@@ -205,6 +206,20 @@ def infer(
         If a number that is needed does not exist.
     ExecutorError
         If a worker dies, or the executor takes no work; ``.runs`` tells which runs were lost.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ... ])
+    >>> posterior = pgm.infer(pgm.compile(net), {b: [2.0]})
+    >>> posterior[a]
+    Gaussian(a)
+         mean ± deviation
+      a     1.000 ± 0.707
     """
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
@@ -240,8 +255,7 @@ def infer(
         raise GraphError(
             f"only a dynamic network is filtered, or smoothed by a lag; {titled(graph)} has no "
             f"time, for which {schedule!r} is: leave the schedule out for a tree, and on a graph "
-            "with loops "
-            "give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
+            "with loops give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
         )
     if isinstance(schedule, Smoothing) and schedule.damping:
         raise GraphError(

@@ -15,7 +15,7 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.checks import Edge
-from pgm.inference.schedule import Flooding, Loopy, Residual, Sequential
+from pgm.inference.loopy_schedules import Flooding, Loopy, Residual, Sequential
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.progress import counted

@@ -39,6 +39,34 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
     graph : ClusterGraph
     status : Status
         Iterations, residuals, and whether they converged.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b, c = pgm.variables("a b c")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ...     pgm.LinearGaussianCPD(c, given={b: 1.0}, cov=2.0),
+    ... ])
+    >>> graph = pgm.compile(net, method=pgm.JunctionTree())
+    >>> posterior = pgm.infer(graph, {c: [4.0]})
+    >>> posterior[a].mean, posterior[b].mean
+    (array([1.]), array([2.]))
+    >>> posterior.joint(a, b).cov
+    array([[0.75, 0.5 ],
+           [0.5 , 1.  ]])
+    >>> posterior.belief(0)
+    CanonicalForm(a, b)
+      g = -7.10339
+         h  K: a     b
+      a  0     2  -1.0
+      b  2    -1   1.5
+    >>> posterior.message(0, 1)
+    CanonicalForm(b)
+      g = -1.26551
+         h  K: b
+      b  0   0.5
     """
 
     graph: ClusterGraph

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pgm.boundary import is_number, is_whole
+from pgm.boundary import is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.inference.checks import require_count, require_tolerance
 from pgm.inference.damping import Damping, require_damping
 from pgm.inference.kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.loopy_schedules import Loopy
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,20 @@ class Filtering(InCode):
     References
     ----------
     García-Fernández, Svensson, Morelande & Särkkä, Posterior linearization filter, 2015.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> graph = pgm.compile(model, steps=1)
+    >>> posterior = pgm.infer(graph, {z: [[4.0]]}, schedule=pgm.Filtering())
+    >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
+    (array([0., 2.]), array([1., 1.]))
     """
 
     iterations: int = 1
@@ -81,6 +96,23 @@ class Calibration(InCode):
     ------
     ModelError
         If one of them is no such number.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net, method=pgm.JunctionTree())
+    >>> posterior = pgm.infer(graph, {b: [2.0]}, schedule=pgm.Calibration())
+    >>> posterior[a]
+    Gaussian(a)
+         mean ± deviation
+      a     1.000 ± 0.707
+    >>> posterior.status.iterations
+    1
     """
 
     iterations: int = 1
@@ -118,6 +150,20 @@ class Smoothing(Calibration):
     References
     ----------
     García-Fernández, Svensson & Särkkä, Iterated posterior linearization smoother, 2017.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> graph = pgm.compile(model, steps=1)
+    >>> posterior = pgm.infer(graph, {z: [[4.0]]}, schedule=pgm.Smoothing())
+    >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
+    (array([1., 2.]), array([0.75, 1.  ]))
     """
 
     damping: Damping = 0.0
@@ -214,114 +260,6 @@ class FixedLag(InCode):
     def smoothing(self) -> Smoothing:
         """The smoothing of a window."""
         return Smoothing(self.iterations, self.tolerance, self.damping)
-
-
-@dataclass(frozen=True)
-class Loopy(InCode):
-    """Schedules for any graph, a tree or not.
-
-    Messages are sent until none changes: the beliefs of neighbours then agree. On a tree they are
-    exact. On a graph with loops they need not converge; where they do, Gaussian means are exact,
-    variances and log-evidence approximate, and so are all beliefs of discrete variables.
-
-    Parameters
-    ----------
-    tolerance : float
-        A run has converged when no message changes by more than this: in standard deviations of
-        the belief it makes, or in probability.
-    damping : float
-        The share of the old message that is kept, in [0, 1): a new one is the geometric mean.
-    max_iterations : int
-        Iterations at the most; one sends as many messages as the graph has.
-
-    Raises
-    ------
-    ModelError
-        If one of them is no such number.
-    """
-
-    tolerance: float = 1e-10
-    damping: float = 0.0
-    max_iterations: int = 1000
-
-    def __post_init__(self) -> None:
-        require_count(self, "max_iterations", self.max_iterations)
-        require_tolerance(self, self.tolerance)
-        if not is_number(self.damping) or not 0.0 <= self.damping < 1.0:
-            raise ModelError(
-                f"{self!r}: damping is the share of the old message, in [0, 1), not "
-                f"{self.damping!r}"
-            )
-
-
-@dataclass(frozen=True)
-class Flooding(Loopy):
-    """All messages at once, each from the messages of the iteration before.
-
-    Parameters
-    ----------
-    tolerance : float
-        A run has converged when no message changes by more than this: in standard deviations of
-        the belief it makes, or in probability.
-    damping : float
-        The share of the old message that is kept, in [0, 1).
-    max_iterations : int
-        Iterations at the most; one sends as many messages as the graph has.
-
-    Raises
-    ------
-    ModelError
-        If one of them is no such number.
-    """
-
-
-@dataclass(frozen=True)
-class Sequential(Loopy):
-    """Cluster after cluster, forth and back, each message from the latest ones.
-
-    Parameters
-    ----------
-    tolerance : float
-        A run has converged when no message changes by more than this: in standard deviations of
-        the belief it makes, or in probability.
-    damping : float
-        The share of the old message that is kept, in [0, 1).
-    max_iterations : int
-        Iterations at the most; one sends as many messages as the graph has.
-
-    Raises
-    ------
-    ModelError
-        If one of them is no such number.
-    """
-
-
-@dataclass(frozen=True)
-class Residual(Loopy):
-    """Always the message that would change most.
-
-    Each message sent makes all messages it has a part in be computed anew. So an iteration takes
-    about n² of them around a hub of n neighbours, where `Flooding` and `Sequential` take n.
-
-    Parameters
-    ----------
-    tolerance : float
-        A run has converged when no message changes by more than this: in standard deviations of
-        the belief it makes, or in probability.
-    damping : float
-        The share of the old message that is kept, in [0, 1).
-    max_iterations : int
-        Iterations at the most; one sends as many messages as the graph has.
-
-    Raises
-    ------
-    ModelError
-        If one of them is no such number.
-
-    References
-    ----------
-    Elidan, McGraw & Koller, Residual belief propagation, 2006.
-    """
 
 
 Schedule = Filtering | FixedLag | Calibration | Loopy

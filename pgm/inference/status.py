@@ -72,6 +72,21 @@ class Status(Shown, Immutable):
         (*runs): the decimal digits that rounding leaves of the least certain mean, counted from its
         standard deviation (6 are an error of 10⁻⁶ deviations); None where they are not measured.
         Below six a `PrecisionWarning` has said so.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 1.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.NonlinearGaussianCPD(z, given=x, function=lambda x: x**2, cov=1e-6)],
+    ... )
+    >>> status = pgm.smooth(model, {z: [[9.0]]}, iterations=20).status
+    >>> bool(status.converged)
+    True
+    >>> bool(status.residuals[-1] < 1e-9)
+    True
     """
 
     iterations: int

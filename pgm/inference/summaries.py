@@ -9,6 +9,7 @@ import numpy as np
 
 from pgm.compile import SliceLayout
 from pgm.display import (
+    ENDS,
     LEFT_OUT,
     Listing,
     Summary,
@@ -74,7 +75,7 @@ def ends(
 ) -> list[str | Listing]:
     """The first and last beliefs of the first variables, a listing each."""
     shown = variables[:VARIABLES]
-    most = max(ROWS // max(len(shown), 1) - (len(shown) > 1), 1)
+    most = max(ROWS // max(len(shown), 1) - (len(shown) > 1), ENDS)
     parts: list[str | Listing] = [
         _ends(beliefs, variable, 0 if variable in states else 1, runs, last, most)
         for variable in shown

@@ -2,7 +2,8 @@
 
 from pgm.linearisers.function import BoundFunction, FunctionTemplate
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Lineariser, Prepared, apart
-from pgm.linearisers.regression import Points, StatisticalRegression
+from pgm.linearisers.points import Points
+from pgm.linearisers.regression import StatisticalRegression
 from pgm.linearisers.rules import Cubature, GaussHermite, Unscented
 from pgm.linearisers.sampled import MonteCarlo, QuasiMonteCarlo
 from pgm.linearisers.taylor import TAYLOR, Taylor

@@ -42,6 +42,15 @@ class FunctionTemplate:
         The derivative by each parent, where one was given.
     variances : tuple of float
         The least variance of each component's own noise; zero where it is not known beforehand.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> from pgm.linearisers import FunctionTemplate
+    >>> x, y = pgm.variables("x y")
+    >>> template = FunctionTemplate(y, (x,), (x,), lambda x: x**2, (None,), (1.0,))
+    >>> template.size, template.height, template.numerical
+    (1, 1, (0,))
     """
 
     child: Variable
@@ -165,6 +174,18 @@ class BoundFunction(NamedTuple):
         Whether these are linearised as one vector, with the covariances between their errors.
     source : Source
         For messages.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pgm
+    >>> from pgm.linearisers import BoundFunction, FunctionTemplate
+    >>> x, y = pgm.variables("x y")
+    >>> slope = lambda x: 2.0 * x[..., None]
+    >>> template = FunctionTemplate(y, (x,), (x,), lambda x: x**2, (slope,), (1.0,))
+    >>> square = BoundFunction(template, [None], lead=0)
+    >>> square(np.array([3.0])), square.jacobian(np.array([3.0]))
+    (array([9.]), array([[6.]]))
     """
 
     template: FunctionTemplate

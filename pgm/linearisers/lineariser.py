@@ -28,7 +28,24 @@ from pgm.linearisers.function import BoundFunction, FunctionTemplate, sealed
 
 
 class Lineariser(Protocol):
-    """Anything that makes an affine Gaussian of a function at a belief: a bare function will do."""
+    """Anything that makes an affine Gaussian of a function at a belief: a bare function will do.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> def at_mean(function, at):
+    ...     F = function.jacobian(at.mean)
+    ...     b = function(at.mean) - (F @ at.mean[..., None])[..., 0]
+    ...     return pgm.AffineGaussian(F, b, cov=0.0)
+    ...
+    >>> pgm.infer(pgm.compile(net), {}, lineariser=at_mean)[y].mean
+    array([9.])
+    """
 
     def __call__(self, function: BoundFunction, at: Gaussian, /) -> AffineGaussian:
         """Linearise a function at a belief.
@@ -59,6 +76,14 @@ class Line(NamedTuple):
         (d, *batch).
     error : ndarray or None
         (d, d, *batch): the covariance of the approximation error; None where there is none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pgm.linearisers import Line
+    >>> line = Line(matrix=np.array([[6.0]]), value=np.array([9.0]), error=None)  # of x² at 3
+    >>> line.value + line.matrix @ [0.5]
+    array([12.])
     """
 
     matrix: Array
@@ -67,7 +92,20 @@ class Line(NamedTuple):
 
 
 class Prepared(Protocol):
-    """A lineariser that is ready for the functions of one template: a callable."""
+    """A lineariser that is ready for the functions of one template: a callable.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pgm
+    >>> from pgm.linearisers import TAYLOR, BoundFunction, FunctionTemplate
+    >>> x, y = pgm.variables("x y")
+    >>> slope = lambda x: 2.0 * x[..., None]
+    >>> template = FunctionTemplate(y, (x,), (x,), lambda x: x**2, (slope,), (1.0,))
+    >>> prepared = TAYLOR.prepare(template)
+    >>> prepared(BoundFunction(template, [None], lead=0), np.array([3.0]), np.eye(1))
+    Line(matrix=array([[6.]]), value=array([9.]), error=None)
+    """
 
     def __call__(self, function: BoundFunction, mean: Array, cov: Array, /) -> Line:
         """Linearise at beliefs (n, *batch) and (n, n, *batch).
@@ -112,6 +150,27 @@ class ArrayLineariser(InCode, ABC):
     """A lineariser that works on arrays, so that engines need make no objects to call it.
 
     A subclass gives `prepare`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> def at_mean(function, mean, cov):
+    ...     x = np.moveaxis(mean, 0, -1)
+    ...     slope = np.moveaxis(function.jacobian(x), (-2, -1), (0, 1))
+    ...     return pgm.linearisers.Line(slope, np.moveaxis(function(x), -1, 0), None)
+    ...
+    >>> class AtMean(pgm.linearisers.ArrayLineariser):
+    ...     def prepare(self, template):
+    ...         return at_mean
+    ...
+    >>> pgm.infer(pgm.compile(net), {}, lineariser=AtMean())[y].mean
+    array([9.])
     """
 
     needs_cov: ClassVar[Any] = True
@@ -264,6 +323,18 @@ def apart(prepared: Prepared, function: BoundFunction, mean: Array, cov: Array) 
     -------
     Line
         Of k d components; the error is block-diagonal.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pgm
+    >>> from pgm.linearisers import TAYLOR, BoundFunction, FunctionTemplate, apart
+    >>> x, m, z = pgm.variables("x m z")
+    >>> slope = lambda m, x: m[..., None]
+    >>> template = FunctionTemplate(z, (m, x), (x,), lambda m, x: m * x, (None, slope), (1.0,))
+    >>> two = BoundFunction(template, [np.array([[2.0], [5.0]]), None], lead=0, group=2)
+    >>> apart(TAYLOR.prepare(template), two, np.array([3.0]), np.eye(1)).value
+    array([ 6., 15.])
     """
     count = function.group
     if count is None:

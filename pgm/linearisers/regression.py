@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
 from math import hypot, pi
 from operator import mul
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
 from pgm.errors import LinearisationError, NumericalError
-from pgm.kernels import gaussian, regression, roots
+from pgm.kernels import gaussian, roots
 from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import (
     Array,
@@ -23,60 +22,16 @@ from pgm.kernels.arrays import (
     times_transposed,
     transpose,
 )
-from pgm.kernels.regression import Fit, range_inverse, regress
+from pgm.kernels.regression import range_inverse, regress
 from pgm.linearisers.function import BoundFunction, FunctionTemplate
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared, apart
+from pgm.linearisers.points import Points
 from pgm.sizes import require_memory
 
 # An error of a larger share of a value's square is none of rounding.
 _PLAIN = 1e-16
 # The regression on more points than this takes longer to prepare than it saves.
 FEW = 64
-
-
-class _Points(NamedTuple):
-    points: Array
-    mean_weights: Array
-    cov_weights: Array
-    centred: bool
-
-
-class Points(_Points):
-    """A rule's points for N(0, I), with weights.
-
-    Attributes
-    ----------
-    points : ndarray
-        (..., N, n); a step axis may lead, where a rule draws other points at each step.
-    mean_weights, cov_weights : ndarray
-        (N,), the former adding up to one.
-    centred : bool
-        Whether the first point is the origin.
-    """
-
-    @cached_property
-    def fit(self) -> Fit:
-        """The regression on the points, where all beliefs share them."""
-        return regression.fit(self.points, self.mean_weights, self.cov_weights)
-
-    @cached_property
-    def with_centre(self) -> Array:
-        """The points after the origin, with whose value those of angles are compared."""
-        return np.concatenate([np.zeros((1, self.points.shape[1])), self.points])
-
-    @cached_property
-    def rounding(self) -> float:
-        """The rounding by which a value may be off its line, as a part of the value's summands.
-
-        The deviation, with the rule's weights, of values that are each off by four units in the
-        last place, from a line that these move as well.
-        """
-        s, size = np.abs(self.points), np.abs(self.cov_weights)
-        moved = 1.0 + np.abs(self.mean_weights).sum()
-        if len(s):
-            reach = s.max(axis=-2)
-            moved += (reach * (size[:, None] * s).sum(axis=-2)).sum(axis=-1).max(initial=0.0)
-        return float(4 * 2.0**-52 * moved * np.sqrt(size.sum()))
 
 
 @dataclass(frozen=True)
@@ -97,6 +52,24 @@ class StatisticalRegression(ArrayLineariser):
     References
     ----------
     García-Fernández, Svensson, Morelande & Särkkä, Posterior linearization filter, 2015.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> class Ends(pgm.StatisticalRegression):
+    ...     def points(self, dimension, name, step):
+    ...         arm = np.sqrt(dimension) * np.eye(dimension)
+    ...         weights = np.full(2 * dimension, 0.5 / dimension)
+    ...         return pgm.linearisers.Points(np.vstack([arm, -arm]), weights, weights, False)
+    ...
+    >>> pgm.infer(pgm.compile(net), {}, lineariser=Ends())[y].mean.round(2)
+    array([10.])
     """
 
     @abstractmethod

@@ -12,7 +12,8 @@ from numpy.polynomial.hermite_e import hermegauss
 from pgm.boundary import is_number, is_whole
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.linearisers.regression import Points, StatisticalRegression
+from pgm.linearisers.points import Points
+from pgm.linearisers.regression import StatisticalRegression
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,18 @@ class Unscented(StatisticalRegression):
     References
     ----------
     Wan & van der Merwe, The unscented Kalman filter for nonlinear estimation, 2000.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net)
+    >>> pgm.infer(graph, {}, lineariser=pgm.Unscented())[y].mean.round(2)
+    array([10.])
     """
 
     alpha: float | None = None
@@ -91,6 +104,18 @@ class Cubature(StatisticalRegression):
     References
     ----------
     Arasaratnam & Haykin, Cubature Kalman filters, 2009.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net)
+    >>> pgm.infer(graph, {}, lineariser=pgm.Cubature())[y].mean.round(2)
+    array([10.])
     """
 
     def points(self, dimension: int, name: str, step: int | Integers | None) -> Points:
@@ -134,6 +159,18 @@ class GaussHermite(StatisticalRegression):
     References
     ----------
     Ito & Xiong, Gaussian filters for nonlinear filtering problems, 2000.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net)
+    >>> pgm.infer(graph, {}, lineariser=pgm.GaussHermite(order=3))[y].mean.round(2)
+    array([10.])
     """
 
     order: int = 3

@@ -18,7 +18,8 @@ import numpy.typing as npt
 from pgm.boundary import is_whole
 from pgm.errors import LinearisationError
 from pgm.kernels.arrays import Array, Integers
-from pgm.linearisers.regression import Points, StatisticalRegression
+from pgm.linearisers.points import Points
+from pgm.linearisers.regression import StatisticalRegression
 from pgm.sizes import require_memory
 
 Words = npt.NDArray[np.uint64]
@@ -218,6 +219,18 @@ class MonteCarlo(SampledRule):
     LinearisationError
         If an argument is not what it should be: when made; if N is below 2n + 2, or more than
         memory holds: when used.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net)
+    >>> pgm.infer(graph, {}, lineariser=pgm.MonteCarlo(1000, seed=1))[y].mean.round(2)
+    array([10.])
     """
 
     prior_moments: bool = False
@@ -268,6 +281,18 @@ class QuasiMonteCarlo(SampledRule):
     References
     ----------
     Owen, Scrambled net variance for integrals of smooth functions, 1997.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net)
+    >>> pgm.infer(graph, {}, lineariser=pgm.QuasiMonteCarlo(1024))[y].mean.round(2)
+    array([10.])
     """
 
     fresh_per_run: bool = False

@@ -19,6 +19,18 @@ class Taylor(ArrayLineariser):
     Uses the Jacobians given with the CPD, fourth-order central differences for the others. With
     filtering it is the extended Kalman filter, with smoothing the extended RTS smoother, and
     iterated smoothing is Gauss–Newton on the posterior.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> graph = pgm.compile(net)
+    >>> pgm.infer(graph, {}, lineariser=pgm.Taylor())[y].mean.round(2)
+    array([9.])
     """
 
     def prepare(self, template: FunctionTemplate) -> Prepared:

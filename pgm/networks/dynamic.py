@@ -208,6 +208,17 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         EvidenceError
             If the inputs are not those of the model, or T is not told, no whole number from 0 or
             too large for memory.
+
+        Examples
+        --------
+        >>> import pgm
+        >>> x = pgm.Variable("x")
+        >>> model = pgm.DynamicBayesianNetwork(
+        ...     prior=[pgm.GaussianCPD(x, mean=0.0, cov=1.0)],
+        ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=0.1)],
+        ... )
+        >>> model.sample(steps=5, runs=3, rng=0)[x].shape
+        (3, 6, 1)
         """
         return draw_steps(self, as_mapping(inputs, "inputs"), steps, runs, as_generator(rng))
 

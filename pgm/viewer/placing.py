@@ -16,7 +16,7 @@ from pgm.kernels.arrays import Array
 # In pixels, at the size at which labels are read: what a letter, a cluster, a sepset take.
 _LETTER, _LEAST, _PADDING = 6.6, 44.0, 22.0
 HEIGHT, _PLATE, _ACROSS, _DOWN = 40.0, 20.0, 44.0, 22.0
-# What a screen has of width to height; rows stand up to so much further apart to fill it.
+# The width of a screen to its height; rows stand up to so much further apart to fill it.
 _SHAPE, _STRETCH = 1.4, 2.6
 _ROUNDS = 80
 Edge = tuple[int, int]

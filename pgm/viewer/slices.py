@@ -19,7 +19,7 @@ from pgm.viewer.words import cpd, variable
 def head(
     graph: DynamicGraph, kind: Kind, span: range, hidden: Iterable[Variable]
 ) -> dict[str, Any]:
-    """What the page says of a chain whatever its beliefs are."""
+    """The chain itself for the page: steps, variables and CPDs, without a belief."""
     model, states = graph.model, graph.layout.states
     return {
         "kind": "chain",

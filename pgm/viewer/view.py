@@ -26,11 +26,11 @@ from pgm.viewer.limits import CELL, FILE, Limits, Run, chosen_runs, chosen_steps
 from pgm.viewer.numbers import Numbers
 from pgm.viewer.page import assembled
 
-Shown = Posterior | GridPosterior | ParticlePosterior
+Viewable = Posterior | GridPosterior | ParticlePosterior
 
 
 def view(
-    posterior: Shown,
+    posterior: Viewable,
     path: str | PathLike[str],
     *,
     run: int | Sequence[int] | Sequence[Run] | None = None,
@@ -82,7 +82,7 @@ def view(
     return target
 
 
-def html(posterior: Shown) -> str:
+def html(posterior: Viewable) -> str:
     """The page of a posterior in a frame, for notebooks: small, and says so where it is cut."""
     whole = assembled(*_content(posterior, None, None, CELL))
     return (

@@ -165,3 +165,35 @@ def test_only_the_beliefs_shown_are_computed():
         text = over_time("title", asked, (variable,), (), 3000).text()
         assert len(text.splitlines()) <= 20
         assert [v.step for v in asked.asked] == [*range(6), *range(2996, 3001)]
+
+
+def test_each_variable_of_a_chain_shows_its_last_step():
+    """A map is known best at the end."""
+    x, *marks = pgm.variables("x m1 m2 m3 m4 m5")
+    still = [pgm.LinearGaussianCPD(m, given={m.previous: 1.0}, cov=0) for m in (x, *marks)]
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(m, 0.0, cov=1.0) for m in (x, *marks)], transition=still
+    )
+    lines = repr(pgm.filter(model, {}, steps=30)).splitlines()
+    assert len(lines) == 20
+    assert [line.split()[0] for line in lines[3:7]] == ["step", "0", "...", "30"]
+    assert sum(line.split()[0] == "30" for line in lines) == 4
+
+
+def test_a_graph_shows_the_clusters_and_their_neighbours():
+    """However many variables a cluster has."""
+    x, *others = pgm.variables(["x", *(f"reading_of_sensor_{k}" for k in range(6))])
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, 0.0, cov=1.0)],
+        transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+        observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=1.0) for z in others],
+    )
+    title, heads, *rows = repr(pgm.compile(model, steps=5)).splitlines()
+    assert title.startswith("SliceGraph")
+    assert heads.split() == ["cluster", "variables", "joined", "to"]
+    assert rows[2].endswith("1 by x[1]; 3 by x[2]")
+
+
+def test_a_correlation_that_rounds_to_zero_has_no_sign():
+    belief = pgm.Gaussian(X, [0.0, 0.0, 0.0], [[1, -1e-3, 0], [-1e-3, 1, 0.5], [0, 0.5, 1]])
+    assert repr(belief).splitlines()[3].split()[-1] == "0.00"

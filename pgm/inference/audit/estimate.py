@@ -19,7 +19,7 @@ BATCH, ROOM = 2**18, 2**24
 
 
 class Drawing(Protocol):
-    """What draws: of a chain, or of a tree."""
+    """The source of draws: a chain, or a tree."""
 
     @property
     def width(self) -> int:

@@ -86,6 +86,21 @@ class Audit(Shown, Immutable):
     Owen, Monte Carlo theory, methods and examples, 2013, chapter 9; Owen & Zhou, Safe and effective
     importance sampling, 2000; Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance
     sampling, 2024.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, y = pgm.variables("x y")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(x, 3.0, 1.0),
+    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
+    ... ])
+    >>> posterior = pgm.infer(pgm.compile(net), {y: [9.0]})
+    >>> found = pgm.audit(posterior, rng=0)
+    >>> bool(found.trusted), bool(found.suspect)
+    (True, False)
+    >>> found.corrected[x].mean.round(1)
+    array([3.])
     """
 
     log_evidence: Array

@@ -132,6 +132,21 @@ class KeptPosterior(Posterior):
     ------
     EvidenceError, GraphError
         If what was not kept is asked for.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> posterior = pgm.smooth(model, {z: [[4.0]]}, keep=x)
+    >>> posterior[x].mean.ravel()
+    array([1., 2.])
+    >>> posterior[x.at(0)].cov
+    array([[0.75]])
     """
 
     graph: DynamicGraph

@@ -55,6 +55,28 @@ class ChainPosterior(Posterior):
         Taylor relinearisation.
     associations : mapping of Variable to Associations
         By sensor, of sightings that left open what was seen, with `unknown`.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> posterior = pgm.smooth(model, {z: [[4.0]]})
+    >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
+    (array([1., 2.]), array([0.75, 1.  ]))
+    >>> posterior.filtered[x].mean.ravel()
+    array([0., 2.])
+    >>> posterior.joint(x.at(0), x.at(1)).cov
+    array([[0.75, 0.5 ],
+           [0.5 , 1.  ]])
+    >>> posterior.belief(0).gaussian().mean
+    array([1.])
+    >>> posterior.message(0, 1).gaussian().cov
+    array([[1.]])
     """
 
     graph: DynamicGraph

@@ -58,6 +58,22 @@ class MostProbable(Shown, Immutable):
         (..., T).
     log_probability : ndarray
         (...): ln p(assignment, evidence), natural logarithms.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = (pgm.Discrete(name, ("no", "yes")) for name in "xz")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.TableCPD(x, table=[0.5, 0.5])],
+    ...     transition=[pgm.TableCPD(x, given=x.previous, table=[[1.0, 0.0], [0.0, 1.0]])],
+    ...     observation=[pgm.TableCPD(z, given=x, table=[[0.75, 0.25], [0.25, 0.75]])],
+    ... )
+    >>> graph = pgm.compile(model, steps=2)
+    >>> found = pgm.most_probable(graph, {z: [1, 1]})
+    >>> found.assignment[x]
+    array([1, 1, 1])
+    >>> found.states(x).tolist()
+    ['yes', 'yes', 'yes']
     """
 
     assignment: Mapping[Discrete, str | Integers]
@@ -173,6 +189,18 @@ def most_probable(
     ----------
     Koller & Friedman, Probabilistic Graphical Models, 2009, section 13.3; Viterbi, Error bounds for
     convolutional codes, 1967.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> rain, wet = (pgm.Discrete(name, ("no", "yes")) for name in ("rain", "wet"))
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.TableCPD(rain, table=[0.5, 0.5]),
+    ...     pgm.TableCPD(wet, given=rain, table=[[0.75, 0.25], [0.25, 0.75]]),
+    ... ])
+    >>> found = pgm.most_probable(pgm.compile(net), {wet: "yes"})
+    >>> found.assignment[rain]
+    'yes'
     """
     if not isinstance(graph, ClusterGraph):
         raise GraphError(

@@ -246,7 +246,4 @@ class DiscretePosterior(Posterior):
         return f"DiscretePosterior({self.graph._title}{f', runs {lead}' if lead else ''})"
 
     def _summary(self) -> Summary:
-        states = self._beliefs.evidence.states
-        variables = self.graph.network.variables
-        hidden = [v for v in variables if isinstance(v, Discrete) and np.min(states.get(v, -1)) < 0]
-        return of_network(self._title, self, hidden, self._beliefs.evidence.lead)
+        return of_network(self._title, self, self._hidden, self._beliefs.evidence.lead)

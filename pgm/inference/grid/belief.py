@@ -47,6 +47,23 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
         (..., *cells), of sum one, or float32 where the grid has that `dtype`.
     steps : ndarray of int or None
         The steps that the last leading axis stands for.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> belief = pgm.filter(model, {z: [[4.0]]}, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))[x][1]
+    >>> belief.mean.round(2), belief.std.round(2)
+    (array([2.]), array([1.]))
+    >>> belief.marginal("x").values.shape
+    (160,)
+    >>> belief.sample(5, rng=0).shape
+    (5, 1)
     """
 
     components: tuple[str, ...]

@@ -44,6 +44,23 @@ class OnlineGridBelief(Shown, NoArray, Immutable):
         Filtered after an update, predicted before.
     lead : tuple of int
         The axes of runs.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> robot = pgm.OnlineFilter(model, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))
+    >>> belief = robot.predict(robot.initial())
+    >>> belief = robot.update(belief, {z: [4.0]})
+    >>> belief[x].std.round(2)
+    array([1.])
+    >>> belief.step, str(belief.kind)
+    (1, 'filtered')
     """
 
     step: int
@@ -139,6 +156,21 @@ class OnlineGrid(InCode, Immutable):
     ------
     ModelError
         If they do not fit, or the grid would not fit memory.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> robot = pgm.OnlineFilter(model, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))
+    >>> belief = robot.predict(robot.initial())
+    >>> belief = robot.update(belief, {z: [4.0]})
+    >>> belief[x].mean.round(2)
+    array([2.])
     """
 
     model: DynamicBayesianNetwork

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
-from pgm.display import NoArray, Shown, Summary
+from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
 from pgm.factors.axes import discrete, sizes
@@ -22,72 +22,16 @@ from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.markov.chain import TINY, StateChain
 from pgm.inference.markov.joints import joint, pair, potential
+from pgm.inference.markov.marginals import Beliefs, StateMarginals
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
-from pgm.inference.summaries import marginals_over_time, over_time
+from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array, frozen
 from pgm.variables import Variable
 
-# Beliefs over the slice by step, (*states, *runs).
-Beliefs = Sequence[Array] | Array
 # The way of a message back by one step.
 Passing = Callable[[int, Array], Array]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class StateMarginals(Shown, NoArray):
-    """The marginals of the hidden variables of a discrete chain over all steps, by variable.
-
-    Attributes
-    ----------
-    kind : Kind
-        Which measurements they know.
-    """
-
-    plan: SlicePlan
-    beliefs: Beliefs
-    lead: tuple[int, ...]
-    kind: Kind
-
-    def __getitem__(self, variable: Variable) -> Table:
-        """The marginal of ``x`` at all its steps, stacked; of ``x.at(3)`` at one, (*runs, size).
-
-        Raises
-        ------
-        EvidenceError
-            If the variable is not hidden, or has no such step.
-        """
-        template, first = located(self.plan.layout, variable, len(self.beliefs) - 1)
-        if variable.step is not None:
-            values = self._summed(self.beliefs[variable.step], template)
-            shape = (*self.lead, *values.shape[:1])
-            return Table._plain(discrete((variable,)), frozen(values.T.reshape(shape).copy()))
-        if isinstance(self.beliefs, np.ndarray):
-            rows = self._summed(self.beliefs[first:], template, 1)
-        else:
-            rows = np.stack([self._summed(belief, template) for belief in self.beliefs[first:]])
-        rows = np.moveaxis(rows, -1, 0) if self.lead else rows  # (runs, steps, size)
-        shape = (*self.lead, len(self.beliefs) - first, rows.shape[-1])
-        return Table._plain(discrete((template,)), frozen(rows.reshape(shape)))
-
-    def _summed(self, belief: Array, variable: Variable, steps: int = 0) -> Array:
-        """The belief over one variable, (size, *runs), behind an axis of steps if there is one."""
-        if len(self.plan.slice) == 1:
-            return belief
-        own = self.plan.labels[variable]
-        others = (k + steps for k in range(len(self.plan.slice)) if k != own)
-        found: Array = belief.sum(axis=tuple(others))
-        return found
-
-    @property
-    def _title(self) -> str:
-        runs = f", runs {self.lead}" if self.lead else ""
-        return f"Marginals({self.kind}, steps 0..{len(self.beliefs) - 1}{runs})"
-
-    def _summary(self) -> Summary:
-        last = len(self.beliefs) - 1
-        return marginals_over_time(self._title, self, self.plan.layout, self.lead, last)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,6 +48,32 @@ class StatePosterior(Posterior):
         Tables need no iterations.
     kind : Kind
         Which measurements the beliefs know: filtered, fixed-lag or smoothed.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = (pgm.Discrete(name, ("no", "yes")) for name in "xz")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.TableCPD(x, table=[0.5, 0.5])],
+    ...     transition=[pgm.TableCPD(x, given=x.previous, table=[[1.0, 0.0], [0.0, 1.0]])],
+    ...     observation=[pgm.TableCPD(z, given=x, table=[[0.75, 0.25], [0.25, 0.75]])],
+    ... )
+    >>> posterior = pgm.filter(model, {z: [1, 1]})
+    >>> posterior[x].probabilities
+    array([[0.5 , 0.5 ],
+           [0.25, 0.75],
+           [0.1 , 0.9 ]])
+    >>> posterior[x.at(2)]
+    Table(x[2]: no 0.1, yes 0.9)
+    >>> posterior.joint(x.at(0), x.at(1))
+    Table(x[0], x[1]) of (2, 2) states
+      x[0]  x[1]: no   yes
+      no        0.25     0
+      yes          0  0.75
+    >>> posterior.message(0, 1)
+    Table(x[0]: no 0.5, yes 0.5)
+    >>> posterior.belief(2).normalised().marginal(x.at(2))
+    Table(x[2]: no 0.1, yes 0.9)
     """
 
     graph: DynamicGraph

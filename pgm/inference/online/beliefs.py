@@ -10,8 +10,8 @@ from typing import ClassVar, NoReturn
 import numpy as np
 
 from pgm.compile import SliceLayout
-from pgm.display import NoArray, Shown, Summary
-from pgm.errors import EvidenceError, NumericalError
+from pgm.display import NoArray, Shown, Summary, titled
+from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable, set_writeable
 from pgm.inference.associations import NONE, Found
@@ -20,12 +20,14 @@ from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.kind import Kind
-from pgm.inference.online.window import Sliding, Trail
+from pgm.inference.online.window import Sliding, Trail, is_like
 from pgm.inference.posterior import require_variable
+from pgm.inference.schedule import Filtering, FixedLag
 from pgm.inference.status import Status, digits
 from pgm.inference.summaries import at_a_step
 from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array, block, symmetric
+from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
 # The share of its variance below which a component counts as determined.
@@ -47,6 +49,25 @@ class OnlineBelief(Shown, NoArray, Immutable):
         Which measurements it knows: filtered after an update, predicted before.
     associations : mapping of Variable to Associations
         By sensor, of the update's sightings that left open what was seen, with `unknown`.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> robot = pgm.OnlineFilter(model)
+    >>> belief = robot.predict(robot.initial())
+    >>> belief = robot.update(belief, {z: [4.0]})
+    >>> belief[x]
+    Gaussian(x)
+         mean ± deviation
+      x       2.00 ± 1.00
+    >>> belief.step, str(belief.kind)
+    (1, 'filtered')
     """
 
     step: int
@@ -241,3 +262,22 @@ def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
 def nothing_to_iterate(lead: tuple[int, ...]) -> Status:
     """The status of a step in which nothing was linearised."""
     return Status(1, np.empty((0, *lead)), np.ones(lead, dtype=bool))
+
+
+def require_own(
+    belief: object,
+    model: DynamicBayesianNetwork,
+    schedule: Filtering | FixedLag,
+    behind: Trail | Sliding | None,
+) -> None:
+    """Refuse to go on from a belief of another model, of another schedule, or that lags behind."""
+    if not isinstance(belief, OnlineBelief) or belief.layout.model is not model:
+        raise ModelError(
+            f"{titled(belief)} is no belief of this filter's model; begin with initial()"
+        )
+    if not is_like(belief.behind, behind) or belief.kind.lag > 0:
+        raise ModelError(
+            f"{titled(belief)} is no belief to go on from with {schedule!r}: it is of a filter "
+            "with another schedule, or lags behind one; begin with initial(), and go on from the "
+            "newest belief"
+        )

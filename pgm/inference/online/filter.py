@@ -9,8 +9,8 @@ from typing import Any, Self, overload
 import numpy as np
 
 from pgm.compile import compile
-from pgm.display import InCode, titled
-from pgm.errors import ModelError, NumericalError
+from pgm.display import InCode
+from pgm.errors import NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
 from pgm.inference.chain import careful
@@ -34,10 +34,11 @@ from pgm.inference.online.beliefs import (
     moments_of,
     nothing_to_iterate,
     refuse,
+    require_own,
 )
 from pgm.inference.online.settings import require_settings
 from pgm.inference.online.step_evidence import Layouts
-from pgm.inference.online.window import Passed, Sliding, Trail, is_like, look_again, trailing
+from pgm.inference.online.window import Passed, Sliding, Trail, look_again, trailing
 from pgm.inference.particles.online import OnlineParticles
 from pgm.inference.particles.value import Particles
 from pgm.inference.points import PointMasses, online_points
@@ -85,11 +86,18 @@ class OnlineFilter(InCode, Immutable):
 
     Examples
     --------
-    >>> robot = OnlineFilter(model)  # doctest: +SKIP
-    >>> belief = robot.initial()  # doctest: +SKIP
-    >>> belief = robot.predict(belief, {u: odometry})  # doctest: +SKIP
-    >>> belief = robot.update(belief, {z: sightings(zs, given={m: ms})})  # doctest: +SKIP
-    >>> belief[x].mean, belief.lagged[x].mean  # with lag=5  # doctest: +SKIP
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> robot = pgm.OnlineFilter(model)
+    >>> belief = robot.predict(robot.initial())
+    >>> belief = robot.update(belief, {z: [4.0]})
+    >>> belief[x].mean, belief[x].cov
+    (array([2.]), array([[1.]]))
     """
 
     model: DynamicBayesianNetwork
@@ -214,7 +222,7 @@ class OnlineFilter(InCode, Immutable):
         LinearisationError, NumericalError
             If a number that is needed does not exist.
         """
-        self._check(belief)
+        require_own(belief, self.model, self.schedule, self._behind)
         if type(inputs) is not dict:
             given = {} if inputs is None else inputs
             inputs = step_evidence.mapping(given, "predict", "inputs to values")
@@ -294,7 +302,7 @@ class OnlineFilter(InCode, Immutable):
         NumericalError
             If a measurement contradicts an exact model, or a number does not exist.
         """
-        self._check(belief)
+        require_own(belief, self.model, self.schedule, self._behind)
         if type(readings) is not dict:
             readings = step_evidence.mapping(readings, "update", "sensors to measurements")
         if leaves_open(readings):
@@ -381,20 +389,6 @@ class OnlineFilter(InCode, Immutable):
         assert isinstance(self.schedule, FixedLag)
         require_cost(self.schedule.smoothing, plan.families)
         return plan
-
-    def _check(self, belief: OnlineBelief) -> None:
-        if not isinstance(belief, OnlineBelief) or belief.layout.model is not self.model:
-            raise ModelError(
-                f"{titled(belief)} is no belief of this filter's model; begin with initial()"
-            )
-        own, behind = self._behind, belief.behind
-        if not is_like(behind, own) or belief.kind.lag > 0:
-            raise ModelError(
-                f"{titled(belief)} is no belief to go on from with {self.schedule!r}: it is of a "
-                "filter with another schedule, or lags behind one; begin with initial(), and go "
-                "on from "
-                "the newest belief"
-            )
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)

@@ -49,6 +49,23 @@ class OnlineParticleBelief(Shown, NoArray, Immutable):
         Filtered after an update, predicted before.
     lead : tuple of int
         The axes of runs.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> robot = pgm.OnlineFilter(model, belief=pgm.Particles(10_000, seed=0))
+    >>> belief = robot.predict(robot.initial())
+    >>> belief = robot.update(belief, {z: [4.0]})
+    >>> belief[x].std.round(1)
+    array([1.])
+    >>> belief.step, str(belief.kind)
+    (1, 'filtered')
     """
 
     step: int
@@ -147,6 +164,21 @@ class OnlineParticles(InCode, Immutable):
     ------
     ModelError
         If they do not fit, or the particles would not fit memory.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> robot = pgm.OnlineFilter(model, belief=pgm.Particles(10_000, seed=0))
+    >>> belief = robot.predict(robot.initial())
+    >>> belief = robot.update(belief, {z: [4.0]})
+    >>> belief[x].mean.round(1)
+    array([2.])
     """
 
     model: DynamicBayesianNetwork

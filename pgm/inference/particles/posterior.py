@@ -47,6 +47,21 @@ class ParticlePosterior(Labelled, Viewed, Shown, NoArray, Immutable):
     status : ParticleStatus
     filtered : ParticlePosterior
         The beliefs of the forward sweep; itself, of a filter.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> posterior = pgm.filter(model, {z: [[4.0]]}, belief=pgm.Particles(10_000, seed=0))
+    >>> posterior.joint(x.at(1)).std.round(1)
+    array([1.])
+    >>> posterior[x].mean.ravel().round(1)
+    array([0., 2.])
     """
 
     graph: DynamicGraph

@@ -41,6 +41,21 @@ class ParticleStatus(Shown, Immutable):
     unmoved : ndarray or None
         (*runs, T): of a smoother, by step the share of trajectories that have stayed at the
         filter's own ancestor; None of a filter.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> status = pgm.filter(model, {z: [[4.0]]}, belief=pgm.Particles(10_000, seed=0)).status
+    >>> status.number
+    array([10000, 10000])
+    >>> bool((status.effective > 1000).all())
+    True
     """
 
     effective: Array

@@ -104,6 +104,7 @@ def grid_map(
     if plane.heading is not None and arrows:
         turning = belief.marginal(*plane.pair, plane.heading)
         _draw_arrows(ax, turning, int(arrows), plane.mirrored)
+    ax.use_sticky_edges = False  # marks at the edge of the cells are whole
     return finish(ax, plane, marks, mark, unit)
 
 

@@ -197,8 +197,8 @@ def trajectory(
     colour : str, optional
         The next of a colour-blind-safe palette without.
     dash : {"-", "--", ":", "-."}, optional
-        Of the path; without, the first of an axes is a broad line, and the next are narrow and
-        dashed, so that paths that lie one upon the other can be told apart.
+        Of the path; without, the next of an axes are dashed and make the first a broad line, so
+        that paths that lie one upon the other can be told apart.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's without.
 
@@ -234,11 +234,14 @@ def trajectory(
     marks = as_landmarks(landmarks)
 
     ax = given_or_new(ax)
-    before = [to_hex(line.get_color()) for line in ax.lines if line.get_gid() == _PATH]
+    paths = [line for line in ax.lines if line.get_gid() == _PATH]
+    before = [to_hex(line.get_color()) for line in paths]
     colour = next_colour(ax) if colour is None else colour
     if dash is None:
         # No two alike, though colours begin again.
         dash = DASHES[(len(before) + before.count(to_hex(colour))) % len(DASHES)]
+        if paths:
+            paths[0].set_linewidth(_BROAD)
     if marks is not None:
         draw_landmarks(ax, marks)
     if lines is not None:
@@ -256,7 +259,7 @@ def trajectory(
         *belief.mean[:, places].T,
         color=colour,
         ls=dash,
-        lw=_NARROW if before else _BROAD,
+        lw=_NARROW,
         marker="o" if len(belief.mean) == 1 else None,
         markersize=5,
         zorder=2.5 if before else 2.3,  # the truth is between the first path and the next

@@ -135,7 +135,7 @@ def beliefs_over_time(
     ax.set_xlim(edges[0], edges[-1])
     ax.set_yticks(np.arange(len(chosen)), [str(step) for step in chosen])
     name_states(ax, ax.xaxis, variable)
-    name_axes(ax, variable.name, f"step (rows are {scale / _FULL:.2g} high)")
+    name_axes(ax, variable.name, f"step (full height: probability {scale:.2g})")
     useful_legend(ax, above=True)
     return ax
 

@@ -19,7 +19,7 @@ from pgm.plot.diagrams.layout import GAP, Layout, Node, best, packed
 # Between layers that shallow lines join there is more room, up to this.
 _STEEPNESS = 0.14
 _WIDEST_GAP = 72.0
-# What a line that passes a layer takes of it.
+# The width in a layer of a line that passes it.
 _LANE = 9.0
 # A layout other than the plain one must be better by this factor to be taken.
 _BETTER = 1.15

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import networkx as nx
@@ -120,6 +121,8 @@ def draw_graph(
     else:
         high = max(2.0 * _SMALLEST, *(1.3 * size.height + 6.0 for size in texts.values()))
         sizes = {node: Size(max(high, _width(size, high)), high) for node, size in texts.items()}
+        if slices:
+            sizes = _alike(sizes)
     page = room(ax)
     layout = sliced(graph, sizes, page) if slices else layered(graph, sizes, page, fold=fold)
     letters = slack(list(texts.values()), list(sizes.values()))
@@ -141,6 +144,14 @@ def _arrow(canvas: Canvas, edge: Edge, curve: Array) -> None:
 def _width(text: Size, height: float) -> float:
     """The width of an ellipse of some height about a text."""
     return text.width / float(np.sqrt(1.0 - (text.height / height) ** 2)) + 6.0
+
+
+def _alike(sizes: Mapping[Variable, Size]) -> dict[Variable, Size]:
+    """The largest size of any step, for all steps of a variable."""
+    wide: dict[Variable, float] = defaultdict(float)
+    for node, size in sizes.items():
+        wide[node.template] = max(wide[node.template], size.width)
+    return {node: Size(wide[node.template], size.height) for node, size in sizes.items()}
 
 
 def densities(

@@ -89,15 +89,13 @@ def sliced(graph: nx.DiGraph, sizes: Mapping[Node, Size], room: Size | None) -> 
     graph : networkx.DiGraph
         Nodes are variables at steps.
     sizes : mapping of node to Size
+        Equal at all steps of a variable.
     room : Size or None
         Of the axes; None for a page.
     """
     lines = rows(graph)
     rank: dict[Node, int] = {variable: k for k, line in enumerate(lines) for variable in line}
-    largest: dict[Node, Size] = {
-        variable: Size(*np.max([sizes[n] for n in graph if n.template == variable], axis=0))
-        for variable in rank
-    }
+    own: dict[Node, Size] = {node.template: sizes[node] for node in graph}
     within = nx.DiGraph()
     within.add_nodes_from(rank)
     alike: dict[Alike, list[tuple[Variable, Variable]]] = defaultdict(list)
@@ -107,8 +105,8 @@ def sliced(graph: nx.DiGraph, sizes: Mapping[Node, Size], room: Size | None) -> 
             within.add_edge(*pair)
         else:
             alike[*pair, child.step - parent.step].append((parent, child))
-    one = in_layers(within, rank, largest, gap=_GAP)
-    frame = one.box(largest)
+    one = in_layers(within, rank, own, gap=_GAP)
+    frame = one.box(own)
     lanes = _LANE * len(alike)
     pitch = frame.right - frame.left + max(_BETWEEN, lanes + 2.0 * _LANE)
 
@@ -124,7 +122,7 @@ def sliced(graph: nx.DiGraph, sizes: Mapping[Node, Size], room: Size | None) -> 
     at = np.array([whole.points[node] for node in graph])
     half = 0.5 * np.array([sizes[node] for node in graph])
     place = {node: k for k, node in enumerate(graph)}
-    reach = [0.5 * max(largest[variable].height for variable in line) for line in lines]
+    reach = [0.5 * max(own[variable].height for variable in line) for line in lines]
     for lane, ((parent, child, _), arrows) in enumerate(alike.items()):
         pairs = [(place[a], place[b]) for a, b in arrows]
         curves = _bowed(pairs, at, half, outer)

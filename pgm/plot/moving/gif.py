@@ -23,7 +23,7 @@ _FIRST = 128
 # A new colour of so many pixels, so far from all of the palette in one channel, enters it while
 # there is room; those of fewer are the blurred borders of shapes.
 _OFTEN, _FAR = 8, 5
-# Those in which lines are drawn are kept as they are, however thin the first lines are.
+# The colours of lines are kept as they are, however thin the first lines are.
 _LINES = np.array([to_rgb(c) for c in ("white", "black", INK, MUTED, *COLOURS)]) * 255.0
 # Red, green and blue of a pixel that is read as one number.
 _SHIFTS = np.array([0, 8, 16], dtype=np.uint32)

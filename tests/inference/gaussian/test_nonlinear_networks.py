@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 import pgm
 from models.sensors import range_bearing
-from pgm.linearisers.regression import Points, StatisticalRegression
+from pgm.linearisers import Points, StatisticalRegression
 
 a = pgm.Variable("a")
 b = pgm.Variable("b", ("b0", "b1"))

@@ -1,11 +1,12 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from matplotlib.patches import Ellipse
+from matplotlib.patches import Ellipse, FancyArrowPatch
 
 import pgm
 import pgm.plot
 from models.seven_nodes import seven_nodes_clusters
+from tests.plot.diagrams import zoo
 
 
 def densities(ax):
@@ -52,3 +53,17 @@ def test_other_networks_have_it_below_the_name():
 def test_inputs_have_no_cpd_and_without_the_option_nobody_has(robot):
     assert densities(pgm.plot.network(robot, cpds=True)).keys() == {"x[0]", "x[1]", "z[0]", "z[1]"}
     assert not densities(pgm.plot.network(robot))
+
+
+@pytest.mark.parametrize("name", ["hub of 3", "two robots", "tracker"])
+def test_arrows_join_nodes_though_densities_of_the_first_slice_are_shorter(name):
+    ax = pgm.plot.network(zoo.DYNAMIC[name][0], steps=2, cpds=True)
+    nodes = [p for p in ax.patches if isinstance(p, Ellipse)]
+    centre = np.array([p.center for p in nodes])
+    half = 0.5 * np.array([(p.width, p.height) for p in nodes])
+    arrows = [p for p in ax.patches if isinstance(p, FancyArrowPatch)]
+    assert len(arrows) >= len(nodes) - 3
+    for arrow in arrows:
+        for end in arrow._path_original.vertices[[0, -1]]:
+            reach = np.linalg.norm((end - centre) / half, axis=-1)
+            assert np.abs(reach - 1.0).min() < 0.02

@@ -1,0 +1,76 @@
+"""The marginals of a chain of tables at all steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.display import NoArray, Shown, Summary
+from pgm.factors import Table
+from pgm.factors.axes import discrete
+from pgm.inference.chain.marginals import located
+from pgm.inference.kind import Kind
+from pgm.inference.markov.plan import SlicePlan
+from pgm.inference.summaries import marginals_over_time
+from pgm.kernels.arrays import Array, frozen
+from pgm.variables import Variable
+
+# Beliefs over the slice by step, (*states, *runs).
+Beliefs = Sequence[Array] | Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StateMarginals(Shown, NoArray):
+    """The marginals of the hidden variables of a discrete chain over all steps, by variable.
+
+    Attributes
+    ----------
+    kind : Kind
+        Which measurements they know.
+    """
+
+    plan: SlicePlan
+    beliefs: Beliefs
+    lead: tuple[int, ...]
+    kind: Kind
+
+    def __getitem__(self, variable: Variable) -> Table:
+        """The marginal of ``x`` at all its steps, stacked; of ``x.at(3)`` at one, (*runs, size).
+
+        Raises
+        ------
+        EvidenceError
+            If the variable is not hidden, or has no such step.
+        """
+        template, first = located(self.plan.layout, variable, len(self.beliefs) - 1)
+        if variable.step is not None:
+            values = self._summed(self.beliefs[variable.step], template)
+            shape = (*self.lead, *values.shape[:1])
+            return Table._plain(discrete((variable,)), frozen(values.T.reshape(shape).copy()))
+        if isinstance(self.beliefs, np.ndarray):
+            rows = self._summed(self.beliefs[first:], template, 1)
+        else:
+            rows = np.stack([self._summed(belief, template) for belief in self.beliefs[first:]])
+        rows = np.moveaxis(rows, -1, 0) if self.lead else rows  # (runs, steps, size)
+        shape = (*self.lead, len(self.beliefs) - first, rows.shape[-1])
+        return Table._plain(discrete((template,)), frozen(rows.reshape(shape)))
+
+    def _summed(self, belief: Array, variable: Variable, steps: int = 0) -> Array:
+        """The belief over one variable, (size, *runs), behind an axis of steps if there is one."""
+        if len(self.plan.slice) == 1:
+            return belief
+        own = self.plan.labels[variable]
+        others = (k + steps for k in range(len(self.plan.slice)) if k != own)
+        found: Array = belief.sum(axis=tuple(others))
+        return found
+
+    @property
+    def _title(self) -> str:
+        runs = f", runs {self.lead}" if self.lead else ""
+        return f"Marginals({self.kind}, steps 0..{len(self.beliefs) - 1}{runs})"
+
+    def _summary(self) -> Summary:
+        last = len(self.beliefs) - 1
+        return marginals_over_time(self._title, self, self.plan.layout, self.lead, last)

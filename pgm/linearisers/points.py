@@ -1,0 +1,65 @@
+"""The points of a rule, with their weights."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.kernels import regression
+from pgm.kernels.arrays import Array
+
+
+class _Points(NamedTuple):
+    points: Array
+    mean_weights: Array
+    cov_weights: Array
+    centred: bool
+
+
+class Points(_Points):
+    """A rule's points for N(0, I), with weights.
+
+    Attributes
+    ----------
+    points : ndarray
+        (..., N, n); a step axis may lead, where a rule draws other points at each step.
+    mean_weights, cov_weights : ndarray
+        (N,), the former adding up to one.
+    centred : bool
+        Whether the first point is the origin.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pgm.linearisers import Points
+    >>> weights = np.array([0.5, 0.5])
+    >>> rule = Points(np.array([[1.0], [-1.0]]), weights, weights, centred=False)
+    >>> rule.mean_weights @ rule.points**2  # the variance of N(0, 1)
+    array([1.])
+    """
+
+    @cached_property
+    def fit(self) -> regression.Fit:
+        """The regression on the points, where all beliefs share them."""
+        return regression.fit(self.points, self.mean_weights, self.cov_weights)
+
+    @cached_property
+    def with_centre(self) -> Array:
+        """The points after the origin, with whose value those of angles are compared."""
+        return np.concatenate([np.zeros((1, self.points.shape[1])), self.points])
+
+    @cached_property
+    def rounding(self) -> float:
+        """The rounding by which a value may be off its line, as a part of the value's summands.
+
+        The deviation, with the rule's weights, of values that are each off by four units in the
+        last place, from a line that these move as well.
+        """
+        s, size = np.abs(self.points), np.abs(self.cov_weights)
+        moved = 1.0 + np.abs(self.mean_weights).sum()
+        if len(s):
+            reach = s.max(axis=-2)
+            moved += (reach * (size[:, None] * s).sum(axis=-2)).sum(axis=-1).max(initial=0.0)
+        return float(4 * 2.0**-52 * moved * np.sqrt(size.sum()))
