@@ -192,8 +192,6 @@ def worst_drive(network: pgm.DynamicBayesianNetwork, drive: simulation.Drive) ->
         )
         if legend := ax.get_legend():
             legend.remove()
-        (path,) = (line for line in ax.lines if line.get_color() == colour)
-        path.set_linewidth(1.8)
         mean, right = found.mean[shown, :2], truth[shown, :2]
         ax.plot(*np.stack([mean, right]).transpose(2, 0, 1), color=MUTED, lw=0.8, zorder=2.2)
         ax.plot(*mean.T, "o", color=colour, markersize=3.5, zorder=2.6)
@@ -232,7 +230,7 @@ def _legend() -> list[Artist]:
         Patch(
             facecolor="none",
             edgecolor=MUTED,
-            label=f"{CONFIDENCE:.0%} ellipse of the filter, every 5 s",
+            label=f"{100 * CONFIDENCE:.0f} % ellipse of the filter, every 5 s",
         ),
         Line2D([], [], color=INK, lw=0, marker="^", markersize=6, label="landmark"),
     ]
@@ -246,8 +244,10 @@ def _error_figure(posteriors: dict[str, pgm.ChainPosterior], drive: simulation.D
     times = DT * np.arange(len(drive.truth))
     beliefs = {found.kind: found[pose].run(0) for found in (posterior.filtered, posterior)}
     for column, (kind, belief) in enumerate(beliefs.items()):
-        pgm.plot.errors(belief, drive.truth, times=times, axes=axes[:, column])
-        axes[0, column].set_title(f"Unscented, {kind}")
+        pgm.plot.errors(belief, drive.truth, times=times, unit="m", axes=axes[:, column])
+        axes[0, column].set_title(f"Unscented, {kind}", loc="left")
         axes[-1, column].set_xlabel("time [s]")
+    for ax in axes[:, 1]:
+        ax.set_ylabel("")
     plt.close(figure)
     return figure

@@ -249,5 +249,6 @@ def _rows(drive: Drive, beliefs: dict[str, dict[str, pgm.Table]]) -> Figure:
         pgm.plot.beliefs_over_time(filtered, label="filtered", truth=truth, full=1.0, ax=ax)
         pgm.plot.beliefs_over_time(smoothed, label="smoothed", ax=ax)
     axes[1].set_ylabel("")
+    axes[1].get_legend().remove()  # one is enough
     plt.close(figure)
     return figure

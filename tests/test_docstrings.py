@@ -5,6 +5,7 @@ import importlib
 import inspect
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import pytest
 
 import pgm
@@ -44,6 +45,7 @@ def has_example(value):
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_run_as_written(name):
     found = doctest.testmod(importlib.import_module(name))
+    plt.close("all")
     assert not found.failed
 
 

@@ -1,9 +1,10 @@
-"""A Sphinx extension: a page's programs are run, and their pictures shown below them."""
+"""A Sphinx extension: a page's programs are run, and what they draw is shown below them."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import tempfile
 import warnings
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import matplotlib
 from docutils import nodes
+from PIL import Image
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 from sphinx.transforms import SphinxTransform
@@ -18,7 +20,9 @@ from sphinx.transforms import SphinxTransform
 from building import programs
 
 _DPI = 160  # twice a screen's, for letters that stay sharp
-_FILES = {".gif"}
+_TEXT = 720  # dots that a line of text is wide
+_FILES = {".gif", ".html"}
+_LIVE = "_views"  # the folder of the viewer's pages, within the site
 
 
 class Pictures(SphinxTransform):
@@ -45,16 +49,27 @@ class Pictures(SphinxTransform):
         for node, paths in zip(literal, found, strict=True):
             where = _last_of_block(node)
             for path, width in reversed(paths):
-                uri = os.path.relpath(path, page.parent)
-                alt = "the picture that the program above draws"
-                image = nodes.image(uri=uri, alt=alt, width=f"{width}px", classes=["drawn"])
-                where.parent.insert(where.parent.index(where) + 1, image)
+                shown = self._live(path) if path.suffix == ".html" else _image(page, path, width)
+                where.parent.insert(where.parent.index(where) + 1, shown)
+
+    def _live(self, path: Path) -> nodes.Node:
+        """A page of the viewer, in a frame: a copy of it becomes part of the site."""
+        name = f"{self.env.docname.replace('/', '-')}-{path.name}"
+        folder = Path(self.app.outdir) / _LIVE
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, folder / name)
+        up = "../" * self.env.docname.count("/")
+        frame = (
+            f'<iframe class="drawn" src="{up}{_LIVE}/{name}" sandbox="allow-scripts" '
+            'loading="lazy" title="the page that the program above writes"></iframe>'
+        )
+        return nodes.raw("", frame, format="html")
 
 
 def draws(page: Path) -> bool:
     """Whether a page's programs draw at all; others are run by the tests alone."""
     code = "".join(block.code for block in programs.blocks(page.read_text(encoding="utf-8")))
-    return "pgm.plot." in code or "plt." in code
+    return any(word in code for word in ("pgm.plot.", "plt.", "pgm.view("))
 
 
 def drawn(page: Path, target: Path) -> list[list[tuple[Path, int]]]:
@@ -86,9 +101,23 @@ def drawn(page: Path, target: Path) -> list[list[tuple[Path, int]]]:
             for source in sorted(moving):
                 path = target / source.name
                 path.write_bytes(source.read_bytes())
-                paths.append((path, 400))
+                paths.append((path, _width(path)))
             result.append(paths)
     return result
+
+
+def _width(path: Path) -> int:
+    """Of a moving picture, or of a page, which is as wide as the text."""
+    if path.suffix == ".html":
+        return _TEXT
+    with Image.open(path) as picture:
+        return min(picture.width, _TEXT)
+
+
+def _image(page: Path, path: Path, width: int) -> nodes.Node:
+    uri = os.path.relpath(path, page.parent)
+    alt = "the picture that the program above draws"
+    return nodes.image(uri=uri, alt=alt, width=f"{width}px", classes=["drawn"])
 
 
 def _last_of_block(node: nodes.Element) -> nodes.Element:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
+from functools import partial
+
 from matplotlib.figure import Figure
 
 import pgm
 import pgm.plot
+from experiments.side_by_side import side_by_side
 
 a, b, c, d = pgm.variables("a b c d")
 
@@ -29,13 +31,11 @@ def directed() -> pgm.BayesianNetwork:
 
 def kinds() -> Figure:
     """A Markov network, a Bayesian network, and that as a Markov network."""
-    figure, axes = plt.subplots(1, 3, figsize=(7.5, 2.9))
-    pgm.plot.markov_network(FACTORS, ax=axes[0])
-    pgm.plot.network(directed(), ax=axes[1])
-    pgm.plot.markov_network(directed(), ax=axes[2])
-    for ax, title in zip(
-        axes, ("undirected", "directed", "the directed, made undirected"), strict=True
-    ):
-        ax.set_title(title, fontsize=10)
-    plt.close(figure)
-    return figure
+    return side_by_side(
+        {
+            "undirected": partial(pgm.plot.markov_network, FACTORS),
+            "directed": partial(pgm.plot.network, directed()),
+            "made undirected": partial(pgm.plot.markov_network, directed()),
+        },
+        columns=3,
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -14,8 +15,9 @@ import pgm
 import pgm.plot
 from experiments.belief_propagation.loops import Case, Numbers, titled
 from experiments.kinds import as_gaussian
+from experiments.side_by_side import side_by_side
 from models.networks import landmark, pose
-from pgm.plot.colours import PALETTE
+from pgm.plot.colours import DASHES, PALETTE
 
 Sweep = Mapping[str, Mapping[str, Sequence[Numbers]]]  # by network and schedule
 Methods = Mapping[str, Mapping[str, Numbers]]  # by network and method
@@ -26,17 +28,11 @@ _FAR = 1e3
 
 def graphs(case: Case) -> Figure:
     """The graphs of a case, two in a row."""
-    rows = (len(case.graphs) + 1) // 2
-    figure, axes = plt.subplots(
-        rows, 2, figsize=(10.0, 4.0 * rows), layout="constrained", squeeze=False
-    )
-    for ax, name in zip(axes.flat, case.graphs, strict=True):
-        ax.set_title(titled(name))
-    figure.canvas.draw()  # so that titles have their room before graphs are fitted to theirs
-    for ax, graph in zip(axes.flat, case.graphs.values(), strict=True):
-        pgm.plot.cluster_graph(graph, evidence=case.evidence, ax=ax)
-    plt.close(figure)
-    return figure
+    drawings = {
+        titled(name): partial(pgm.plot.cluster_graph, graph, evidence=case.evidence)
+        for name, graph in case.graphs.items()
+    }
+    return side_by_side(drawings, columns=2)
 
 
 def convergence(records: Mapping[str, Mapping[str, pgm.Status]]) -> Figure:
@@ -142,12 +138,15 @@ def scene(case: Case, truth: Mapping[pgm.Variable, Any], beliefs: Mapping[str, A
     stars = np.array([truth[v] for v in landmarks])
     ax.plot(path[:, 0], path[:, 1], ".-", color="black", linewidth=0.8, label="true poses")
     ax.plot(stars[:, 0], stars[:, 1], "*", color="black", markersize=9, label="true landmarks")
-    for (name, posterior), colour in zip(beliefs.items(), PALETTE, strict=False):
+    # Dashed, so that a belief beneath another is seen.
+    for (name, posterior), colour, dash in zip(beliefs.items(), PALETTE, DASHES, strict=False):
         for template, group in ((pose, poses), (landmark, landmarks)):
             found = [as_gaussian(posterior[v]) for v in group]
             stack = pgm.Gaussian(template, [b.mean for b in found], [b.cov for b in found])
-            pgm.plot.ellipses(stack, colour=colour, facecolor="none", linewidth=1.3, ax=ax)
-        ax.plot([], [], color=colour, label=f"{name}, 95 %")
+            pgm.plot.ellipses(
+                stack, colour=colour, facecolor="none", linewidth=1.3, linestyle=dash, ax=ax
+            )
+        ax.plot([], [], dash, color=colour, label=f"{name}, 95 %")
     ax.set(aspect="equal", xlabel="east [m]", ylabel="north [m]")
     figure.legend(loc="outside upper center", ncols=4, frameon=False)
     plt.close(figure)

@@ -76,8 +76,9 @@ def _draw(drive: Drive, step: int, axes: Iterable[Axes]) -> None:
 
 
 def _bounds(drive: Drive) -> tuple[np.ndarray, float]:
-    """Centre and half width of a square that holds the whole drive."""
-    places = np.concatenate([drive.truth[:, :2], drive.filtered.mean[:, :2]])
+    """Centre and half width of a square that holds the whole drive and its ellipses."""
+    means, reach = drive.filtered.mean[:, :2], 2.5 * drive.filtered.std[:, :2]  # of 95 % ellipses
+    places = np.concatenate([drive.truth[:, :2], means - reach, means + reach])
     lows, highs = places.min(axis=0), places.max(axis=0)
     return 0.5 * (lows + highs), 0.56 * float((highs - lows).max())
 

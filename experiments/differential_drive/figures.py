@@ -166,7 +166,9 @@ def nees_figure(nees: Mapping[str, Mapping[str, Curves]], runs: int) -> Figure:
                     values,
                     color=_BY_LINEARISER[lineariser],
                     ls="--" if kind == "smoother" else "-",
-                    lw=1.1,
+                    # Broad, so that it is seen beneath the unscented one, which is often the same.
+                    lw=3.0 if lineariser == "Taylor" else 1.1,
+                    alpha=0.6 if lineariser == "Taylor" else 1.0,
                     label=f"{lineariser}, {kind}",
                 )
             ax.set_title(f"problem {name}, N(0, ·) read as {noise}s")

@@ -41,20 +41,27 @@ def filters(
 ) -> Figure:
     """The filtered path of each lineariser, over the reference's."""
     figure, axes = plt.subplots(
-        2, 3, figsize=(13, 9.5), sharex=True, sharey=True, layout="constrained"
+        2, 3, figsize=(13, 9.0), sharex=True, sharey=True, layout="constrained"
     )
     places = np.array(list(log.landmarks.values()))
     for ax, colour, (label, posterior) in zip(axes.flat, PALETTE, posteriors.items(), strict=False):
         belief = posterior.filtered[pose]
         pgm.plot.trajectory(belief, landmarks=places, label=label, colour=colour, ax=ax)
         ax.plot(*reference.mean[:, :2].T, color="black", lw=0.8, label="particles", zorder=2.6)
-        ax.legend(loc="upper left", fontsize="small")
         ax.set(title=label, **PLANE)
         ax.label_outer()
     last = axes.flat[-1]
     pgm.plot.trajectory(reference, landmarks=places, label="particles", colour="black", ax=last)
     last.set(title="particles", **PLANE)
     last.label_outer()
+    for ax in axes.flat:
+        if legend := ax.get_legend():
+            legend.remove()
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    labels = [
+        "filter of the title" if label == next(iter(posteriors)) else label for label in labels
+    ]
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     plt.close(figure)
     return figure
 

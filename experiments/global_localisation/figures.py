@@ -54,7 +54,7 @@ def errors(
         right_.plot(at, np.median(place, axis=0), color=colour)
         right_.plot(at, np.quantile(place, high, axis=0), color=colour, ls=":")
     right_.axhline(NEAR, color=MUTED, lw=0.8)
-    right_.set(yscale="log", ylabel=f"error of the place [m], median and {high:.0%}")
+    right_.set(yscale="log", ylabel=f"error of the place [m], median and {100 * high:.0f} %")
     right_.yaxis.set_major_formatter("{x:g}")
     left.set(ylim=(0.0, 1.02), ylabel="share of drives that are right")
     for ax in (left, right_):

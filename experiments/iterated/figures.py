@@ -19,6 +19,8 @@ from pgm.plot.colours import INK, MUTED, PALETTE
 
 COLOURS = dict(zip(TITLES, PALETTE, strict=False))
 _STYLES = {"Unscented": "-", "Taylor": "--"}
+# Curves that coincide are seen: each is narrower than the one beneath it, and points stand aside.
+_WIDTHS, _ASIDE = (3.4, 2.2, 1.2), (0.97, 1.0, 1.03)
 _SENSORS = {"cubic": "z = x³/20", "square": "z = x²/20"}
 
 
@@ -81,20 +83,22 @@ def over_time(grids: Mapping[str, Grid], growing: Mapping[str, Array], iteration
     for ax, (name, grid) in zip(np.atleast_1d(axes), grids.items(), strict=True):
         filters, smoothers = grid["filter"], grid["smoother"]
         ax.plot(steps, filters["plain"][1].by_step, color=INK, label="filter, linearised once")
-        for control, each in filters.items():
+        for (control, each), width in zip(filters.items(), _WIDTHS, strict=True):
             ax.plot(
                 steps,
                 each[iterations].by_step,
                 color=COLOURS[control],
+                linewidth=width,
                 label=f"filter, {iterations} linearisations, {TITLES[control]}",
             )
-        ax.plot(
-            steps,
-            filters["damped"][2].by_step,
-            color=COLOURS["damped"],
-            linestyle="-.",
-            label=f"filter, 2 linearisations, {TITLES['damped']}",
-        )
+        if iterations > 2:
+            ax.plot(
+                steps,
+                filters["damped"][2].by_step,
+                color=COLOURS["damped"],
+                linestyle="-.",
+                label=f"filter, 2 linearisations, {TITLES['damped']}",
+            )
         ax.plot(
             chain.ENDS,
             np.sqrt((growing[name] ** 2).mean(axis=0)),
@@ -151,9 +155,9 @@ def failure(case: Case, outcomes: Mapping[str, Outcome], run: int) -> Figure:
 def _by_linearisations(
     ax: Axes, controls: Mapping[str, Mapping[int, Outcome]], style: str, name: str
 ) -> None:
-    for control, each in controls.items():
+    for (control, each), aside in zip(controls.items(), _ASIDE, strict=True):
         ax.errorbar(
-            list(each),
+            aside * np.array(list(each)),
             [outcome.score.rmse for outcome in each.values()],
             yerr=[outcome.score.rmse_se for outcome in each.values()],
             color=COLOURS[control],

@@ -95,7 +95,7 @@ def scenes(solved: Mapping[tuple[str, str], Solved]) -> Figure:
             ax.plot([], [], style, color=colour, label=label)
         ax.plot(*one.case.truth[run, :2], "k*", markersize=11, label="drawn pose")
         _landmarks(ax, one, run)
-        ax.set(title=f"{SENSORS[sensor].title}, s = {SCENE_HEADING:g}", aspect="equal")
+        ax.set(title=f"{SENSORS[sensor].title}, s = {SCENE_HEADING:g} rad", aspect="equal")
         ax.set(xlabel="east [m]", ylabel="north [m]")
         ax.legend(fontsize="small", loc="lower right")
     plt.close(figure)

@@ -93,12 +93,22 @@ def write(
     record.table(
         f"the audit at s = {_WIDEST} rad: beliefs with a KL of {WRONG:g} nats or more, and below "
         f"{RIGHT:g}, and how many of each are suspect",
-        ("sensor", "rule", f"KL ≥ {WRONG:g}", "suspect", f"KL < {RIGHT:g}", "suspect ", "trusted"),
+        (
+            "sensor",
+            "rule",
+            f"KL ≥ {WRONG:g}",
+            f"suspect of KL ≥ {WRONG:g}",
+            f"KL < {RIGHT:g}",
+            f"suspect of KL < {RIGHT:g}",
+            "trusted",
+        ),
         [
             (sensor, rule, a.wrong, a.caught, a.right, a.alarms, f"{a.trusted:.1%}")
             for sensor, audits in found.audits.items()
             for rule, a in audits.items()
         ],
+        about="Counts of simulations: of beliefs that are wrong and right, and of each as many as "
+        "the audit calls suspect; trusted: the share of simulations that it vouches for.",
     )
     truths = [each for cases in found.truth.values() for each in cases.values()]
     record.note(

@@ -108,9 +108,15 @@ def compare(
 
     Examples
     --------
-    >>> found = compare(model, evidence, oracle=pgm.Grid(cells), truth={x: poses})  # doctest: +SKIP
-    >>> found["Taylor", "filter"].kl  # doctest: +SKIP
-    0.021
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
+    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
+    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
+    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> found = pgm.compare(model, {z: [[2.0], [3.0]]}, oracle=pgm.Grid({"x": (-8.0, 12.0, 400)}))
+    >>> found["Taylor", "filter"].kl < 1e-3
+    True
     """
     methods = _named(linearisers, "linearisers", "linearisers=[pgm.Taylor()]", _class)
     for method in methods.values():

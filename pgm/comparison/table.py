@@ -41,6 +41,18 @@ class Comparison(Shown, Immutable):
         The oracle in words; empty without one.
     oracle_status : str
         The status of an oracle that is a grid, in words: what its bounds and cells cost.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
+    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
+    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
+    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> found = pgm.compare(model, {z: [[2.0], [3.0]]}, linearisers=[pgm.Taylor(), pgm.Unscented()])
+    >>> [row.lineariser for row in found.rows]
+    ['Taylor', 'Taylor', 'Unscented', 'Unscented']
     """
 
     rows: tuple[Row, ...]

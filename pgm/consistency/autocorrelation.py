@@ -34,6 +34,19 @@ class Whiteness(Shown):
         Its degrees of freedom, the number of lags.
     limit : float
         What the statistic stays below with the confidence asked for.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
+    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
+    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
+    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0], [1.0], [0.0], [2.0]]})
+    >>> found = pgm.consistency.whiteness(filtered.innovations[z], lags=2)
+    >>> found.inside, found.dof
+    (True, 2)
     """
 
     lags: Integers
@@ -99,6 +112,18 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
     ModelError
         If there are no more steps with measurements than lags, or no run was read at two of them;
         or if an argument is not what it should be.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
+    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
+    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
+    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0], [1.0], [0.0], [2.0]]})
+    >>> pgm.consistency.whiteness(filtered.innovations[z], lags=2).lags
+    array([1, 2])
 
     References
     ----------

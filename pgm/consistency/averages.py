@@ -33,6 +33,15 @@ class Average(Shown):
         (...): degrees of freedom of the sum.
     count : ndarray of int
         (...): how many were averaged.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> found = pgm.consistency.average([1.0, 3.0], dof=2)
+    >>> found
+    Average(2, band 0.1035 to 7.43, expected 2, of 2 errors)
+    >>> bool(found.inside)
+    True
     """
 
     value: Array
@@ -137,6 +146,15 @@ def average(
     ModelError
         If the degrees of freedom do not fit or are none, or the confidence is not between 0 and 1.
 
+    Examples
+    --------
+    >>> import pgm
+    >>> found = pgm.consistency.average([[1.0, 3.0], [2.0, 6.0]], dof=2, axis=0)
+    >>> found.value
+    array([1.5, 4.5])
+    >>> found.expected
+    array([2., 2.])
+
     References
     ----------
     Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
@@ -197,6 +215,14 @@ def anees(
         If an argument does not fit the belief, or the confidence is not between 0 and 1.
     NumericalError
         If a covariance is singular.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x")
+    >>> two_runs = pgm.Gaussian(x, mean=[[[2.0]], [[4.0]]], cov=4.0, steps=[0])
+    >>> pgm.consistency.anees(two_runs, truth=[[0.0]]).value
+    array([2.5])
     """
     squares, dof = nees_and_dof(belief, truth, components)
     return average(squares, dof, axis=run_axes(squares, belief.steps), confidence=confidence)
@@ -225,6 +251,18 @@ def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:
     ------
     ModelError
         If they are no innovations, or the confidence is not between 0 and 1.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
+    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
+    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
+    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0]]})
+    >>> pgm.consistency.anis(filtered.innovations[z]).value
+    array([nan,  1.,  1.])
     """
     found = check_innovations(innovations)
     axes = tuple(range(found.nis.ndim - 1))
@@ -251,6 +289,13 @@ def mean_band(dof: int, count: int, confidence: float = 0.99) -> tuple[float, fl
     ------
     ModelError
         If a number is no whole one from 1, or the confidence is not between 0 and 1.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> low, high = pgm.consistency.mean_band(dof=2, count=50, confidence=0.95)
+    >>> round(low, 2), round(high, 2)
+    (1.48, 2.59)
     """
     check_count("degrees of freedom of each", dof)
     check_count("how many are averaged", count)

@@ -41,6 +41,14 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
     ------
     ModelError
         If the belief is no Gaussian, the axes do not fit, or a value is infinite.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x", components=("east", "heading"), angles=("heading",))
+    >>> belief = pgm.Gaussian(x, mean=[2.0, 3.0], cov=1.0)
+    >>> pgm.consistency.error(belief, [1.5, -3.0]).round(3)
+    array([ 0.5  , -0.283])
     """
     shape = check_gaussian(belief).mean.shape
     values = as_floats(truth, "a truth", labels=labels(belief.scope))
@@ -131,6 +139,14 @@ def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     ------
     ModelError
         If the truth or a component does not fit the belief, or none is known.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x", components=("east", "north"))
+    >>> belief = pgm.Gaussian(x, mean=[[3.0, 4.0], [0.0, 5.0]], cov=1.0, steps=[0, 1])
+    >>> pgm.consistency.rmse(belief, [[0.0, 0.0], [0.0, 0.0]])
+    5.0
     """
     lengths = size(belief, truth, components)
     known = ~np.isnan(lengths)
@@ -173,6 +189,14 @@ def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
         If the truth or a component does not fit the belief.
     NumericalError
         If a covariance is singular or infinite.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x", components=("east", "north"))
+    >>> belief = pgm.Gaussian(x, mean=[2.0, 3.0], cov=[4.0, 9.0])
+    >>> float(pgm.consistency.nees(belief, [0.0, 0.0]))
+    2.0
 
     References
     ----------
@@ -236,6 +260,18 @@ def nis(innovations: Innovations) -> Array:
     ------
     ModelError
         If they are no innovations.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
+    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
+    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
+    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0]]})
+    >>> pgm.consistency.nis(filtered.innovations[z])
+    array([nan,  1.,  1.])
     """
     return check_innovations(innovations).nis
 
@@ -260,6 +296,14 @@ def kl(p: Gaussian, q: Gaussian) -> Array:
         not broadcast.
     NumericalError
         If a covariance is singular.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x")
+    >>> p, q = pgm.Gaussian(x, [0.0], 1.0), pgm.Gaussian(x, [2.0], 1.0)
+    >>> float(pgm.consistency.kl(p, q))
+    2.0
     """
     shapes = [check_gaussian(belief).mean.shape[:-1] for belief in (p, q)]
     try:

@@ -32,6 +32,17 @@ class OverTime(Shown):
     runs : int
     count : ndarray of int
         (T+1,): in how many of them the size is known.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pgm
+    >>> found = pgm.consistency.over_time([[3.0, 1.0], [4.0, 1.0]], np.array([0, 1]))
+    >>> found
+    OverTime(steps 0..1, 2 runs)
+      step    rms   low  median  high  count
+         0  3.536  3.05     3.5  3.95      2
+         1  1.000  1.00     1.0  1.00      2
     """
 
     steps: Integers
@@ -76,6 +87,16 @@ def over_time(
     ------
     ModelError
         If the sizes are not over those steps or some are NaN, or the percentiles no such pair.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pgm
+    >>> found = pgm.consistency.over_time([[1.0, 2.0], [7.0, 2.0]], np.array([0, 1]))
+    >>> found.rms
+    array([5., 2.])
+    >>> found.median
+    array([4., 2.])
     """
     values = as_floats(sizes, "a size")
     steps = _steps_of(values, steps)
@@ -143,6 +164,14 @@ def rmse_over_time(
     ------
     ModelError
         If the belief is over no steps, or an argument does not fit it.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x")
+    >>> two_runs = pgm.Gaussian(x, mean=[[[1.0]], [[7.0]]], cov=1.0, steps=[0])
+    >>> pgm.consistency.rmse_over_time(two_runs, truth=[[0.0]]).rms
+    array([5.])
     """
     lengths = size(belief, truth, components)
     return _over_runs(lengths, _steps_of(lengths, belief.steps), percentiles)

@@ -33,6 +33,17 @@ class Coverage(Shown):
         How many of them, independent of each other; those of which some truth is known.
     count : int
         How many truths, of all runs and steps.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x")
+    >>> four_runs = pgm.Gaussian(x, mean=[[0.0], [1.0], [-1.0], [3.0]], cov=1.0)
+    >>> pgm.consistency.coverage(four_runs, truth=[0.0])
+    Coverage(4 runs, 4 truths)
+      1 of 1 confidences inside the interval
+      nominal  actual     low    high
+         0.95    0.75  0.1109  0.9987
     """
 
     nominal: Array
@@ -102,6 +113,17 @@ def coverage(
         the belief, or no truth is known.
     NumericalError
         If a covariance is singular.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x")
+    >>> four_runs = pgm.Gaussian(x, mean=[[0.0], [1.0], [-1.0], [3.0]], cov=1.0)
+    >>> found = pgm.consistency.coverage(four_runs, truth=[0.0], confidence=[0.5, 0.95])
+    >>> found.actual
+    array([0.25, 0.75])
+    >>> found.inside
+    array([ True,  True])
 
     References
     ----------

@@ -124,4 +124,4 @@ def correlations(cov: Array, std: Array) -> Array | None:
 
 
 def _correlation(value: float) -> str:
-    return "" if np.isnan(value) else f"{value + 0.0:.2f}"
+    return "" if np.isnan(value) else f"{round(value, 2) + 0.0:.2f}"

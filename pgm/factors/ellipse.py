@@ -24,7 +24,7 @@ class Ellipse(NamedTuple):
     half_axes : ndarray
         (..., 2), the longer one first: √(χ²₂(c) λᵢ), with χ²₂(c) = −2 ln(1 − c).
     orientation : ndarray
-        (...), of the longer axis, in radians, atan2(v₁₂, v₁₁).
+        (...), of the longer axis, atan2(v₁₂, v₁₁), radians in (−π/2, π/2]: it has no direction.
     """
 
     centre: Array

@@ -49,6 +49,17 @@ class ControlReport(Shown):
         How long [s] the first increment is taken to cover where no earlier stamp tells, else 0.
     backwards : int
         How many rows are stamped before the row above them; they are put in order of time.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> u = pgm.Variable("u")
+    >>> rows = pgm.stamped([0.5, 1.5, 2.0], [1.0, 2.0, 3.0])
+    >>> log = pgm.timeline([0.0, 1.0, 2.0], odometry={u: rows})
+    >>> log.controls[u].counted
+    array([0.5, 1. , 0.5])
+    >>> log.controls[u].split
+    array([False,  True, False])
     """
 
     kind: Kind

@@ -66,7 +66,7 @@ def read(source: Source, times: Array, limit: int) -> tuple[tuple[str, ...], Arr
 def number(word: str, line: int, origin: Origin) -> float:
     """The finite number that a word is."""
     try:
-        found = float(word)
+        found = float(word.replace("_", "?"))  # which Python reads, and no other tool
     except ValueError:
         raise origin.fault(f"{word!r} is no number", line) from None
     if not math.isfinite(found):

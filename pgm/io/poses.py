@@ -28,6 +28,15 @@ class Poses(Shown, NoArray, Immutable):
         The components that `cov` is of, by name; empty without one.
     cov : ndarray or None
         (n, k, k), in units of the components; None where no file of covariances was read.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pgm
+    >>> here, turned = np.array([[1.0, 2.0, 0.5]]), np.array([[0.0, 0.0, 1.0, 1.0]]) / np.sqrt(2.0)
+    >>> drive = pgm.Poses(times=np.array([0.0]), position=here, orientation=turned)
+    >>> drive.planar.round(3)
+    array([[1.   , 2.   , 1.571]])
     """
 
     times: Array

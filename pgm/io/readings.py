@@ -55,6 +55,17 @@ class ReadingReport(Shown):
         count in the evidence.
     backwards : int
         How many rows are stamped before the row above them.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> z = pgm.Variable("z")
+    >>> rows = pgm.stamped([0.25, 2.0, 7.0], [4.0, 5.0, 6.0])
+    >>> log = pgm.timeline([0.0, 1.0, 2.0], sensors={z: rows})
+    >>> log.readings[z].shift
+    array([-0.25,  0.  , -5.  ])
+    >>> log.readings[z].kept
+    array([ True,  True, False])
     """
 
     stamps: Array

@@ -58,6 +58,12 @@ def line_of(text: str, at: int) -> int:
     return text.count("\n" if "\n" in text else "\r", 0, at) + 1
 
 
+def same(one: Source, other: Source) -> bool:
+    """Whether two sources are one open file, or paths to one place."""
+    paths = [p for p in (one, other) if isinstance(p, str | os.PathLike)]
+    return one is other or (len(paths) == 2 and len(set(map(os.path.realpath, paths))) == 1)
+
+
 def read(source: Source, limit: int) -> Content:
     """All of a source; refuses one that holds more than `limit` bytes, once unpacked."""
     if isinstance(limit, bool) or not isinstance(limit, int) or limit < 1:

@@ -39,6 +39,15 @@ class Stamped(Shown):
     ----------
     stamps, values, given
         As of `stamped`.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> pgm.stamped([0.1, 0.2], [5.1, 4.9])
+    Stamped(2 rows, given [])
+      stamp  value
+        0.1    5.1
+        0.2    4.9
     """
 
     stamps: Any

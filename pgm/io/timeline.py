@@ -37,6 +37,16 @@ class Timeline(Shown, Immutable):
         What became of each control's rows.
     readings : mapping of Variable to ReadingReport
         What became of each sensor's measurements.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> z = pgm.Variable("z")
+    >>> log = pgm.timeline([0.0, 1.0, 2.0], sensors={z: pgm.stamped([1.9, 0.1], [4.0, 5.0])})
+    >>> log.steps, log.dt
+    (2, array([1., 1.]))
+    >>> log.evidence[z].step
+    array([2, 0])
     """
 
     times: Array

@@ -72,7 +72,7 @@ def write_tum(
     ------
     ModelError
         If the belief is none or of several runs, or a component is not there, is named twice or,
-        of an angle, was not declared as one; or if a variance that is to be written is infinite.
+        of an angle, was not declared as one; or if one of them has an infinite variance.
     EvidenceError
         If times are not finite, do not increase, or are not as many as there are steps.
     FileError
@@ -95,6 +95,10 @@ def write_tum(
     10.0 0.0 0.0 0.0 0.0 0.0 0.0 1.0
     10.5 1.0 0.5 0.0 0.0 0.0 0.7071067811865475 0.7071067811865476
     """
+    if covariance is not None and sources.same(path, covariance):
+        raise ModelError(
+            f"covariance= is the file of the poses, {covariance!r}; they need one of their own"
+        )
     gaussian = _trajectory(belief)
     names = [*_position(position), *(name for name in (roll, pitch, heading) if name is not None)]
     places = _places(gaussian, names)
@@ -113,7 +117,7 @@ def write_tum(
         if angle is not None:
             angles[:, k] = columns[angle]
     cov = gaussian.cov[:, places][:, :, places]
-    if covariance is not None and not np.isfinite(cov).all():
+    if not np.isfinite(cov).all():
         step = int(np.argwhere(~np.isfinite(cov))[0, 0])
         raise ModelError(
             f"{gaussian._title} has an infinite variance in row {step}: its mean there means "

@@ -25,6 +25,16 @@ class Cells(NamedTuple):
         (...): also of points outside, where they are none of the map's.
     inside : ndarray of bool
         (...): whether the map has them.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> room = pgm.maps.OccupancyMap([[0, 0, 1], [0, 0, 1]], resolution=0.5)
+    >>> found = room.at([[0.2, 0.7], [1.2, 5.0]])
+    >>> found.rows, found.columns
+    (array([ 1, 10]), array([0, 2]))
+    >>> found.inside
+    array([ True, False])
     """
 
     rows: Integers

@@ -17,6 +17,7 @@ from pgm.plot.axes import name_axes
 from pgm.plot.colours import MUTED, Look
 
 STEP = "step"
+_BAND = "band"
 
 
 def along(steps: npt.NDArray[np.int_], times: npt.ArrayLike | None) -> tuple[npt.NDArray[Any], str]:
@@ -48,10 +49,24 @@ def band(
     inside: float = 0.12,
     outline: float = 0.5,
 ) -> FillBetweenPolyCollection:
-    """Shade between two curves; an outline keeps a band of a single step, or no width, visible."""
-    face, edge = to_rgba(tint, inside), to_rgba(tint, outline)
+    """Shade between two curves, within an outline, that a band of no width is visible by.
+
+    Bands after the first of an axes are outlines alone: shades upon each other are all grey.
+    """
+    first = all(drawn.get_gid() != _BAND for drawn in ax.collections)
+    face = to_rgba(tint, inside if first else 0.0)
+    edge = to_rgba(tint, outline if first else 0.9)
     return ax.fill_between(
-        across, low, high, facecolor=face, edgecolor=edge, lw=0.8, ls=dash, zorder=1.0, label=label
+        across,
+        low,
+        high,
+        facecolor=face,
+        edgecolor=edge,
+        lw=0.8,
+        ls=dash,
+        zorder=1.0,
+        label=label,
+        gid=_BAND,
     )
 
 

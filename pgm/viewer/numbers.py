@@ -51,7 +51,7 @@ class Numbers:
         """
         given = np.asarray(array, dtype=np.float64)
         rows = given.shape[0] if given.ndim > 1 else 1
-        columns = given.reshape(rows, -1).T
+        columns = given.reshape(rows, given.size // rows if rows else 0).T
         found = Ref(at=self.count, rows=rows, columns=len(columns))
         self._parts.append(rounded(columns, bits).reshape(-1))
         self.count += given.size

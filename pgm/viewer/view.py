@@ -68,13 +68,14 @@ def view(
 
     Examples
     --------
+    >>> import tempfile
     >>> import pgm
     >>> a, b = pgm.variables("a b")
-    >>> net = pgm.BayesianNetwork(
-    ...     [pgm.GaussianCPD(a, 0.0, 1.0), pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)]
-    ... )
-    >>> view(pgm.infer(pgm.compile(net), {b: 0.5}), "run.html")  # doctest: +SKIP
-    PosixPath('run.html')
+    >>> cpds = [pgm.GaussianCPD(a, 0.0, 1.0), pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)]
+    >>> posterior = pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), {b: 0.5})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     pgm.view(posterior, f"{folder}/run.html").name
+    'run.html'
     """
     target = Path(path)
     target.write_text(assembled(*_content(posterior, run, steps, FILE)), encoding="utf-8")

@@ -192,3 +192,8 @@ def test_a_graph_shows_the_clusters_and_their_neighbours():
     assert title.startswith("SliceGraph")
     assert heads.split() == ["cluster", "variables", "joined", "to"]
     assert rows[2].endswith("1 by x[1]; 3 by x[2]")
+
+
+def test_a_correlation_that_rounds_to_zero_has_no_sign():
+    belief = pgm.Gaussian(X, [0.0, 0.0, 0.0], [[1, -1e-3, 0], [-1e-3, 1, 0.5], [0, 0.5, 1]])
+    assert repr(belief).splitlines()[3].split()[-1] == "0.00"

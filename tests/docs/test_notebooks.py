@@ -25,9 +25,11 @@ def test_they_are_written_with_the_recording_that_one_reads(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TUTORIALS)
-def test_a_tutorial_runs_as_a_notebook(name):
+def test_a_tutorial_runs_as_a_notebook(name, tmp_path, monkeypatch):
+    notebooks.write(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(programs.ROOT))
     made = notebooks.notebook(TUTORIALS[name])
-    client = NotebookClient(made, timeout=300, resources={"metadata": {"path": programs.ROOT}})
+    client = NotebookClient(made, timeout=300, resources={"metadata": {"path": tmp_path}})
     client.execute()
     for cell in made.cells:
         for output in cell.get("outputs", []):

@@ -39,11 +39,26 @@ def test_points_on_the_ellipse_have_one_mahalanobis_distance(confidence, pair, i
 def test_the_ellipse_of_95_percent():
     ellipse = Gaussian(B, [0, 0], [[9.0, 0.0], [0.0, 4.0]]).ellipse()
     assert_allclose(ellipse.half_axes**2 / [9.0, 4.0], 5.991, atol=5e-4)
-    assert_allclose(np.abs(np.cos(ellipse.orientation)), 1.0)
+    assert_allclose(ellipse.orientation, 0.0, atol=1e-15)
     upright = Gaussian(B, [0, 0], [[4.0, 0.0], [0.0, 9.0]]).ellipse()
-    assert_allclose(np.abs(np.sin(upright.orientation)), 1.0)
+    assert_allclose(upright.orientation, np.pi / 2)
     tilted = Gaussian(B, [0, 0], [[2.0, 1.0], [1.0, 2.0]]).ellipse()
-    assert_allclose(np.tan(tilted.orientation), 1.0)
+    assert_allclose(tilted.orientation, np.pi / 4)
+
+
+def test_the_orientation_is_that_of_an_axis_without_direction():
+    due = np.radians(np.arange(-89.0, 90.0))
+    cos, sin = np.cos(due), np.sin(due)
+    long, short = np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)
+    cov = 9.0 * long[:, :, None] * long[:, None] + 4.0 * short[:, :, None] * short[:, None]
+    assert_allclose(Gaussian(B, np.zeros((179, 2)), cov).ellipse().orientation, due, atol=1e-14)
+
+
+@pytest.mark.parametrize("tiny", [0.0, 1e-16, -1e-16, 1e-300, -1e-300])
+@pytest.mark.parametrize(("east", "north"), [(4.0, 9.0), (9.0, 4.0)])
+def test_the_orientation_is_above_minus_a_right_angle(east, north, tiny):
+    belief = Gaussian(B, [0, 0], [[east, tiny], [tiny, north]])
+    assert -np.pi / 2 < belief.ellipse().orientation <= np.pi / 2
 
 
 def test_ellipses_of_flat_and_of_many_gaussians():

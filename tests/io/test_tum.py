@@ -174,6 +174,7 @@ GOOD = "0.0 1 2 0 0 0 0 1\n"
         (GOOD + "1.0 1 2 0 0 0 1\n", 2, r"it has 7 numbers, where t x y z .* 8 of them"),
         (GOOD + "\n1.0,1,2,0,0,0,0,1\n", 3, "it has 1 numbers.*not by commas"),
         (GOOD + "1.0 1 2 0 0 0 zero 1\n", 2, "'zero' is no number"),
+        (GOOD + "1.0 1 2_0 0 0 0 0 1\n", 2, "'2_0' is no number"),
         (GOOD + "1.0 1 nan 0 0 0 0 1\n", 2, "'nan' is not finite"),
         (GOOD + "inf 1 2 0 0 0 0 1\n", 2, "'inf' is not finite"),
         (GOOD + GOOD, 2, r"t = 0 s does not come after 0 s of line 1; sort the lines"),
@@ -274,5 +275,19 @@ def test_infinite_variances_have_no_file(tmp_path):
     options = {"position": ("east", "north"), "heading": None, "covariance": tmp_path / "c"}
     with pytest.raises(pgm.ModelError, match=r"infinite variance in row 0: .* belief\[k:\]"):
         pgm.write_tum(tmp_path / "p", belief, times=[0, 1, 2], **options)
+    with pytest.raises(pgm.ModelError, match="infinite variance in row 0"):
+        pgm.write_tum(tmp_path / "p", belief, times=[0, 1, 2], **options | {"covariance": None})
     pgm.write_tum(tmp_path / "p", belief[1:], times=[1, 2], **options)
     assert len(pgm.read_tum(tmp_path / "p", tmp_path / "c").times) == 2
+
+
+def test_poses_and_covariances_are_two_files(tmp_path):
+    path = tmp_path / "p"
+    for other in (path, str(path), tmp_path / "." / "p"):
+        with pytest.raises(pgm.ModelError, match="covariance= is the file of the poses"):
+            pgm.write_tum(path, planar(), times=TIMES, covariance=other, **PLANAR)
+    file = io.StringIO()
+    with pytest.raises(pgm.ModelError, match="need one of their own"):
+        pgm.write_tum(file, planar(), times=TIMES, covariance=file, **PLANAR)
+    assert not path.exists()
+    assert not file.getvalue()

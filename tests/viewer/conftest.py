@@ -116,7 +116,7 @@ class Browser:
 
 def as_number(text):
     """The number of a text: a true minus, and spaces that align it."""
-    return float(re.sub(r"[\u2007\u2008]", "", text).replace("−", "-"))
+    return float(re.sub(r"[\u2007\u2008]", "", text).replace("−", "-").replace("∞", "inf"))
 
 
 @pytest.fixture(scope="session")

@@ -399,3 +399,44 @@ def test_the_page_does_not_run_over_its_window(look, browser, width):
         assert page.run("return document.documentElement.scrollWidth") <= width
     finally:
         browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def line(prior=1.0, cov=1.0, reading=1.0, measured=1.0, steps=4):
+    a, b = pgm.variables("a b")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(a, 0.0, prior)],
+        transition=[pgm.LinearGaussianCPD(a, given={a.previous: 1.0}, cov=cov)],
+        observation=[pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=reading)],
+    )
+    return a, pgm.smooth(model, {b: np.full((steps, 1), measured)})
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"steps": 0},
+        {"prior": 0.0, "cov": 0.0},
+        {"reading": 0.0},
+        {"prior": np.inf, "measured": np.nan},
+        {"prior": 1e200, "cov": 1e200, "reading": 1e200},
+        {"prior": 1e-200, "cov": 1e-200, "reading": 1e-200, "measured": 1e-100},
+    ],
+    ids=repr,
+)
+def test_certain_unknown_and_far_numbers_are_drawn(look, given):
+    a, posterior = line(**given)
+    page = look(posterior)
+    page.press("/", "c0", Keys.ENTER)
+    if given.get("prior") == np.inf:
+        assert page.numbers("belief", "mean")[0] == [[0.0, np.inf]]
+        assert "nothing to draw" in page.text("figure")
+        return
+    require_moments(page, "belief", posterior[a.at(0)])
+    marks = page.run(
+        "return [...document.querySelectorAll('.picture .grid text')].map((t) => t.textContent)"
+    )[:-1]
+    numbers = [float(mark.replace("−", "-")) for mark in marks]
+    assert len(set(numbers)) == len(numbers) > 2
+    mean, std = posterior[a.at(0)].mean[0], posterior[a.at(0)].std[0]
+    assert min(numbers) <= mean + 2 * std
+    assert max(numbers) >= mean - 2 * std

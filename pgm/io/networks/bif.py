@@ -53,6 +53,18 @@ def read_bif(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     OSError
         If the file cannot be opened.
 
+    Examples
+    --------
+    >>> import io
+    >>> import pgm
+    >>> file = io.StringIO(
+    ...     "variable side { type discrete [2] { heads, tails }; }"
+    ...     "probability (side) { table 0.25, 0.75; }"
+    ... )
+    >>> network = pgm.read_bif(file)
+    >>> network.variables[0].states, network.cpds[0].table
+    (('heads', 'tails'), array([0.25, 0.75]))
+
     References
     ----------
     Cozman, F. (1996), The interchange format for Bayesian networks, version 0.15.

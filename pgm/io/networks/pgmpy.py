@@ -32,6 +32,17 @@ def from_pgmpy(network: Any) -> BayesianNetwork:
     ------
     ModelError
         If it is no such network, a variable has no CPD, or names are equal once they are text.
+
+    Examples
+    --------
+    The last two lines need pgmpy.
+
+    >>> import pgm
+    >>> side = pgm.Discrete("side", ("heads", "tails"))
+    >>> coin = pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])])
+    >>> theirs = pgm.to_pgmpy(coin)  # doctest: +SKIP
+    >>> pgm.from_pgmpy(theirs).cpds[0].table  # doctest: +SKIP
+    array([0.25, 0.75])
     """
     cpds: list[Any] = getattr(network, "get_cpds", list)()
     if not cpds or not all(hasattr(cpd, "state_names") for cpd in cpds):
@@ -78,6 +89,16 @@ def to_pgmpy(network: BayesianNetwork) -> Any:
         If the network is not of tables, or a variable is of a step.
     ImportError
         If pgmpy is not installed.
+
+    Examples
+    --------
+    The last line needs pgmpy.
+
+    >>> import pgm
+    >>> side = pgm.Discrete("side", ("heads", "tails"))
+    >>> coin = pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])])
+    >>> pgm.to_pgmpy(coin).get_cpds("side").values  # doctest: +SKIP
+    array([0.25, 0.75])
     """
     cpds = tables(network)
     factors, models = (

@@ -53,6 +53,18 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     OSError
         If the file cannot be opened.
 
+    Examples
+    --------
+    Two variables of two states, with the tables p(0) and p(1 | 0):
+
+    >>> import io
+    >>> import pgm
+    >>> file = io.StringIO("BAYES 2  2 2  2  1 0  2 0 1  2 0.25 0.75  4 0.5 0.5 0.1 0.9")
+    >>> network = pgm.read_uai(file)
+    >>> network.cpds[1].table
+    array([[0.5, 0.5],
+           [0.1, 0.9]])
+
     References
     ----------
     UAI 2008 Workshop, Evaluation of probabilistic inference systems: file format.
@@ -133,6 +145,14 @@ def read_uai_evidence(
         If the file is no such evidence; the message names the line, what was found, what to do.
     ModelError
         If the network is none.
+
+    Examples
+    --------
+    >>> import io
+    >>> import pgm
+    >>> network = pgm.read_uai(io.StringIO("BAYES 1  2  1  1 0  2 0.25 0.75"))
+    >>> pgm.read_uai_evidence(io.StringIO("1  0 1"), network)
+    {0: 1}
     """
     if not isinstance(network, BayesianNetwork):
         raise ModelError(

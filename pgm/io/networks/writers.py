@@ -76,6 +76,24 @@ def write_bif(network: BayesianNetwork, target: Source) -> None:
         letters.
     ModelError
         If the network is not of tables, or a variable is of a step.
+
+    Examples
+    --------
+    >>> import io
+    >>> import pgm
+    >>> side = pgm.Discrete("side", ("heads", "tails"))
+    >>> file = io.StringIO()
+    >>> pgm.write_bif(pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])]), file)
+    >>> print(file.getvalue())
+    network unknown {
+    }
+    variable side {
+      type discrete [ 2 ] { heads, tails };
+    }
+    probability ( side ) {
+      table 0.25, 0.75;
+    }
+    <BLANKLINE>
     """
     sources.write(target, "".join(_bif(tables(network))))
 
@@ -125,6 +143,17 @@ def write_xmlbif(network: BayesianNetwork, target: Source) -> None:
     ModelError
         If the network is not of tables, a variable is of a step, or a name holds a control
         character, which XML cannot write.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import pgm
+    >>> side = pgm.Discrete("side", ("heads", "tails"))
+    >>> network = pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     pgm.write_xmlbif(network, f"{folder}/coin.xml")
+    ...     pgm.read_xmlbif(f"{folder}/coin.xml").variables
+    (side,)
     """
     sources.write(target, "".join(_xmlbif(tables(network))))
 

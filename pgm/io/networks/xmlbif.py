@@ -57,6 +57,16 @@ def read_xmlbif(source: Source, *, normalise: bool = False, limit: int = LIMIT) 
     OSError
         If the file cannot be opened.
 
+    Examples
+    --------
+    >>> import io
+    >>> import pgm
+    >>> side = pgm.Discrete("side", ("heads", "tails"))
+    >>> file = io.StringIO()
+    >>> pgm.write_xmlbif(pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])]), file)
+    >>> pgm.read_xmlbif(io.StringIO(file.getvalue())).cpds[0].table
+    array([0.25, 0.75])
+
     References
     ----------
     Cozman, F. (1998), The interchange format for Bayesian networks, XMLBIF version 0.3.

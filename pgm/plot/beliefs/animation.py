@@ -76,7 +76,14 @@ def animate_beliefs(
 
     Examples
     --------
-    >>> animate_beliefs(posterior[x], "drive.gif", landmarks=places)  # doctest: +SKIP
+    >>> import tempfile
+    >>> import pgm
+    >>> row, column = (pgm.Discrete(name, states=("0", "1")) for name in ("row", "column"))
+    >>> chances = [[[0.25, 0.25], [0.25, 0.25]], [[0.0, 0.5], [0.0, 0.5]]]
+    >>> belief = pgm.Table((row, column), chances, lead=2)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     pgm.plot.animate_beliefs(belief, f"{folder}/drive.gif").name
+    'drive.gif'
     """
     if isinstance(belief, Table):
         steps, picture = _of_table(belief, truth, landmarks)

@@ -75,7 +75,11 @@ def belief_map(
 
     Examples
     --------
-    >>> belief_map(posterior[x.at(3)], places=places, most=1.0)  # doctest: +SKIP
+    >>> import pgm
+    >>> place = pgm.Discrete("place", states=("hall", "room"))
+    >>> ax = pgm.plot.belief_map(pgm.Table(place, [0.25, 0.75]), places=[[0, 0], [0, 1]])
+    >>> [text.get_text() for text in ax.texts]
+    ['0.25', '0.75']
     """
     found = chances(belief, (1, 2), 0, "one belief, at one step, over one or two variables")
     if (len(belief.scope) == 1) != (places is not None):

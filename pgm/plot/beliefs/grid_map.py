@@ -79,7 +79,15 @@ def grid_map(
 
     Examples
     --------
-    >>> grid_map(posterior[x.at(3)], landmarks=landmarks)  # doctest: +SKIP
+    >>> import pgm
+    >>> x, z = (pgm.Variable(name, components=("east", "north")) for name in "xz")
+    >>> prior = [pgm.GaussianCPD(x, mean=[0.0, 0.0], cov=1.0)]
+    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
+    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
+    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> cells = pgm.Grid({"east": (-5.0, 5.0, 20), "north": (-5.0, 5.0, 20)})
+    >>> posterior = pgm.filter(model, {z: [[1.0, 2.0]]}, belief=cells)
+    >>> ax = pgm.plot.grid_map(posterior[x.at(1)], landmarks=[[0.0, 3.0]])
     """
     if not isinstance(belief, GridBelief):
         raise ModelError(f"grid_map draws a belief on a grid, not a {type(belief).__name__}")
@@ -96,6 +104,7 @@ def grid_map(
     if plane.heading is not None and arrows:
         turning = belief.marginal(*plane.pair, plane.heading)
         _draw_arrows(ax, turning, int(arrows), plane.mirrored)
+    ax.use_sticky_edges = False  # marks at the edge of the cells are whole
     return finish(ax, plane, marks, mark, unit)
 
 

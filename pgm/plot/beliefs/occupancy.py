@@ -41,8 +41,11 @@ def occupancy_map(map: OccupancyMap, *, ax: Axes | None = None, **style: Any) ->
 
     Examples
     --------
-    >>> ax = occupancy_map(building)  # doctest: +SKIP
-    >>> pgm.plot.trajectory(posterior[x], ax=ax)  # doctest: +SKIP
+    >>> import pgm
+    >>> room = pgm.maps.OccupancyMap([[1, 1, 1], [0, 0, 1]], resolution=0.5)
+    >>> ax = pgm.plot.occupancy_map(room)
+    >>> ax.get_xlabel()
+    'x [m]'
     """
     if not isinstance(map, OccupancyMap):
         raise ModelError(f"occupancy_map draws an OccupancyMap, not a {type(map).__name__}")

@@ -11,6 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.cbook import normalize_kwargs
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import to_hex, to_rgba
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
 
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
@@ -38,6 +40,7 @@ def ellipses(
     confidence: float = 0.95,
     components: tuple[str, str] | None = None,
     unit: Unit = None,
+    label: str | Kind | None = None,
     colour: str | None = None,
     ax: Axes | None = None,
     **style: Any,
@@ -58,6 +61,8 @@ def ellipses(
         Which components, by name; the first two without.
     unit : str or mapping of str, optional
         Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
+    label : str or Kind, optional
+        In the legend, which is drawn where there are two things or more to tell apart.
     colour : str, optional
         Of the outline, and faintly of the inside; the next of a colour-blind-safe palette without.
     ax : matplotlib.axes.Axes, optional
@@ -73,6 +78,15 @@ def ellipses(
     ------
     ModelError
         If `gaussian` is none, or lacks the components, or `confidence` is no probability.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x", components=("east", "north"))
+    >>> belief = pgm.Gaussian(x, mean=[1.0, 2.0], cov=[[4.0, 1.0], [1.0, 2.0]])
+    >>> ax = pgm.plot.ellipses(belief, confidence=0.95, unit="m")
+    >>> ax.get_xlabel()
+    'east [m]'
     """
     gaussian = as_gaussian(gaussian)
     found = gaussian.ellipse(confidence, components)
@@ -119,7 +133,21 @@ def ellipses(
     ax.autoscale_view()
     pair = components or labels(gaussian.scope)[:2]
     name_plane(ax, gaussian, (pair[0], pair[1]), unit)
+    if label is not None:
+        _name_ellipses(ax, collection, str(label), (defaults | style).get("linestyle"))
+        useful_legend(ax)
     return ax
+
+
+def _name_ellipses(ax: Axes, drawn: EllipseCollection, label: str, dash: Any) -> None:
+    """Name them by an empty patch of their look: legends take no collection of ellipses."""
+    edge, face = (
+        shades[0] if len(shades) else "none"
+        for shades in (drawn.get_edgecolor(), drawn.get_facecolor())
+    )
+    width = float(np.atleast_1d(drawn.get_linewidth())[0])
+    nowhere = Path(np.empty((0, 2)))
+    ax.add_patch(PathPatch(nowhere, ec=edge, fc=face, lw=width, ls=dash, label=label))
 
 
 def name_plane(ax: Axes, belief: Gaussian, pair: tuple[str, str], unit: Unit) -> None:
@@ -169,8 +197,8 @@ def trajectory(
     colour : str, optional
         The next of a colour-blind-safe palette without.
     dash : {"-", "--", ":", "-."}, optional
-        Of the path; without, the first of an axes is a broad line, and the next are narrow and
-        dashed, so that paths that lie one upon the other can be told apart.
+        Of the path; without, the next of an axes are dashed and make the first a broad line, so
+        that paths that lie one upon the other can be told apart.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's without.
 
@@ -185,8 +213,13 @@ def trajectory(
 
     Examples
     --------
-    >>> ax = trajectory(filtered[x], label=filtered.kind, truth=truth)  # doctest: +SKIP
-    >>> trajectory(smoothed[x], label=smoothed.kind, ax=ax)  # doctest: +SKIP
+    >>> import pgm
+    >>> x = pgm.Variable("x", components=("east", "north"))
+    >>> path = [[0.0, 0.0], [1.0, 0.5], [2.0, 0.5]]
+    >>> belief = pgm.Gaussian(x, mean=path, cov=0.04, steps=[0, 1, 2])
+    >>> ax = pgm.plot.trajectory(belief, label="filtered", truth=[[0.0, 0.1], [2.0, 0.6]])
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['truth', 'filtered']
     """
     belief = one_run(belief)
     if every is None:
@@ -201,11 +234,14 @@ def trajectory(
     marks = as_landmarks(landmarks)
 
     ax = given_or_new(ax)
-    before = [to_hex(line.get_color()) for line in ax.lines if line.get_gid() == _PATH]
+    paths = [line for line in ax.lines if line.get_gid() == _PATH]
+    before = [to_hex(line.get_color()) for line in paths]
     colour = next_colour(ax) if colour is None else colour
     if dash is None:
         # No two alike, though colours begin again.
         dash = DASHES[(len(before) + before.count(to_hex(colour))) % len(DASHES)]
+        if paths:
+            paths[0].set_linewidth(_BROAD)
     if marks is not None:
         draw_landmarks(ax, marks)
     if lines is not None:
@@ -223,7 +259,7 @@ def trajectory(
         *belief.mean[:, places].T,
         color=colour,
         ls=dash,
-        lw=_NARROW if before else _BROAD,
+        lw=_NARROW,
         marker="o" if len(belief.mean) == 1 else None,
         markersize=5,
         zorder=2.5 if before else 2.3,  # the truth is between the first path and the next

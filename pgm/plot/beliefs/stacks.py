@@ -76,8 +76,10 @@ def beliefs_over_time(
 
     Examples
     --------
-    >>> ax = beliefs_over_time(filtered[x], label=filtered.kind, truth=truth)  # doctest: +SKIP
-    >>> beliefs_over_time(smoothed[x], label=smoothed.kind, ax=ax)  # doctest: +SKIP
+    >>> import pgm
+    >>> rain = pgm.Discrete("rain", states=("no", "yes"))
+    >>> belief = pgm.Table(rain, [[0.5, 0.5], [0.2, 0.8], [0.1, 0.9]], lead=3)
+    >>> ax = pgm.plot.beliefs_over_time(belief, label="filtered", truth=["no", "yes", "yes"])
     """
     found = chances(belief, (1,), 1, "beliefs over one variable with one leading axis, of steps")
     (variable,) = belief.scope
@@ -133,7 +135,7 @@ def beliefs_over_time(
     ax.set_xlim(edges[0], edges[-1])
     ax.set_yticks(np.arange(len(chosen)), [str(step) for step in chosen])
     name_states(ax, ax.xaxis, variable)
-    name_axes(ax, variable.name, f"step (rows are {scale / _FULL:.2g} high)")
+    name_axes(ax, variable.name, f"step (full height: probability {scale:.2g})")
     useful_legend(ax, above=True)
     return ax
 

@@ -114,6 +114,16 @@ def cluster_graph(
         are asked for that there are no numbers for.
     EvidenceError
         If the evidence does not fit the graph's model.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b, c = pgm.variables("a b c")
+    >>> steps = [pgm.LinearGaussianCPD(v, given={u: 1.0}, cov=1.0) for u, v in ((a, b), (b, c))]
+    >>> cpds = [pgm.GaussianCPD(a, 0.0, 1.0), *steps]
+    >>> ax = pgm.plot.cluster_graph(pgm.compile(pgm.BayesianNetwork(cpds)))
+    >>> sorted(text.get_text() for text in ax.texts)
+    ['a, b', 'b', 'b, c']
     """
     clusters = shown(graph, steps, around, within, _MOST)
     page = room(ax)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
@@ -20,6 +21,8 @@ _NUMBER = re.compile(r"\d+")
 
 # A name wider than this, in points, is broken where its words end.
 _LONG_NAME = 44.0
+# A word of a name wider than this is cut.
+_LONGEST_WORD = 4.0 * _WIDEST
 
 
 def node_label(node: Variable) -> str:
@@ -27,7 +30,8 @@ def node_label(node: Variable) -> str:
     step = "" if node.step is None else f"[{node.step}]"
     if text_size(node.name + step).width <= _LONG_NAME:
         return node.name + step
-    words = [word for word in re.split(r"(?<=[_\s.\-])", node.name) if word]
+    parts = re.split(r"(?<=[_\s.\-])", node.name)
+    words = [_short(word, _LONGEST_WORD) for word in parts if word]
     lines = _filled([*words, step] if step else words, _LONG_NAME, "")
     return "\n".join(line.strip() for line in lines)
 
@@ -162,11 +166,14 @@ def _counted(variable: Variable, count: int) -> str:
     return _short(repr(variable)) + ("" if count <= 1 else f" ×{count}")
 
 
-def _short(name: str) -> str:
+def _short(name: str, width: float = _WIDEST) -> str:
     """A name, or where it is too long for a line, its ends."""
-    cut = name
-    keep = len(name)
-    while text_size(cut).width > _WIDEST and keep > 2:
-        keep -= 1
-        cut = f"{name[: keep - keep // 3]}…{name[len(name) - keep // 3 :]}"
-    return cut
+
+    def cut(keep: int) -> str:
+        return f"{name[: keep - keep // 3]}…{name[len(name) - keep // 3 :]}"
+
+    if text_size(name).width <= width:
+        return name
+    # Halving, since names may have any length.
+    longer = range(3, len(name))
+    return cut(2 + bisect_right(longer, width, key=lambda keep: text_size(cut(keep)).width))

@@ -68,6 +68,15 @@ def network(
         If `model` is no network, or `steps` is no step.
     EvidenceError
         If the evidence names what is no variable of the network.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> a, b = pgm.variables("a b")
+    >>> cpds = [pgm.GaussianCPD(a, 0.0, 1.0), pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)]
+    >>> ax = pgm.plot.network(pgm.BayesianNetwork(cpds), evidence=[b])
+    >>> sorted(text.get_text() for text in ax.texts)
+    ['a', 'b']
     """
     if not isinstance(model, BayesianNetwork | DynamicBayesianNetwork):
         raise ModelError(

@@ -106,8 +106,17 @@ def animate(
 
     Examples
     --------
-    >>> smoothed = pgm.smooth(model, evidence)  # doctest: +SKIP
-    >>> animate(smoothed, "drive.gif", truth=truth, landmarks=places)  # doctest: +SKIP
+    >>> import tempfile
+    >>> import pgm
+    >>> x, z = (pgm.Variable(name, components=("east", "north")) for name in "xz")
+    >>> prior = [pgm.GaussianCPD(x, mean=[0.0, 0.0], cov=1.0)]
+    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
+    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
+    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> smoothed = pgm.smooth(model, {z: [[1.0, 2.0], [1.0, 3.0]]})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     pgm.plot.animate(smoothed, f"{folder}/drive.gif").name
+    'drive.gif'
     """
     _check(posterior)
     for value, name in ((clusters, "clusters"), (every, "every")):

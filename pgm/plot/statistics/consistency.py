@@ -76,6 +76,15 @@ def nees(
         If the belief is over no steps, or an argument does not fit it.
     NumericalError
         If a covariance is singular.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x")
+    >>> belief = pgm.Gaussian(x, mean=[[2.0], [4.0]], cov=4.0, steps=[0, 1])
+    >>> ax = pgm.plot.nees(belief, truth=[[0.0], [0.0]])
+    >>> ax.get_ylabel()
+    'NEES / degrees of freedom'
     """
     average = consistency.anees(belief, truth, components, confidence=confidence).per_dof()
     if belief.steps is None:
@@ -128,6 +137,17 @@ def nis(
     ------
     ModelError
         If an argument is not what it should be.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
+    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
+    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
+    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0]]})
+    >>> ax = pgm.plot.nis(filtered.innovations[z], label="Kalman filter")
     """
     average = consistency.anis(innovations, confidence=confidence).per_dof()
     across, name = along(np.arange(average.value.size), times)
@@ -204,6 +224,13 @@ def coverage(
         If an argument does not fit the belief.
     NumericalError
         If a covariance is singular.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x")
+    >>> runs = pgm.Gaussian(x, mean=[[0.0], [1.0], [-1.0], [3.0]], cov=1.0)
+    >>> ax = pgm.plot.coverage(runs, truth=[0.0])
     """
     found = consistency.coverage(belief, truth, _LEVELS, components, band=confidence)
     ax = given_or_new(ax)
@@ -259,6 +286,17 @@ def whiteness(
     ModelError
         If there are no more steps with measurements than lags, or an argument is not what it should
         be.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
+    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
+    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
+    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0], [1.0], [0.0], [2.0]]})
+    >>> ax = pgm.plot.whiteness(filtered.innovations[z], lags=3)
     """
     found = consistency.whiteness(innovations, lags, confidence=confidence)
     ax = given_or_new(ax)

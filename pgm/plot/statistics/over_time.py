@@ -71,6 +71,15 @@ def errors(
     ------
     ModelError
         If the belief has several runs, or an argument does not fit it.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x")
+    >>> belief = pgm.Gaussian(x, mean=[[2.0], [4.0]], cov=4.0, steps=[0, 1])
+    >>> (ax,) = pgm.plot.errors(belief, truth=[[0.0], [0.0]], unit="m")
+    >>> ax.get_ylabel()
+    'x error [m]'
     """
     belief = one_run(belief)
     chosen = labels(belief.scope) if components is None else list(components)
@@ -192,6 +201,15 @@ def rmse(
     ------
     ModelError
         If the belief is over no steps, or an argument does not fit it.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x")
+    >>> belief = pgm.Gaussian(x, mean=[[2.0], [4.0]], cov=4.0, steps=[0, 1])
+    >>> ax = pgm.plot.rmse(belief, truth=[[0.0], [0.0]], label="belief", unit="m")
+    >>> ax.lines[0].get_ydata()
+    array([2., 4.])
     """
     found = consistency.rmse_over_time(belief, truth, components, percentiles=percentiles)
     across, name = along(found.steps, times)
@@ -261,6 +279,15 @@ def kl(
         If the beliefs are over no steps, or not of the same variables.
     NumericalError
         If a covariance is singular.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x = pgm.Variable("x")
+    >>> p, q = (pgm.Gaussian(x, [[k], [2.0 * k]], 1.0, steps=[0, 1]) for k in (0.0, 1.0))
+    >>> ax = pgm.plot.kl(p, q)
+    >>> ax.lines[0].get_ydata()
+    array([0.5, 2. ])
     """
     divergence = consistency.kl(p, q)
     found = consistency.over_time(divergence, p.steps, percentiles)

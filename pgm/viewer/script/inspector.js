@@ -2,6 +2,8 @@
 
 const MOST_ROWS = 64;
 const MOST_COLUMNS = 40;
+// In place of a picture of beliefs of which nothing is known.
+const NOTHING = "infinite deviations: nothing to draw";
 
 class Inspector {
   constructor(panel, source, choose) {
@@ -88,7 +90,8 @@ class Inspector {
     if (!drawn.length || !widest(drawn).factor.variables.length) return null;
     const axes = axesOf(widest(drawn).factor.variables);
     if (axes.names.length === 1) {
-      box.append(this.legend(entries), bells(partsOf(drawn, axes, axes.names), axes.names[0]));
+      const parts = partsOf(drawn, axes, axes.names);
+      box.append(this.legend(entries), parts.length ? bells(parts, axes.names[0]) : NOTHING);
       return box;
     }
     const angles = new Set(widest(drawn).factor.variables.flatMap((v) => v.components.filter((_, k) => v.angles[k])));
@@ -100,6 +103,7 @@ class Inspector {
       const same = wanted[0] === wanted[1];
       const parts = partsOf(drawn, axes, same ? wanted.slice(0, 1) : wanted);
       const alike = axes.shared && !wanted.some((name) => angles.has(name));
+      if (!parts.length) return [this.legend(entries, parts), NOTHING];
       return [this.legend(entries, parts), same ? bells(parts, wanted[0]) : ellipses(parts, wanted, alike)];
     });
     return box;

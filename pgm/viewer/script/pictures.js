@@ -52,19 +52,29 @@ function part(entry, name, factor, n, places) {
 // Numbers at which a scale is marked.
 function ticks(low, high, count = 5) {
   const span = high - low;
-  if (!(span > 0)) return [low];
+  if (!(span > 0 && Number.isFinite(span))) return [low];
   const raw = span / count;
   const unit = 10 ** Math.floor(Math.log10(raw));
-  const step = [1, 2, 5, 10].map((k) => k * unit).find((s) => s >= raw);
+  const step = [1, 2, 5, 10].map((k) => k * unit).find((s) => s >= raw) ?? raw;
+  const first = Math.ceil(low / step);
   const found = [];
-  for (let k = Math.ceil(low / step); k * step <= high + 1e-9 * span; k++) found.push(k * step);
-  return found;
+  // Counted from zero, since large numbers have no next one.
+  for (let k = 0; k <= count + 1 && (first + k) * step <= high + 1e-9 * span; k++) found.push((first + k) * step);
+  return [...new Set(found)];
 }
 
 function tickText(value, step) {
-  const digits = Math.max(0, Math.min(12, -Math.floor(Math.log10(step) + 1e-9)));
-  const large = Math.abs(value) >= 1e6;
-  return (large ? value.toPrecision(4) : value.toFixed(digits)).replace("-", "−");
+  const power = Math.floor(Math.log10(step) + 1e-9);
+  const fixed = power >= -6 && Math.abs(value) < 1e9 ? value.toFixed(Math.max(0, -power)) : "";
+  if (fixed && fixed.length < 10) return fixed.replace("-", "−");
+  if (Math.abs(value) < 1e-9 * step) return "0";
+  const digits = Math.floor(Math.log10(Math.abs(value)) + 1e-9) - power;
+  return value.toExponential(Math.min(Math.max(digits, 0), 15)).replaceAll("-", "−").replace("e+", "e");
+}
+
+// A place on a picture as text, for paths; what is far outside stays where paths may go.
+function spot(value) {
+  return Math.min(Math.max(value, -1e5), 1e5).toFixed(2);
 }
 
 function framed([x0, x1], [y0, y1], xName, yName, label) {
@@ -103,7 +113,7 @@ function ellipses(parts, names, alike) {
   const main = parts.filter((each) => each.role === "belief");
   const lead = main.length ? main : parts;
   const limits = [0, 1].map((k) => {
-    const size = Math.max(...lead.map((each) => reach(each, k)), 1e-9);
+    const size = Math.max(...lead.map((each) => reach(each, k)));
     // Messages much wider than the beliefs run out of the picture.
     const near = parts.filter((each) => lead.includes(each) || reach(each, k) < 2.5 * size);
     const low = Math.min(...near.map((each) => each.mean[k] - reach(each, k)));
@@ -126,11 +136,11 @@ function ellipses(parts, names, alike) {
     for (let k = 0; k < 72; k++) {
       const turn = (2 * Math.PI * k) / 72;
       const [a, b] = [long * Math.cos(turn), narrow * Math.sin(turn)];
-      points.push(`${frame.x(each.mean[0] + a * Math.cos(angle) - b * Math.sin(angle)).toFixed(2)} ${
-        frame.y(each.mean[1] + a * Math.sin(angle) + b * Math.cos(angle)).toFixed(2)}`);
+      points.push(`${spot(frame.x(each.mean[0] + a * Math.cos(angle) - b * Math.sin(angle)))} ${
+        spot(frame.y(each.mean[1] + a * Math.sin(angle) + b * Math.cos(angle)))}`);
     }
     frame.clip.append(svg("path", { class: `shape ${each.role}`, d: `M${points.join("L")}Z` }, svg("title", {}, `${each.title} ${each.name}`)));
-    frame.clip.append(svg("circle", { class: `dot ${each.role}`, cx: frame.x(each.mean[0]), cy: frame.y(each.mean[1]), r: 2.4 }));
+    frame.clip.append(svg("circle", { class: `dot ${each.role}`, cx: spot(frame.x(each.mean[0])), cy: spot(frame.y(each.mean[1])), r: 2.4 }));
     if (each.role === "belief" && each.name && main.length > 1) {
       // At either end of the long axis, so that slices that follow on another are told apart.
       const way = main.indexOf(each) % 2 ? -1 : 1;
@@ -147,18 +157,21 @@ function bells(parts, name) {
   const std = (each) => Math.sqrt(Math.max(each.cov[0], 0));
   const main = parts.filter((each) => each.role === "belief");
   const lead = main.length ? main : parts;
-  const size = Math.max(...lead.map(std), 1e-12);
+  const size = Math.max(...lead.map(std));
   const near = parts.filter((each) => lead.includes(each) || std(each) < 6 * size);
   const low = Math.min(...near.map((each) => each.mean[0] - 3.2 * std(each)));
   const high = Math.max(...near.map((each) => each.mean[0] + 3.2 * std(each)));
-  const peak = Math.max(...parts.map((each) => 1 / Math.max(std(each), 1e-12)));
-  const frame = framed(low < high ? [low, high] : [low - 1, low + 1], [0, 1.08], name, null, `densities of ${name}`);
+  const least = Math.min(...parts.map(std).filter((value) => value > 0));
+  const limits = low < high ? [low, high] : [low - 1, low + 1];
+  const frame = framed(limits, [0, 1.08], name, null, `densities of ${name}`);
   for (const each of parts) {
     const points = [];
-    for (let k = 0; k <= 160; k++) {
-      const value = low + (k / 160) * (high - low);
-      const z = (value - each.mean[0]) / Math.max(std(each), 1e-12);
-      points.push(`${frame.x(value).toFixed(2)} ${frame.y(Math.exp(-0.5 * z * z) / std(each) / peak).toFixed(2)}`);
+    // A value that is certain has no density: it is a line as high as the highest.
+    if (!std(each)) points.push(...[0, 1].map((height) => `${spot(frame.x(each.mean[0]))} ${spot(frame.y(height))}`));
+    for (let k = 0; std(each) && k <= 160; k++) {
+      const value = limits[0] + (k / 160) * (limits[1] - limits[0]);
+      const z = (value - each.mean[0]) / std(each);
+      points.push(`${spot(frame.x(value))} ${spot(frame.y(Math.exp(-0.5 * z * z) * least / std(each)))}`);
     }
     frame.clip.append(svg("path", { class: `shape ${each.role}`, d: `M${points.join("L")}` }, svg("title", {}, `${each.title} ${each.name}`)));
   }

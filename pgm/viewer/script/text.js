@@ -33,7 +33,7 @@ function shown(value) {
 }
 
 function short(value) {
-  if (value === null || value === undefined || Number.isNaN(value)) return "—";
+  if (!Number.isFinite(value)) return shown(value);
   return String(Number(value.toPrecision(3))).replaceAll("-", "−");
 }
 

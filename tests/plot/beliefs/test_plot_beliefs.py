@@ -99,9 +99,23 @@ def test_style_wins_over_the_defaults():
     assert to_hex(drawn.get_edgecolor()[0]) == "#ff0000"
     assert drawn.get_linewidth() == [3]
     assert len(drawn.get_facecolor()) == 0
-    assert drawn.get_label() == "here"
+    (handle,), labels = ax.get_legend_handles_labels()
+    assert labels == ["here"]
+    assert (handle.get_edgecolor(), handle.get_facecolor()[3]) == ((1.0, 0.0, 0.0, 1.0), 0.0)
+    assert (handle.get_linewidth(), ax.get_legend()) == (3.0, None)
     pgm.plot.ellipses(belief(3), color="black", ax=ax)
     assert to_rgb(collections(ax)[1].get_facecolor()[0]) == (0, 0, 0)
+
+
+def test_ellipses_are_named_in_a_legend():
+    ax = pgm.plot.ellipses(belief(3), label="filtered")
+    limits = ax.dataLim.get_points()
+    pgm.plot.ellipses(belief(3), label=pgm.Kind(np.inf), colour="black", linestyle="--", ax=ax)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["filtered", "smoothed"]
+    first, second = ax.get_legend_handles_labels()[0]
+    assert to_hex(first.get_edgecolor()) == to_hex(collections(ax)[0].get_edgecolor()[0])
+    assert (to_hex(second.get_edgecolor()), second.get_linestyle()) == ("#000000", "--")
+    np.testing.assert_array_equal(ax.dataLim.get_points(), limits)
 
 
 def test_ellipses_refuse_what_has_none():

@@ -159,8 +159,8 @@ def test_rows_are_the_beliefs_on_one_scale():
     assert ax.get_ylim()[0] > ax.get_ylim()[1]  # time goes down
     assert [label.get_text() for label in ax.get_yticklabels()] == list("01234")
     assert [label.get_text() for label in ax.get_xticklabels()] == list(belief.scope[0].states)
-    high = belief.probabilities.max() / rows.max()
-    assert ax.get_ylabel() == f"step (rows are {high:.2g} high)"
+    high = belief.probabilities.max()
+    assert ax.get_ylabel() == f"step (full height: probability {high:.2g})"
     assert ax.get_legend() is None
     ax.figure.canvas.draw()
 

@@ -87,3 +87,11 @@ def test_without_matplotlib_there_is_text(monkeypatch):
 def test_the_users_style_does_not_break_the_picture(style):
     with mpl.rc_context(style):
         assert element(static()).findall(f".//{NAMESPACE}path")
+
+
+def test_names_of_ten_thousand_letters_are_cut():
+    name = "x" * 10_000
+    a = pgm.Discrete(name, states=("no", "yes"))
+    network = pgm.BayesianNetwork([pgm.TableCPD(a, table=[0.5, 0.5])])
+    for shown in (network, pgm.compile(network)):
+        assert len(shown._repr_html_()) < 100_000

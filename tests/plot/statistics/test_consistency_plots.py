@@ -171,8 +171,9 @@ def test_whiteness_with_other_lags_has_a_band_of_its_own(right):
     assert_allclose(across, found.lags)
     assert_allclose(high, found.band)
     assert_allclose(low, -found.band)
-    tint = to_rgba(ax.containers[2].markerline.get_color(), 0.12)
-    assert_allclose(own.get_facecolor(), [tint])
+    tint = to_rgba(ax.containers[2].markerline.get_color())
+    assert_allclose(own.get_edgecolor()[:, :3], [tint[:3]])
+    assert own.get_facecolor()[0, 3] == 0.0
     pgm.plot.whiteness(innovations, lags=8, confidence=0.5, label="narrow", ax=ax)
     assert "narrow, 50 % band" in labels(ax)
 
@@ -195,7 +196,8 @@ def test_the_band_of_a_curve_that_differs_is_drawn_in_its_tint():
         assert first == (label == "a")
     seven, one = ax.collections
     assert labels(ax) == ["95 % band", "c, 95 % band"]
-    assert_allclose(one.get_facecolor(), [to_rgba("C2", 0.12)])
+    assert_allclose(one.get_edgecolor()[:, :3], [to_rgba("C2")[:3]])
+    assert one.get_facecolor()[0, 3] == 0.0 < seven.get_facecolor()[0, 3]
     for band, runs in ((seven, 7), (one, 1)):
         _, low, high = ends(band)
         assert_allclose([low[0], high[0]], consistency.mean_band(2, runs, 0.95))
