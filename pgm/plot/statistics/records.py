@@ -95,12 +95,17 @@ def convergence(
         ax.axhline(
             tolerance, color=INK, lw=0.9, ls="--", zorder=1.5, label=f"tolerance {tolerance:g}"
         )
-    if not np.any(residuals > 0.0) and not ax.dataLim.minposy < np.inf:
-        ax.set_ylim(_TINY, 1e4 * _TINY)
+        if not np.any(residuals > 0.0):
+            # Alone it spans no axis.
+            about = np.array([[0.0, 0.1 * tolerance], [0.0, 10.0 * tolerance]])
+            ax.update_datalim(about, updatex=False)
     _mark_zeros(ax, across, residuals, look.colour)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     name_axes(ax, "iteration", "residual")
     useful_legend(ax)
+    if not ax.dataLim.minposy < np.inf:
+        # The axis still follows what is drawn on it later.
+        ax.set_ylim(_TINY, 1e4 * _TINY, auto=None)
     return ax
 
 

@@ -90,6 +90,24 @@ def test_nothing_to_draw_is_drawn_all_the_same(residuals):
     assert ax.get_yscale() == "log"
 
 
+def test_residuals_drawn_after_none_are_within_the_axis():
+    ax = pgm.plot.convergence(status([0.0, 0.0]), label="exact")
+    pgm.plot.convergence(status([0.0, 0.0]), label="exact too", ax=ax)
+    ax.figure.canvas.draw()
+    assert ax.get_ylim() == (1e-16, 1e-12)
+    pgm.plot.convergence(status([1e-2, 1e-5]), label="iterated", ax=ax)
+    low, high = ax.get_ylim()
+    assert 1e-6 < low < 1e-5 < 1e-2 < high < 0.1
+
+
+@pytest.mark.parametrize("residuals", [np.zeros((0,)), [0.0, 0.0]])
+def test_a_tolerance_alone_has_room_about_it(residuals):
+    ax = pgm.plot.convergence(status(residuals, iterations=3), tolerance=1e-6)
+    ax.figure.canvas.draw()
+    low, high = ax.get_ylim()
+    assert low < 0.2e-6 < 5e-6 < high < 1e-3
+
+
 def test_schedules_share_an_axes_in_different_colours():
     ax = pgm.plot.convergence(status([1.0, 0.5]), label="flooding")
     assert pgm.plot.convergence(status([1.0, 0.1]), label="residual", ax=ax) is ax
