@@ -40,6 +40,11 @@ def unit_of(component: str, unit: Unit, *, angle: bool) -> str:
         return others
     if isinstance(unit, str):
         return others or unit
+    if not isinstance(unit, Mapping):
+        raise ModelError(
+            f'unit= is a text, "m", or one for each component by name, {{"east": "m"}}; found '
+            f"{unit!r}"
+        )
     return unit.get(component, others)
 
 

@@ -110,8 +110,8 @@ def cluster_graph(
     Raises
     ------
     GraphError
-        If `graph` is none, `steps` is no index, there are too many clusters to read, or colours
-        are asked for that there are no numbers for.
+        If `graph` is none, `steps` is no index, `names` no bool, there are too many clusters to
+        read, or colours are asked for that there are no numbers for.
     EvidenceError
         If the evidence does not fit the graph's model.
 
@@ -125,6 +125,8 @@ def cluster_graph(
     >>> sorted(text.get_text() for text in ax.texts)
     ['a, b', 'b', 'b, c']
     """
+    if not (names is None or isinstance(names, bool)):
+        raise GraphError(f"names= is True or False, or None for names where legible; not {names!r}")
     clusters = shown(graph, steps, around, within, _MOST)
     page = room(ax)
     sepsets, cut = joined(graph, clusters)

@@ -162,13 +162,15 @@ def _rings(centre: Array, half_axes: Array, orientation: Array) -> Array:
 
 
 def _limit(ax: Axes, traces: list[Trace], marks: list[Array]) -> None:
-    """Limits about paths and marks, and all ellipses that are no larger than these together."""
+    """Limits about paths and marks, and ellipses no larger than these or the middle ellipse."""
     points = np.concatenate([*(trace.centres for trace in traces), *marks])
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
-    size = max(float((high - low).max()), 1e-9)
     rings = np.concatenate([trace.rings for trace in traces])
-    small = (np.ptp(rings, axis=1) <= size).all(axis=1)
+    extents = np.ptp(rings, axis=1).max(axis=1)
+    known = extents[np.isfinite(extents)]
+    # Of a robot that stands still the ellipses are larger than its path.
+    small = extents <= max(float((high - low).max()), np.median(known) if known.size else 0.0)
     if small.any():
         low = np.minimum(low, rings[small].min(axis=(0, 1)))
         high = np.maximum(high, rings[small].max(axis=(0, 1)))

@@ -389,6 +389,11 @@ def test_errors_have_units(unit, due):
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("east [m]", "north [m]")
 
 
+def test_units_that_are_no_texts_are_refused():
+    with pytest.raises(pgm.ModelError, match=r"unit= is a text.*found 3"):
+        pgm.plot.trajectory(belief(9), unit=3)
+
+
 def test_the_rmse_of_a_later_belief_is_not_cut():
     small, large = belief(9), belief(9, seed=1)
     ax = pgm.plot.rmse(small, small.mean + 0.1, unit="m")

@@ -507,3 +507,11 @@ def test_tables_larger_than_any_float_have_a_size_too(any_graph):
     ax = pgm.plot.cluster_graph(any_graph([v, v[:2]], [(0, 1)]), sizes=True, colour="size")
     assert labels(ax, Ellipse)[0].endswith(", +385\n10^400.0 entries")
     ax.figure.canvas.draw()
+
+
+@pytest.mark.parametrize("names", [3, "x", []])
+def test_names_are_shown_or_not(names):
+    a = pgm.Variable("a")
+    graph = pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(a, 0.0, 1.0)]))
+    with pytest.raises(pgm.GraphError, match="names= is True or False"):
+        pgm.plot.cluster_graph(graph, names=names)

@@ -319,3 +319,14 @@ def test_a_tree_and_a_state_of_one_component_are_refused(tmp_path):
     )
     with pytest.raises(ModelError, match=r"\[bias\] have one each: draw these with pgm\.plot\.err"):
         pgm.plot.animate(pgm.filter(walk, {}, steps=2), tmp_path / "a.gif")
+
+
+@pytest.mark.parametrize("steps", [0, 1])
+def test_ellipses_of_hardly_any_path_lie_within_the_plane(steps):
+    posterior = pgm.smooth(MODEL, MODEL.sample({}, steps=steps, rng=0).evidence)
+    ax = Figure().add_subplot()
+    both = posterior[x], posterior[x]
+    rings = Paths(ax, both, posterior.kind, x.components, None, None, 0.95)._filtered.rings
+    smallest = rings[np.ptp(rings, axis=1).max(axis=1).argmin()]
+    for limits, along in zip((ax.get_xlim(), ax.get_ylim()), smallest.T, strict=True):
+        assert limits[0] < along.min() < along.max() < limits[1]
