@@ -7,7 +7,6 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.animation import PillowWriter
 from matplotlib.axes import Axes
 
 import pgm.plot
@@ -16,6 +15,7 @@ from experiments.differential_drive.figures import MOTION, READING
 from experiments.differential_drive.problems import DT, LANDMARK, MOTIONS
 from experiments.differential_drive.results import Drive
 from pgm.plot.colours import INK, MUTED
+from pgm.plot.moving.gif import GifWriter
 
 # Motions from a picture to the next. Odd numbers of half seconds: pictures are by turns of a motion
 # halfway between readings and of a reading. The longest drive skips more, for the size of its file.
@@ -28,7 +28,7 @@ def animate(drive: Drive, path: Path) -> int:
     """Write a GIF, the whole map beside what is near the robot; returns how many pictures."""
     steps = range(0, drive.problem.steps + 1, EVERY[drive.problem.name])
     figure, axes = plt.subplots(1, 2, figsize=(7.2, 3.9), layout="constrained")
-    writer = PillowWriter(fps=_RATE)
+    writer = GifWriter(fps=_RATE)
     with writer.saving(figure, str(path), dpi=75):
         for step in steps:
             _draw(drive, step, axes)

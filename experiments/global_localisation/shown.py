@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-from matplotlib.animation import PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 
@@ -17,6 +16,7 @@ from experiments.global_localisation.ways import BOUNDS
 from experiments.global_localisation.world import Array, Drives, World
 from models.networks import pose
 from pgm.plot.colours import PALETTE
+from pgm.plot.moving.gif import GifWriter
 
 _RATE = 2  # pictures a second
 WALLS = 0.75  # how dark they are, below beliefs
@@ -113,7 +113,7 @@ def within(ax: Axes) -> None:
 def animate(shown: Shown, path: Path) -> None:
     """Write a GIF: particles, and the grid beside them."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.3), layout="constrained")
-    writer = PillowWriter(fps=_RATE)
+    writer = GifWriter(fps=_RATE)
     with writer.saving(figure, str(path), dpi=80):
         for step in range(len(shown.truth)):
             for ax in (left, right):

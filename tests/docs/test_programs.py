@@ -1,4 +1,4 @@
-"""Every program of the README and of the site runs as it is written, and prints what is shown."""
+"""Every program of README and site runs as written, prints what is shown, draws legibly."""
 
 import ast
 import re
@@ -8,6 +8,7 @@ import pytest
 from building import programs
 
 matplotlib.use("Agg")
+legible = pytest.importorskip("tests.plot.legible")
 
 PAGES = [page.relative_to(programs.ROOT).as_posix() for page in programs.pages()]
 
@@ -50,6 +51,9 @@ def test_the_programs_of_a_page_run_and_print_what_it_shows(name, tmp_path, monk
     skipped = []
     for ran in programs.run(programs.ROOT / name):
         where = f"{name}:{ran.block.line}"
+        for number in plt.get_fignums():
+            found = legible.faults(plt.figure(number), whole=False)
+            assert not found, f"{where} draws: {found}"
         plt.close("all")
         if ran.skipped:
             skipped.append(f"{where} needs {', '.join(ran.skipped)}")
