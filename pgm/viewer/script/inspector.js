@@ -95,9 +95,10 @@ class Inspector {
       return box;
     }
     const angles = new Set(widest(drawn).factor.variables.flatMap((v) => v.components.filter((_, k) => v.angles[k])));
+    const newest = axes.shared ? 0 : placeOfNewest(widest(drawn).factor.variables);
     const choices = [
-      { names: axes.names, label: "across", fallback: 0, key: "x" },
-      { names: axes.names, label: "up", fallback: 1, key: "y" },
+      { names: axes.names, label: "across", fallback: newest, key: "x" },
+      { names: axes.names, label: "up", fallback: newest + 1, key: "y" },
     ];
     this.choice(box, choices, (wanted) => {
       const same = wanted[0] === wanted[1];

@@ -16,6 +16,13 @@ function axesOf(variables) {
   return { shared: false, names: labels };
 }
 
+// Where the components begin of the last copy of the first variable: x[3], not x[2], as its pose is marked.
+function placeOfNewest(variables) {
+  const base = baseName(variables[0]);
+  const copy = variables.map(baseName).lastIndexOf(base);
+  return variables.slice(0, copy).reduce((sum, variable) => sum + variable.components.length, 0);
+}
+
 function baseName(variable) {
   return variable.name.replace(/\[\d+\]$/, "");
 }
