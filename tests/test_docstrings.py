@@ -16,7 +16,7 @@ MODULES = [
     for path in sorted(PACKAGE.rglob("*.py"))
     if ">>> " in path.read_text(encoding="utf-8")
 ]
-# The modules whose public names are documented by examples.
+# The modules of which each name that a user calls has an example.
 PUBLIC = [
     "pgm",
     "pgm.comparison",
