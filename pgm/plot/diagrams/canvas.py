@@ -55,9 +55,14 @@ class Box(NamedTuple):
         return Size(self.right - self.left + 2.0 * _MARGIN, self.top - self.bottom + 2.0 * _MARGIN)
 
 
+def _written(text: str) -> str:
+    """A text as fonts take it: lone surrogates, which are no letters, become question marks."""
+    return text.encode("utf-8", "replace").decode()
+
+
 def text_size(text: str) -> Size:
     """The width and height of a text of some lines at the size `FONT`."""
-    lines = text.split("\n")
+    lines = _written(text).split("\n")
     font = FontProperties(size=FONT)
     widths = [
         text_to_path.get_text_width_height_descent(line, font, ismath=False)[0] for line in lines
@@ -102,7 +107,7 @@ class Canvas:
         """Write a text about a point."""
         return self.ax.text(
             *at,
-            text,
+            _written(text),
             color=colour,
             fontsize=size * self.letters,
             linespacing=1.2,

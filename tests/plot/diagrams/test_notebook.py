@@ -95,3 +95,10 @@ def test_names_of_ten_thousand_letters_are_cut():
     network = pgm.BayesianNetwork([pgm.TableCPD(a, table=[0.5, 0.5])])
     for shown in (network, pgm.compile(network)):
         assert len(shown._repr_html_()) < 100_000
+
+
+def test_half_a_letter_is_a_question_mark():
+    a = pgm.Discrete("\ud800", states=("no", "yes"))
+    network = pgm.BayesianNetwork([pgm.TableCPD(a, table=[0.5, 0.5])])
+    for shown in (network, pgm.compile(network)):
+        assert "<svg" in shown._repr_html_()
