@@ -28,9 +28,9 @@ def side_by_side(drawings: Mapping[str, Drawing], columns: int, title: float = 1
     """
     sizes = np.array([_size(draw) for draw in drawings.values()])
     rows = -(-len(sizes) // columns)
-    cells = np.zeros((rows * columns, 2))
-    cells[: len(sizes)] = sizes
-    cells = cells.reshape(rows, columns, 2)
+    padded = np.zeros((rows * columns, 2))
+    padded[: len(sizes)] = sizes
+    cells = padded.reshape(rows, columns, 2)
     widths = cells[..., 0].max(axis=0) + _GAP
     heights = cells[..., 1].max(axis=1) + _TITLE
     whole = np.array([widths.sum(), heights.sum()])
@@ -51,7 +51,7 @@ def side_by_side(drawings: Mapping[str, Drawing], columns: int, title: float = 1
 def _size(draw: Drawing) -> tuple[float, float]:
     """Width and height of a diagram that has a figure for itself, in points."""
     ax = draw()
-    box = ax.get_position()
-    width, height = 72.0 * ax.figure.get_size_inches()
-    plt.close(ax.figure)
+    box, figure = ax.get_position(), plt.gcf()  # which it has made
+    width, height = 72.0 * figure.get_size_inches()
+    plt.close(figure)
     return box.width * width, box.height * height
