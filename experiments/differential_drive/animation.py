@@ -27,7 +27,8 @@ _NEAR = 2.0  # m, how far the picture that follows the robot reaches, at most
 def animate(drive: Drive, path: Path) -> int:
     """Write a GIF, the whole map beside what is near the robot; returns how many pictures."""
     steps = range(0, drive.problem.steps + 1, EVERY[drive.problem.name])
-    figure, axes = plt.subplots(1, 2, figsize=(7.2, 3.9), layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(7.2, 3.9))
+    figure.set_layout_engine("constrained", h_pad=0.1)  # in, so that titles are whole
     writer = GifWriter(fps=_RATE)
     with writer.saving(figure, str(path), dpi=75):
         for step in steps:

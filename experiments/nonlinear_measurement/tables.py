@@ -97,9 +97,9 @@ def write(
             "sensor",
             "rule",
             f"KL ≥ {WRONG:g}",
-            f"suspect of KL ≥ {WRONG:g}",
+            "caught",
             f"KL < {RIGHT:g}",
-            f"suspect of KL < {RIGHT:g}",
+            "alarms",
             "trusted",
         ),
         [
@@ -107,8 +107,9 @@ def write(
             for sensor, audits in found.audits.items()
             for rule, a in audits.items()
         ],
-        about="Counts of simulations: of beliefs that are wrong and right, and of each as many as "
-        "the audit calls suspect; trusted: the share of simulations that it vouches for.",
+        about="Simulations. Caught: beliefs of the column before that the audit calls suspect, "
+        "rightly; alarms: the same of the column before, wrongly; trusted: the share of all "
+        "simulations whose audit can be trusted.",
     )
     truths = [each for cases in found.truth.values() for each in cases.values()]
     record.note(

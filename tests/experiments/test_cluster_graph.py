@@ -54,7 +54,8 @@ def test_a_model_with_other_noise_is_noticed():
 
 
 def test_the_network_shows_each_cpd_and_no_reading_at_the_start(done):
-    texts = [t.get_text() for t in network_figure(velocity_position(1.0)).axes[0].texts]
+    drawn = network_figure(velocity_position(1.0)).axes[0].texts
+    texts = [line for text in drawn for line in text.get_text().split("\n")]
     densities = {text for text in texts if text.startswith("p(")}
     due = {f"p(x[{t}] | x[{t - 1}], u[{t}])" for t in (1, 2, 3)}
     assert densities == {"p(x[0])"} | due | {f"p(z[{t}] | x[{t}])" for t in (1, 2, 3)}
