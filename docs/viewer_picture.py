@@ -1,4 +1,4 @@
-"""The picture of the viewer on its page: ``python docs/viewer_picture.py`` takes it anew, with Chromium."""
+"""The viewer's picture on its page: ``python docs/viewer_picture.py`` takes it anew, with Chromium."""
 
 from __future__ import annotations
 
