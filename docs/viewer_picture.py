@@ -1,4 +1,4 @@
-"""The viewer's picture on its page: ``python docs/viewer_picture.py`` takes it anew, with Chromium."""
+"""The viewer's picture on its page; ``python docs/viewer_picture.py`` takes it, with Chromium."""
 
 from __future__ import annotations
 
