@@ -21,6 +21,11 @@ def test_dir_lists_what_is_public_and_nothing_else():
     assert pgm.__all__ == sorted(pgm.__all__, key=lambda n: (not n.isupper(), n.islower(), n))
 
 
+def test_dir_of_the_pictures_lists_them_alone():
+    shown = {name for name in dir(pgm.plot) if not name.startswith("__")}
+    assert shown == set(pgm.plot.__all__)
+
+
 @pytest.mark.parametrize("name", pgm.__all__)
 def test_every_name_is_there(name):
     assert getattr(pgm, name) is not None

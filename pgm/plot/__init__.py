@@ -41,3 +41,8 @@ __all__ = [
     "trajectory",
     "whiteness",
 ]
+
+
+def __dir__() -> list[str]:
+    """The public names, without the folders and files that hold them."""
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
