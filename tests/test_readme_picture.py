@@ -65,7 +65,7 @@ def test_the_legend_hides_nothing(figure):
     (legend,) = figure.legends
     words = [text.get_text() for text in legend.get_texts()]
     assert "start" in words
-    assert any("95% ellipse of the filter" in each for each in words)
+    assert any("95 % ellipse of the filter" in each for each in words)
     boxes = [legend.get_window_extent(), *(ax.get_tightbbox() for ax in figure.axes)]
     for one, other in itertools.combinations(boxes, 2):
         assert not one.overlaps(other)

@@ -149,12 +149,13 @@ function ellipses(parts, names, alike) {
     frame.clip.append(svg("path", { class: `shape ${each.role}`, d: `M${points.join("L")}Z` }, svg("title", {}, `${each.title} ${each.name}`)));
     frame.clip.append(svg("circle", { class: `dot ${each.role}`, cx: spot(frame.x(each.mean[0])), cy: spot(frame.y(each.mean[1])), r: 2.4 }));
     if (each.role === "belief" && each.name && main.length > 1) {
-      // At either end of the long axis, so that slices that follow on another are told apart.
-      const way = main.indexOf(each) % 2 ? -1 : 1;
-      const sign = (Math.sin(angle) >= 0 ? 1 : -1) * way;
-      const x = frame.x(each.mean[0] + sign * long * Math.cos(angle));
-      const y = frame.y(each.mean[1] + sign * long * Math.sin(angle));
-      frame.clip.append(svg("text", { class: "mark", x: x + (sign * Math.cos(angle) >= 0 ? 4 : -4), y: y - 4 * way + (way < 0 ? 8 : 0), "text-anchor": sign * Math.cos(angle) >= 0 ? "start" : "end" }, clipped(each.name, 16)));
+      // At the end of the long axis that is further from the other ellipses.
+      const ends = [1, -1].map((sign) => [long * sign * Math.cos(angle), long * sign * Math.sin(angle)]);
+      const others = main.filter((other) => other !== each).map((other) => [0, 1].map((k) => other.mean[k] - each.mean[k]));
+      const apart = ends.map(([a, b]) => Math.min(...others.map(([x, y]) => Math.hypot(x - a, y - b))));
+      const [across, up] = ends[apart[1] > apart[0] ? 1 : 0];
+      const place = { x: frame.x(each.mean[0] + across) + (across >= 0 ? 4 : -4), y: frame.y(each.mean[1] + up) + (up >= 0 ? -4 : 12) };
+      frame.clip.append(svg("text", { class: "mark", ...place, "text-anchor": across >= 0 ? "start" : "end" }, clipped(each.name, 16)));
     }
   }
   return frame.root;
