@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
+import marshal
 import sys
+from collections.abc import Callable
 from functools import cache
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 # Experiments use each other, and these.
 _BESIDE = {"experiments": ("models",)}
@@ -22,6 +26,10 @@ def versions(module: str) -> dict[str, str]:
     The script that was started has no name by which workers could find it, and is left out.
     """
     package = module.partition(".")[0]
+    if package != "__main__":
+        spec = find_spec(package)
+        if spec is None or spec.origin is None:  # a mere folder of modules
+            package = module
     names = {"pgm", package, *_BESIDE.get(package, ())} - {"__main__"}
     code = hashlib.sha256()
     for name in sorted(names):
@@ -33,6 +41,17 @@ def versions(module: str) -> dict[str, str]:
         **{each: metadata.version(each) for each in ("sepset", "numpy", "scipy")},
         f"code of {' and '.join(sorted(names))}": code.hexdigest()[:16],
     }
+
+
+def own_source(function: Callable[..., Any]) -> dict[str, str]:
+    """A digest of the function's source, where it stands in the script that was started."""
+    if function.__module__ != "__main__":
+        return {}
+    try:
+        source = inspect.getsource(function).encode()
+    except (OSError, TypeError):  # typed in
+        source = marshal.dumps(function.__code__)
+    return {f"source of {function.__qualname__}": hashlib.sha256(source).hexdigest()[:16]}
 
 
 def _sources(package: str) -> list[Path]:

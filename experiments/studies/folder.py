@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.studies.code import differences, versions
+from experiments.studies.code import differences, own_source, versions
 from experiments.studies.errors import StudyError, require_packages
 from experiments.studies.study import Columns, Part, Study
 from pgm.io.whole import whole
@@ -242,7 +242,7 @@ def _described(study: Study) -> dict[str, Any]:
         "runs": study.runs,
         "part_size": study.part_size,
         "seed": study.seed,
-        "versions": versions(study.function.__module__),
+        "versions": versions(study.function.__module__) | own_source(study.function),
     }
 
 

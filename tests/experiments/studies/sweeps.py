@@ -68,3 +68,7 @@ def undeclared(runs, rng, *, sides):
 
 def listed(runs, rng, *, sides=(1, 2)):
     return {"x": rng.random(runs)}
+
+
+def kinds(runs, rng, *, word: str = "a", count: int = 1, size: float = 0.5, on=False):
+    return {"x": rng.random(runs)}
