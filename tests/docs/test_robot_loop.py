@@ -1,5 +1,6 @@
 """The guide's robot loop, for an hour: in the same memory, with the answers of recorded data."""
 
+import gc
 import tracemalloc
 from collections import Counter
 
@@ -55,6 +56,7 @@ def hold(loop, steps, kept):
             now[k] = belief[x].mean.copy(), belief[x].cov.copy(), float(belief.log_evidence)
             later[lagged.step] = lagged[x].mean.copy(), lagged[x].cov.copy()
             del lagged
+            gc.collect()
             memory.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
     assert not refused
