@@ -108,13 +108,8 @@ def compare(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> found = pgm.compare(model, {z: [[2.0], [3.0]]}, oracle=pgm.Grid({"x": (-8.0, 12.0, 400)}))
+    >>> from pgm.examples import walk, x, z
+    >>> found = pgm.compare(walk, {z: [[2.0], [3.0]]}, oracle=pgm.Grid({"x": (-8.0, 12.0, 400)}))
     >>> found["Taylor", "filter"].kl < 1e-3
     True
     """

@@ -63,7 +63,6 @@ class Framed:
 
         Examples
         --------
-        >>> import pgm
         >>> x = pgm.Variable("x", components=("east", "north"))
         >>> walk = pgm.Gaussian(x, mean=[[0, 5], [1, 6], [2, 7]], cov=0.25, steps=[0, 1, 2])
         >>> frame = walk.to_frame()
@@ -124,7 +123,6 @@ class FramedTable:
 
         Examples
         --------
-        >>> import pgm
         >>> rain, wet = (pgm.Discrete(name, states=("no", "yes")) for name in ("rain", "wet"))
         >>> frame = pgm.Table((rain, wet), [[0.9, 0.1], [0.3, 0.7]]).to_frame()
         >>> frame.index.tolist(), frame.columns.tolist(), float(frame.loc["yes", "no"])

@@ -69,13 +69,8 @@ class Flooding(Loopy):
 
     Examples
     --------
-    >>> import pgm
-    >>> a, b = pgm.variables("a b")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(a, 0.0, 1.0),
-    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net, method=pgm.Bethe())
+    >>> from pgm.examples import a, b, pair
+    >>> graph = pgm.compile(pair, method=pgm.Bethe())
     >>> posterior = pgm.infer(graph, {b: [2.0]}, schedule=pgm.Flooding(tolerance=1e-6))
     >>> posterior[a]
     Gaussian(a)
@@ -107,13 +102,8 @@ class Sequential(Loopy):
 
     Examples
     --------
-    >>> import pgm
-    >>> a, b = pgm.variables("a b")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(a, 0.0, 1.0),
-    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net, method=pgm.Bethe())
+    >>> from pgm.examples import a, b, pair
+    >>> graph = pgm.compile(pair, method=pgm.Bethe())
     >>> posterior = pgm.infer(graph, {b: [2.0]}, schedule=pgm.Sequential(tolerance=1e-6))
     >>> posterior[a]
     Gaussian(a)
@@ -152,13 +142,8 @@ class Residual(Loopy):
 
     Examples
     --------
-    >>> import pgm
-    >>> a, b = pgm.variables("a b")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(a, 0.0, 1.0),
-    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net, method=pgm.Bethe())
+    >>> from pgm.examples import a, b, pair
+    >>> graph = pgm.compile(pair, method=pgm.Bethe())
     >>> posterior = pgm.infer(graph, {b: [2.0]}, schedule=pgm.Residual(tolerance=1e-6))
     >>> posterior[a]
     Gaussian(a)

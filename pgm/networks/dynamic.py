@@ -211,7 +211,6 @@ class DynamicBayesianNetwork(Drawn, Immutable):
 
         Examples
         --------
-        >>> import pgm
         >>> x = pgm.Variable("x")
         >>> model = pgm.DynamicBayesianNetwork(
         ...     prior=[pgm.GaussianCPD(x, mean=0.0, cov=1.0)],

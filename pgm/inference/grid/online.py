@@ -47,14 +47,8 @@ class OnlineGridBelief(Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> robot = pgm.OnlineFilter(model, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))
+    >>> from pgm.examples import walk, x, z
+    >>> robot = pgm.OnlineFilter(walk, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))
     >>> belief = robot.predict(robot.initial())
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x].std.round(2)
@@ -159,14 +153,8 @@ class OnlineGrid(InCode, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> robot = pgm.OnlineFilter(model, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))
+    >>> from pgm.examples import walk, x, z
+    >>> robot = pgm.OnlineFilter(walk, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))
     >>> belief = robot.predict(robot.initial())
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x].mean.round(2)

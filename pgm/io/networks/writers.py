@@ -80,7 +80,6 @@ def write_bif(network: BayesianNetwork, target: Source) -> None:
     Examples
     --------
     >>> import io
-    >>> import pgm
     >>> side = pgm.Discrete("side", ("heads", "tails"))
     >>> file = io.StringIO()
     >>> pgm.write_bif(pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])]), file)
@@ -147,7 +146,6 @@ def write_xmlbif(network: BayesianNetwork, target: Source) -> None:
     Examples
     --------
     >>> import tempfile
-    >>> import pgm
     >>> side = pgm.Discrete("side", ("heads", "tails"))
     >>> network = pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])])
     >>> with tempfile.TemporaryDirectory() as folder:

@@ -60,7 +60,6 @@ def read_xmlbif(source: Source, *, normalise: bool = False, limit: int = LIMIT) 
     Examples
     --------
     >>> import io
-    >>> import pgm
     >>> side = pgm.Discrete("side", ("heads", "tails"))
     >>> file = io.StringIO()
     >>> pgm.write_xmlbif(pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])]), file)

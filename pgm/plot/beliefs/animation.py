@@ -77,7 +77,6 @@ def animate_beliefs(
     Examples
     --------
     >>> import tempfile
-    >>> import pgm
     >>> row, column = (pgm.Discrete(name, states=("0", "1")) for name in ("row", "column"))
     >>> chances = [[[0.25, 0.25], [0.25, 0.25]], [[0.0, 0.5], [0.0, 0.5]]]
     >>> belief = pgm.Table((row, column), chances, lead=2)

@@ -79,15 +79,10 @@ def grid_map(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = (pgm.Variable(name, components=("east", "north")) for name in "xz")
-    >>> prior = [pgm.GaussianCPD(x, mean=[0.0, 0.0], cov=1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> from pgm.examples import drive, p, q
     >>> cells = pgm.Grid({"east": (-5.0, 5.0, 20), "north": (-5.0, 5.0, 20)})
-    >>> posterior = pgm.filter(model, {z: [[1.0, 2.0]]}, belief=cells)
-    >>> ax = pgm.plot.grid_map(posterior[x.at(1)], landmarks=[[0.0, 3.0]])
+    >>> posterior = pgm.filter(drive, {q: [[1.0, 2.0]]}, belief=cells)
+    >>> ax = pgm.plot.grid_map(posterior[p.at(1)], landmarks=[[0.0, 3.0]])
     """
     if not isinstance(belief, GridBelief):
         raise ModelError(f"grid_map draws a belief on a grid, not a {type(belief).__name__}")

@@ -81,7 +81,6 @@ def ellipses(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x", components=("east", "north"))
     >>> belief = pgm.Gaussian(x, mean=[1.0, 2.0], cov=[[4.0, 1.0], [1.0, 2.0]])
     >>> ax = pgm.plot.ellipses(belief, confidence=0.95, unit="m")
@@ -213,7 +212,6 @@ def trajectory(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x", components=("east", "north"))
     >>> path = [[0.0, 0.0], [1.0, 0.5], [2.0, 0.5]]
     >>> belief = pgm.Gaussian(x, mean=path, cov=0.04, steps=[0, 1, 2])

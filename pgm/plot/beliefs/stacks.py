@@ -76,7 +76,6 @@ def beliefs_over_time(
 
     Examples
     --------
-    >>> import pgm
     >>> rain = pgm.Discrete("rain", states=("no", "yes"))
     >>> belief = pgm.Table(rain, [[0.5, 0.5], [0.2, 0.8], [0.1, 0.9]], lead=3)
     >>> ax = pgm.plot.beliefs_over_time(belief, label="filtered", truth=["no", "yes", "yes"])

@@ -117,7 +117,6 @@ def cluster_graph(
 
     Examples
     --------
-    >>> import pgm
     >>> a, b, c = pgm.variables("a b c")
     >>> steps = [pgm.LinearGaussianCPD(v, given={u: 1.0}, cov=1.0) for u, v in ((a, b), (b, c))]
     >>> cpds = [pgm.GaussianCPD(a, 0.0, 1.0), *steps]

@@ -108,13 +108,8 @@ def animate(
     Examples
     --------
     >>> import tempfile
-    >>> import pgm
-    >>> x, z = (pgm.Variable(name, components=("east", "north")) for name in "xz")
-    >>> prior = [pgm.GaussianCPD(x, mean=[0.0, 0.0], cov=1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> smoothed = pgm.smooth(model, {z: [[1.0, 2.0], [1.0, 3.0]]})
+    >>> from pgm.examples import drive, q
+    >>> smoothed = pgm.smooth(drive, {q: [[1.0, 2.0], [1.0, 3.0]]})
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     pgm.plot.animate(smoothed, f"{folder}/drive.gif").name
     'drive.gif'

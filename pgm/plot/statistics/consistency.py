@@ -79,7 +79,6 @@ def nees(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> belief = pgm.Gaussian(x, mean=[[2.0], [4.0]], cov=4.0, steps=[0, 1])
     >>> ax = pgm.plot.nees(belief, truth=[[0.0], [0.0]])
@@ -140,13 +139,8 @@ def nis(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0]]})
+    >>> from pgm.examples import walk, z
+    >>> filtered = pgm.filter(walk, {z: [[2.0], [3.0]]})
     >>> ax = pgm.plot.nis(filtered.innovations[z], label="Kalman filter")
     """
     average = consistency.anis(innovations, confidence=confidence).per_dof()
@@ -227,7 +221,6 @@ def coverage(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> runs = pgm.Gaussian(x, mean=[[0.0], [1.0], [-1.0], [3.0]], cov=1.0)
     >>> ax = pgm.plot.coverage(runs, truth=[0.0])
@@ -289,13 +282,8 @@ def whiteness(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0], [1.0], [0.0], [2.0]]})
+    >>> from pgm.examples import walk, z
+    >>> filtered = pgm.filter(walk, {z: [[2.0], [3.0], [1.0], [0.0], [2.0]]})
     >>> ax = pgm.plot.whiteness(filtered.innovations[z], lags=3)
     """
     found = consistency.whiteness(innovations, lags, confidence=confidence)

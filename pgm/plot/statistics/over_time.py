@@ -74,7 +74,6 @@ def errors(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> belief = pgm.Gaussian(x, mean=[[2.0], [4.0]], cov=4.0, steps=[0, 1])
     >>> (ax,) = pgm.plot.errors(belief, truth=[[0.0], [0.0]], unit="m")
@@ -204,7 +203,6 @@ def rmse(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> belief = pgm.Gaussian(x, mean=[[2.0], [4.0]], cov=4.0, steps=[0, 1])
     >>> ax = pgm.plot.rmse(belief, truth=[[0.0], [0.0]], label="belief", unit="m")
@@ -282,7 +280,6 @@ def kl(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> p, q = (pgm.Gaussian(x, [[k], [2.0 * k]], 1.0, steps=[0, 1]) for k in (0.0, 1.0))
     >>> ax = pgm.plot.kl(p, q)

@@ -63,8 +63,6 @@ def convergence(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
     >>> x, z = pgm.variables("x z")
     >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
     >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
