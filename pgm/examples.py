@@ -1,7 +1,7 @@
 """The networks of docstrings' examples, each with its variables.
 
 ``walk`` is a random walk of x, from N(0, 1) by steps of variance 1, seen as z with variance 2, and
-``drive`` one of p in the plane, seen as q with the same. In ``pair`` a is N(0, 1) and b is a with noise
+``drive`` one of p in the plane, seen as q likewise. In ``pair`` a is N(0, 1) and b is a with noise
 of variance 1; in ``square`` x is N(3, 1) and y is x² with noise of variance 1. ``rainy`` has tables
 of rain and wet, ``coin`` that of side, and ``chain`` one hundred variables of two states in a row.
 """

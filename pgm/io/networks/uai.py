@@ -33,11 +33,7 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
 
     Parameters
     ----------
-    source : str, Path or open file
-        A path, or a file opened as text or as bytes; gzipped or not.
-    normalise : bool, optional
-        As of `read_bif`.
-    limit : int, optional
+    source, normalise, limit
         As of `read_bif`.
 
     Returns
@@ -48,10 +44,8 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
 
     Raises
     ------
-    FileError
-        If the file is no such network; the message names the line, what was found, what to do.
-    OSError
-        If the file cannot be opened.
+    FileError, OSError
+        As of `read_bif`.
 
     Examples
     --------

@@ -62,14 +62,8 @@ def particles(
         How many are drawn at the most.
     truth : array_like, optional
         (n,), in the order of the belief's components; its place is marked by a cross.
-    landmarks : array_like, optional
-        (L, 2), in the two components drawn.
-    unit : str or mapping of str, optional
-        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    landmarks, unit, colour, ax
+        As of `trajectory`.
     **style
         Properties of `matplotlib.axes.Axes.scatter`, which win over the defaults.
 

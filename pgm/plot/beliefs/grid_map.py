@@ -58,12 +58,8 @@ def grid_map(
         How many along the longer side of the map at the most; 0 for none.
     truth : array_like, optional
         (n,), in the order of the belief's components; its place is marked by a cross.
-    landmarks : array_like, optional
-        (L, 2), in the two components drawn.
-    unit : str or mapping of str, optional
-        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    landmarks, unit, ax
+        As of `trajectory`.
     **style
         Properties of `matplotlib.axes.Axes.pcolormesh`, which win over the defaults.
 

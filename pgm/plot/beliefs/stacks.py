@@ -58,10 +58,8 @@ def beliefs_over_time(
         Whether the belief is filled, or an outline; the first of the axes is filled without.
     label : str or Kind, optional
         In the legend, above the axes.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    colour, ax
+        As of `trajectory`.
 
     Returns
     -------

@@ -105,7 +105,7 @@ def comparison(
         for row in found.oracle_rows:
             if row.kind in kinds and row.state == rows[0].state and np.nanmax(of(row), initial=0):
                 style = DASHES[schedules.index(kinds[row.kind]) % len(DASHES)]
-                text = f"{row.lineariser}, {row.kind}, from its own Gaussian"
+                text = f"{row.lineariser}, {row.kind},\nfrom its own Gaussian"
                 _draw(ax, across, of(row), text, {"color": MUTED, "ls": style})
     else:
         ax.axhline(float(np.nanmax([r.nees_expected for r in rows])), color=INK, lw=0.8, zorder=1.5)

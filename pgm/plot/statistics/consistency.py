@@ -59,12 +59,8 @@ def nees(
         Probability of the band, at each step.
     times : array_like, optional
         (steps,), for the horizontal axis; the steps themselves without.
-    label : str or Kind, optional
-        In the legend.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    label, colour, ax
+        As of `trajectory`.
 
     Returns
     -------
@@ -121,12 +117,8 @@ def nis(
         Probability of the band, at each step.
     times : array_like, optional
         (steps,), of steps 0 to T, for the horizontal axis; the steps themselves without.
-    label : str or Kind, optional
-        In the legend.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    label, colour, ax
+        As of `trajectory`.
 
     Returns
     -------
@@ -201,12 +193,8 @@ def coverage(
         Whose region, two for an ellipse in the plane; all without.
     confidence : float
         Probability of the intervals, which count runs alone.
-    label : str or Kind, optional
-        In the legend.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    label, colour, ax
+        As of `trajectory`.
 
     Returns
     -------
@@ -263,12 +251,8 @@ def whiteness(
         The number of lags, in steps at which the sensor was read.
     confidence : float
         Probability of the band, at each lag.
-    label : str or Kind, optional
-        In the legend.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    label, colour, ax
+        As of `trajectory`.
 
     Returns
     -------
