@@ -58,7 +58,6 @@ class ReadingReport(Shown):
 
     Examples
     --------
-    >>> import pgm
     >>> z = pgm.Variable("z")
     >>> rows = pgm.stamped([0.25, 2.0, 7.0], [4.0, 5.0, 6.0])
     >>> log = pgm.timeline([0.0, 1.0, 2.0], sensors={z: rows})

@@ -40,7 +40,6 @@ class Timeline(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
     >>> z = pgm.Variable("z")
     >>> log = pgm.timeline([0.0, 1.0, 2.0], sensors={z: pgm.stamped([1.9, 0.1], [4.0, 5.0])})
     >>> log.steps, log.dt
