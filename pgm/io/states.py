@@ -58,7 +58,7 @@ def states_of(
         )
     own = _apart(_within(driven.values(), first, last), SAME)
     heard = _within((log.stamps[log.wanted(drop_copies)] for log in logs.values()), first, last)
-    gap = max(tolerance, SAME)
+    gap = tolerance + SAME
     if own.size:
         heard = heard[np.abs(own[nearest(own, heard)] - heard) > gap]
     states = np.sort(np.concatenate([own, _apart(heard, gap)]))
