@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
-from experiments.plaza import log as plaza
 from models import networks as n
 from pgm.io import stamped, timeline
 from pgm.io.stamped import SAME
@@ -236,33 +235,6 @@ def test_moved_readings_spoil_a_fast_robots_estimate(speed, worse):
     assert 0.7 < nees["own"] < 1.3
     assert errors["moved"] >= worse * errors["own"] - 1e-9
     assert (nees["moved"] > 3.0) == (speed > 0.0)
-
-
-@pytest.mark.parametrize("name", ["plaza2", pytest.param("plaza1", marks=pytest.mark.slow)])
-def test_plazas_ranges_at_their_own_times(name):
-    """No range is moved; the smoother's error stays, the log-evidence rises."""
-    pytest.importorskip("gtsam", reason="the Plaza recordings come with gtsam")
-    setting = plaza.SETTINGS[name]
-    moved = plaza.load(plaza.find(name), setting)
-    own = plaza.load(plaza.find(name), setting, every_stamp=True)
-    assert moved.timeline.readings[n.distance].moved.all()
-    assert not own.timeline.readings[n.distance].moved.any()
-    assert own.timeline.readings[n.distance].kept.all()
-    model = n.range_only(
-        start=moved.truth[0],
-        start_std=plaza.START_STD,
-        position_rate=plaza.POSITION_RATE,
-        heading_rate=setting.heading_rate,
-        sensor_std=setting.sensor_std,
-    )
-    found = {}
-    for log in (moved, own):
-        posterior = pgm.smooth(model, log.timeline.evidence)
-        mean = posterior[n.pose].mean[log.steps, :2]
-        error = np.sqrt(np.mean(np.sum((mean - log.truth[:, :2]) ** 2, axis=-1)))
-        found[log is own] = error, posterior.log_evidence
-    assert found[True][0] == pytest.approx(found[False][0], rel=0.01)
-    assert found[True][1] > found[False][1] + 5.0
 
 
 BAD = {

@@ -1,6 +1,4 @@
-"""Sensors as they are: against mpmath, against runs drawn by the model, on recorded drives."""
-
-import dataclasses
+"""Sensors as they are: against mpmath, and against runs drawn by the model."""
 
 import mpmath
 import numpy as np
@@ -8,7 +6,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
-from experiments.plaza import log as plaza
 from models import networks as n
 from models import sensors
 from pgm import consistency
@@ -257,51 +254,3 @@ def test_a_target_read_at_any_time_is_the_wiener_process_acceleration_model():
     found = pgm.smooth(uneven, {**log.evidence, n.clock: log.dt[:, None]})
     assert_allclose(found[n.target].mean[1:], due[n.target].mean[at], atol=1e-10)
     assert_allclose(found[n.target].cov[1:], due[n.target].cov[at], atol=1e-10)
-
-
-@pytest.mark.parametrize("name", plaza.SETTINGS)
-def test_plaza_tells_its_own_range_calibration(name):
-    """From a broad prior, within 0.5 % and 0.15 m of what fits its truth."""
-    pytest.importorskip("gtsam", reason="the Plaza recordings come with gtsam")
-    setting, file = plaza.SETTINGS[name], plaza.find(name)
-    log = plaza.load(file, dataclasses.replace(setting, scale=1.0, offset=0.0))
-    model = n.calibrated_range(
-        start=log.truth[0],
-        start_std=plaza.START_STD,
-        position_rate=plaza.POSITION_RATE,
-        heading_rate=setting.heading_rate,
-        sensor_std=setting.sensor_std,
-    )
-    posterior = pgm.smooth(model, log.timeline.evidence)
-    due = np.array([setting.scale, setting.offset])
-    for belief in (posterior.filtered[n.calibration], posterior[n.calibration]):
-        assert (np.abs(belief.mean[-1] - due) < [0.005 * setting.scale, 0.15]).all()
-        assert (np.abs(belief.mean[-1] - due) < 3.0 * belief.std[-1]).all()
-    assert consistency.rmse(posterior[n.pose], log.truth, ("east", "north")) < 0.22
-
-
-@pytest.mark.parametrize(
-    ("name", "bias"), [("plaza2", -0.0054), pytest.param("plaza1", None, marks=pytest.mark.slow)]
-)
-def test_a_gyro_has_a_bias_or_none_and_log_evidences_tell(name, bias):
-    """That of Plaza2 drifts by -5.4 mrad/s from its truth; that of Plaza1 is its truth."""
-    pytest.importorskip("gtsam", reason="the Plaza recordings come with gtsam")
-    setting = plaza.SETTINGS[name]
-    log = plaza.load(plaza.find(name), setting)
-    kind = {
-        "start": log.truth[0],
-        "start_std": plaza.START_STD,
-        "position_rate": plaza.POSITION_RATE,
-        "heading_rate": setting.heading_rate,
-        "sensor_std": setting.sensor_std,
-    }
-    drifting = n.drifting_gyro(**kind, bias_std=0.02, bias_walk=1e-4)
-    found = pgm.smooth(drifting, log.timeline.evidence)
-    plain = pgm.filter(n.range_only(**kind), log.timeline.evidence)
-    gain = found.log_evidence - plain.log_evidence
-    if bias is None:
-        assert gain < -5.0
-    else:
-        assert gain > 5.0
-        belief = found[n.gyro_bias]
-        assert (np.abs(belief.mean[:, 0] - bias) < 3.0 * belief.std[:, 0]).all()
