@@ -31,12 +31,8 @@ def calibrated_range(
 
     Parameters
     ----------
-    start, start_std : array_like
-        Mean and standard deviations of the first pose [m, m, rad].
-    position_rate, heading_rate : float
-        Standard deviations of the motion's noise after one second [m, rad]; they grow with √dt.
-    sensor_std : float
-        Standard deviation of a range [m].
+    start, start_std, position_rate, heading_rate, sensor_std
+        As of `range_only`.
     guess, guess_std : sequence of float
         Prior mean and standard deviations of scale and offset [1, m].
     walk : sequence of float
@@ -73,12 +69,8 @@ def drifting_gyro(
 
     Parameters
     ----------
-    start, start_std : array_like
-        Mean and standard deviations of the first pose [m, m, rad].
-    position_rate, heading_rate : float
-        Standard deviations of the motion's noise after one second [m, rad]; they grow with √dt.
-    sensor_std : float
-        Standard deviation of a range [m].
+    start, start_std, position_rate, heading_rate, sensor_std
+        As of `range_only`.
     bias_std : float
         Standard deviation of the first bias, about 0 [rad/s].
     bias_walk : float

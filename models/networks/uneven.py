@@ -128,12 +128,10 @@ def uneven_range_bearing(
 
     Parameters
     ----------
-    start, start_std : sequence of float
-        Mean and standard deviations of the first pose [m, m, rad].
+    start, start_std, sensor_std
+        As of `range_bearing`.
     motion_std : sequence of float
         Standard deviations of the motion's noise after one second [m, m, rad].
-    sensor_std : sequence of float
-        Standard deviations of a sighting [m, rad].
     """
     return pgm.DynamicBayesianNetwork(
         prior=[pgm.GaussianCPD(pose, mean=start, cov=diagonal(start_std))],

@@ -56,18 +56,26 @@ def states_of(
             f"the controls have no time in common ({'; '.join(spans)}); are all in seconds of the "
             "same clock?"
         )
-    own = _apart(_within(driven.values(), first, last), SAME)
+    own = _within(driven.values(), first, last)
     heard = _within((log.stamps[log.wanted(drop_copies)] for log in logs.values()), first, last)
-    gap = tolerance + SAME
-    if own.size:
-        heard = heard[np.abs(own[nearest(own, heard)] - heard) > gap]
-    states = np.sort(np.concatenate([own, _apart(heard, gap)]))
+    states = joined(own, heard, tolerance)
     if states.size < 2:
         raise EvidenceError(
             f"without times, states are at the stamps of the log, of which {states.size} will do; "
             "a timeline needs two or more"
         )
     return states
+
+
+def joined(own: Array, others: Array, tolerance: float = 0.0) -> Array:
+    """One axis of stamps, both in order: `own`, and others farther than a tolerance from the rest.
+
+    Stamps of one moment are one.
+    """
+    own, gap = _apart(own, SAME), tolerance + SAME
+    if own.size:
+        others = others[np.abs(own[nearest(own, others)] - others) > gap]
+    return np.sort(np.concatenate([own, _apart(others, gap)]))
 
 
 def _within(parts: Iterable[Array], first: float, last: float) -> Array:

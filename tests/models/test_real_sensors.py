@@ -204,17 +204,20 @@ def test_static_states_are_exactly_constant_and_the_same_online():
     assert_allclose(belief[state].cov, smoothed[state].cov[-1], rtol=1e-8, atol=1e-12)
 
 
-def test_a_mount_is_a_number_or_evidence():
-    """A range bearing sensor turned and off the centre, told by the model or as evidence."""
-    kind = {"motion_std": (0.05, 0.05, 0.02), "sensor_std": (0.1, 0.02)}
-    base = n.uneven_range_bearing(**kind)
-    told = base.replace(observation=[n.sees_landmark((0.1, 0.02), mount=(0.5, -0.2, 0.4))])
-    asked = base.replace(observation=[n.sees_landmark((0.1, 0.02), mount=n.mount)])
+def test_mount_and_calibration_are_numbers_or_evidence():
+    """Ranges and bearings from a turned sensor off the centre, told by the model or as evidence."""
+    base = n.uneven_range_bearing(motion_std=(0.05, 0.05, 0.02), sensor_std=(0.1, 0.02))
+    how = {"mount": (0.5, -0.2, 0.4), "calibration": (1.1, 0.2)}
+    told = base.replace(observation=[n.sees_landmark((0.1, 0.02), **how)])
+    asked = base.replace(
+        observation=[n.sees_landmark((0.1, 0.02), mount=n.mount, calibration=n.calibration)]
+    )
     u = np.tile([1.0, 0.3, 0.5], (8, 1))
     seen = pgm.sightings(step=np.arange(1, 9), given={n.landmark: BEACONS[np.arange(8) % 4]})
     drawn = told.sample({n.timed_velocity: u, n.sighting: seen}, rng=4)
     one = pgm.smooth(told, drawn.evidence)
-    other = pgm.smooth(asked, {**drawn.evidence, n.mount: pgm.constant([0.5, -0.2, 0.4])})
+    known = {getattr(n, name): pgm.constant(value) for name, value in how.items()}
+    other = pgm.smooth(asked, {**drawn.evidence, **known})
     assert_allclose(one[n.pose].mean, other[n.pose].mean, atol=1e-12)
     assert_allclose(one.log_evidence, other.log_evidence, rtol=1e-12)
     blind = pgm.smooth(base, drawn.evidence)
