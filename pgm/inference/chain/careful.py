@@ -277,6 +277,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
             information = information + row.mT @ (row * component.weight[:, None, None])
         unknown = solved(information)
         log_density = log_density + unknown.log_weight - solved(self.information).log_weight
+        log_density = log_density + self.surplus
         found = moments(belief, unknown)
         return CarefulUpdate(*found, log_density, belief, components, information, unknown)
 

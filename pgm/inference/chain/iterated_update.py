@@ -14,11 +14,15 @@ from pgm.errors import NumericalError
 from pgm.inference.chain import cost, readings
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.vector import Measured
+from pgm.inference.chain.weights import SETTLED
 from pgm.inference.iteration import Anchor, Point, Solution, iterate
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, inner
+
+# Reweighings of a step's measurements at the most.
+_REWEIGHINGS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +89,8 @@ class UpdateProblem(ABC, Generic[U]):
 
     def __init__(self, parts: Sequence[Reading], step: int, mean: Array, cov: Array) -> None:
         self.parts, self.step, self.mean, self.cov = parts, step, mean, cov
+        # Whether weights of robust noise have settled, (runs,).
+        self._weighed: Mask | bool = True
 
     @property
     def measured(self) -> list[Measured]:
@@ -108,7 +114,34 @@ class UpdateProblem(ABC, Generic[U]):
         part.linearise(mean, cov, active)
 
     def solve(self, anchor: Anchor | None = None) -> U:
-        """The belief given the measurements as they are linearised."""
+        """The belief given the measurements as they are linearised.
+
+        Those of robust noise are weighed at it, and taken in again, until the weights settle.
+        """
+        found, robust = self._solved(anchor), [p for p in self.parts if p.weights is not None]
+        if not robust:
+            return found
+        active = np.ones(found.means.shape[1], dtype=bool)
+        for _ in range(_REWEIGHINGS):
+            mean, cov = self._moments(found.point)
+            moved = [part.reweigh(mean, cov, active) for part in robust]
+            found = self._solved(anchor)
+            active = np.max(moved, axis=0) > SETTLED
+            if not active.any():
+                break
+        self._weighed = ~active
+        return found
+
+    def settled(self) -> Mask | bool:
+        """Whether the weights of robust noise have settled."""
+        return self._weighed
+
+    @property
+    def surplus(self) -> Array | float:
+        """What the measurements' log-density has more than that of the Gaussians, (*batch)."""
+        return sum((part.surplus for part in self.parts if part.sensor.robust), 0.0)
+
+    def _solved(self, anchor: Anchor | None) -> U:
         try:
             return self.taken_in(anchor)
         except NumericalError:
@@ -161,6 +194,7 @@ class MomentUpdate(UpdateProblem[Updated]):
     def taken_in(self, anchor: Anchor | None) -> Updated:
         """The belief given the measurements."""
         known, density = readings.update(self.measured, self.step, Moments(self.mean, self.cov))
+        density = density + self.surplus
         return Updated(known if anchor is None else known.held(anchor, 0), density)
 
 
@@ -180,7 +214,7 @@ def iterated(reading: UpdateProblem[U], schedule: Filtering) -> IteratedUpdate[U
     reading.linearise(predicted, None)
     once = reading.solve()
     linear = all(part.sensor.family.exact for part in reading.parts)
-    nothing = np.full(predicted.mean.shape[1], linear)
+    nothing = np.full(predicted.mean.shape[1], linear) & reading.settled()
     if schedule.iterations == 1 or linear:
         return IteratedUpdate(once, once.means[0], [], nothing)
     result = iterate(reading, once, schedule, nothing, predicted)

@@ -16,8 +16,8 @@ import numpy as np
 
 from pgm.compile import DynamicGraph, SliceLayout
 from pgm.compile.layout import Place
-from pgm.cpds import AffineCPD
-from pgm.errors import EvidenceError
+from pgm.cpds import AffineCPD, ConditionalGaussian
+from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors.scope import Scope
@@ -94,6 +94,11 @@ class ChainPlan:
         return all(s.family.exact for s in self.sensors if s.family.step.size)
 
     @cached_property
+    def robust(self) -> list[Sensor]:
+        """The sensors of robust noise that are read."""
+        return [s for s in self.sensors if s.robust and s.family.step.size]
+
+    @cached_property
     def runs(self) -> int:
         """Number of runs."""
         return math.prod(self.lead)
@@ -111,8 +116,8 @@ class ChainPlan:
 
     @property
     def exact(self) -> bool:
-        """Whether every CPD is affine."""
-        return all(family.exact for family in self.families)
+        """Whether every CPD is affine, and those that are read of Gaussian noise."""
+        return all(family.exact for family in self.families) and not self.robust
 
     def of(self, runs: slice) -> ChainPlan:
         """The plan of some runs, with views of these arrays; what is linearised is its own."""
@@ -201,6 +206,7 @@ class ChainPlan:
             )
 
         def link(cpd: Any, scope: Scope, step: Integers, inputs: Inputs) -> Link:
+            require_plain(cpd)
             place = layout.place(cpd, scope)
             turning = slice(0 if isinstance(cpd, AffineCPD) else None)
             return Link(
@@ -238,6 +244,18 @@ class ChainPlan:
                 made.probe(means)
                 layout.probed.update([made.cpd] * bool(made.step.size))
         return plan
+
+
+def require_plain(cpd: ConditionalGaussian) -> None:
+    """Refuse robust noise of a hidden variable, which has no residual to be weighed by."""
+    if cpd.noise is not None:
+        raise ModelError(
+            f"{cpd!r}: {cpd.noise!r} of a hidden variable has no residual to weigh it by; Gaussian "
+            "beliefs take robust noise of the sensors of a dynamic network alone; leave noise= "
+            "out, or take belief=pgm.Particles(...) or pgm.Grid(...)",
+            variable=cpd.child,
+            cpd=cpd,
+        )
 
 
 def _sensor(

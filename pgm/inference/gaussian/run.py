@@ -108,6 +108,10 @@ class _Tree:
         """Linearise every CPD at its cluster's belief, for the runs that are active."""
         relinearise(at.beliefs, self.model, active)
 
+    def settled(self) -> bool:
+        """Nothing but points of linearisation changes."""
+        return True
+
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
         """Calibrate the tree as everything is linearised."""
         return self.solver()
