@@ -193,6 +193,15 @@ class ConditionalGaussian(CPD):
         value: Array = level - 0.5 * roots.log_determinant(lower)
         return value
 
+    def _log_peak(self, child: Values) -> Array:
+        if self.noise is None or isinstance(self.cov, Noise):
+            return super()._log_peak(child)
+        return self._robust(
+            roots.root(independent(self.cov, ~np.isnan(child))),
+            np.zeros_like(child),
+            (~np.isnan(child)).sum(axis=-1),
+        )
+
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
         mean, lower = self._law(known)
         white = rng.standard_normal((*size, *known.shape, self.child.dimension))

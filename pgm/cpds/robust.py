@@ -387,6 +387,16 @@ class TruncatedLeastSquares(RobustNoise):
         found = self.log_scale(sizes) - offset - 0.5 * sizes * (np.log(weight) - LOG_2PI)
         return np.where(sizes > 0, found, 0.0)
 
+    def staged_loss(self, square: Array, stage: Array) -> Array:
+        """The loss of a stage μ, whose weights are w_μ; a Gaussian's before the first (NaN)."""
+        limit, soft = self.threshold**2, np.isfinite(stage)
+        mu = np.where(soft, stage, 1.0)
+        between = self.threshold * np.sqrt(square * mu * (mu + 1.0)) - 0.5 * mu * (limit + square)
+        found = np.where(square <= mu / (mu + 1.0) * limit, 0.5 * square, between)
+        found = np.where(square >= (mu + 1.0) / mu * limit, 0.5 * limit, found)
+        found = np.where(soft, found, self.loss(square, 1))
+        return np.where(np.isnan(stage), 0.5 * square, found)
+
     def staged(self, square: Array, stage: Array) -> Array:
         """The weights w_μ at a stage μ."""
         limit, hard = self.threshold**2, np.isinf(stage)

@@ -166,6 +166,9 @@ class UpdateProblem(ABC, Generic[U]):
             left = _as_point(part.values - expected, 1)
             angles = np.tile(family.cpd.child.angle_mask, len(expected) // family.shape[2])
             left = difference(left, np.zeros_like(left), angles)
+            if part.weights is not None:
+                total = total + part.loss(left[0], at.cov[0])
+                continue
             noise = _as_point(seen.noise, 2)
             if seen.taken is not None:
                 taken = _as_point(seen.taken, 1)

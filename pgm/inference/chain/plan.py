@@ -16,12 +16,13 @@ import numpy as np
 
 from pgm.compile import DynamicGraph, SliceLayout
 from pgm.compile.layout import Place
-from pgm.cpds import AffineCPD, ConditionalGaussian
-from pgm.errors import EvidenceError, ModelError
+from pgm.cpds import AffineCPD
+from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors.scope import Scope
 from pgm.inference.chain.sensor import Sensor
+from pgm.inference.checks import require_plain
 from pgm.inference.family import Family
 from pgm.kernels.arrays import (
     Array,
@@ -206,7 +207,7 @@ class ChainPlan:
             )
 
         def link(cpd: Any, scope: Scope, step: Integers, inputs: Inputs) -> Link:
-            require_plain(cpd)
+            require_plain([cpd])
             place = layout.place(cpd, scope)
             turning = slice(0 if isinstance(cpd, AffineCPD) else None)
             return Link(
@@ -244,18 +245,6 @@ class ChainPlan:
                 made.probe(means)
                 layout.probed.update([made.cpd] * bool(made.step.size))
         return plan
-
-
-def require_plain(cpd: ConditionalGaussian) -> None:
-    """Refuse robust noise of a hidden variable, which has no residual to be weighed by."""
-    if cpd.noise is not None:
-        raise ModelError(
-            f"{cpd!r}: {cpd.noise!r} of a hidden variable has no residual to weigh it by; Gaussian "
-            "beliefs take robust noise of the sensors of a dynamic network alone; leave noise= "
-            "out, or take belief=pgm.Particles(...) or pgm.Grid(...)",
-            variable=cpd.child,
-            cpd=cpd,
-        )
 
 
 def _sensor(

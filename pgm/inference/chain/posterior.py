@@ -56,8 +56,7 @@ class ChainPosterior(Posterior):
         Taylor relinearisation. With robust noise a lower ``bound``, a ``linearised bound``, or
         ``unnormalised``, if a density has no integral.
     weights : mapping of Variable to ndarray
-        By sensor, w of each sighting, (*runs, M), which counts with the covariance `cov` / w: 1 of
-        Gaussian noise, NaN where nothing was taken.
+        By sensor, w of each sighting, (*runs, M), which counts with the covariance `cov` / w.
     associations : mapping of Variable to Associations
         By sensor, of sightings that left open what was seen, with `unknown`.
 
@@ -152,7 +151,7 @@ class ChainPosterior(Posterior):
 
     @cached_property
     def weights(self) -> Mapping[Variable, Array]:
-        """The weight of each sighting, by sensor."""
+        """The weights of sightings: 1 of Gaussian noise, NaN where nothing was taken."""
         return Weights.of(self._plan)
 
     @property

@@ -21,7 +21,15 @@ from pgm.inference.iteration import Anchor
 from pgm.inference.rows import At
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, components_first, components_last, within
+from pgm.kernels.arrays import (
+    LOG_2PI,
+    Array,
+    Mask,
+    block,
+    components_first,
+    components_last,
+    within,
+)
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.linearisers import Line
@@ -235,6 +243,18 @@ class Reading:
         noise = self._weighed(weights)
         self.seen = seen._replace(noise=noise if self.error is None else noise + self.error)
         return moved
+
+    def loss(self, left: Array, cov: Array) -> Array:
+        """Twice the losses of residuals (runs, D) at a belief over the slice, (runs,)."""
+        weights, height = self.weights, self.sensor.height
+        assert weights is not None
+        residual = left.reshape(len(left), -1, height).swapaxes(0, 1)
+        seen: tuple[Array, ...] = ()
+        if self.sensor.family.expects:
+            spread = block(cov, self.sensor.parents, self.sensor.parents)[None]
+            seen = by_sighting(self.seen.matrix, height, 1), spread
+        total: Array = weights.loss(weights.squares(residual, *seen)).sum(axis=0)
+        return total
 
     @property
     def surplus(self) -> Array | float:

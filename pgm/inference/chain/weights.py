@@ -146,8 +146,13 @@ class Weights:
         return np.isinf(self.stage)
 
     def loss(self, square: Array) -> Array:
-        """Twice the loss of squares."""
-        return 2.0 * self.noise.loss(square, self.count)
+        """Twice the loss of squares, (k, runs), at the stage of a graduated one."""
+        noise = self.noise
+        if isinstance(noise, TruncatedLeastSquares):
+            found = noise.staged_loss(square, self.stage)
+        else:
+            found = noise.loss(square, self.count)
+        return 2.0 * np.where(self.count > 0, found, 0.0)
 
     def scaled(self, own: Array) -> Array:
         """The noises R / w, (k, runs, d, d)."""
