@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from math import inf, log, pi
 from typing import ClassVar
 
@@ -59,10 +60,11 @@ class RobustNoise(InCode, ABC):
     def log_scale(self, count: npt.ArrayLike) -> Array:
         """The value ln c of so many components; where there is no integral, the Gaussian's."""
         sizes = np.asarray(count)
+        if sizes.size == 1:
+            return np.full(sizes.shape, _log_scale(self, int(sizes.item())))
         found = np.zeros(sizes.shape)
-        for size in np.unique(sizes[sizes > 0]).tolist():
-            scale = self._log_scale(size) if self.is_proper(size) else -0.5 * size * LOG_2PI
-            found[sizes == size] = scale
+        for size in np.unique(sizes).tolist():
+            found[sizes == size] = _log_scale(self, size)
         return found
 
     @abstractmethod
@@ -90,6 +92,14 @@ class RobustNoise(InCode, ABC):
     @abstractmethod
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
         """Draws of unit covariance parameter, (..., d), made of standard normal ones."""
+
+
+@lru_cache(maxsize=256)
+def _log_scale(noise: RobustNoise, size: int) -> float:
+    """The value ln c of so many components."""
+    if not size:
+        return 0.0
+    return noise._log_scale(size) if noise.is_proper(size) else -0.5 * size * LOG_2PI
 
 
 @dataclass(frozen=True)

@@ -236,6 +236,10 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         """Linearise a sensor's measurements."""
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 
+    def raised(self, found: CarefulUpdate, surplus: Array | float) -> CarefulUpdate:
+        """The same belief, of measurements whose log-density is so much larger."""
+        return replace(found, log_density=found.log_density + surplus)
+
     @quiet()
     def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
         """The belief given the measurements."""
@@ -277,7 +281,6 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
             information = information + row.mT @ (row * component.weight[:, None, None])
         unknown = solved(information)
         log_density = log_density + unknown.log_weight - solved(self.information).log_weight
-        log_density = log_density + self.surplus
         found = moments(belief, unknown)
         return CarefulUpdate(*found, log_density, belief, components, information, unknown)
 

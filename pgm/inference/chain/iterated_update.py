@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -51,7 +51,7 @@ class Updated:
         return Point(self.means, _as_point(self.known.cov, 2))
 
 
-U = TypeVar("U", bound=Solution, covariant=True)
+U = TypeVar("U", bound=Solution)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +118,12 @@ class UpdateProblem(ABC, Generic[U]):
 
         Those of robust noise are weighed at it, and taken in again, until the weights settle.
         """
-        found, robust = self._solved(anchor), [p for p in self.parts if p.weights is not None]
-        if not robust:
+        found = self._solved(anchor)
+        if not any(part.sensor.robust for part in self.parts):
             return found
-        active = np.ones(found.means.shape[1], dtype=bool)
-        for _ in range(_REWEIGHINGS):
+        robust = [part for part in self.parts if part.weights is not None]
+        active = np.full(found.means.shape[1], bool(robust))
+        for _ in range(_REWEIGHINGS if robust else 0):
             mean, cov = self._moments(found.point)
             moved = [part.reweigh(mean, cov, active) for part in robust]
             found = self._solved(anchor)
@@ -130,16 +131,12 @@ class UpdateProblem(ABC, Generic[U]):
             if not active.any():
                 break
         self._weighed = ~active
-        return found
+        surplus = sum((part.surplus for part in self.parts), 0.0)
+        return self.raised(found, surplus)
 
     def settled(self) -> Mask | bool:
         """Whether the weights of robust noise have settled."""
         return self._weighed
-
-    @property
-    def surplus(self) -> Array | float:
-        """What the measurements' log-density has more than that of the Gaussians, (*batch)."""
-        return sum((part.surplus for part in self.parts if part.sensor.robust), 0.0)
 
     def _solved(self, anchor: Anchor | None) -> U:
         try:
@@ -152,6 +149,10 @@ class UpdateProblem(ABC, Generic[U]):
     @abstractmethod
     def taken_in(self, anchor: Anchor | None) -> U:
         """The belief given the measurements, which may be refused."""
+
+    @abstractmethod
+    def raised(self, found: U, surplus: Array | float) -> U:
+        """The same belief, of measurements whose log-density is so much larger."""
 
     def cost(self, at: Point) -> Array:
         """The cost of means, (runs,)."""
@@ -197,8 +198,11 @@ class MomentUpdate(UpdateProblem[Updated]):
     def taken_in(self, anchor: Anchor | None) -> Updated:
         """The belief given the measurements."""
         known, density = readings.update(self.measured, self.step, Moments(self.mean, self.cov))
-        density = density + self.surplus
         return Updated(known if anchor is None else known.held(anchor, 0), density)
+
+    def raised(self, found: Updated, surplus: Array | float) -> Updated:
+        """The same belief, of measurements whose log-density is so much larger."""
+        return replace(found, log_density=found.log_density + surplus)
 
 
 def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:

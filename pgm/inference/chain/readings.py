@@ -262,9 +262,9 @@ class Reading:
         if not self.sensor.robust:
             return 0.0
         if self.weights is None:
-            each = self.sensor.weights.surplus[self.at.first : self.at.last]
+            each = self.sensor.weights.surplus(slice(self.at.first, self.at.last))
         else:
-            each = self.weights.surplus
+            each = self.weights.surplus()
         total: Array = each.sum(axis=0)
         return total if self.sensor.family.batch else total.item()
 

@@ -54,7 +54,7 @@ def surplus(plan: ChainPlan, step: int) -> Array | float:
     """What the log-density of a step's measurements has more than the Gaussians', (runs,)."""
     found: Array | float = 0.0
     for sensor in plan.robust:
-        found = found + sensor.weights.surplus[sensor.rows(step)].sum(axis=0)
+        found = found + sensor.weights.surplus(sensor.rows(step)).sum(axis=0)
     return found
 
 

@@ -36,8 +36,8 @@ class Weights:
         (k or 1, runs or 1, d, d): L⁻¹ of the noise L Lᵀ of the components taken.
     taken : ndarray of bool or None
         (k, runs or 1, d): which were; None for all.
-    weight, surplus : ndarray
-        (k, runs): w, and what the log-density has more than that of N(0, R / w).
+    weight, square : ndarray
+        (k, runs): w, and the square s that it is of.
     stage : ndarray
         (runs,): the μ of a graduated loss; infinite once it is that loss, NaN before the first.
     """
@@ -46,7 +46,7 @@ class Weights:
     white: Array
     taken: Mask | None
     weight: Array
-    surplus: Array
+    square: Array
     stage: Array
 
     @classmethod
@@ -61,9 +61,7 @@ class Weights:
         cpd.require_regular(lower)
         white = roots.solve_lower(lower, np.broadcast_to(np.eye(own.shape[-1]), own.shape))
         stage = np.full(shape[1], np.nan if cpd.noise.graduated else np.inf)
-        made = cls(cpd.noise, white, taken, np.ones(shape), np.zeros(shape), stage)
-        made.surplus = np.broadcast_to(made._surplus(np.zeros(shape), made.weight), shape).copy()
-        return made
+        return cls(cpd.noise, white, taken, np.ones(shape), np.zeros(shape), stage)
 
     @property
     def count(self) -> Integers:
@@ -108,15 +106,13 @@ class Weights:
     def take(self, square: Array, active: Mask | None = None) -> Array:
         """Take the weights of squares; how far they move, (runs,)."""
         weight, stage = self._weights(square)
-        weight = np.broadcast_to(weight, self.weight.shape)
-        surplus = np.broadcast_to(self._surplus(square, weight), weight.shape)
         change = np.abs(weight - self.weight).max(axis=0, initial=0.0)
         moved: Array = np.where(np.isinf(stage), change, np.inf)
-        if active is None:
-            self.weight, self.surplus, self.stage = weight, surplus, stage
+        if active is None or active.all():
+            self.weight, self.square, self.stage = weight, square, stage
             return moved
         self.weight = np.where(active, weight, self.weight)
-        self.surplus = np.where(active, surplus, self.surplus)
+        self.square = np.where(active, square, self.square)
         self.stage = np.where(active, stage, self.stage)
         return np.asarray(np.where(active, moved, 0.0))
 
@@ -137,8 +133,10 @@ class Weights:
         stage = np.where((found == hard).all(axis=0), np.inf, stage)
         return found, stage
 
-    def _surplus(self, square: Array, weight: Array) -> Array:
-        return self.noise.surplus(square, self.count, weight)
+    def surplus(self, rows: slice = slice(None)) -> Array:
+        """What the log-densities of sightings have more than those of N(0, R / w), (k, runs)."""
+        count = self.count if self.taken is None else self.count[rows]
+        return self.noise.surplus(self.square[rows], count, self.weight[rows])
 
     @property
     def staged(self) -> Mask:
@@ -163,13 +161,12 @@ class Weights:
         white = self.white[rows] if len(self.white) > 1 else self.white
         taken = None if self.taken is None else self.taken[rows]
         stage = np.full(self.stage.shape, np.nan if self.noise.graduated else np.inf)
-        own = self.weight[rows].copy(), self.surplus[rows].copy()
-        return replace(self, white=white, taken=taken, weight=own[0], surplus=own[1], stage=stage)
+        weight, square = self.weight[rows].copy(), self.square[rows].copy()
+        return replace(self, white=white, taken=taken, weight=weight, square=square, stage=stage)
 
     def put(self, rows: slice, other: Weights) -> None:
         """Keep the weights of some of the sightings."""
-        for mine, its in ((self.weight, other.weight), (self.surplus, other.surplus)):
-            mine[rows] = its
+        self.weight[rows], self.square[rows] = other.weight, other.square
 
 
 def by_sighting(array: npt.NDArray[Kind], height: int, own: int) -> npt.NDArray[Kind]:

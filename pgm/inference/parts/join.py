@@ -110,7 +110,7 @@ def _family(whole: Family, parts: list[Family]) -> None:
 def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
     whole.moved = np.concatenate([part.moved for part in parts], axis=1)
     if whole.robust:
-        for name in ("weight", "surplus"):
+        for name in ("weight", "square"):
             joined = [getattr(part.weights, name) for part in parts]
             setattr(whole.weights, name, np.concatenate(joined, axis=1))
     for step in {step for part in parts for step in part.cross}:
