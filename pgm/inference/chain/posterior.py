@@ -26,6 +26,7 @@ from pgm.inference.chain.marginals import Marginals, located
 from pgm.inference.chain.messages import backward_messages
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.potentials import first_potential, potentials
+from pgm.inference.chain.weights_record import Weights, evidence_kind
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
@@ -52,7 +53,10 @@ class ChainPosterior(Posterior):
         Which measurements the beliefs know: filtered, fixed-lag or smoothed.
     log_evidence_kind : str
         ``exact``; ``linearised``, of the linearised model; or ``laplace``, at the fixed point of
-        Taylor relinearisation.
+        Taylor relinearisation. With robust noise a lower ``bound``, a ``linearised bound``, or
+        ``unnormalised``, if a density has no integral.
+    weights : mapping of Variable to ndarray
+        By sensor, w of each sighting, (*runs, M), which counts with the covariance `cov` / w.
     associations : mapping of Variable to Associations
         By sensor, of sightings that left open what was seen, with `unknown`.
 
@@ -139,6 +143,11 @@ class ChainPosterior(Posterior):
             }
         )
 
+    @cached_property
+    def weights(self) -> Mapping[Variable, Array]:
+        """The weights of sightings: 1 of Gaussian noise, NaN where nothing was taken."""
+        return Weights.of(self._plan)
+
     @property
     def log_evidence(self) -> Array:
         """The value ln p(measurements), (...): the sum of the innovations' log-densities."""
@@ -147,12 +156,9 @@ class ChainPosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """The kind of `log_evidence`: exact, linearised or laplace."""
-        if self._planned.exact:
-            return "exact"
-        fixed = self.kind == SMOOTHED and bool(self.status.converged.all())
-        taylor = all(family.taylor for family in self._planned.families)
-        return "laplace" if fixed and taylor else "linearised"
+        """The kind of `log_evidence`: exact, linearised or laplace; of robust noise a bound."""
+        settled = bool(self.status.converged.all())
+        return evidence_kind(self._planned, fixed=settled and self.kind == SMOOTHED)
 
     @cached_property
     def _reverse(self) -> Reverse:
@@ -380,8 +386,7 @@ class ChainPosterior(Posterior):
 
     @property
     def _title(self) -> str:
-        lead = self._planned.lead
-        runs = f", runs {lead}" if lead else ""
+        runs = f", runs {self._planned.lead}" if self._planned.lead else ""
         return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"
 
     def _summary(self) -> Summary:

@@ -346,7 +346,7 @@ class OnlineFilter(InCode, Immutable):
             )
         else:
             log_evidence = np.array(belief.log_evidence.item() + float(log_density))
-        if chain.residuals or plan.lead:
+        if chain.residuals or plan.lead or plan.robust:
             status = Status.of(chain.residuals, chain.converged, plan.lead)
         else:
             status = _DONE if plan.linear else _LINEARISED

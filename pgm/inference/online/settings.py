@@ -6,7 +6,7 @@ from typing import Any
 
 from pgm.display import titled
 from pgm.errors import ModelError
-from pgm.inference.checks import require_gaussian, require_lineariser
+from pgm.inference.checks import require_gaussian, require_lineariser, require_plain
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.networks import DynamicBayesianNetwork
 
@@ -30,6 +30,7 @@ def require_settings(
             f"an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not {schedule!r}"
         )
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
+    require_plain(model.transition)
     for cpd in model.prior:
         cpd.require_proper("an online filter begins at a belief, which has moments")
     return schedule
