@@ -149,15 +149,18 @@ class Reading:
         Whether angles are on their branch already.
     """
 
-    __slots__ = ("at", "erroneous", "fixed", "seen", "sensor", "taken", "values")
+    __slots__ = ("at", "erroneous", "fixed", "gate", "gated", "seen", "sensor", "taken", "values")
 
     seen: Measured
+    # Which sightings a gate has rejected, and their squared lengths, (k, *batch).
+    gated: tuple[Mask, Array] | None
+    gate: float
 
     def __init__(
         self, sensor: Sensor, at: At, values: Array, taken: Mask | None, *, fixed: bool = False
     ) -> None:
         self.sensor, self.at, self.values, self.taken = sensor, at, values, taken
-        self.fixed, self.erroneous = fixed, False
+        self.fixed, self.erroneous, self.gated = fixed, False, None
 
     def linearise(
         self, mean: Array, cov: Array, active: Mask | None = None, copy: bool = True

@@ -211,6 +211,8 @@ class Share:
             isinstance(schedule, Filtering | Calibration) and schedule.iterations == 1
         )
         plain = start is None and not isinstance(graph, BalancedGraph)
+        # What gates have decided is in all of it.
+        plain = plain and getattr(schedule, "gate", None) is None
         return cls(kept, kept is None and once and plain, not isinstance(schedule, Filtering))
 
     def shapes(self, graph: DynamicGraph, bound: BoundEvidence) -> list[Shape]:
