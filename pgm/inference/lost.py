@@ -78,7 +78,7 @@ class Read(NamedTuple):
         return found
 
 
-class Test(NamedTuple):
+class PageTest(NamedTuple):
     """The state of the tests of runs after a step.
 
     Attributes
@@ -102,18 +102,18 @@ class Test(NamedTuple):
     why: Integers
 
     @classmethod
-    def start(cls, runs: int) -> Test:
+    def start(cls, runs: int) -> PageTest:
         """Before the first step."""
         nothing = np.zeros(runs, dtype=np.intp)
         both = np.zeros((2, runs), dtype=np.intp)
         return cls(np.zeros((2, runs)), both, np.zeros(runs, dtype=bool), *[nothing] * 3)
 
-    def over(self, runs: int) -> Test:
+    def over(self, runs: int) -> PageTest:
         """The same for so many runs, where it is of one."""
         wide: list[Any] = [np.broadcast_to(part, (*part.shape[:-1], runs)) for part in self]
-        return Test(*wide)
+        return PageTest(*wide)
 
-    def on(self, step: int, weights: Array) -> Test:
+    def on(self, step: int, weights: Array) -> PageTest:
         """After a step whose readings weigh so much, (2, runs)."""
         onset = np.where(self.level == 0.0, step, self.onset)
         level = np.clip(self.level + weights, 0.0, _HIGH)
@@ -126,7 +126,7 @@ class Test(NamedTuple):
         over = self.lost & (level <= _HIGH - _BACK).all(axis=0)
         level = np.where(over, 0.0, level)
         declared = np.where(cries, step, self.declared)
-        return Test(level, onset, (self.lost | cries) & ~over, first, declared, why)
+        return PageTest(level, onset, (self.lost | cries) & ~over, first, declared, why)
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ class Lost(Shown, Immutable):
     >>> readings = [[0.0]] * 20 + [[30.0]] * 20
     >>> print(pgm.filter(model, {z: readings}, gate=0.99).lost)
     Lost(1 stretch, at 12 of 41 steps)
-      steps 21..40 (said at 29): rejections, 1.00 of the sightings rejected
+      steps 21..40 (said at 29): rejections, 1 of the sightings rejected
     """
 
     at: Mask
@@ -219,7 +219,7 @@ class Lost(Shown, Immutable):
     def of(cls, read: Read, lead: tuple[int, ...]) -> Lost:
         """The stretches of a record of readings, (T+1, runs) each."""
         steps, runs = read.nis.shape
-        weights, test = read.weights, Test.start(runs)
+        weights, test = read.weights, PageTest.start(runs)
         at = np.zeros((steps, runs), dtype=bool)
         found: list[tuple[int, int, int, int, int]] = []
         for step in range(steps):
@@ -255,5 +255,5 @@ class Lost(Shown, Immutable):
         return Summary(self._title, lines)
 
 
-def _row(run: int, test: Test, last: int) -> tuple[int, int, int, int, int]:
+def _row(run: int, test: PageTest, last: int) -> tuple[int, int, int, int, int]:
     return run, int(test.first[run]), int(test.declared[run]), last, int(test.why[run])

@@ -45,7 +45,7 @@ class Rejections(Shown, Immutable):
     >>> print(found)
     Rejections(1 of 2 sightings, gate 0.99, steps 2..2)
       step  squared innovation
-      2                    216
+      2                    218
     """
 
     gate: float

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from math import inf
 
 import numpy as np
 
@@ -77,6 +78,10 @@ def decide(
 
 
 def _decided(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) -> Measured:
+    if mean.ndim == 1 and seen.taken is None and len(seen.value) == part.sensor.height:
+        one = _one(gate, part, seen, mean, cov)
+        if one is not None:
+            return one
     sensor, record, batch = part.sensor, part.sensor.gated, mean.shape[1:]
     rows, height = slice(part.at.first, part.at.last), sensor.height
     count = len(seen.value) // height
@@ -103,6 +108,43 @@ def _decided(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array
     part.taken = taken
     part.seen = seen if taken is seen.taken else seen._replace(taken=taken)
     return part.seen
+
+
+def _one(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) -> Measured | None:
+    """Let a whole sighting of one run in, the usual case; None where it may be rejected."""
+    sensor, record = part.sensor, part.sensor.gated
+    if not sensor.whole:
+        mean, cov = mean[sensor.parents], within(cov, sensor.parents)
+    left, matrix = seen.residual(mean), seen.matrix
+    spread = matrix.dot(cov).dot(matrix.T)
+    spread += seen.noise
+    height = len(left)
+    if height == 1:
+        (a,), s = left.tolist(), spread.item()
+        square = a * a / s if s > 0.0 else inf
+    elif height == 2:
+        (a, b), (s, c, _, d) = left.tolist(), spread.ravel().tolist()
+        volume = s * d - c * c
+        square = (
+            (a * a * d - 2.0 * a * b * c + b * b * s) / volume if volume > s * d * _WELL else inf
+        )
+    else:
+        return None
+    if not square <= _limits(gate, height).item(height):
+        return None
+    found = np.array([square])
+    part.gate, part.gated, part.seen = gate, (_TAKEN, found), seen
+    if record is not None:
+        row = part.at.first
+        record.rejected[row], record.square[row] = False, square
+        assert sensor.taken is not None
+        sensor.taken[row] = record.given[row]
+    return seen
+
+
+# A sighting that is taken in; and the share of the variances that a regular covariance of two has.
+_TAKEN: Mask = np.zeros(1, dtype=bool)
+_WELL = 1e-6
 
 
 def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array, Integers]:

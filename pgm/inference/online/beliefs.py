@@ -21,7 +21,7 @@ from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.kind import Kind
-from pgm.inference.lost import Test
+from pgm.inference.lost import PageTest
 from pgm.inference.online.judged import Decided, Watch
 from pgm.inference.online.window import Sliding, Trail, is_like
 from pgm.inference.posterior import require_variable
@@ -180,7 +180,7 @@ class OnlineBelief(Shown, NoArray, Immutable):
         return np.where(found.lost, found.first, -1).reshape(self.lead)
 
     @property
-    def _watched(self) -> Test:
+    def _watched(self) -> PageTest:
         if self.watch is None:
             raise EvidenceError(
                 f"{self._title} was not watched, whether it is lost: make the filter with "

@@ -13,7 +13,7 @@ from pgm.inference.chain.gate_record import GateRecord
 from pgm.inference.chain.innovations import by_step
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.vector import vector
-from pgm.inference.lost import Read, Test
+from pgm.inference.lost import PageTest, Read
 from pgm.kernels import innovation
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
@@ -25,15 +25,15 @@ Decided = tuple[Variable, GateRecord, Integers]
 class Watch(NamedTuple):
     """The test whether a belief is lost, after the step before, and what its step has read."""
 
-    before: Test
+    before: PageTest
     read: Read | None = None
 
     @classmethod
     def start(cls, lead: tuple[int, ...]) -> Watch:
         """At the prior."""
-        return cls(Test.start(math.prod(lead)))
+        return cls(PageTest.start(math.prod(lead)))
 
-    def test(self, step: int) -> Test:
+    def test(self, step: int) -> PageTest:
         """The test after the step of this number."""
         if self.read is None:
             return self.before
