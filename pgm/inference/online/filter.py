@@ -326,7 +326,8 @@ class OnlineFilter(InCode, Immutable):
         if type(readings) is not dict:
             readings = step_evidence.mapping(readings, "update", "sensors to measurements")
         if leaves_open(readings):
-            closed, seen = associated(self._graph, self.lineariser, belief, readings)
+            gate = self.schedule.gate
+            closed, seen = associated(self._graph, self.lineariser, belief, readings, gate)
             return self.update(belief, closed).told(seen)
         behind = belief.behind
         if isinstance(behind, Sliding):

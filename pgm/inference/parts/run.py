@@ -65,7 +65,8 @@ def run(
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     if is_open(bound):
-        bound, found = associated(graph, bound, lineariser)
+        gate = getattr(schedule, "gate", None)
+        bound, found = associated(graph, bound, lineariser, gate)
         posterior = run(graph, bound, schedule, lineariser, start, keep, executor)
         return replace(posterior, associations=found)
     kept = None if keep is None else _hidden(graph.layout, keep)
