@@ -103,7 +103,7 @@ from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Discrete, Variable, variables
 
 if TYPE_CHECKING:
-    from pgm import comparison, consistency, maps, plot
+    from pgm import comparison, consistency, maps, plot, recordings
     from pgm.comparison import Comparison, compare
     from pgm.io.networks import (
         from_pgmpy,
@@ -117,12 +117,13 @@ if TYPE_CHECKING:
     )
     from pgm.io.poses import Poses
     from pgm.io.tum import read_tum, write_tum
+    from pgm.recordings.recording import Recording
     from pgm.viewer import view
 
 __version__ = "0.1.0"
 
 # Slow to import, or seldom wanted: loaded when first asked for.
-_MODULES = ("comparison", "consistency", "maps", "plot", "viewer")
+_MODULES = ("comparison", "consistency", "maps", "plot", "recordings", "viewer")
 _LATER = {
     "pgm.comparison": ("Comparison", "compare"),
     "pgm.io.networks": (
@@ -137,6 +138,7 @@ _LATER = {
     ),
     "pgm.io.poses": ("Poses",),
     "pgm.io.tum": ("read_tum", "write_tum"),
+    "pgm.recordings.recording": ("Recording",),
     "pgm.viewer": ("view",),
 }
 
@@ -228,6 +230,7 @@ __all__ = [
     "Posterior",
     "PrecisionWarning",
     "QuasiMonteCarlo",
+    "Recording",
     "Rejections",
     "Residual",
     "SampledCPD",
@@ -264,6 +267,7 @@ __all__ = [
     "read_uai",
     "read_uai_evidence",
     "read_xmlbif",
+    "recordings",
     "records",
     "shifts",
     "sightings",

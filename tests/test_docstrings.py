@@ -25,6 +25,7 @@ PUBLIC = [
     "pgm.linearisers",
     "pgm.maps",
     "pgm.plot",
+    "pgm.recordings",
 ]
 
 
