@@ -163,6 +163,8 @@ class Reading:
         "erroneous",
         "error",
         "fixed",
+        "gate",
+        "gated",
         "seen",
         "sensor",
         "taken",
@@ -174,12 +176,16 @@ class Reading:
     # Of robust noise that is to be weighed.
     weights: Weights | None
     error: Array | None
+    # Which sightings a gate has rejected, and their squared lengths, (k, *batch).
+    gated: tuple[Mask, Array] | None
+    gate: float
 
     def __init__(
         self, sensor: Sensor, at: At, values: Array, taken: Mask | None, *, fixed: bool = False
     ) -> None:
         self.sensor, self.at, self.values, self.taken = sensor, at, values, taken
-        self.fixed, self.erroneous, self.weights, self.error = fixed, False, None, None
+        self.fixed, self.erroneous, self.gated = fixed, False, None
+        self.weights = self.error = None
         if sensor.robust and not fixed:
             height, runs = sensor.height, sensor.family.noise.shape[1]
             there = None if taken is None else by_sighting(taken, height, 0)
