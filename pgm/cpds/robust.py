@@ -131,7 +131,7 @@ class StudentT(RobustNoise):
     >>> x, z = Variable("x"), Variable("z")
     >>> cpd = LinearGaussianCPD(z, given={x: 1.0}, cov=1.0, noise=StudentT(3.0))
     >>> cpd.log_density([[0.0], [5.0]], {x: 0.0}).round(3)
-    array([-1.001, -5.469])
+    array([-1.001, -5.468])
     """
 
     dof: float
@@ -257,7 +257,7 @@ class Huber(RobustNoise):
     >>> x, z = Variable("x"), Variable("z")
     >>> cpd = LinearGaussianCPD(z, given={x: 1.0}, cov=1.0, noise=Huber(1.345))
     >>> cpd.log_density([[0.0], [5.0]], {x: 0.0}).round(3)
-    array([-0.977, -6.798])
+    array([-0.979, -6.799])
     """
 
     threshold: float
