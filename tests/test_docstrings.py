@@ -26,6 +26,7 @@ PUBLIC = [
     "pgm.linearisers",
     "pgm.maps",
     "pgm.plot",
+    "pgm.recordings",
 ]
 
 

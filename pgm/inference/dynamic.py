@@ -12,6 +12,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
 from pgm.inference.damping import Damping
+from pgm.inference.gates import Gate
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.value import Grid
 from pgm.inference.particles.posterior import ParticlePosterior
@@ -39,6 +40,7 @@ def filter(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     keep: None = None,
     executor: Executor | None = None,
     belief: None = None,
@@ -56,6 +58,7 @@ def filter(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
     belief: None = None,
@@ -73,6 +76,7 @@ def filter(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     keep: None = None,
     executor: None = None,
     belief: Grid,
@@ -90,6 +94,7 @@ def filter(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     keep: None = None,
     executor: None = None,
     belief: Particles,
@@ -106,6 +111,7 @@ def filter(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
     belief: PointMasses | None = None,
@@ -124,7 +130,7 @@ def filter(
         `Taylor()` if not given.
     steps : int, optional
         T, where no plain array of the evidence tells.
-    iterations, tolerance, damping
+    iterations, tolerance, damping, gate
         Of `Filtering`.
     keep, executor, belief, progress
         As for `infer`.
@@ -150,7 +156,7 @@ def filter(
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([0., 2.]), array([1., 1.]))
     """
-    schedule = Filtering(iterations, tolerance, damping)
+    schedule = Filtering(iterations, tolerance, damping, gate)
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True)
     graph = compile(model, bound.steps)
@@ -171,6 +177,7 @@ def smooth(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     method: Balanced | None = None,
     keep: None = None,
     executor: Executor | None = None,
@@ -191,6 +198,7 @@ def smooth(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
@@ -211,6 +219,7 @@ def smooth(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     method: Balanced | None = None,
     keep: None = None,
     executor: None = None,
@@ -231,6 +240,7 @@ def smooth(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     method: Balanced | None = None,
     keep: None = None,
     executor: None = None,
@@ -250,6 +260,7 @@ def smooth(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
@@ -272,7 +283,7 @@ def smooth(
         As for `infer`; not with a lag.
     lag : int, optional
         Of `FixedLag`, in steps.
-    iterations, tolerance, damping
+    iterations, tolerance, damping, gate
         Of `Smoothing` or `FixedLag`.
     method : Balanced, optional
         Of `compile`: `Balanced()`, or without a chain of slices, whose first linearisation is the
@@ -301,7 +312,7 @@ def smooth(
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([1., 2.]), array([0.75, 1.  ]))
     """
-    rest = iterations, tolerance, damping
+    rest = iterations, tolerance, damping, gate
     schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True)

@@ -257,6 +257,10 @@ def infer(
             f"{schedule!r}: the damping of linearisation points is for dynamic networks; on other "
             "graphs pgm.Flooding(damping=...) damps messages"
         )
+    if isinstance(schedule, Smoothing) and schedule.gate is not None:
+        raise GraphError(
+            f"{schedule!r}: a gate is for dynamic networks, at whose predicted beliefs it decides"
+        )
     if not graph.is_tree and not isinstance(schedule, Loopy):
         advice = f"and {schedule!r} is for trees; give"
         if schedule is None:

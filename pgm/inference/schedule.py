@@ -9,6 +9,7 @@ from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.inference.checks import require_count, require_tolerance
 from pgm.inference.damping import Damping, require_damping
+from pgm.inference.gates import Gate, as_gate
 from pgm.inference.kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.loopy_schedules import Loopy
 
@@ -33,6 +34,11 @@ class Filtering(InCode):
     damping : float or LevenbergMarquardt
         The share of the old point of linearisation that is kept, in [0, 1), or a control of each
         step by its cost.
+    gate : float or mapping of Variable to float, optional
+        The probability within which readings are taken in: a sighting whose squared innovation
+        νᵀS⁻¹ν at the predicted belief exceeds the χ² quantile of it, with as many degrees of
+        freedom as components were measured, is left out, in this run. By sensor, those that are
+        not named have no gate. ``posterior.rejected[z]`` has the record.
 
     Raises
     ------
@@ -55,8 +61,10 @@ class Filtering(InCode):
     iterations: int = 1
     tolerance: float = 1e-9
     damping: Damping = 0.0
+    gate: Gate = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "gate", as_gate(type(self).__name__, self.gate))
         require_count(self, "iterations, which count linearisations,", self.iterations)
         require_tolerance(self, self.tolerance)
         require_damping(self, self.damping)
@@ -130,6 +138,9 @@ class Smoothing(Calibration):
     damping : float or LevenbergMarquardt
         The share of the old point of linearisation that is kept, in [0, 1), or a control of each
         step by its cost.
+    gate : float or mapping of Variable to float, optional
+        As of `Filtering`: decided in the first forward pass and kept, so that all iterations are
+        of the same measurements; with a start, as everything is linearised there.
 
     Raises
     ------
@@ -150,8 +161,10 @@ class Smoothing(Calibration):
     """
 
     damping: Damping = 0.0
+    gate: Gate = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "gate", as_gate(type(self).__name__, self.gate))
         super().__post_init__()
         require_damping(self, self.damping)
 
@@ -159,6 +172,11 @@ class Smoothing(Calibration):
     def kind(self) -> Kind:
         """The kind of the beliefs that it leaves: smoothed."""
         return SMOOTHED
+
+    @property
+    def first(self) -> Filtering:
+        """The filter of the first linearisation."""
+        return Filtering(gate=self.gate)
 
 
 @dataclass(frozen=True)
@@ -196,6 +214,8 @@ class FixedLag(InCode):
     damping : float or LevenbergMarquardt
         The share of the old point of linearisation that is kept, in [0, 1), or a control of each
         step by the cost of the window's trajectory, its prior included.
+    gate : float or mapping of Variable to float, optional
+        As of `Filtering`: decided when a step is new, and kept.
 
     Raises
     ------
@@ -205,7 +225,7 @@ class FixedLag(InCode):
     Examples
     --------
     >>> FixedLag(5)
-    FixedLag(lag=5, iterations=1, tolerance=1e-09, damping=0.0)
+    FixedLag(lag=5, iterations=1, tolerance=1e-09, damping=0.0, gate=None)
 
     References
     ----------
@@ -218,8 +238,10 @@ class FixedLag(InCode):
     iterations: int = 1
     tolerance: float = 1e-9
     damping: Damping = 0.0
+    gate: Gate = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "gate", as_gate(type(self).__name__, self.gate))
         if not is_whole(self.lag) or self.lag < 0:
             raise ModelError(
                 f"{self!r}: a lag is a whole number of steps, 0 or more, not {self.lag!r}; of all "
@@ -237,7 +259,12 @@ class FixedLag(InCode):
     @property
     def filtering(self) -> Filtering:
         """The filter that it is without a lag."""
-        return Filtering(self.iterations, self.tolerance, self.damping)
+        return Filtering(self.iterations, self.tolerance, self.damping, self.gate)
+
+    @property
+    def first(self) -> Filtering:
+        """The filter of a new step."""
+        return Filtering(gate=self.gate)
 
     @property
     def smoothing(self) -> Smoothing:

@@ -18,7 +18,9 @@ from pgm.inference.associations import Found
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.kind import FILTERED, Kind
+from pgm.inference.lost import Lost
 from pgm.inference.posterior import Posterior, require_variable
+from pgm.inference.rejections import Rejections
 from pgm.inference.status import Status
 from pgm.inference.summaries import marginals_over_time, over_time
 from pgm.kernels.arrays import Array, block
@@ -201,6 +203,16 @@ class KeptPosterior(Posterior):
     def innovations(self) -> Mapping[Variable, Innovations]:
         """Not kept: raises EvidenceError."""
         raise EvidenceError(self._missing("innovations"))
+
+    @property
+    def rejected(self) -> Mapping[Variable, Rejections]:
+        """Not kept: raises EvidenceError."""
+        raise EvidenceError(self._missing("rejections by gates"))
+
+    @property
+    def lost(self) -> Lost:
+        """Not kept: raises EvidenceError."""
+        raise EvidenceError(self._missing("innovations, which tell where a belief was lost"))
 
     def joint(self, *variables: Variable) -> NoReturn:
         """Not kept: raises EvidenceError."""
