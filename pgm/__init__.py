@@ -66,6 +66,7 @@ from pgm.inference import (
     KLDSampling,
     LevenbergMarquardt,
     LikelihoodSampling,
+    Lost,
     MostProbable,
     OnlineBelief,
     OnlineFilter,
@@ -78,6 +79,7 @@ from pgm.inference import (
     Particles,
     ParticleStatus,
     Posterior,
+    Rejections,
     Residual,
     Sequential,
     Smoothing,
@@ -105,7 +107,7 @@ from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Discrete, Variable, variables
 
 if TYPE_CHECKING:
-    from pgm import comparison, consistency, maps, plot
+    from pgm import comparison, consistency, maps, plot, recordings
     from pgm.comparison import Comparison, compare
     from pgm.io.networks import (
         from_pgmpy,
@@ -119,12 +121,13 @@ if TYPE_CHECKING:
     )
     from pgm.io.poses import Poses
     from pgm.io.tum import read_tum, write_tum
+    from pgm.recordings.recording import Recording
     from pgm.viewer import view
 
 __version__ = "0.1.0"
 
 # Slow to import, or seldom wanted: loaded when first asked for.
-_MODULES = ("comparison", "consistency", "maps", "plot", "viewer")
+_MODULES = ("comparison", "consistency", "maps", "plot", "recordings", "viewer")
 _LATER = {
     "pgm.comparison": ("Comparison", "compare"),
     "pgm.io.networks": (
@@ -139,6 +142,7 @@ _LATER = {
     ),
     "pgm.io.poses": ("Poses",),
     "pgm.io.tum": ("read_tum", "write_tum"),
+    "pgm.recordings.recording": ("Recording",),
     "pgm.viewer": ("view",),
 }
 
@@ -207,6 +211,7 @@ __all__ = [
     "LinearGaussianCPD",
     "LinearisationError",
     "Lineariser",
+    "Lost",
     "MinFill",
     "MixtureCPD",
     "ModelError",
@@ -231,6 +236,8 @@ __all__ = [
     "Posterior",
     "PrecisionWarning",
     "QuasiMonteCarlo",
+    "Recording",
+    "Rejections",
     "Residual",
     "SampledCPD",
     "Sequential",
@@ -268,6 +275,7 @@ __all__ = [
     "read_uai",
     "read_uai_evidence",
     "read_xmlbif",
+    "recordings",
     "records",
     "shifts",
     "sightings",

@@ -55,8 +55,6 @@ class NonlinearGaussianCPD(ConditionalGaussian):
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
     >>> x, y = pgm.variables("x y")
     >>> cpd = pgm.NonlinearGaussianCPD(
     ...     y, given=x, function=np.sin, cov=0.0, jacobian={x: lambda x: np.cos(x)[..., None]}

@@ -139,6 +139,7 @@ def filtered():
     nameless = pgm.unknown([[30.0, 5.0], [0.0, 9.0]], gate=0.99)
     guess = pgm.sightings(drawn[Z], step=np.arange(STEPS + 1), given={M: nameless})
     guessed = pgm.filter(model, {U: asked[U], Z: guess})
+    gated = pgm.filter(model, batch.evidence, gate=0.9)
     empty = pgm.smooth(model, {U: asked[U]})
     errors = consistency.anees(many[X], batch[X])
     return {
@@ -164,6 +165,9 @@ def filtered():
         "by sensor": one.innovations,
         "weights": one.weights,
         "many weights": many.weights,
+        "rejections": gated.rejected[Z],
+        "rejected": gated.rejected,
+        "lost": gated.lost,
         "associations": guessed.associations[Z],
         "audit": pgm.audit(one, samples=50, rng=0),
         "audits": pgm.audit(many, samples=50, rng=0),
@@ -257,6 +261,12 @@ def logs():
     ranged = pgm.Variable("range")
     turned = np.tile([0.0, 0.0, 0.0, 1.0], (200, 1))
     poses = pgm.Poses(stamps, np.ones((200, 3)), turned)
+    heard = pgm.recordings.Stream(
+        stamps[::-1], np.ones(200), ("range",), subject=np.arange(200) % 3
+    )
+    wheels = pgm.recordings.Stream(stamps, np.ones((200, 2)), ("distance", "turn"))
+    many = {f"sensor {k}": heard for k in range(30)}
+    drive = pgm.Recording(odometry=wheels, sightings=many, landmarks={0: [1.0, 2.0]}, name=HOSTILE)
     log = pgm.timeline(stamps, odometry={turns: odometry}, sensors={ranged: seen})
     return {
         "stamped": odometry,
@@ -268,6 +278,11 @@ def logs():
         "large constant": pgm.constant(np.zeros((1000, 3))),
         "bare sightings": mark,
         "poses": poses,
+        "recording": pgm.Recording(odometry=wheels, sightings={"radio": heard}, truth=poses),
+        "hostile recording": drive,
+        "stream": heard,
+        "empty stream": heard.take(slice(0)),
+        "dropped": drive.dropped[0],
         "one pose": pgm.Poses(stamps[:1], np.zeros((1, 3)), turned[:1]),
     }
 

@@ -93,6 +93,11 @@ class UpdateProblem(ABC, Generic[U]):
         self._weighed: Mask | bool = True
 
     @property
+    def predicted(self) -> Point:
+        """The predicted belief, as a point of linearisation."""
+        return Point(_as_point(self.mean, 1), _as_point(self.cov, 2))
+
+    @property
     def measured(self) -> list[Measured]:
         """The measurements as they were linearised last."""
         return [part.seen for part in self.parts]
@@ -217,7 +222,7 @@ def iterated(reading: UpdateProblem[U], schedule: Filtering) -> IteratedUpdate[U
 
     They are linearised at the predicted belief.
     """
-    predicted = Point(_as_point(reading.mean, 1), _as_point(reading.cov, 2))
+    predicted = reading.predicted
     reading.linearise(predicted, None)
     once = reading.solve()
     linear = all(part.sensor.family.exact for part in reading.parts)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from pgm.inference import faults
-from pgm.inference.chain import readings, refusals
+from pgm.inference.chain import gate, readings, refusals
 from pgm.inference.chain.iterated_update import MomentUpdate, iterated
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments, Reading, Room
@@ -40,6 +40,8 @@ class MomentChain:
         Gives arrays that the moments of a step may be written to, in a sweep of many runs.
     check : bool
         Whether all numbers are looked at, and refused where they are not finite.
+    gated : float or mapping, optional
+        The gates, where no schedule tells.
 
     Attributes
     ----------
@@ -56,8 +58,10 @@ class MomentChain:
         anchor: Anchor | None = None,
         room: Callable[[int], Room] | None = None,
         check: bool = False,
+        gated: gate.Asked | None = None,
     ) -> None:
         layout = plan.layout
+        self.gate = gated if schedule is None else schedule.gate
         self.room = room
         self.plan, self.schedule, self.anchor, self.check = plan, schedule, anchor, check
         self.linearises, self.keeps = schedule is not None, keep and schedule is not None
@@ -151,6 +155,8 @@ class MomentChain:
             if self.check:
                 for part in parts:
                     part.require_finite()
+            if self.gate is not None:
+                seen = gate.decide(self.gate, parts, seen, mean, cov)
             room = None if self.room is None else self.room(step)
             after, density = readings.update(seen, step, belief, room)
             if robust:
@@ -176,6 +182,9 @@ class MomentChain:
     def _iterated(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
     ) -> tuple[Moments, Array | float]:
+        if self.gate is not None:
+            seen = [part.linearise(mean, cov) for part in parts]
+            gate.decide(self.gate, parts, seen, mean, cov)
         found = iterated(MomentUpdate(parts, step, mean, cov), schedule)
         self.residuals = largest(self.residuals, found.residuals)
         self._settled = (

@@ -116,6 +116,11 @@ class ChainPlan:
         return links + [sensor.family for sensor in self.sensors]
 
     @property
+    def read(self) -> list[Sensor]:
+        """The sensors that have measurements."""
+        return [sensor for sensor in self.sensors if sensor.family.step.size]
+
+    @property
     def exact(self) -> bool:
         """Whether every CPD is affine, and those that are read of Gaussian noise."""
         return all(family.exact for family in self.families) and not self.robust
@@ -132,6 +137,7 @@ class ChainPlan:
                 family=sensor.family.of(runs),
                 taken=None if sensor.taken is None else cut(sensor.taken, runs),
                 values=cut(sensor.values, runs),
+                gated=None if sensor.gated is None else sensor.gated.of(runs),
                 cross={},
             )
             for sensor in self.sensors

@@ -20,7 +20,7 @@ from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Careful
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
-from pgm.inference.chain.innovations import BySensor, Innovations, innovations
+from pgm.inference.chain.innovated import Innovated
 from pgm.inference.chain.joints import joint_moments
 from pgm.inference.chain.marginals import Marginals, located
 from pgm.inference.chain.messages import backward_messages
@@ -38,7 +38,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ChainPosterior(Posterior):
+class ChainPosterior(Innovated, Posterior):
     """The beliefs of a chain of clusters after a schedule of messages.
 
     ``posterior[x]`` is a stacked `Gaussian`: states at steps 0..T, hidden controls at 1..T
@@ -62,14 +62,8 @@ class ChainPosterior(Posterior):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> posterior = pgm.smooth(model, {z: [[4.0]]})
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.smooth(walk, {z: [[4.0]]})
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([1., 2.]), array([0.75, 1.  ]))
     >>> posterior.filtered[x].mean.ravel()
@@ -137,17 +131,6 @@ class ChainPosterior(Posterior):
         """
         beliefs = Beliefs(self._swept.mean, self._swept.cov)
         return self._marginals(beliefs if self._windows is None else self._windows.newest, FILTERED)
-
-    @cached_property
-    @quiet()
-    def innovations(self) -> Mapping[Variable, Innovations]:
-        """The innovations of each sensor with evidence."""
-        return BySensor(
-            {
-                sensor.variable: innovations(self._plan, sensor, self._forward)
-                for sensor in self._plan.sensors
-            }
-        )
 
     @cached_property
     def weights(self) -> Mapping[Variable, Array]:

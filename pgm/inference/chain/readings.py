@@ -163,6 +163,8 @@ class Reading:
         "erroneous",
         "error",
         "fixed",
+        "gate",
+        "gated",
         "seen",
         "sensor",
         "taken",
@@ -174,12 +176,16 @@ class Reading:
     # Of robust noise that is to be weighed.
     weights: Weights | None
     error: Array | None
+    # Which sightings a gate has rejected, and their squared lengths, (k, *batch).
+    gated: tuple[Mask, Array] | None
+    gate: float
 
     def __init__(
         self, sensor: Sensor, at: At, values: Array, taken: Mask | None, *, fixed: bool = False
     ) -> None:
         self.sensor, self.at, self.values, self.taken = sensor, at, values, taken
-        self.fixed, self.erroneous, self.weights, self.error = fixed, False, None, None
+        self.fixed, self.erroneous, self.gated = fixed, False, None
+        self.weights = self.error = None
         if sensor.robust and not fixed:
             height, runs = sensor.height, sensor.family.noise.shape[1]
             there = None if taken is None else by_sighting(taken, height, 0)
@@ -231,6 +237,8 @@ class Reading:
         if not sensor.whole:
             mean, cov = mean[sensor.parents], within(cov, sensor.parents)
         height, runs = sensor.height, weights.weight.shape[1]
+        if self.taken is not None:  # a gate may have rejected some since
+            weights.taken = by_sighting(self.taken, height, 0)
         residual = by_sighting(seen.residual(mean), height, 0)
         if sensor.family.expects:
             error = None if self.error is None else own_blocks(self.error, height)

@@ -22,7 +22,7 @@ from pgm.inference.chain.reweighting import reweigh, settled
 from pgm.inference.chain.sensor import linearise_grouped
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.iteration import Anchor, Point, iterate
-from pgm.inference.schedule import ONCE, Smoothing
+from pgm.inference.schedule import Smoothing
 from pgm.inference.status import Status
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, block, components_first, components_last
@@ -91,9 +91,12 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
     cost.require_cost(schedule, plan.families, first=start is None)
     chain = Chain(plan, _in_rounds if _is_long(plan) and schedule.iterations > 1 else swept)
     if start is None:
-        return _iterated(chain, schedule, Smoothed.of(plan, forward.run(plan, ONCE)[0]), None)
+        ahead, _ = forward.run(plan, schedule.first)
+        return _iterated(chain, schedule, Smoothed.of(plan, ahead), None)
     at = _start(plan, start)
     chain.begin(at, reckoned=False)
+    if schedule.gate is not None:
+        forward.stored(plan, gated=schedule.gate)
     return _iterated(chain, schedule, chain.solve(), at)
 
 
@@ -127,10 +130,12 @@ def carefully(
     cost.require_cost(schedule, plan.families, first=start is None and not reckoned)
     chain = Chain(plan, _careful)
     if start is None and not reckoned:
-        swept, _ = careful.sweep(plan, ONCE)
+        swept, _ = careful.sweep(plan, schedule.first)
         return _iterated(chain, schedule, CarefulSmoothed.of(plan, swept), None)
     at = dead_reckoning(plan) if start is None else _start(plan, start)
     chain.begin(at, reckoned=start is None)
+    if schedule.gate is not None:
+        careful.sweep(plan, None, gated=schedule.gate)
     return _iterated(chain, schedule, chain.solve(), at)
 
 

@@ -40,6 +40,11 @@ class Solver(ABC):
     def __init__(self, graph: DynamicGraph, schedule: Any) -> None:
         self.graph, self.schedule = graph, schedule
         self.balanced = isinstance(graph, BalancedGraph)
+        if self.balanced and getattr(schedule, "gate", None) is not None:
+            raise GraphError(
+                f"{schedule!r}: a gate decides at one predicted belief after another, and "
+                f"{titled(graph)} solves for all steps at once: compile without pgm.Balanced()"
+            )
 
     @abstractmethod
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
