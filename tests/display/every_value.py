@@ -165,6 +165,7 @@ def filtered():
         "rejections": gated.rejected[Z],
         "rejected": gated.rejected,
         "lost": gated.lost,
+        "gated": gated,
         "associations": guessed.associations[Z],
         "audit": pgm.audit(one, samples=50, rng=0),
         "audits": pgm.audit(many, samples=50, rng=0),
