@@ -56,13 +56,16 @@ class Log:
     timeline : Timeline
         Controls and ranges as evidence, and what became of every row.
     truth : ndarray
-        (T+1, 3): satellite positions [m] and headings [rad].
+        (n, 3): satellite positions [m] and headings [rad].
+    steps : ndarray of int
+        (n,): of the states whose truth that is.
     beacons : ndarray
         (4, 2) [m].
     """
 
     timeline: Timeline
     truth: Array
+    steps: npt.NDArray[np.int64]
     beacons: Array
 
 
@@ -75,8 +78,11 @@ def find(name: str) -> Path | None:
     return Path(gtsam.findExampleDataFile(SETTINGS[name].file))
 
 
-def load(path: Path, setting: Setting) -> Log:
-    """Read a recording, calibrate its ranges, and lay it on the times of the true positions."""
+def load(path: Path, setting: Setting, *, every_stamp: bool = False) -> Log:
+    """Read a recording, calibrate its ranges, and lay it on the times of the true positions.
+
+    With `every_stamp` there are states at the ranges' own times, too.
+    """
     truth, moved, heard, where = _tables(path)
     place = {int(beacon): (east, north) for beacon, east, north in where}
     strangers = sorted({int(beacon) for beacon in heard[:, 2]} - set(place))
@@ -84,13 +90,16 @@ def load(path: Path, setting: Setting) -> Log:
         raise EvidenceError(f"{path}: the beacons {strangers} in TD have no place in TL")
     ranges = (heard[:, 3] - setting.offset) / setting.scale
     beacons = np.array([place[int(beacon)] for beacon in heard[:, 2]])
+    begin = np.array([[truth[0, 0], 0.0, 0.0]])  # the first increment counts from there
+    rolled = np.concatenate([begin, moved]) if every_stamp else moved
     laid = timeline(
-        truth[:, 0],
-        odometry={travelled: stamped(moved[:, 0], moved[:, 1:])},
+        None if every_stamp else truth[:, 0],
+        odometry={travelled: stamped(rolled[:, 0], rolled[:, 1:])},
         sensors={distance: stamped(heard[:, 0], ranges, {landmark: beacons})},
     )
     poses = truth[:, 1:] + np.array([0.0, 0.0, setting.heading_shift])
-    return Log(laid, poses, np.array(list(place.values())))
+    steps = np.searchsorted(laid.times, truth[:, 0])
+    return Log(laid, poses, steps, np.array(list(place.values())))
 
 
 def _tables(path: Path) -> list[Array]:

@@ -15,7 +15,7 @@ from pgm.display import Listing, Shown, Summary, count, number
 from pgm.errors import ModelError
 from pgm.inference import Innovations
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers, independent
+from pgm.kernels.arrays import Array, Integers, Mask, independent
 from pgm.variables import Variable
 
 # The alternative of a stretch: innovations with so many times the variance.
@@ -50,13 +50,11 @@ class Ranked(Shown):
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
-    >>> z = pgm.Variable("z")
-    >>> steps, one = np.array([0]), np.ones((1, 1, 1))
-    >>> seen = pgm.inference.Innovations(2.0 * one[0], one, steps, np.array([4.0]), np.array([1]))
-    >>> pgm.consistency.ranking({z: seen})[0].bias
-    array([2.])
+    >>> from pgm.examples import walk, z
+    >>> filtered = pgm.filter(walk, {z: [[1.0], [9.0], [1.0], [1.0]]})
+    >>> found = pgm.consistency.ranking(filtered.innovations)[0]
+    >>> found.name, found.first, found.last
+    ('z', 2, 3)
     """
 
     sensor: Variable
@@ -99,7 +97,6 @@ class Ranking(Shown):
 
     Examples
     --------
-    >>> import pgm
     >>> len(pgm.consistency.ranking({}))
     0
     """
@@ -152,6 +149,7 @@ def ranking(
         \qquad P(\max_{ab} \Lambda_{ab} \ge h) \le N e^{-h},
 
     N the number of steps with readings in all runs; the bound is Ville's, at each beginning.
+    Sightings that a gate has rejected count too.
 
     Parameters
     ----------
@@ -181,13 +179,8 @@ def ranking(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> filtered = pgm.filter(model, {z: [[1.0], [9.0], [1.0], [1.0]]})
+    >>> from pgm.examples import walk, z
+    >>> filtered = pgm.filter(walk, {z: [[1.0], [9.0], [1.0], [1.0]]})
     >>> found = pgm.consistency.ranking(filtered.innovations)
     >>> found[0].first, found[0].last
     (2, 3)
@@ -225,23 +218,31 @@ _Steps = tuple[Integers, Array, Integers]
 
 
 def _by_step(innovations: Innovations) -> _Steps:
-    """The NIS of steps, from the joint covariances of their sightings."""
-    read = np.flatnonzero((innovations.dof > 0).any(axis=tuple(range(innovations.dof.ndim - 1))))
-    return read, innovations.nis[..., read], innovations.dof[..., read]
+    """The NIS of steps: of sightings taken in by their joint covariance, of rejected ones each."""
+    nis, dof = np.nan_to_num(innovations.nis), innovations.dof
+    if innovations.rejected.any():
+        own = _by_sighting(innovations, innovations.rejected)
+        nis, dof = nis.copy(), dof.copy()
+        nis[..., own[0]] += np.nan_to_num(own[1])
+        dof[..., own[0]] += own[2]
+    read = np.flatnonzero((dof > 0).any(axis=tuple(range(dof.ndim - 1))))
+    nis, dof = nis[..., read], dof[..., read]
+    return read, np.where(dof > 0, nis, np.nan), dof
 
 
-def _by_sighting(innovations: Innovations, chosen: npt.NDArray[np.bool_]) -> _Steps:
-    """The NIS of steps, from the covariance of each sighting."""
-    residual, cov = innovations.residual[..., chosen, :], innovations.cov[..., chosen, :, :]
-    taken = ~np.isnan(residual)
-    white = roots.whiten(roots.root(independent(cov, taken)), np.where(taken, residual, 0.0))
-    steps, place = np.unique(innovations.step[chosen], return_inverse=True)
+def _by_sighting(innovations: Innovations, chosen: Mask) -> _Steps:
+    """The NIS of steps, from the covariance of each sighting of those chosen, (..., M)."""
+    taken = ~np.isnan(innovations.residual) & chosen[..., None]
+    residual = np.where(taken, innovations.residual, 0.0)
+    white = roots.whiten(roots.root(independent(innovations.cov, taken)), residual)
+    steps, place = np.unique(innovations.step, return_inverse=True)
     nis = np.zeros((len(steps), *white.shape[:-2]))
     dof = np.zeros(nis.shape, dtype=np.intp)
     np.add.at(nis, place, np.moveaxis(np.sum(white**2, axis=-1), -1, 0))
     np.add.at(dof, place, np.moveaxis(taken.sum(axis=-1), -1, 0))
-    nis, dof = np.moveaxis(nis, 0, -1), np.moveaxis(dof, 0, -1)
-    return steps, np.where(dof > 0, nis, np.nan), dof
+    read = np.flatnonzero((dof > 0).any(axis=tuple(range(1, dof.ndim))))
+    nis, dof = np.moveaxis(nis[read], 0, -1), np.moveaxis(dof[read], 0, -1)
+    return steps[read], np.where(dof > 0, nis, np.nan), dof
 
 
 def _ranked(
@@ -249,7 +250,7 @@ def _ranked(
     group: Any,
     found: _Steps,
     innovations: Innovations,
-    chosen: slice | npt.NDArray[np.bool_],
+    chosen: slice | Mask,
     confidence: float,
 ) -> Ranked | None:
     steps, nis, dof = found

@@ -38,7 +38,6 @@ class Associations(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
     >>> x, m, z = pgm.variables("x m z")
     >>> model = pgm.DynamicBayesianNetwork(
     ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],

@@ -132,11 +132,7 @@ def filter(
         T, where no plain array of the evidence tells.
     iterations, tolerance, damping, gate
         Of `Filtering`.
-    keep, executor : optional
-        As for `infer`.
-    belief : Grid or Particles, optional
-        As for `infer`.
-    progress : bool or callable
+    keep, executor, belief, progress
         As for `infer`.
 
     Returns
@@ -155,14 +151,8 @@ def filter(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> posterior = pgm.filter(model, {z: [[4.0]]})
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.filter(walk, {z: [[4.0]]})
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([0., 2.]), array([1., 1.]))
     """
@@ -287,12 +277,8 @@ def smooth(
     Parameters
     ----------
     model : DynamicBayesianNetwork
-    evidence : mapping of Variable
-        As for `infer`.
-    lineariser : Lineariser, optional
-        `Taylor()` if not given.
-    steps : int, optional
-        T, where no plain array of the evidence tells.
+    evidence, lineariser, steps
+        As of `filter`.
     start : mapping of Variable to array_like, optional
         As for `infer`; not with a lag.
     lag : int, optional
@@ -306,21 +292,13 @@ def smooth(
         numbers, the components of a slice times the runs) and costs no digits (no noise-free or
         grouped measurements, none that shrink a variance more than 4·10⁶ times); else step by step.
         `Balanced()` saves the filter's sweep, and starts from dead reckoning.
-    keep, executor : optional
-        As for `infer`.
-    belief : Grid or Particles, optional
-        As for `infer`.
-    progress : bool or callable
+    keep, executor, belief, progress
         As for `infer`.
 
     Returns
     -------
-    ChainPosterior
-        ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
-        `KeptPosterior` with ``keep``. Of a network of tables a `StatePosterior`, whose
-        ``posterior[x]`` is a `Table` of probabilities (..., T+1, size). With ``belief`` a
-        `GridPosterior`, whose ``posterior[x]`` is a `GridBelief`, or a `ParticlePosterior` of
-        `ParticleBelief`s.
+    ChainPosterior, or another
+        As of `filter`.
 
     Raises
     ------
@@ -329,14 +307,8 @@ def smooth(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> posterior = pgm.smooth(model, {z: [[4.0]]})
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.smooth(walk, {z: [[4.0]]})
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([1., 2.]), array([0.75, 1.  ]))
     """

@@ -209,13 +209,8 @@ def infer(
 
     Examples
     --------
-    >>> import pgm
-    >>> a, b = pgm.variables("a b")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(a, 0.0, 1.0),
-    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
-    ... ])
-    >>> posterior = pgm.infer(pgm.compile(net), {b: [2.0]})
+    >>> from pgm.examples import a, b, pair
+    >>> posterior = pgm.infer(pgm.compile(pair), {b: [2.0]})
     >>> posterior[a]
     Gaussian(a)
          mean ± deviation

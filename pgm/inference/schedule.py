@@ -51,14 +51,8 @@ class Filtering(InCode):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> graph = pgm.compile(model, steps=1)
+    >>> from pgm.examples import walk, x, z
+    >>> graph = pgm.compile(walk, steps=1)
     >>> posterior = pgm.infer(graph, {z: [[4.0]]}, schedule=pgm.Filtering())
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([0., 2.]), array([1., 1.]))
@@ -107,13 +101,8 @@ class Calibration(InCode):
 
     Examples
     --------
-    >>> import pgm
-    >>> a, b = pgm.variables("a b")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(a, 0.0, 1.0),
-    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net, method=pgm.JunctionTree())
+    >>> from pgm.examples import a, b, pair
+    >>> graph = pgm.compile(pair, method=pgm.JunctionTree())
     >>> posterior = pgm.infer(graph, {b: [2.0]}, schedule=pgm.Calibration())
     >>> posterior[a]
     Gaussian(a)
@@ -164,14 +153,8 @@ class Smoothing(Calibration):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> graph = pgm.compile(model, steps=1)
+    >>> from pgm.examples import walk, x, z
+    >>> graph = pgm.compile(walk, steps=1)
     >>> posterior = pgm.infer(graph, {z: [[4.0]]}, schedule=pgm.Smoothing())
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([1., 2.]), array([0.75, 1.  ]))

@@ -20,7 +20,7 @@ def made(residual, step, cov=1.0):
     np.add.at(dof, (..., step), taken)
     covs = np.where(taken, cov, np.nan)[..., None, None]
     nis[dof == 0] = np.nan
-    return Innovations(residual[..., None], covs, step, nis, dof)
+    return Innovations(residual[..., None], covs, step, nis, dof, np.zeros(residual.shape, bool))
 
 
 def test_mean_bias_and_order_are_those_of_sums():
@@ -90,6 +90,17 @@ def test_joint_covariances_of_a_step_are_used_where_sightings_are_not_divided():
     square = np.array([3.0, 1.0]) @ np.linalg.solve(joint, [3.0, 1.0])
     row = pgm.consistency.ranking(filtered.innovations)[0]
     assert row.average.value == pytest.approx(square / 2.0)
+
+
+def test_rejected_sightings_count():
+    whole = made([1.0, 9.0, -2.0, 1.0], [0, 1, 1, 2])
+    nis, dof = whole.nis.copy(), whole.dof.copy()
+    nis[1], dof[1] = 4.0, 1
+    rejected = np.array([False, True, False, False])
+    gated = Innovations(whole.residual, whole.cov, whole.step, nis, dof, rejected)
+    both = [pgm.consistency.ranking({z: each})[0] for each in (whole, gated)]
+    np.testing.assert_allclose(both[0].nis, both[1].nis)
+    np.testing.assert_array_equal(both[0].dof, both[1].dof)
 
 
 def test_a_sensor_without_a_reading_is_left_out():

@@ -245,6 +245,10 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         """Linearise a sensor's measurements."""
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 
+    def raised(self, found: CarefulUpdate, surplus: Array | float) -> CarefulUpdate:
+        """The same belief, of measurements whose log-density is so much larger."""
+        return replace(found, log_density=found.log_density + surplus)
+
     @quiet()
     def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
         """The belief given the measurements."""

@@ -325,7 +325,7 @@ def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
 
 def _settled(chain: Chain[Either], schedule: FixedLag) -> Iterated[Either]:
     plan = chain.plan
-    linear = all(family.exact for family in plan.families if family.step.size)
+    linear = all(family.settled for family in plan.families if family.step.size)
     nothing = np.full(plan.runs, linear)
     return iterate(chain, chain.solve(), schedule.smoothing, nothing)
 

@@ -137,14 +137,8 @@ class KeptPosterior(Posterior):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> posterior = pgm.smooth(model, {z: [[4.0]]}, keep=x)
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.smooth(walk, {z: [[4.0]]}, keep=x)
     >>> posterior[x].mean.ravel()
     array([1., 2.])
     >>> posterior[x.at(0)].cov

@@ -16,7 +16,7 @@ from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments, Reading, Room
 from pgm.inference.iteration import Anchor
 from pgm.inference.rows import At
-from pgm.inference.schedule import Filtering
+from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Mask, components_first, components_last, times, within
@@ -146,7 +146,10 @@ class MomentChain:
         """The belief given measurements of its step, and their log-density."""
         mean, cov, _ = belief
         schedule = self.schedule
-        if schedule is None or not self.iterates or self.plan.linear:
+        robust = self.plan.robust
+        if schedule is not None and robust and any(part.weights is not None for part in parts):
+            after, density = self._reweighed(parts, step, mean, cov, schedule)
+        elif schedule is None or not self.iterates or self.plan.linear:
             several = len(parts) > 1
             seen = [part.linearise(mean, cov, None, several) for part in parts]
             if self.check:
@@ -156,6 +159,8 @@ class MomentChain:
                 seen = gate.decide(self.gate, parts, seen, mean, cov)
             room = None if self.room is None else self.room(step)
             after, density = readings.update(seen, step, belief, room)
+            if robust:
+                density = density + sum(part.surplus for part in parts)
         else:
             after, density = self._iterated(parts, step, mean, cov, schedule)
         if self.keeps:
@@ -164,6 +169,15 @@ class MomentChain:
         return (
             after if self.anchor is None else after.held(self.anchor, step - self.plan.first)
         ), density
+
+    def _reweighed(
+        self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
+    ) -> tuple[Moments, Array | float]:
+        if self.check:
+            for part in parts:
+                part.linearise(mean, cov)
+                part.require_finite()
+        return self._iterated(parts, step, mean, cov, schedule if self.iterates else ONCE)
 
     def _iterated(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering

@@ -102,9 +102,10 @@ class FilterSolver(Solver):
 
     def _refuse_nonlinear(self, plan: ChainPlan) -> None:
         for family in plan.families:
-            if not family.exact:
+            if not family.settled:
+                kind = "of robust noise" if family.exact else "nonlinear"
                 raise GraphError(
-                    f"{family.cpd!r} is nonlinear, and {titled(self.graph)} solves for all steps "
+                    f"{family.cpd!r} is {kind}, and {titled(self.graph)} solves for all steps "
                     "at once, where a filter linearises at the belief before: compile without "
                     "pgm.Balanced(), or smooth"
                 )

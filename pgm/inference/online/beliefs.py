@@ -56,14 +56,8 @@ class OnlineBelief(Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> robot = pgm.OnlineFilter(model)
+    >>> from pgm.examples import walk, x, z
+    >>> robot = pgm.OnlineFilter(walk)
     >>> belief = robot.predict(robot.initial())
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x]

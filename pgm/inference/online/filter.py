@@ -92,14 +92,8 @@ class OnlineFilter(InCode, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> robot = pgm.OnlineFilter(model)
+    >>> from pgm.examples import walk, x, z
+    >>> robot = pgm.OnlineFilter(walk)
     >>> belief = robot.predict(robot.initial())
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x].mean, belief[x].cov
@@ -373,7 +367,7 @@ class OnlineFilter(InCode, Immutable):
             )
         else:
             log_evidence = np.array(belief.log_evidence.item() + float(log_density))
-        if chain.residuals or plan.lead:
+        if chain.residuals or plan.lead or plan.robust:
             status = Status.of(chain.residuals, chain.converged, plan.lead)
         else:
             status = _DONE if plan.linear else _LINEARISED

@@ -7,7 +7,7 @@ from typing import Any
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.inference.chain.gate import require_sensors
-from pgm.inference.checks import require_gaussian, require_lineariser
+from pgm.inference.checks import require_gaussian, require_lineariser, require_plain
 from pgm.inference.gates import Gate
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.networks import DynamicBayesianNetwork
@@ -48,6 +48,7 @@ def require_settings(
             f"an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not {schedule!r}"
         )
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
+    require_plain(model.transition)
     require_sensors(model, schedule.gate)
     for cpd in model.prior:
         cpd.require_proper("an online filter begins at a belief, which has moments")

@@ -57,13 +57,8 @@ def ranking(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> filtered = pgm.filter(model, {z: [[1.0], [9.0], [1.0], [1.0]]})
+    >>> from pgm.examples import walk, z
+    >>> filtered = pgm.filter(walk, {z: [[1.0], [9.0], [1.0], [1.0]]})
     >>> ax = pgm.plot.ranking(pgm.consistency.ranking(filtered.innovations))
     """
     if not isinstance(found, Ranking) or not len(found):
