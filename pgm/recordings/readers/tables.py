@@ -243,7 +243,7 @@ def _asked(part: str, given: Any) -> dict[str, tuple[str | int, float]]:
             )
         if unit not in UNITS or len(units) > 1:
             raise EvidenceError(
-                f"columns[{part!r}][{name!r}]: no unit {unit!r}; {listed(UNITS, 99)}"
+                f"columns[{part!r}][{name!r}]: {unit!r} is no unit; known are {listed(UNITS, 99)}"
             )
         scale = UNITS[unit]
         found[name] = (column, scale**2 if VARIANCE in name else scale)
