@@ -236,7 +236,7 @@ PART = Stream([0.0, 1.0], [[1.0], [2.0]], ("range",), subject=[1, 2])
             lambda: Recording(odometry=odometry(), sightings={"a": PART}).timeline(
                 odometry=u, sensors={pgm.Variable("z", components=("range",)): "a"}, landmark=m
             ),
-            r"2 sightings of 'a' \(rows 0, 1\) are of 1, 2, which have no place",
+            r"of 'a', 2 rows \(rows 0, 1\) have a subject without a place, 1, 2;",
         ),
         (
             lambda: Recording(odometry=odometry(), sightings={"a": heard([1.0])}).timeline(
