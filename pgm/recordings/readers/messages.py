@@ -112,17 +112,19 @@ def _scans(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     """Messages of sensor_msgs/LaserScan."""
     if not rows:
         return None, []
-    settings = {(m.angle_min, m.angle_increment, m.range_max, len(m.ranges)) for m in rows}
+    settings = {
+        (m.angle_min, m.angle_increment, m.range_min, m.range_max, len(m.ranges)) for m in rows
+    }
     if len(settings) > 1:
         raise origin.fault(
-            f"{topic}: scans of {len(settings)} kinds (first angle, step, largest range, rays), as "
+            f"{topic}: scans of {len(settings)} kinds (first angle, step, ranges, rays), as "
             f"{sorted(settings)[:2]}; one kind was due"
         )
-    start, step, most, count = settings.pop()
+    start, step, least, most, count = settings.pop()
     ranges = _table([m.ranges for m in rows], count)
     # By REP 117 infinity is nothing in reach, and what is too near or no reading is NaN.
     with np.errstate(invalid="ignore"):
-        ranges[ranges < rows[0].range_min] = np.nan
+        ranges[ranges < least] = np.nan
     stamps = _stamps(rows)
     told = []
     if (back := np.flatnonzero(np.diff(stamps) < 0.0) + 1).size:

@@ -81,8 +81,8 @@ def read_csv(
     Returns
     -------
     Recording
-        A line is no row of a stream for which all its cells are empty, and `dropped` says how many
-        were. Of a sensor a component may be missing.
+        A line is no row of a stream for which all its cells are empty; `dropped` tells of lines
+        that are of none. Of a sensor a component may be missing.
 
     Raises
     ------
@@ -120,15 +120,16 @@ def read_csv(
         _, header = next(rows, (0, ()))
     table = list(rows)
     streams: dict[str, Stream] = {}
-    told: list[Dropped] = []
+    empty = np.ones(len(table), dtype=bool)
     for part, wanted in asked.items():
         places = {
             name: (_place(column, header, table, held.origin), unit)
             for name, (column, unit) in wanted.items()
         }
         with files.told_of(held.origin):
-            streams[part], lost = _stream(part, places, table, held.origin, begin)
-        told += lost
+            streams[part], filled = _stream(part, places, table, held.origin, begin)
+        empty[filled] = False
+    told = [Dropped("table", "of no stream", np.flatnonzero(empty))] if empty.any() else []
     sensors = {part: stream for part, stream in streams.items() if part not in _STREAMS}
     with files.told_of(held.origin):
         return Recording(
@@ -146,11 +147,11 @@ def _stream(
     table: Sequence[tuple[int, Sequence[str]]],
     origin: Origin,
     begin: float | None,
-) -> tuple[Stream, list[Dropped]]:
-    """The rows of a stream, and those lines that have none of it."""
+) -> tuple[Stream, list[int]]:
+    """A stream, and the rows of the table that it has its rows from."""
     names = [name for name in places if name not in (STAMP, SUBJECT) and VARIANCE not in name]
     spreads = [name for name in names if VARIANCE + name in places]
-    empty, stamps, values, variances, subjects = [], [], [], [], []
+    filled, stamps, values, variances, subjects = [], [], [], [], []
     for row, (line, cells) in enumerate(table):
         if len(cells) <= max(at for at, _ in places.values()):
             raise origin.fault(
@@ -160,8 +161,8 @@ def _stream(
             )
         words = {name: cells[at].strip() for name, (at, _) in places.items()}
         if not any(words[name] for name in (*names, *([SUBJECT] if SUBJECT in words else []))):
-            empty.append(row)
             continue
+        filled.append(row)
         found = {
             name: _cell(word, places[name][1], line, origin, part not in _MOTION and name in names)
             for name, word in words.items()
@@ -179,7 +180,7 @@ def _stream(
         variances=_variances(variances, len(names)) if spreads else None,
         begin=begin if part == "odometry" else None,
     )
-    return stream, [Dropped(part, "empty in these rows", np.array(empty))] if empty else []
+    return stream, filled
 
 
 def _variances(rows: Sequence[Sequence[float]], width: int) -> Array:
@@ -243,7 +244,7 @@ def _asked(part: str, given: Any) -> dict[str, tuple[str | int, float]]:
             )
         if unit not in UNITS or len(units) > 1:
             raise EvidenceError(
-                f"columns[{part!r}][{name!r}]: no unit {unit!r}; {listed(UNITS, 99)}"
+                f"columns[{part!r}][{name!r}]: {unit!r} is no unit; known are {listed(UNITS, 99)}"
             )
         scale = UNITS[unit]
         found[name] = (column, scale**2 if VARIANCE in name else scale)
