@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,16 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.display import NoArray, Shown, Summary, number, stacked
-from pgm.errors import EvidenceError
-from pgm.factors.scope import listed
+from pgm.inference.by_sensor import EachSensor
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import stacks
-from pgm.inference.posterior import require_variable
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, sandwich
-from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,37 +77,13 @@ class Innovations(Shown, NoArray):
         )
 
 
-class BySensor(Shown, Mapping[Variable, Innovations]):
+class BySensor(EachSensor[Innovations]):
     """The innovations of each sensor that was read."""
 
-    def __init__(self, innovations: Mapping[Variable, Innovations]) -> None:
-        self._innovations = dict(innovations)
-
-    def __getitem__(self, variable: Variable) -> Innovations:
-        if require_variable(variable) not in self._innovations:
-            raise EvidenceError(
-                f"there are no innovations of {variable!r}; measurements were given of "
-                f"{list(self)}",
-                variable=variable,
-            )
-        return self._innovations[variable]
-
-    def __contains__(self, variable: object) -> bool:
-        return variable in self._innovations
-
-    def __iter__(self) -> Iterator[Variable]:
-        return iter(self._innovations)
-
-    def __len__(self) -> int:
-        return len(self._innovations)
-
-    @property
-    def _title(self) -> str:
-        return f"BySensor({listed(self._innovations)})"
+    _what = "innovations"
 
     def _summary(self) -> Summary:
-        each = [f"{v!r}: {found._title}" for v, found in self._innovations.items()]
-        return Summary(self._title, each)
+        return Summary(self._title, [f"{v!r}: {found._title}" for v, found in self.items()])
 
 
 def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovations:
