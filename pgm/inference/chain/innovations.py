@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -51,7 +51,7 @@ class Innovations(Shown, NoArray):
     step: Integers
     nis: Array
     dof: Integers
-    rejected: Mask
+    rejected: Mask = field(default_factory=lambda: np.zeros((), dtype=bool))
 
     _arrays: ClassVar[str] = ".residual, .cov and .nis"
 
@@ -145,7 +145,8 @@ def whitened(innovations: Innovations) -> Array:
     runs = math.prod(shape[:-2])
     residual = innovations.residual.reshape(runs, *shape[-2:])
     cov = innovations.cov.reshape(*residual.shape, shape[-1])
-    taken = ~np.isnan(residual) & ~innovations.rejected.reshape(runs, -1, 1)
+    rejected = np.broadcast_to(innovations.rejected, shape[:-1]).reshape(residual.shape[:2])
+    taken = ~np.isnan(residual) & ~rejected[..., None]
     white = roots.whiten(roots.root(independent(cov, taken)), np.where(taken, residual, 0.0))
 
     order = np.argsort(innovations.step, kind="stable")
