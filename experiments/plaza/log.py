@@ -55,7 +55,9 @@ class Log:
     timeline : Timeline
         Controls and ranges as evidence, and what became of every row.
     truth : ndarray
-        (T+1, 3): satellite positions [m] and headings [rad].
+        (n, 3): satellite positions [m] and headings [rad].
+    steps : ndarray of int
+        (n,): of the states whose truth that is.
     beacons : ndarray
         (4, 2) [m].
     """
@@ -63,6 +65,7 @@ class Log:
     recording: Recording
     timeline: Timeline
     truth: Array
+    steps: npt.NDArray[np.int64]
     beacons: Array
 
 
@@ -75,13 +78,20 @@ def find(name: str) -> Path | None:
     return Path(gtsam.findExampleDataFile(SETTINGS[name].file))
 
 
-def load(path: Path, setting: Setting) -> Log:
-    """Read a recording, calibrate its ranges, and lay it on the times of the true positions."""
+def load(path: Path, setting: Setting, *, every_stamp: bool = False) -> Log:
+    """Read a recording, calibrate its ranges, and lay it on the times of the true positions.
+
+    With `every_stamp` there are states at the ranges' own times, too.
+    """
     drive = read_plaza(path).calibrated("radio", setting.scale, setting.offset)
     truth = drive.truth
     assert truth is not None
     laid = drive.timeline(
-        truth.stamps, odometry=travelled, sensors={distance: "radio"}, landmark=landmark
+        None if every_stamp else truth.stamps,
+        odometry=travelled,
+        sensors={distance: "radio"},
+        landmark=landmark,
     )
     poses = truth.values + np.array([0.0, 0.0, setting.heading_shift])
-    return Log(drive, laid, poses, np.array(list(drive.landmarks.values())))
+    steps = np.searchsorted(laid.times, truth.stamps)
+    return Log(drive, laid, poses, steps, np.array(list(drive.landmarks.values())))

@@ -87,7 +87,7 @@ def write_tum(
 
     Examples
     --------
-    >>> import io, pgm
+    >>> import io
     >>> x = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
     >>> path = pgm.Gaussian(x, [[0, 0, 0], [1, 0.5, np.pi / 2]], cov=0.01, steps=[0, 1])
     >>> file = io.StringIO()

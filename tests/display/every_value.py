@@ -138,6 +138,7 @@ def filtered():
     nameless = pgm.unknown([[30.0, 5.0], [0.0, 9.0]], gate=0.99)
     guess = pgm.sightings(drawn[Z], step=np.arange(STEPS + 1), given={M: nameless})
     guessed = pgm.filter(model, {U: asked[U], Z: guess})
+    gated = pgm.filter(model, batch.evidence, gate=0.9)
     empty = pgm.smooth(model, {U: asked[U]})
     errors = consistency.anees(many[X], batch[X])
     return {
@@ -161,6 +162,9 @@ def filtered():
         "innovations": one.innovations[Z],
         "many innovations": many.innovations[Z],
         "by sensor": one.innovations,
+        "rejections": gated.rejected[Z],
+        "rejected": gated.rejected,
+        "lost": gated.lost,
         "associations": guessed.associations[Z],
         "audit": pgm.audit(one, samples=50, rng=0),
         "audits": pgm.audit(many, samples=50, rng=0),

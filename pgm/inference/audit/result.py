@@ -89,13 +89,8 @@ class Audit(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, y = pgm.variables("x y")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(x, 3.0, 1.0),
-    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
-    ... ])
-    >>> posterior = pgm.infer(pgm.compile(net), {y: [9.0]})
+    >>> from pgm.examples import square, x, y
+    >>> posterior = pgm.infer(pgm.compile(square), {y: [9.0]})
     >>> found = pgm.audit(posterior, rng=0)
     >>> bool(found.trusted), bool(found.suspect)
     (True, False)

@@ -243,6 +243,24 @@ def test_many_sensors_alike_share_a_line():
     assert labels(ax, Ellipse) == ["x[0]", "x[0], x[1]\n7 of z1…z8[1] ×11"]
 
 
+@pytest.mark.parametrize(
+    ("count", "due"), [(5, "z1[0]\nz2[0]\nz3[0]\nz4[0]\nz5[0]"), (6, "z1…z6[0]")]
+)
+def test_sensors_are_listed_alike_in_all_clusters(count, due):
+    x, u = pgm.variables("x u")
+    z = pgm.variables([f"z{k + 1}" for k in range(count)])
+    linear = pgm.LinearGaussianCPD
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+        transition=[linear(x, given={x.previous: 1.0, u: 1.0}, cov=0.1)],
+        observation=[linear(one, given={x: 1.0}, cov=0.1) for one in z],
+    )
+    seen = {one: pgm.sightings(np.ones((2, 1)), step=[0, 1]) for one in z} | {u: [[1.0]]}
+    first, second = labels(pgm.plot.cluster_graph(pgm.compile(model, 1), evidence=seen), Ellipse)
+    assert first == f"x[0]\n{due}"
+    assert second.endswith(due.replace("[0]", "[1]"))
+
+
 def test_stubs_of_a_tree_lead_to_each_cluster_left_out(any_graph):
     a, *rest = pgm.variables("a b c d e f")
     tree = any_graph([(a,), *((a, v) for v in rest)], [(0, 1), (0, 2), (0, 3), (1, 4), (2, 5)])
