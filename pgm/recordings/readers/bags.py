@@ -83,7 +83,6 @@ def read_bag(
 
     Examples
     --------
-    >>> import pgm
     >>> drive = pgm.recordings.read_bag("drive.bag", ["/odom", "/gps"])    # doctest: +SKIP
     """
     highlevel = optional("rosbags.highlevel", "read_bag", EXTRA)
