@@ -246,8 +246,9 @@ def _word(schedule: Any) -> str:
         word = f"fixed lag {schedule.lag}"
     else:
         word = _WORDS.get(type(schedule), repr(schedule))
-    iterations = getattr(schedule, "iterations", 1)
-    return word if iterations == 1 else f"{word} × {iterations}"
+    iterations, gate = getattr(schedule, "iterations", 1), getattr(schedule, "gate", None)
+    word = word if iterations == 1 else f"{word} × {iterations}"
+    return word if gate is None else f"{word}, gate {gate}"
 
 
 def _require_schedule(schedule: Any) -> None:

@@ -34,7 +34,7 @@ class Gates(Immutable, Mapping[Variable, float]):
         return hash(frozenset(self._gates.items()))
 
     def __repr__(self) -> str:
-        return repr(self._gates)
+        return repr(dict(self._gates))
 
 
 Gate = float | Mapping[Variable, float] | None

@@ -101,6 +101,7 @@ def test_it_recovers_when_the_sensor_does():
         assert each.why == "rejections"
         assert 0.4 < each.value <= 1.0
     assert "rejections" in str(found)
+    assert "Rejections(" in str(pgm.filter(MODEL, {z: readings}, gate=0.99))
     assert str(found.stretches[3]).startswith("run 3: steps 101..")
 
 

@@ -380,4 +380,5 @@ class ChainPosterior(Innovated, Posterior):
 
     def _summary(self) -> Summary:
         hidden, last = self.graph.layout.slice, self.graph.steps
-        return over_time(self._title, self, hidden, self._planned.lead, last)
+        told = [f"{v!r}: {found._title}" for v, found in self.rejected.items()]
+        return over_time(self._title, self, hidden, self._planned.lead, last, told)

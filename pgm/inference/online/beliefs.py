@@ -218,7 +218,12 @@ class OnlineBelief(Shown, NoArray, Immutable):
 
     def _summary(self) -> Summary:
         known = self.layout.slice if self.step else self.layout.states
-        return at_a_step(self._title, self, known, self.lead)
+        found = at_a_step(self._title, self, known, self.lead)
+        told = [f"{v!r}: {those._title}" for v, those in self.rejected.items()]
+        if self.watch is not None and self.lost.any():
+            since = self.lost_since[self.lost].min()
+            told.append(f"lost since step {since}, {int(self.lost.sum())} of {self.lost.size} runs")
+        return Summary(found.title, [*told, *found.parts]) if told else found
 
 
 def belief_of(

@@ -136,7 +136,8 @@ class OnlineFilter(InCode, Immutable):
         """The filter itself; of point masses, or of tables, one of its own kind."""
         discrete = isinstance(model, DynamicBayesianNetwork) and model.discrete
         if belief is not None or discrete:
-            require_neither(gate, watch)
+            own = getattr(schedule, "gate", None)
+            require_neither(own if gate is None else gate, watch)
         if belief is not None:
             return online_points(belief, model, lineariser, schedule, lag)
         if discrete:
