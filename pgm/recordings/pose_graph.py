@@ -18,8 +18,8 @@ from pgm.recordings.scans import Scans
 from pgm.recordings.stream import Stream
 
 
-@dataclass(frozen=True, eq=False)
-class Edges:
+@dataclass(frozen=True, eq=False, repr=False)
+class Edges(Shown):
     """Measurements between vertices.
 
     Attributes
@@ -45,6 +45,10 @@ class Edges:
 
     def __len__(self) -> int:
         return self.first.size
+
+    @property
+    def _title(self) -> str:
+        return f"Edges({count(len(self), 'edge')} of {self.motions.shape[1]} numbers each)"
 
     @property
     def covariances(self) -> Array:
