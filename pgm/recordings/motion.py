@@ -14,6 +14,7 @@ import numpy as np
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.io.stamped import SAME, clock, rows_text
+from pgm.io.states import joined as joined_stamps
 from pgm.kernels import twists
 from pgm.kernels.arrays import Array, Integers
 from pgm.recordings.stream import Stream
@@ -210,8 +211,5 @@ def joined(one: Stream, other: Stream) -> Stream:
 
 def merged(axis: Array, others: Sequence[Array]) -> Array:
     """An axis of times with other stamps between its ends; those of one moment are one."""
-    own = np.unique(np.concatenate([axis, *others]))
-    own = own[(own >= axis[0]) & (own <= axis[-1])]
-    after = np.searchsorted(axis, own).clip(1, max(axis.size - 1, 1)) % axis.size
-    own = own[np.minimum(np.abs(own - axis[after - 1]), np.abs(own - axis[after])) > SAME]
-    return np.union1d(axis, own[np.diff(own, prepend=-np.inf) > SAME])
+    stamps = np.sort(np.concatenate([np.empty(0), *others]))
+    return joined_stamps(axis, stamps[(stamps >= axis[0]) & (stamps <= axis[-1])])
