@@ -55,6 +55,7 @@ def run(
     for name, file in files.items():
         assert file is not None
         log = plaza_log.load(file, SETTINGS[name])
+        record.note(f"{name}: {log.recording!r}")
         record.note(f"{name}: {log.timeline!r}")
         results[name], posteriors = localise(log, SETTINGS[name], name)
         record.figure(

@@ -57,7 +57,11 @@ def command(experiments: dict[str, ModuleType]) -> Callable[..., None]:
         study = Study(function, grid, runs=runs, seed=seed, part_size=part_size)
         place = folder or Path("results") / f"sweep_{name}"
         progress = True if sys.stderr.isatty() else Lines(note)
-        study.run(place, scheduler=scheduler, workers=workers, progress=progress)
+        try:
+            study.run(place, scheduler=scheduler, workers=workers, progress=progress)
+        except KeyboardInterrupt:
+            note(f"stopped; the same command goes on from the parts in {place}")
+            raise typer.Exit(130) from None
         leave(name, study.table(place), place)
 
     return sweep
@@ -109,7 +113,7 @@ class Lines:
 
     def __init__(self, tell: Callable[[str], object]) -> None:
         self._tell = tell
-        self._began = self._told = monotonic()
+        self._began = self._told = self._first = monotonic()
 
     def __call__(self, done: int, total: int) -> None:
         """Tell, unless it was told just before."""
@@ -117,11 +121,15 @@ class Lines:
         if not done:
             self._began = self._told = now
             self._tell(f"{total:,} parts are missing")
-        elif done == total or now - self._told >= QUIET:
+            return
+        if done == 1:
+            self._first = now  # before it workers start, which says nothing of their speed
+        if done == total:
+            self._tell(f"{total:,} of {total:,} parts, {duration(now - self._began)}")
+        elif done > 1 and now - self._told >= QUIET:
             self._told = now
-            rest = (now - self._began) * (total - done) / done
-            left = f"about {duration(rest)} left" if done < total else duration(now - self._began)
-            self._tell(f"{done:,} of {total:,} parts, {left}")
+            rest = (now - self._first) * (total - done) / (done - 1)
+            self._tell(f"{done:,} of {total:,} parts, about {duration(rest)} left")
 
 
 def duration(seconds: float) -> str:

@@ -12,8 +12,8 @@ from pgm.errors import FileError
 from pgm.io.sources import Content, Origin
 from pgm.kernels.arrays import Array
 
-# Words of a line that a message shows.
-_SHOWN = 12
+# Letters of a word that a message shows.
+_SHOWN = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +40,15 @@ class Line:
 
     def finite(self, words: Sequence[str], due: str) -> list[float]:
         """The finite numbers that some of the words are."""
-        try:
-            found = [_float(word) for word in words]
-        except ValueError:
-            found = [math.nan]
-        if not all(map(math.isfinite, found)):
-            shown = " ".join(self.words[:_SHOWN]) + " ..." * (len(self.words) > _SHOWN)
-            raise self.fault(f"{shown!r}; {due}, in finite numbers, was due")
+        found = []
+        for word in words:
+            try:
+                found.append(_float(word))
+            except ValueError:
+                found.append(math.nan)
+            if not math.isfinite(found[-1]):
+                shown = word if len(word) <= _SHOWN else word[:_SHOWN] + "..."
+                raise self.fault(f"{shown!r}; {due}, in finite numbers, was due")
         return found
 
     def whole(self, word: str, what: str) -> int:

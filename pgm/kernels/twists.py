@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.kernels.angles import TURN
+from pgm.kernels.angles import TURN, wrap
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.planar import turned
 
@@ -48,6 +48,12 @@ def path(start: Array, parts: Array) -> Array:
     headings = start[2] + np.concatenate([[0.0], np.cumsum(parts[:, 2])])
     steps = np.cumsum(turned(parts[:, :2], headings[:-1]), axis=0)
     return np.column_stack([np.concatenate([start[None, :2], start[:2] + steps]), headings])
+
+
+def between(poses: Array) -> Array:
+    """The motions (n − 1, 3) from each pose (n, 3) to the next, turning by half a turn at most."""
+    away = np.diff(poses, axis=0)
+    return np.column_stack([turned(away[:, :2], -poses[:-1, 2]), wrap(away[:, 2])])
 
 
 def _sinc(angle: Array) -> Array:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pgm.boundary import as_mapping
+from pgm.display import count
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.io.controls import DT
@@ -121,8 +122,9 @@ def places(recording: Recording, name: str, landmark: Variable) -> Array:
     if lost.any():
         strangers = sorted(set(stream.subject[lost].tolist()), key=str)
         raise EvidenceError(
-            f"{lost.sum()} sightings of {name!r} ({rows_text(np.flatnonzero(lost))}) are of "
-            f"{listed(strangers)}, which have no place; recording.located() leaves them out",
+            f"of the sightings of {name!r}, {count(int(lost.sum()), 'row')} "
+            f"({rows_text(np.flatnonzero(lost))}) have a subject without a place, "
+            f"{listed(strangers)}; recording.located() leaves them out",
             variable=landmark,
         )
     size = landmark.dimension

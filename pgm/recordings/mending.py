@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pgm.kernels.arrays import Integers, Mask
@@ -54,6 +56,13 @@ def reference(name: str, stream: Stream) -> tuple[Stream, list[Dropped]]:
         double = again & ~_again(stream, values=True)
         fates.append(Dropped(name, OTHER_TRUTH, np.flatnonzero(double)))
     return found, fates
+
+
+def known(fate: Dropped, told: Sequence[Dropped]) -> bool:
+    """Whether rows that are kept were told of before, of a recording that was changed in part."""
+    return fate.fate == REPEATED and any(
+        (each.stream, each.fate) == (fate.stream, fate.fate) for each in told
+    )
 
 
 def _again(stream: Stream, *, values: bool) -> Mask:

@@ -6,6 +6,7 @@ no sum of increments stands for their composition.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -205,3 +206,12 @@ def joined(one: Stream, other: Stream) -> Stream:
         values=np.concatenate([one.values, other.values]),
         variances=np.concatenate([one.variances, other.variances]) if both else None,
     )
+
+
+def merged(axis: Array, others: Sequence[Array]) -> Array:
+    """An axis of times with other stamps between its ends; those of one moment are one."""
+    own = np.unique(np.concatenate([axis, *others]))
+    own = own[(own >= axis[0]) & (own <= axis[-1])]
+    after = np.searchsorted(axis, own).clip(1, max(axis.size - 1, 1)) % axis.size
+    own = own[np.minimum(np.abs(own - axis[after - 1]), np.abs(own - axis[after])) > SAME]
+    return np.union1d(axis, own[np.diff(own, prepend=-np.inf) > SAME])

@@ -18,17 +18,17 @@ from pgm.io.poses import Poses
 from pgm.io.stamped import SAME, as_stamps, clock
 from pgm.io.timeline import Timeline
 from pgm.kernels import twists
-from pgm.kernels.arrays import Array, frozen
-from pgm.kernels.checks import covariance_fault
-from pgm.recordings import handing, mending, motion, summaries
+from pgm.kernels.arrays import Array
+from pgm.recordings import checks, handing, mending, motion, summaries
 from pgm.recordings.dropped import Dropped
+from pgm.recordings.scans import Scans
 from pgm.recordings.stream import Stream
 from pgm.variables import Variable
 
 POSE, PLACE = ("east", "north", "heading"), ("east", "north")
 NO_PLACE = "of a subject without a place"
 _PARTS = ("name", "odometry", "velocities", "sightings", "landmarks", "landmark_cov", "truth")
-_MORE = ("imu", "fixes", "dropped")
+_MORE = ("imu", "fixes", "scans", "mounts", "dropped")
 
 
 class Recording(Shown, NoArray, Immutable):
@@ -54,6 +54,10 @@ class Recording(Shown, NoArray, Immutable):
         The reference: (east, north, heading) or (east, north).
     imu, fixes : Stream, optional
         Inertial readings; and positions, as of satellites: (east, north) or more.
+    scans : mapping of str to Scans, optional
+        By laser.
+    mounts : mapping of str to array_like, optional
+        Where a sensor or laser sits on the robot: (forward [m], left [m], turn [rad]).
     name : str, optional
     dropped : sequence of Dropped, optional
         What a reader has already left out.
@@ -92,6 +96,8 @@ class Recording(Shown, NoArray, Immutable):
     truth: Stream | None
     imu: Stream | None
     fixes: Stream | None
+    scans: Mapping[str, Scans]
+    mounts: Mapping[str, Array]
     dropped: tuple[Dropped, ...]
 
     _arrays: ClassVar[str] = "streams' .stamps and .values"
@@ -107,6 +113,8 @@ class Recording(Shown, NoArray, Immutable):
         truth: Stream | Poses | None = None,
         imu: Stream | None = None,
         fixes: Stream | None = None,
+        scans: Mapping[str, Scans] | None = None,
+        mounts: Mapping[str, npt.ArrayLike] | None = None,
         name: str = "",
         dropped: Sequence[Dropped] = (),
     ) -> None:
@@ -114,15 +122,17 @@ class Recording(Shown, NoArray, Immutable):
         if isinstance(truth, Poses):
             truth = Stream(truth.times, truth.planar, POSE)
         streams: dict[str, Stream | None] = {}
-        for key, stream, mend in (
+        for key, given, mend in (
             ("odometry", odometry, mending.ordered),
             ("velocities", velocities, mending.ordered),
             ("truth", truth, mending.reference),
             ("imu", imu, mending.sightings),
             ("fixes", fixes, mending.sightings),
         ):
-            streams[key], fates = (None, []) if stream is None else mend(key, _stream(key, stream))
-            told += fates
+            streams[key] = None
+            if given is not None:
+                streams[key], fates = mend(key, checks.stream(key, given))
+                told += fates
         for key, known in (("odometry", motion.ODOMETRY), ("velocities", motion.VELOCITIES)):
             if (found := streams[key]) is not None:
                 motion.require_motion(key, found, known)
@@ -133,14 +143,16 @@ class Recording(Shown, NoArray, Immutable):
             )
         seen = {}
         for key, stream in as_mapping(sightings, "sightings").items():
-            seen[key], fates = mending.sightings(key, _stream(f"the sensor {key!r}", stream))
-            told += [fate for fate in fates if not _known(fate, dropped)]
-        places = _places(landmarks)
+            seen[key], fates = mending.sightings(key, checks.stream(f"the sensor {key!r}", stream))
+            told += [fate for fate in fates if not mending.known(fate, dropped)]
+        places = checks.places(landmarks)
         self._set(
             name=name,
             sightings=MappingProxyType(seen),
+            scans=MappingProxyType(checks.scans(scans)),
+            mounts=MappingProxyType(checks.mounts(mounts, (*seen, *(scans or ())))),
             landmarks=MappingProxyType(places),
-            landmark_cov=MappingProxyType(_covariances(landmark_cov, places)),
+            landmark_cov=MappingProxyType(checks.covariances(landmark_cov, places)),
             dropped=tuple(told),
             **streams,
         )
@@ -164,13 +176,7 @@ class Recording(Shown, NoArray, Immutable):
         others = [stream.stamps for stream in self.sightings.values()]
         if self.fixes is not None:
             others.append(self.fixes.stamps)
-        own = np.unique(np.concatenate([axis, *others]))
-        own = own[(own >= axis[0]) & (own <= axis[-1])]
-        after = np.searchsorted(axis, own).clip(1, max(len(axis) - 1, 1))
-        near = np.minimum(np.abs(own - axis[after - 1]), np.abs(own - axis[after % len(axis)]))
-        own = own[near > SAME]
-        own = own[np.diff(own, prepend=-np.inf) > SAME]
-        return np.union1d(axis, own)
+        return motion.merged(axis, others)
 
     def between(self, first: float, last: float) -> Recording:
         """The part from one time to another, both included; motion is cut there, along its arc."""
@@ -186,6 +192,7 @@ class Recording(Shown, NoArray, Immutable):
             name: cut(getattr(self, name)) for name in ("truth", "imu", "fixes")
         }
         changes["sightings"] = {name: cut(stream) for name, stream in self.sightings.items()}
+        changes["scans"] = {name: each.between(first, last) for name, each in self.scans.items()}
         if self.odometry is not None:
             changes["odometry"] = motion.cut_odometry(self.odometry, first, last)
         if self.velocities is not None:
@@ -224,7 +231,7 @@ class Recording(Shown, NoArray, Immutable):
                 raise EvidenceError(f"period= is a positive number of seconds, not {period!r}")
             first, last = spans.axis[[0, -1]]
             times = first + period * np.arange(int((last - first) / period + SAME) + 1)
-        axis = _increasing(times)
+        axis = checks.increasing(times)
         changes: dict[str, Any] = {
             "odometry": Stream(axis[1:], spans.between(axis), motion.PLANAR, begin=axis[0])
         }
@@ -259,7 +266,7 @@ class Recording(Shown, NoArray, Immutable):
             (east, north, heading); the heading is not wrapped.
         """
         spans = self._motion()
-        axis = spans.axis if times is None else _increasing(times)
+        axis = spans.axis if times is None else checks.increasing(times)
         if start is None:
             truth = self.truth_at(axis[:1])
             if truth.components != POSE:
@@ -363,7 +370,7 @@ class Recording(Shown, NoArray, Immutable):
             If a stream or component is not there, or a sighting's subject has no place: `located`
             leaves these out.
         """
-        axis = self.stamps() if times is None else _increasing(times)
+        axis = self.stamps() if times is None else checks.increasing(times)
         return handing.timeline(
             self,
             axis,
@@ -384,64 +391,8 @@ class Recording(Shown, NoArray, Immutable):
 
     @property
     def _title(self) -> str:
-        ends = [
-            time
-            for _, stream in summaries.streams(self)
-            if len(stream)
-            for time in (*stream.stamps[[0, -1]], *([] if stream.begin is None else [stream.begin]))
-        ]
-        span = f", {clock(min(ends))} to {clock(max(ends))}" if ends else ""
-        return f"Recording{' ' * bool(self.name)}{self.name}{span}"
+        return f"Recording{' ' * bool(self.name)}{self.name}{summaries.span(self)}"
 
     def _summary(self) -> Summary:
         rows = summaries.rows(self)
         return Summary(self._title, [Listing(("", ""), rows, names=2, cell=TITLE)] * bool(rows))
-
-
-def _stream(what: str, value: Any) -> Stream:
-    if not isinstance(value, Stream):
-        raise EvidenceError(
-            f"{what} is given as Stream(stamps, values, components), not as {type(value).__name__}"
-        )
-    return value
-
-
-def _known(fate: Dropped, told: Sequence[Dropped]) -> bool:
-    """Whether measurements that are kept were told of before, of a recording changed in part."""
-    return fate.fate == mending.REPEATED and any(
-        (each.stream, each.fate) == (fate.stream, fate.fate) for each in told
-    )
-
-
-def _places(landmarks: Any) -> dict[Hashable, Array]:
-    found: dict[Hashable, Array] = {}
-    for key, value in as_mapping(landmarks, "landmarks").items():
-        place = as_floats(value, f"the position of landmark {key!r}", EvidenceError)
-        if place.shape not in ((2,), (3,)) or not np.isfinite(place).all():
-            raise EvidenceError(
-                f"the position of landmark {key!r} is {place.tolist()}; two or three metres were "
-                "due"
-            )
-        found[key] = frozen(place.copy())
-    return found
-
-
-def _covariances(given: Any, places: Mapping[Hashable, Array]) -> dict[Hashable, Array]:
-    found: dict[Hashable, Array] = {}
-    for key, value in as_mapping(given, "landmark_cov").items():
-        cov = as_floats(value, f"the covariance of landmark {key!r}", EvidenceError)
-        if key not in places:
-            raise EvidenceError(f"landmark_cov has {key!r}, which is no landmark")
-        size = places[key].size
-        fault = "has another shape" if cov.shape != (size, size) else covariance_fault(cov)
-        if fault:
-            raise EvidenceError(f"the covariance of landmark {key!r} {fault}: {cov.tolist()}")
-        found[key] = frozen(cov.copy())
-    return found
-
-
-def _increasing(times: Any) -> Array:
-    axis = as_stamps("times", times)
-    if not axis.size or (np.diff(axis) <= 0.0).any():
-        raise EvidenceError("times increase from each to the next; np.unique(times) does")
-    return axis

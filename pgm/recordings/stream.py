@@ -83,8 +83,8 @@ class Stream(Shown, NoArray, Immutable):
             raise EvidenceError(f"begin= is a time in seconds, not {begin!r}")
         if begin is not None and when.size and begin > when.min():
             raise EvidenceError(
-                f"begin={begin!r} is after the first stamp, {clock(when.min())}; increments count "
-                "up to their stamps"
+                f"begin={float(begin)!r} is after the first stamp, {clock(when.min())}; increments "
+                "count up to their stamps"
             )
         spread = None if variances is None else _table("variances", variances, when.size, names)
         if spread is not None and (spread < 0.0).any():

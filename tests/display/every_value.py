@@ -116,6 +116,7 @@ def cpds():
         "wide": pgm.LinearGaussianCPD(wide, {wide.previous: 1.0}, cov=np.eye(40)),
         "noisy": pgm.LinearGaussianCPD(B, {A: 1.0}, cov=pgm.noise(np.eye, given=C)),
         "nonlinear": robot()[0].transition[0],
+        "robust": pgm.LinearGaussianCPD(B, {A: 1.0}, cov=1.0, noise=pgm.StudentT(4.0)),
         "mixture": pgm.MixtureCPD([linear] * 50, weights=np.full(50, 0.02)),
         "sampled": pgm.SampledCPD(B, A, sample=lambda a, size, rng: a),
         "tables": pgm.TableCPD(DAY, (DAY.previous, WET), table=np.full((40, 2, 40), 1 / 40)),
@@ -165,7 +166,8 @@ def filtered():
         "rejections": gated.rejected[Z],
         "rejected": gated.rejected,
         "lost": gated.lost,
-        "gated": gated,
+        "weights": one.weights,
+        "many weights": many.weights,
         "associations": guessed.associations[Z],
         "audit": pgm.audit(one, samples=50, rng=0),
         "audits": pgm.audit(many, samples=50, rng=0),
@@ -311,6 +313,7 @@ def small():
     rest = [X, X.previous, RAIN, pgm.Kronecker([np.eye(2), np.eye(3)]), marks]
     rest += [pgm.smooth(robot()[0], {U: robot()[1][U]}).kind, pgm.noise(np.eye, given=U)]
     rest += [maps.OccupancyMap(np.zeros((50, 50), dtype=bool), 0.1)]
+    rest += [pgm.StudentT(4.0), pgm.Huber(1.5), pgm.Cauchy(2.4), pgm.TruncatedLeastSquares(3.0)]
     cells = pgm.CellProposal(A, [[0.0], [1.0]], [1.0])
     rest += [cells, pgm.Injection(cells)]
     every = [*rules, *schedules, *methods, *orders, *rest]

@@ -378,3 +378,16 @@ def test_runs_worked_through_in_parts_keep_their_weights():
     np.testing.assert_allclose(parts.weights[Z], whole.weights[Z], atol=1e-12)
     np.testing.assert_allclose(parts.log_evidence, whole.log_evidence, atol=1e-9)
     np.testing.assert_allclose(parts.innovations[Z].cov, whole.innovations[Z].cov, rtol=1e-9)
+
+
+@pytest.mark.parametrize("noise", [T4, HUBER], ids=repr)
+def test_a_gate_rejects_before_anything_is_weighed(noise):
+    network, values = model(noise, function=bent), np.stack([VALUES, 0.2 * VALUES])[..., None]
+    schedule = pgm.Filtering(gate=0.999)
+    gated = pgm.infer(pgm.compile(network, T), {Z: values}, schedule=schedule)
+    left = np.where(np.isnan(gated.weights[Z])[..., None], np.nan, values)
+    assert np.isnan(left).any()
+    plain = pgm.filter(network, {Z: left})
+    np.testing.assert_allclose(gated[X].mean, plain[X].mean, atol=1e-9)
+    np.testing.assert_allclose(gated.log_evidence, plain.log_evidence, atol=1e-9)
+    np.testing.assert_allclose(gated.weights[Z], plain.weights[Z], atol=1e-9)

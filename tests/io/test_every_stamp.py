@@ -189,6 +189,21 @@ def test_every_stamp_is_the_dense_gaussian_of_the_wiener_process():
     assert_allclose(smoothed[p].cov[:, 0, 0], np.diag(cov - gain @ rows @ cov), rtol=1e-10)
 
 
+def test_a_divided_increment_is_off_by_its_acceleration_alone():
+    """By a Δt² / 8 in the middle, where the true place is v t + a t² / 2."""
+    told, halfway, a = np.arange(0.0, 3.1, 0.2), np.arange(0.1, 3.0, 0.2), 6.0
+
+    def place(t):
+        return 2.0 * t + 0.5 * a * t**2
+
+    rows = np.column_stack([np.diff(place(told), prepend=0.0), np.zeros(told.size)])
+    seen = {z: stamped(halfway, np.ones(halfway.size))}
+    log = timeline(odometry={u: stamped(told, rows)}, sensors=seen)
+    apart = np.cumsum(log.evidence[u][:, 0]) - place(log.times[1:])
+    assert_allclose(apart[::2], a * 0.2**2 / 8, rtol=1e-9)
+    assert_allclose(apart[1::2], 0.0, atol=1e-12)
+
+
 def fast_robot(speed, turn_rate, runs, seed):
     """A robot on a circle, odometry at 5 Hz, sightings between: truth, odometry, sightings."""
     rng = np.random.default_rng(seed)

@@ -51,7 +51,8 @@ def audit(
     A draw of d leaves q for one excursion: from some slice on and for some slices it follows the
     model's own CPDs, with Student's t₅ for their noise, or q's conditionals with such tails. In a
     network without time it is all from the prior, or q with tails. The control q/r has mean one,
-    and for a linear model leaves no error. A belief whose moments are off is `suspect`.
+    and for a linear model leaves no error. A result whose beliefs or log-evidence are off is
+    `suspect`.
 
     It sees a mode that draws of the prediction reach: one that they hardly reach, or that is told
     from the other only by many steps of readings, or a network of many variables, may escape it.

@@ -245,7 +245,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
 
     def raised(self, found: CarefulUpdate, surplus: Array | float) -> CarefulUpdate:
-        """The same belief, of measurements whose log-density is so much larger."""
+        """The same, the log-density of its measurements raised."""
         return replace(found, log_density=found.log_density + surplus)
 
     @quiet()
@@ -271,9 +271,8 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         if not np.isfinite(log_density).all():
             refusals.indefinite(parts, self.step)
         if left.any():
-            refusals.contradiction(
-                parts, self.step, self.mean, left.T if self.mean.ndim > 1 else left[0]
-            )
+            off = left.T if self.mean.ndim > 1 else left[0]
+            refusals.contradiction(parts, self.step, self.mean, off)
         if anchor is not None:  # a measurement of all components, which is no evidence
             held = (anchor.std[0] > 0.0) & (anchor.weight > 0.0)[:, None]
             share = np.where(anchor.weight > 0.0, anchor.weight, 1.0)[:, None]

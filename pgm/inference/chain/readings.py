@@ -243,6 +243,8 @@ class Reading:
         if not sensor.whole:
             mean, cov = mean[sensor.parents], within(cov, sensor.parents)
         height, runs = sensor.height, weights.weight.shape[1]
+        if self.taken is not None:  # a gate may have rejected some since
+            weights.taken = by_sighting(self.taken, height, 0)
         residual = by_sighting(seen.residual(mean), height, 0)
         if sensor.family.expects:
             error = None if self.error is None else own_blocks(self.error, height)

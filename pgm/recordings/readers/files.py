@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -58,7 +58,10 @@ def told_of(origin: Origin) -> Iterator[None]:
 
 
 def matlab(
-    path: Source, kind: str, tables: Mapping[str, int | None]
+    path: Source,
+    kind: str,
+    tables: Mapping[str, int | None],
+    optional: Sequence[str] = (),
 ) -> tuple[dict[str, Array], Origin]:
     """Tables of numbers by name from a ``.mat`` file before version 7.3.
 
@@ -69,25 +72,23 @@ def matlab(
         The recording that it should be, for messages.
     tables : mapping of str to int or None
         Names and widths of those that are needed; one of any width has None.
+    optional : sequence of str
+        Names of those that may be there.
     """
-    found, origin = matlab_file(path)
-    lost = [key for key in tables if key not in found]
-    if lost:
-        raise origin.fault(f"it has no tables {lost}; is it {kind}?")
-    read = {key: _table(found[key], key, width, kind, origin) for key, width in tables.items()}
-    return read, origin
-
-
-def matlab_file(path: Source) -> tuple[dict[str, Any], Origin]:
-    """All that a ``.mat`` file before version 7.3 holds."""
     held = content(path)
     data = held.data if isinstance(held.data, bytes) else held.data.encode()
     try:
-        return loadmat(io.BytesIO(data)), held.origin  # type: ignore[arg-type]
+        found = loadmat(io.BytesIO(data))  # type: ignore[arg-type]
     except Exception as error:  # of many kinds, as the damage is
         raise held.origin.fault(
             f"it cannot be read as a .mat file ({type(error).__name__}: {error}); fetch it again"
         ) from error
+    lost = [key for key in tables if key not in found]
+    if lost:
+        raise held.origin.fault(f"it has no tables {lost}; is it {kind}?")
+    due = {**tables, **{key: None for key in optional if key in found}}
+    read = {key: _table(found[key], key, width, kind, held.origin) for key, width in due.items()}
+    return read, held.origin
 
 
 def _table(value: Any, key: str, width: int | None, kind: str, origin: Origin) -> Array:

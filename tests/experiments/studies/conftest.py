@@ -3,7 +3,7 @@
 import pytest
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def client():
     distributed = pytest.importorskip("distributed")
     pytest.importorskip("pyarrow")

@@ -104,12 +104,12 @@ def test_lines_estimate_the_rest(monkeypatch):
     monkeypatch.setattr("experiments.studies.command.monotonic", lambda: now[0])
     lines = Lines(told.append)
     lines(0, 1000)
-    for done in (1, 100, 1000):
-        now[0] += 30.0 if done > 1 else 1.0
+    for done in (1, 101, 1000):
+        now[0] += 30.0
         lines(done, 1000)
     assert told == [
         "1,000 parts are missing",
-        "100 of 1,000 parts, about 5 min left",
-        "1,000 of 1,000 parts, 61 s",
+        "101 of 1,000 parts, about 4 min left",
+        "1,000 of 1,000 parts, 90 s",
     ]
     assert [duration(x) for x in (3.2, 7200.0, 1e6)] == ["3 s", "2 h", "12 d"]

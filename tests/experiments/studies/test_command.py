@@ -84,9 +84,16 @@ def test_a_study_leaves_table_figure_and_summary(client, tmp_path, monkeypatch, 
     table = Study(sweep, over, runs=300, seed=4, part_size=100).table(tmp_path / "study")
     assert summary["rows"] == json.loads(json.dumps([row.numbers for row in table.rows]))
     assert (tmp_path / "study" / "figures.png").read_bytes().startswith(b"\x89PNG")
-    code, lines = command(words, monkeypatch, capsys)
-    assert code == 0
-    assert not any("missing" in line for line in lines)
+
+
+def test_one_who_stops_it_is_told_how_it_goes_on(tmp_path, monkeypatch, capsys):
+    def stopped(*arguments, **settings):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Study, "run", stopped)
+    code, (line,) = command(["localisation", "--folder", tmp_path], monkeypatch, capsys)
+    assert code == 130
+    assert line == f"stopped; the same command goes on from the parts in {tmp_path}"
 
 
 def test_words_mean_values_of_each_kind():

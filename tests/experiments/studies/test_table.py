@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -25,6 +25,7 @@ def quantiles(pieces, probabilities):
     return found.values()
 
 
+@settings(max_examples=40)
 @given(
     st.lists(st.lists(NUMBERS.map(lambda x: x / 4), max_size=8), min_size=1, max_size=4),
     st.lists(st.floats(0, 1), min_size=1, max_size=3),
