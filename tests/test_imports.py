@@ -20,6 +20,7 @@ LAYERS = [
     {"clustergraph"},
     {"compile"},
     {"inference"},
+    {"learning"},
     {"io", "consistency", "comparison", "plot", "viewer"},
 ]
 HEIGHT = {name: height for height, layer in enumerate(LAYERS) for name in layer}
