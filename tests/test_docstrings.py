@@ -22,6 +22,7 @@ PUBLIC = [
     "pgm.comparison",
     "pgm.consistency",
     "pgm.io",
+    "pgm.learning",
     "pgm.linearisers",
     "pgm.maps",
     "pgm.plot",

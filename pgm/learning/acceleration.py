@@ -1,4 +1,4 @@
-"""Anderson acceleration of a fixed-point iteration."""
+"""A quasi-Newton correction of steps of expectation-maximisation."""
 
 from __future__ import annotations
 
@@ -6,42 +6,63 @@ import numpy as np
 
 from pgm.kernels.arrays import Array
 
+# The least cosine between a move and the change of the gradient that tells a curvature.
+_TOLD = 1e-14
 
-class Anderson:
-    """Extrapolation from the last steps of x ← M(x), to where their residual would be least.
 
-    With f = M(x) − x, and differences Δx, Δf of the last points that were visited, γ minimises
-    |f − Δf γ|² and the next point is x + f − (Δx + Δf) γ.
+class QuasiNewton:
+    r"""Steps that begin as those of EM, and learn the log-evidence's curvature as they go.
 
-    Parameters
-    ----------
-    memory : int
-        How many differences are kept.
+    With the gradient g of the log-evidence ℓ, which by Fisher's identity is that of the expected
+    log-density at the same point, and the EM step e(θ) = M(θ) − θ, the step is
+
+    .. math:: d = e + S g,
+
+    with S symmetric, zero at first, and after each move Δθ changed by Broyden, Fletcher, Goldfarb
+    and Shanno's rule, so that it would have told that move: Δθ = −(Δe + S Δg).
 
     References
     ----------
-    Walker & Ni, Anderson acceleration for fixed-point iterations, 2011. Henderson & Varadhan, Damped
-    Anderson acceleration with restarts and monotonicity control, 2019.
+    Jamshidian & Jennrich, Acceleration of the EM algorithm by using quasi-Newton methods, 1997,
+    method QN2.
+
+    Parameters
+    ----------
+    size : int
+        Number of coordinates.
     """
 
-    def __init__(self, memory: int) -> None:
-        self.memory = memory
-        self.points: list[Array] = []
-        self.residuals: list[Array] = []
+    def __init__(self, size: int) -> None:
+        self.correction = np.zeros((size, size))
+        self.last: tuple[Array, Array, Array] | None = None
 
     def forget(self) -> None:
-        """Begin again from the next point."""
-        self.points, self.residuals = [], []
+        """Begin again as EM."""
+        self.correction[:] = 0.0
+        self.last = None
 
-    def proposed(self, point: Array, image: Array) -> Array | None:
-        """The next point; None where only one is known."""
-        self.points.append(point)
-        self.residuals.append(image - point)
-        self.points = self.points[-self.memory - 1 :]
-        self.residuals = self.residuals[-self.memory - 1 :]
-        if len(self.points) < 2:
+    def step(self, point: Array, gradient: Array, plain: Array) -> Array | None:
+        """The step at the next point, given EM's; None where nothing is known beyond that."""
+        if self.last is not None:
+            move, turned, changed = (
+                a - b for a, b in zip((point, gradient, plain), self.last, strict=True)
+            )
+            self._learn(move, turned, changed)
+        self.last = point, gradient, plain
+        if not self.correction.any():
             return None
-        moves, changes = np.diff(self.points, axis=0).T, np.diff(self.residuals, axis=0).T
-        weights = np.linalg.lstsq(changes, self.residuals[-1], rcond=1e-10)[0]
-        found: Array = image - (moves + changes) @ weights
-        return found if np.isfinite(found).all() else None
+        step: Array = plain + self.correction @ gradient
+        if not np.isfinite(step).all() or step @ gradient <= 0.0:
+            self.forget()
+            self.last = point, gradient, plain
+            return None
+        return step
+
+    def _learn(self, move: Array, turned: Array, changed: Array) -> None:
+        bend = -float(turned @ move)
+        if bend <= _TOLD * float(np.linalg.norm(turned) * np.linalg.norm(move)):
+            return
+        left = move + changed + self.correction @ turned
+        both = np.outer(left, move)
+        self.correction += (both + both.T) / bend
+        self.correction += float(left @ turned) / bend**2 * np.outer(move, move)

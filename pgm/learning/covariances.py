@@ -14,7 +14,6 @@ from pgm.learning.declared import Covariance
 
 # Smaller parts of the largest variance are none of a singular covariance.
 _NONE = 1e-14
-_TINY = 1e-300
 
 
 class ScaledNoise:
@@ -25,15 +24,17 @@ class ScaledNoise:
         self.__name__ = f"{factor:.6g} {called(function)}"
 
     def __call__(self, *given: Array) -> Array:
+        """The noise at some values of its parents."""
         return self.factor * np.asarray(self.function(*given))
 
 
 class CovarianceStep:
     """The M step of one covariance, and its unbounded coordinates.
 
-    These are logarithms: of the factor, of variances, or the Cholesky factor of the covariance on
-    its range with the logarithms of its diagonal. A covariance that is singular at the start stays
-    on its range, as EM itself keeps it.
+    These are roots: of the factor, of variances, or the Cholesky factor of the covariance on its
+    range. Where the likeliest variance is zero the log-evidence is smooth in its root, while a
+    logarithm would have no end. A covariance that is singular at the start stays on its range, as
+    EM itself keeps it.
 
     Parameters
     ----------
@@ -72,11 +73,12 @@ class CovarianceStep:
                 'start with one, or learn pgm.learning.Covariance("full")',
                 cpd=cpd,
             )
+        self.there = np.diagonal(cpd.cov) > 0.0
         values, vectors = np.linalg.eigh(cpd.cov)
         self.range = vectors[:, values > _NONE * values[-1]]
         self.factor_of = np.linalg.pinv(cpd.cov, rcond=_NONE, hermitian=True)
 
-    def likeliest(self, cpd: ConditionalGaussian, own: Array, count: int) -> Any:
+    def likeliest(self, own: Array, count: int) -> Any:
         """The covariance that makes sums E[r rᵀ] of so many residuals likeliest, within bounds.
 
         −½ (N ln |Q| + tr Q⁻¹ S) is largest at S/N, of which variances, the factor, or eigenvalues
@@ -88,23 +90,23 @@ class CovarianceStep:
             factor = float(np.sum(self.factor_of * mean)) / rank
             return np.clip(factor, declared.lower, declared.upper) * self.start
         if declared.kind == "diagonal":
-            return np.diag(self._bounded(np.diagonal(mean), np.diagonal(self.start) > 0.0))
+            return np.diag(self._bounded(np.diagonal(mean)))
         inner = self.range.T @ mean @ self.range
         values, vectors = np.linalg.eigh(symmetric(inner))
         low = max(declared.lower, 0.0)
         vectors = self.range @ vectors
         return symmetric((vectors * np.clip(values, low, declared.upper)) @ vectors.T)
 
-    def _bounded(self, variances: Array, there: Any) -> Array:
+    def _bounded(self, variances: Array) -> Array:
         found = np.clip(variances, self.declared.lower, self.declared.upper)
-        return np.where(there, found, 0.0)
+        return np.where(self.there, found, 0.0)
 
-    def factor(self, cpd: ConditionalGaussian) -> float:
+    def factor(self, cpd: Any) -> float:
         """The factor on the covariance at the start."""
         if isinstance(cpd.cov, Noise):
             function = cpd.cov.function
             own = isinstance(function, ScaledNoise) and function is not self.start.function
-            return function.factor if own else 1.0
+            return float(function.factor) if own else 1.0
         return float(np.trace(cpd.cov) / np.trace(self.start))
 
     def scaled(self, factor: float) -> Any:
@@ -115,33 +117,55 @@ class CovarianceStep:
             return Noise(function, self.start.given, self.start.diagonal)
         return factor * self.start
 
-    def vector(self, cpd: ConditionalGaussian) -> Array:
+    def vector(self, cpd: Any) -> Array:
         """The coordinates of a CPD's covariance."""
         if self.declared.kind == "scaled":
-            return np.array([np.log(max(self.factor(cpd), _TINY))])
+            return np.array([np.sqrt(self.factor(cpd))])
         if self.declared.kind == "diagonal":
-            there = np.diagonal(self.start) > 0.0
-            return np.log(np.maximum(np.diagonal(cpd.cov)[there], _TINY))
-        inner = self.range.T @ cpd.cov @ self.range
-        values, vectors = np.linalg.eigh(symmetric(inner))
-        root = vectors * np.sqrt(np.maximum(values, _TINY))
-        lower = np.linalg.qr(root.T, mode="r").T
-        lower = lower * np.sign(np.diagonal(lower))
-        there = np.tril_indices(len(lower), -1)
-        return np.concatenate([np.log(np.maximum(np.diagonal(lower), _TINY)), lower[there]])
+            return np.sqrt(np.diagonal(cpd.cov)[self.there])
+        lower = self._lower(cpd)
+        return lower[np.tril_indices(len(lower))]
+
+    def _lower(self, cpd: Any) -> Array:
+        """A root of the covariance on its range, lower triangular."""
+        values, vectors = np.linalg.eigh(symmetric(self.range.T @ cpd.cov @ self.range))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        lower: Array = np.transpose(np.linalg.qr(root.T, mode="r"))
+        found: Array = lower * np.where(np.diagonal(lower) < 0.0, -1.0, 1.0)
+        return found
+
+    def gradient(self, cpd: Any, own: Array, count: int) -> Array:
+        """The derivatives of the expected log-density by the coordinates.
+
+        By L that of −½ (N ln |L Lᵀ| + tr (L Lᵀ)⁻¹ S) is L⁻ᵀ (L⁻¹ S L⁻ᵀ − N).
+        """
+        if self.declared.kind == "scaled":
+            factor, rank = self.factor(cpd), self.range.shape[1]
+            total = float(np.sum(self.factor_of * own))
+            return np.array([(total / factor - count * rank) / np.sqrt(factor)])
+        if self.declared.kind == "diagonal":
+            variances = np.diagonal(cpd.cov)[self.there]
+            return (np.diagonal(own)[self.there] / variances - count) / np.sqrt(variances)
+        lower = self._lower(cpd)
+        # At a root of zero, which the M step may reach, nothing is to be gained along it.
+        regular = bool(np.diagonal(lower).all())
+        inverse = np.linalg.inv(lower) if regular else np.linalg.pinv(lower)
+        inner = inverse @ self.range.T @ own @ self.range @ inverse.T
+        whole = inverse.T @ (inner - count * np.eye(len(lower)))
+        found: Array = whole[np.tril_indices(len(lower))]
+        return found
 
     def at(self, vector: Array) -> Any:
         """The covariance of some coordinates, moved within the bounds."""
         if self.declared.kind == "scaled":
-            return self.scaled(float(np.exp(vector[0])))
+            return self.scaled(float(vector[0]) ** 2)
         if self.declared.kind == "diagonal":
-            there = np.diagonal(self.start) > 0.0
-            variances = np.zeros(len(there))
-            variances[there] = np.exp(vector)
-            return np.diag(self._bounded(variances, there))
+            variances = np.zeros(len(self.there))
+            variances[self.there] = vector**2
+            return np.diag(self._bounded(variances))
         size = self.range.shape[1]
-        lower = np.diag(np.exp(vector[:size]))
-        lower[np.tril_indices(size, -1)] = vector[size:]
+        lower = np.zeros((size, size))
+        lower[np.tril_indices(size)] = vector
         inner = lower @ lower.T
         bounds = self.declared
         if bounds.lower > 0.0 or np.isfinite(bounds.upper):

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from pgm.boundary import as_floats
 from pgm.cpds import AffineCPD, ConditionalGaussian, GaussianCPD, LinearGaussianCPD, Noise
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, listed
 from pgm.inference.chain.families import FamilyBelief
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Mask, transpose
 from pgm.learning.covariances import CovarianceStep
 from pgm.learning.declared import Coefficients, Covariance, Offset
 from pgm.learning.residuals import Known, Residuals, residuals
@@ -20,6 +20,61 @@ from pgm.learning.residuals import Known, Residuals, residuals
 # Coordinate ascent over coefficients and noise, where neither alone has a closed form.
 _ROUNDS = 200
 _SETTLED = 1e-13
+_LEAST = 1e-300
+
+
+@dataclass(frozen=True, eq=False)
+class Weighted:
+    """Sums that rows enter by the inverses of their own noises.
+
+    Attributes
+    ----------
+    normal, said : ndarray
+        The normal equations of the free entries.
+    moments : list of tuple
+        By recording E[r rᵀ], E[r gᵀ], E[g gᵀ] and the inverse noise of each row.
+    ranks : int
+        The sum of the noises' ranks.
+    """
+
+    normal: Array
+    said: Array
+    moments: list[tuple[Array, Array, Array, Array]]
+    ranks: int
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What is expected of a CPD's residuals.
+
+    Attributes
+    ----------
+    cpd : ConditionalGaussian
+        As it is.
+    own, cross, gram : ndarray
+        Sums of E[r rᵀ], E[r gᵀ], E[g gᵀ], the regressors counted from the reference.
+    count : int
+        N.
+    reference : ndarray
+        (k,): near the regressors' mean where an offset is free, so that sums keep their digits.
+    weighted : Weighted or None
+        In place of the sums, where the noise is a function of evidence.
+    """
+
+    cpd: Any
+    own: Array
+    cross: Array
+    gram: Array
+    count: int
+    reference: Array
+    weighted: Weighted | None = None
+
+
+def _left(own: Array, change: Array, cross: Array, gram: Array) -> Array:
+    """E[(r − δ g)(r − δ g)ᵀ], of a row or summed."""
+    both = change @ transpose(cross)
+    left: Array = own - both - transpose(both) + change @ gram @ change.T
+    return left
 
 
 class GaussianStep:
@@ -88,44 +143,63 @@ class GaussianStep:
         due = (cpd.child.dimension,)
         self.free[:, -1] = _mask(cpd, "the mask of the offset", part.free, due)
 
-    def maximised(self, beliefs: Sequence[FamilyBelief], known: Known) -> ConditionalGaussian:
-        """The CPD with the largest expected log-density, of what is free."""
+    def expected(self, beliefs: Sequence[FamilyBelief], known: Known) -> Expected:
+        """The sums over all recordings that M step and gradient need."""
         cpd: Any = beliefs[0].family.cpd
         every = [residuals(belief, known) for belief in beliefs]
-        if not sum(each.count for each in every):
-            return cpd
-        if isinstance(cpd.cov, Noise):
-            return self._by_row(cpd, every)
+        count = sum(each.count for each in every)
         reference = np.zeros(self.free.shape[1])
-        if self.free[:, -1].all() and self.free[:, :-1].any():
-            total = sum(each.regressors.sum(axis=0) for each in every)
-            reference = total / sum(each.count for each in every)
+        if isinstance(cpd.cov, Noise):
+            return self._by_row(cpd, every, count, reference)
+        if count and self.free[:, -1].all() and self.free[:, :-1].any():
+            reference = sum(each.regressors.sum(axis=0) for each in every) / count
             reference[-1] = 0.0
         sums = zip(*(each.sums(reference) for each in every), strict=True)
         own, cross, gram = (np.sum(parts, axis=0) for parts in sums)
-        count = sum(each.count for each in every)
-        change, cov = self._solved(cpd, own, cross, gram, count)
-        change[:, -1] -= change @ reference
-        return self._changed(cpd, change, cov)
+        return Expected(cpd, own, cross, gram, count, reference)
 
-    def _solved(
-        self, cpd: Any, own: Array, cross: Array, gram: Array, count: int
-    ) -> tuple[Array, Any]:
-        change, cov = np.zeros(self.free.shape), cpd.cov
+    def _by_row(self, cpd: Any, every: list[Residuals], count: int, reference: Array) -> Expected:
+        """Where the noise differs by row, its inverse weighs the rows."""
+        rows, columns = np.nonzero(self.free)
+        normal, said = np.zeros((rows.size, rows.size)), np.zeros(rows.size)
+        moments, ranks = [], 0
+        for each in every:
+            own, cross, gram = each.rows()
+            weight = np.broadcast_to(np.linalg.pinv(each.noise, hermitian=True), own.shape)
+            rank = np.linalg.matrix_rank(each.noise, hermitian=True)
+            ranks += int(np.broadcast_to(rank, len(own)).sum())
+            moments.append((own, cross, gram, weight))
+            for k, (i, a) in enumerate(zip(rows, columns, strict=True)):
+                normal[k] += np.sum(weight[:, i, rows] * gram[:, a, columns], axis=0)
+            said += (weight @ cross).sum(axis=0)[rows, columns]
+        zero = np.zeros((0, 0))
+        weighted = Weighted(normal, said, moments, ranks)
+        return Expected(cpd, zero, zero, zero, count, reference, weighted)
+
+    def maximised(self, sums: Expected) -> ConditionalGaussian:
+        """The CPD with the largest expected log-density, of what is free."""
+        if not sums.count:
+            unchanged: ConditionalGaussian = sums.cpd
+            return unchanged
+        if sums.weighted is not None:
+            return self._weighted(sums.cpd, sums.weighted)
+        change, cov = self._solved(sums)
+        change[:, -1] -= change @ sums.reference
+        return self._changed(sums.cpd, change, cov)
+
+    def _solved(self, sums: Expected) -> tuple[Array, Any]:
+        change, cov = np.zeros(self.free.shape), sums.cpd.cov
         for _ in range(_ROUNDS):
             before, was = change, cov
             if self.free.any():
-                change = self._regressed(cross, gram, cov)
+                change = self._regressed(sums.cross, sums.gram, cov)
             if self.noise is None:
                 return change, cov
-            left = own
-            if self.free.any():
-                left = own - change @ cross.T - cross @ change.T + change @ gram @ change.T
-            cov = self.noise.likeliest(cpd, left, count)
+            cov = self.noise.likeliest(_left(sums.own, change, sums.cross, sums.gram), sums.count)
             if self.same or not self.free.any():
                 return change, cov
-            moved = np.abs(cov - was).max() / max(np.abs(cov).max(), 1e-300)
-            largest = max(np.abs(change).max(), 1e-300)
+            moved = np.abs(cov - was).max() / max(np.abs(cov).max(), _LEAST)
+            largest = max(np.abs(change).max(), _LEAST)
             if moved < _SETTLED and np.abs(change - before).max() < _SETTLED * largest:
                 break
         return change, cov
@@ -148,33 +222,35 @@ class GaussianStep:
         change[rows, columns] = _least(normal, (weight @ cross)[rows, columns])
         return change
 
-    def _by_row(self, cpd: Any, every: list[Residuals]) -> ConditionalGaussian:
-        """Where the noise differs by row, it weighs the rows."""
-        rows, columns = np.nonzero(self.free)
-        normal, said = np.zeros((rows.size, rows.size)), np.zeros(rows.size)
-        parts = []
-        for each in every:
-            own, cross, gram = each.rows()
-            weight = np.linalg.pinv(each.noise, hermitian=True)
-            rank = np.linalg.matrix_rank(each.noise, hermitian=True)
-            parts.append((own, cross, gram, weight, rank))
-            blocks = np.broadcast_to(weight, own.shape)
-            for k, (i, a) in enumerate(zip(rows, columns, strict=True)):
-                normal[k] += np.einsum("rj,rj->j", blocks[:, i, rows], gram[:, a, columns])
-            said += np.einsum("rij,rjk->ik", blocks, cross)[rows, columns]
+    def _weighted(self, cpd: Any, sums: Weighted) -> ConditionalGaussian:
         change = np.zeros(self.free.shape)
-        if rows.size:
-            change[rows, columns] = _least(normal, said)
+        if self.free.any():
+            change[self.free] = _least(sums.normal, sums.said)
         cov = cpd.cov
-        if self.noise is not None:
-            total, ranks = 0.0, 0.0
-            for own, cross, gram, weight, rank in parts:
-                both = change @ np.swapaxes(cross, -1, -2)
-                left = own - both - np.swapaxes(both, -1, -2) + change @ gram @ change.T
-                total += float(np.sum(weight * left))
-                ranks += float(np.broadcast_to(rank, len(own)).sum())
-            cov = self.noise.scaled(self.noise.factor(cpd) * total / ranks)
+        if self.noise is not None and sums.ranks:
+            total = sum(
+                float(np.sum(weight * _left(own, change, cross, gram)))
+                for own, cross, gram, weight in sums.moments
+            )
+            cov = self.noise.scaled(self.noise.factor(cpd) * total / sums.ranks)
         return self._changed(cpd, change, cov)
+
+    def gradient(self, sums: Expected) -> Array:
+        """The derivatives of the expected log-density by the coordinates."""
+        cpd, weighted = sums.cpd, sums.weighted
+        parts = [np.zeros(0)]
+        if self.free.any() and weighted is not None:
+            parts.append(weighted.said)
+        elif self.free.any():
+            reference = sums.reference.copy()
+            whole = sums.cross + sums.cross[:, -1:] * reference
+            parts.append((np.linalg.pinv(cpd.cov, hermitian=True) @ whole)[self.free])
+        if self.noise is not None and weighted is not None:
+            total = sum(float(np.sum(weight * own)) for own, *_, weight in weighted.moments)
+            parts.append(np.array([(total - weighted.ranks) / np.sqrt(self.noise.factor(cpd))]))
+        elif self.noise is not None:
+            parts.append(self.noise.gradient(cpd, sums.own, sums.count))
+        return np.concatenate(parts)
 
     def _changed(self, cpd: Any, change: Array, cov: Any) -> ConditionalGaussian:
         if isinstance(cpd, GaussianCPD):
@@ -183,7 +259,8 @@ class GaussianStep:
             matrices = {p: cpd.matrices[p] + change[:, self.places[p]] for p in cpd.given}
             offset = cpd.offset + np.where(self.free[:, -1], change[:, -1], 0.0)
             return LinearGaussianCPD(cpd.child, matrices, cov=cov, offset=offset)
-        return cpd._with_cov(cov)
+        changed: ConditionalGaussian = cpd._with_cov(cov)
+        return changed
 
     def vector(self, cpd: Any) -> Array:
         """The coordinates of a CPD: its free entries, then those of its covariance."""
@@ -210,7 +287,7 @@ def _mask(cpd: Any, what: str, value: Any, due: tuple[int, ...]) -> Mask:
     mask = np.asarray(value)
     if mask.dtype != np.bool_ or mask.shape not in ((), due):
         raise ModelError(
-            f"{cpd!r}: {what} is True or False, or an array of these of shape {due}; found {value!r}",
+            f"{cpd!r}: {what} is True or False, or an array of these, {due}; found {value!r}",
             cpd=cpd,
         )
     return np.broadcast_to(mask, due)

@@ -10,11 +10,12 @@ import numpy as np
 
 from pgm.cpds import CPD, ConditionalGaussian, TableCPD
 from pgm.display import titled
-from pgm.errors import ModelError
+from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, constant
 from pgm.factors.scope import listed
 from pgm.inference import Smoothing, smooth
 from pgm.inference.chain.families import family_beliefs
+from pgm.inference.chain.run import bind_chain
 from pgm.inference.markov.counts import expected_counts
 from pgm.kernels.arrays import Array
 from pgm.learning.declared import (
@@ -28,6 +29,7 @@ from pgm.learning.declared import (
 )
 from pgm.learning.gaussian import GaussianStep
 from pgm.learning.parameters import ParameterStep
+from pgm.learning.result import Fit, FitStatus
 from pgm.learning.tables import TableStep
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -74,6 +76,8 @@ class Learner:
     schedule : Smoothing
     steps : sequence of int or None
         T of each recording.
+    single : bool
+        Whether the result is of the one recording, rather than of a sequence.
     """
 
     def __init__(
@@ -84,8 +88,10 @@ class Learner:
         lineariser: Lineariser,
         schedule: Smoothing,
         steps: Sequence[int | None],
+        *,
+        single: bool,
     ) -> None:
-        self.recordings, self.steps = recordings, steps
+        self.recordings, self.steps, self.single = recordings, steps, single
         self.lineariser, self.schedule = lineariser, schedule
         self.places: list[tuple[str, int]] = []
         self.blocks: list[Any] = []
@@ -94,18 +100,53 @@ class Learner:
             parts = value if isinstance(value, tuple | list) else (value,)
             self._declare(model, variable, parts)
         self.start = Point(model, {v: each.start for v, each in self.parameters.items()})
+        self._require_told()
+
+    def _require_told(self) -> None:
+        """Refuse evidence that does not fit, or tells nothing of a CPD that is learnt."""
+        model, told = self.start.model, set[CPD]()
+        for evidence, steps in zip(self.evidence(self.start), self.steps, strict=True):
+            bound = bind_chain(model, evidence, steps, identities=True)
+            told.update(model.prior)
+            told.update(model.transition if bound.steps else ())
+            for reading in bound.readings:
+                if reading.unknown is not None and reading.cpd.child in self._sensors:
+                    raise EvidenceError(
+                        f"sightings of {reading.cpd.child!r} leave open what was seen, and its CPD "
+                        "is to be learnt; say what was seen, or learn from other sightings",
+                        variable=reading.cpd.child,
+                    )
+                told.update([reading.cpd] if reading.taken.any() else ())
+        for cpd in self._cpds(self.start):
+            if cpd not in told:
+                raise EvidenceError(
+                    f"nothing in the evidence tells of {cpd!r}, which is to be learnt: it has no "
+                    "measurement, or there is no step",
+                    variable=cpd.child,
+                    cpd=cpd,
+                )
+
+    @property
+    def _sensors(self) -> set[Variable]:
+        """The sensors of which something is learnt."""
+        used = {cpd.child for cpd in self._cpds(self.start)}
+        for cpd in self.start.model.observation:
+            used |= {cpd.child} if set(cpd.parents) & set(self.parameters) else set()
+        return used
 
     def _declare(self, model: DynamicBayesianNetwork, variable: Any, parts: Any) -> None:
         for part in parts:
             if not isinstance(part, PARTS):
                 raise ModelError(
-                    f"learn of {variable!r}: takes pgm.learning.Covariance(...), Coefficients(...), "
-                    f"Offset(...), Table(...) or Parameter(...), or a tuple of them; found {part!r}"
+                    f"learn of {variable!r}: takes a part of pgm.learning, "
+                    f"{', '.join(each.__name__ for each in PARTS)}, or a tuple of them; found "
+                    f"{titled(part)}"
                 )
         kinds = [type(part) for part in parts]
         if not kinds or len(set(kinds)) < len(kinds):
             raise ModelError(
-                f"learn of {variable!r}: takes one or several parts, each kind once; found {parts!r}"
+                f"learn of {variable!r}: takes one part or several, each kind once; found "
+                f"{titled(parts)}"
             )
         if Parameter in kinds:
             self._declare_parameter(model, variable, parts)
@@ -197,32 +238,33 @@ class Learner:
             parts[role][index] = cpd
         return Point(point.model.replace(**parts) if cpds else point.model, parameters)
 
-    def maximised(self, expected: Expected) -> Point:
-        """The M step."""
-        point = expected.point
-        cpds = self._cpds(point)
+    def improved(self, expected: Expected) -> tuple[Point, Array]:
+        """The M step, and the gradient of the objective by the coordinates."""
+        point, slopes = expected.point, [np.zeros(0)]
+        cpds, new = self._cpds(point), []
         if point.model.discrete:
             every = [expected_counts(each, cpds) for each in expected.posteriors]
-            new = [
-                block.maximised(cpd, sum(each[cpd] for each in every))
-                for block, cpd in zip(self.blocks, cpds, strict=True)
-            ]
-            return self._with(point, new, {})
+            for block, cpd in zip(self.blocks, cpds, strict=True):
+                counts = np.sum([each[cpd] for each in every], axis=0)
+                new.append(block.maximised(cpd, counts))
+                slopes.append(block.gradient(cpd, counts))
+            return self._with(point, new, {}), np.concatenate(slopes)
         families = [family_beliefs(each) for each in expected.posteriors]
         known = dict(point.parameters)
         for variable, step in self.parameters.items():
             beliefs = [
-                belief
-                for each in families
-                for cpd, belief in each.items()
-                if variable in cpd.parents
+                belief for each in families for cpd, belief in each.items() if variable in cpd.given
             ]
-            known[variable] = step.maximised(beliefs, known)
-        new = []
+            known[variable], slope = step.maximised(beliefs, known)
+            slopes.append(slope)
         for block, cpd in zip(self.blocks, cpds, strict=True):
             beliefs = [each[cpd] for each in families if cpd in each]
-            new.append(block.maximised(beliefs, known) if beliefs else cpd)
-        return self._with(point, new, known)
+            sums = block.expected(beliefs, point.parameters)
+            slopes.append(block.gradient(sums))
+            if any(variable in cpd.given for variable in known):
+                sums = block.expected(beliefs, known)
+            new.append(block.maximised(sums))
+        return self._with(point, new, known), np.concatenate(slopes)
 
     def vector(self, point: Point) -> Array:
         """The coordinates of a point."""
@@ -238,11 +280,21 @@ class Learner:
             start += variable.dimension
         for block, cpd in zip(self.blocks, self._cpds(point), strict=True):
             size = len(block.vector(cpd))
-            cpds.append(block.at(cpd, vector[start : start + size]))
+            part = vector[start : start + size]
+            cpds.append(block.at(part) if point.model.discrete else block.at(cpd, part))
             start += size
         return self._with(point, cpds, parameters)
 
-    def found(self, point: Point) -> dict[Variable, Any]:
+    def fit(self, here: Expected, trace: list[float], status: FitStatus) -> Fit:
+        """The result."""
+        point = here.point
+        evidence: Any = tuple(self.evidence(point))
+        posteriors: Any = tuple(here.posteriors)
+        if self.single:
+            (evidence,), (posteriors,) = evidence, posteriors
+        return Fit(point.model, self._named(point), evidence, trace, posteriors, status)
+
+    def _named(self, point: Point) -> dict[Variable, Any]:
         """The parameters, and the CPDs that were learnt, by the variables that named them."""
         named: dict[Variable, Any] = dict(point.parameters)
         for (role, _), cpd in zip(self.places, self._cpds(point), strict=True):

@@ -19,6 +19,8 @@ from pgm.variables import Variable
 _HALVINGS = 20
 _ROUNDS = 5
 _STEP = 1e-4
+# The relative fall of V from which on a step is the last.
+_SMALL = 1e-12
 
 
 class ParameterStep:
@@ -60,35 +62,48 @@ class ParameterStep:
         """A value moved within the bounds."""
         return np.clip(value, self.lower, self.upper)
 
-    def maximised(self, beliefs: Sequence[FamilyBelief], known: Known) -> Array:
-        """The value after a few steps, or until none lowers V."""
+    def maximised(self, beliefs: Sequence[FamilyBelief], known: Known) -> tuple[Array, Array]:
+        """The value after a few steps, or until none lowers V; and the gradient at the start."""
         value = known[self.variable]
         here = self._parts(beliefs, known, value)
         weights = [np.linalg.pinv(each.noise, hermitian=True) for each in here]
-        cost = _cost(here, weights)
+        cost, first = _cost(here, weights), None
         for _ in range(_ROUNDS):
             gradient, curvature = self._derivatives(beliefs, known, value, weights)
-            free = ~(
-                ((value <= self.lower) & (gradient > 0.0))
-                | ((value >= self.upper) & (gradient < 0.0))
-            )
-            if not free.any() or not gradient[free].any():
+            first = gradient if first is None else first
+            outward = np.where(gradient > 0.0, value <= self.lower, value >= self.upper)
+            free = ~outward & (gradient != 0.0)
+            if not free.any():
                 break
             step = np.zeros_like(value)
             step[free] = -np.linalg.lstsq(curvature[np.ix_(free, free)], gradient[free])[0]
-            for _ in range(_HALVINGS):
-                moved = self.clipped(value + step)
-                there = _cost(self._parts(beliefs, known, moved), weights)
-                if there < cost:
-                    break
-                step *= 0.5
-            else:
+            moved, there = self._halved(beliefs, known, value, step, cost, weights)
+            if not there < cost:
                 break
-            small = cost - there < 1e-10 * abs(cost)
+            small = cost - there < _SMALL * abs(cost)
             value, cost = moved, there
             if small:
                 break
-        return value
+        assert first is not None
+        return value, -first
+
+    def _halved(
+        self,
+        beliefs: Sequence[FamilyBelief],
+        known: Known,
+        value: Array,
+        step: Array,
+        cost: float,
+        weights: list[Array],
+    ) -> tuple[Array, float]:
+        """The longest of the step's halves, within bounds, that lowers V."""
+        there = cost
+        for k in range(_HALVINGS):
+            moved = self.clipped(value + 0.5**k * step)
+            there = _cost(self._parts(beliefs, known, moved), weights)
+            if there < cost:
+                return moved, there
+        return value, there
 
     def _parts(self, beliefs: Sequence[FamilyBelief], known: Known, value: Array) -> list[Any]:
         return [residuals(each, {**known, self.variable: value}) for each in beliefs]

@@ -171,7 +171,9 @@ def _flat(array: Array, rows: int, runs: int) -> Array:
         return array[None]
     if array.shape[:2] == (1, 1):
         return array[0]
-    return np.broadcast_to(array, (rows, runs, *array.shape[2:])).reshape(-1, *array.shape[2:])
+    wide = np.broadcast_to(array, (rows, runs, *array.shape[2:]))
+    found: Array = wide.reshape(-1, *array.shape[2:])
+    return found
 
 
 def _expected(found: Residuals, taken: Mask) -> Residuals:
@@ -180,7 +182,7 @@ def _expected(found: Residuals, taken: Mask) -> Residuals:
     A missing residual is, given those that are there, K r + n with K = R_mo R_oo⁻¹ and n of
     covariance R_mm − K R_om.
     """
-    there = taken.any(axis=-1)
+    there: Mask = np.asarray(taken.any(axis=-1))
     if not there.all():
         found = _at(found, there)
         taken = taken[there]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -41,7 +40,7 @@ class TableStep:
                 f"{cpd!r}: prior_counts has shape {counts.shape}; () or {cpd.table.shape} was due",
                 cpd=cpd,
             )
-        self.free = cpd.table > 0.0
+        self.start, self.free = cpd, cpd.table > 0.0
         self.prior = np.where(self.free, counts, 0.0)
 
     def log_prior(self, cpd: TableCPD) -> float:
@@ -57,18 +56,21 @@ class TableStep:
         return TableCPD(cpd.child, cpd.given, table=table)
 
     def vector(self, cpd: TableCPD) -> Array:
-        """The coordinates of a table: logarithms of what is not zero, of mean zero by row."""
-        return self._centred(np.log(np.maximum(cpd.table, _TINY)))[self.free]
+        """The coordinates of a table: roots of what is not zero at the start."""
+        return np.sqrt(cpd.table)[self.free]
 
-    def _centred(self, logs: Array) -> Array:
-        logs = np.where(self.free, logs, 0.0)
-        centre = logs.sum(axis=-1, keepdims=True) / self.free.sum(axis=-1, keepdims=True)
-        return logs - centre
+    def gradient(self, cpd: TableCPD, counts: Array) -> Array:
+        """The derivatives of the expected log-density by the roots s, of p = s² / Σ s²."""
+        counts = np.where(self.free, counts + self.prior, 0.0)
+        roots = np.sqrt(cpd.table)
+        told = counts / np.where(roots > 0.0, roots, 1.0)
+        found: Array = 2.0 * (told - roots * counts.sum(axis=-1, keepdims=True))
+        return found[self.free]
 
-    def at(self, cpd: TableCPD, vector: Array) -> Any:
+    def at(self, vector: Array) -> TableCPD:
         """The table of some coordinates."""
-        logs = np.full(self.free.shape, -np.inf)
-        logs[self.free] = vector
-        weights = np.exp(logs - logs.max(axis=-1, keepdims=True))
-        table = weights / weights.sum(axis=-1, keepdims=True)
-        return TableCPD(cpd.child, cpd.given, table=table)
+        weights = np.zeros(self.free.shape)
+        weights[self.free] = vector**2
+        total = weights.sum(axis=-1, keepdims=True)
+        table = np.where(total > 0.0, weights / np.where(total > 0.0, total, 1.0), self.start.table)
+        return TableCPD(self.start.child, self.start.given, table=table)

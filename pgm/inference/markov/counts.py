@@ -65,7 +65,7 @@ def _marginal(belief: Array, wanted: list[int]) -> Array:
     """The marginal over some axes, in their order, (runs, ...)."""
     others = tuple(1 + k for k in range(belief.ndim - 1) if k not in wanted)
     left = [k for k in range(belief.ndim - 1) if k in wanted]
-    found = belief.sum(axis=others)
+    found: Array = belief.sum(axis=others)
     return found.transpose(0, *(1 + left.index(k) for k in wanted))
 
 
