@@ -21,6 +21,9 @@ class QuasiNewton:
     with S symmetric, zero at first, and after each move Δθ changed by Broyden, Fletcher, Goldfarb
     and Shanno's rule, so that it would have told that move: Δθ = −(Δe + S Δg).
 
+    As long as the log-evidence bends upwards along the moves, so that no curvature can be learnt,
+    steps are those of EM, stretched twice as far each time.
+
     References
     ----------
     Jamshidian & Jennrich, Acceleration of the EM algorithm by using quasi-Newton methods, 1997,
@@ -35,11 +38,12 @@ class QuasiNewton:
     def __init__(self, size: int) -> None:
         self.correction = np.zeros((size, size))
         self.last: tuple[Array, Array, Array] | None = None
+        self.stretch = 1.0
 
     def forget(self) -> None:
         """Begin again as EM."""
         self.correction[:] = 0.0
-        self.last = None
+        self.last, self.stretch = None, 1.0
 
     def step(self, point: Array, gradient: Array, plain: Array) -> Array | None:
         """The step at the next point, given EM's; None where nothing is known beyond that."""
@@ -50,7 +54,8 @@ class QuasiNewton:
             self._learn(move, turned, changed)
         self.last = point, gradient, plain
         if not self.correction.any():
-            return None
+            self.stretch *= 2.0
+            return self.stretch * plain if self.stretch > 2.0 else None
         step: Array = plain + self.correction @ gradient
         if not np.isfinite(step).all() or step @ gradient <= 0.0:
             self.forget()

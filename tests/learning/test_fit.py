@@ -65,15 +65,13 @@ def learnt_target(steps, **settings):
     return pgm.fit(start, evidence, learn=learn, **settings)
 
 
-def test_everything_of_a_target_is_learnt_in_a_fifth_of_the_steps():
-    plain = learnt_target(60, iterations=60, tolerance=0.0, accelerate=False)
+def test_everything_of_a_target_is_learnt_in_a_fifth_of_the_smoothers():
+    plain = learnt_target(60, iterations=400, tolerance=0.0, accelerate=False)
     assert_never_falls(plain)
-    fast = learnt_target(60, iterations=20, tolerance=0.0)
-    best = plain.log_evidence[-1]
-    assert np.isfinite(fast.log_evidence).all()
+    fast = learnt_target(60, iterations=50, tolerance=0.0)
     assert (np.diff(fast.log_evidence) > 0.0).all()
-    assert fast.log_evidence[np.arange(len(fast.log_evidence))].max() > best
-    assert fast.status.e_steps <= 40
+    assert fast.log_evidence[-1] > plain.log_evidence[-1]
+    assert 5 * fast.status.e_steps <= plain.status.e_steps
 
 
 @pytest.mark.slow
