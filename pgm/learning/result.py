@@ -124,7 +124,7 @@ class Fit(Shown, Immutable):
     ... )
     >>> found = pgm.fit(model, {z: [[4.0], [2.0]]}, learn={z: pgm.learning.Covariance()})
     >>> found.model.observation[0].cov.round(2)
-    array([[4.]])
+    array([[7.35]])
     >>> bool(found.log_evidence[-1] > found.log_evidence[0])
     True
     """
@@ -165,10 +165,11 @@ class Fit(Shown, Immutable):
         trace = self.log_evidence
         shown = ["..." if k is None else number(trace[k]) for k in few(len(trace), FEW)]
         parts: list[str | Listing] = [f"log-evidence: {', '.join(shown)}"]
+        parts += self.status._summary().parts
         for variable, value in self.parameters.items():
             if isinstance(value, np.ndarray):
                 parts.append(f"{variable!r}: {', '.join(map(number, value))}")
             else:
                 parts.append(f"{variable!r}: {value._title}")
                 parts.extend(value._parts())
-        return Summary(self._title, [*parts, *self.status._summary().parts])
+        return Summary(self._title, parts)
