@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pgm.cpds import ConditionalGaussian, Noise
-from pgm.display import called
+from pgm.display import called, number
 from pgm.errors import ModelError
 from pgm.kernels.arrays import Array, symmetric
 from pgm.learning.declared import Covariance
@@ -44,8 +44,11 @@ class CovarianceStep:
     """
 
     def __init__(self, cpd: ConditionalGaussian, declared: Covariance) -> None:
-        self.declared, self.start = declared, cpd.cov
+        self.declared = declared
+        self.start: Any = cpd.cov
         kind = declared.kind
+        if kind == "scaled":
+            self._require_within(cpd, np.ones(1))
         if isinstance(cpd.cov, Noise):
             if kind != "scaled":
                 raise ModelError(
@@ -76,7 +79,25 @@ class CovarianceStep:
         self.there = np.diagonal(cpd.cov) > 0.0
         values, vectors = np.linalg.eigh(cpd.cov)
         self.range = vectors[:, values > _NONE * values[-1]]
+        if kind != "scaled":
+            diagonal = kind == "diagonal"
+            inside = (
+                np.diagonal(cpd.cov)[self.there] if diagonal else values[-self.range.shape[1] :]
+            )
+            self._require_within(cpd, inside)
         self.factor_of = np.linalg.pinv(cpd.cov, rcond=_NONE, hermitian=True)
+
+    def _require_within(self, cpd: ConditionalGaussian, values: Array) -> None:
+        low, high = self.declared.lower, self.declared.upper
+        slack = 1e-9 * np.abs(values)
+        if ((values < low - slack) | (values > high + slack)).any():
+            what = {"full": "eigenvalues", "diagonal": "variances", "scaled": "factor"}
+            raise ModelError(
+                f"{cpd!r}: at the start the {what[self.declared.kind]}, "
+                f"{', '.join(map(number, values))}, are not within {number(low)} to "
+                f"{number(high)}, the bounds of its covariance; give it one that is",
+                cpd=cpd,
+            )
 
     def likeliest(self, own: Array, count: int) -> Any:
         """The covariance that makes sums E[r rᵀ] of so many residuals likeliest, within bounds.
@@ -122,7 +143,8 @@ class CovarianceStep:
         if self.declared.kind == "scaled":
             return np.array([np.sqrt(self.factor(cpd))])
         if self.declared.kind == "diagonal":
-            return np.sqrt(np.diagonal(cpd.cov)[self.there])
+            deviations: Array = np.sqrt(np.diagonal(cpd.cov)[self.there])
+            return deviations
         lower = self._lower(cpd)
         return lower[np.tril_indices(len(lower))]
 
@@ -145,7 +167,8 @@ class CovarianceStep:
             return np.array([(total / factor - count * rank) / np.sqrt(factor)])
         if self.declared.kind == "diagonal":
             variances = np.diagonal(cpd.cov)[self.there]
-            return (np.diagonal(own)[self.there] / variances - count) / np.sqrt(variances)
+            slopes: Array = np.diagonal(own)[self.there] / variances - count
+            return slopes / np.sqrt(variances)
         lower = self._lower(cpd)
         # At a root of zero, which the M step may reach, nothing is to be gained along it.
         regular = bool(np.diagonal(lower).all())

@@ -170,7 +170,8 @@ def _flat(array: Array, rows: int, runs: int) -> Array:
     if array.ndim == 2:
         return array[None]
     if array.shape[:2] == (1, 1):
-        return array[0]
+        single: Array = array[0]
+        return single
     wide = np.broadcast_to(array, (rows, runs, *array.shape[2:]))
     found: Array = wide.reshape(-1, *array.shape[2:])
     return found

@@ -85,6 +85,12 @@ def test_evidence_that_tells_nothing():
         pgm.fit(model(), READINGS, steps=[3, 3], learn={Z: Covariance()})
 
 
+@pytest.mark.parametrize("kind", ["full", "diagonal", "scaled"])
+def test_a_start_beyond_the_bounds(kind):
+    with pytest.raises(pgm.ModelError, match="are not within 2 to 3"):
+        pgm.fit(model(), READINGS, learn={Z: Covariance(kind, 2.0, 3.0)})
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [("iterations", 0), ("tolerance", -1.0), ("accelerate", 1), ("schedule", pgm.Filtering())],
