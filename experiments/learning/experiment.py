@@ -49,18 +49,18 @@ def run(
     for name, problem in chosen.items():
         record.table(
             f"{name}: learnt variances as a part of the true ones, median (10 % to 90 %)",
-            ("lineariser", *problem.shares, "gain", "E steps", "ended early"),
+            ("lineariser", *problem.shares, "gain", "E steps", "refused"),
             [(rule, *_row(each)) for rule, each in found[name].items()],
             about=f"Of {runs} recordings of {steps} steps; 1 is the truth, {START:g} the start. "
-            "Gain: of log-evidence over the true model's, median; ended early: recordings of "
-            "which a step was refused, since no part of it raised the linearised log-evidence.",
+            "Gain: of log-evidence over the true model's, median; refused: recordings whose "
+            "search ended since no part of a step raised the linearised log-evidence.",
         )
     record.figure(
         figure(chosen, found),
         "shares",
         "Learnt variances as a part of the true ones, a point for each recording; the bar is the "
-        "median, the line at 1 the truth. Left the growth model, whose state its readings leave "
-        "two-sided; right a turning target seen by radar.",
+        "median, the line at 1 the truth. Left the growth model, whose readings do not tell the "
+        "sign of the state; right a turning target seen by radar.",
     )
     record.summary(
         shares={n: {r: each["shares"] for r, each in rules.items()} for n, rules in found.items()},

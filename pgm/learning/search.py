@@ -42,9 +42,13 @@ class Search:
     def run(self) -> Fit:
         """Go up until nothing is gained."""
         learner, converged = self.learner, False
-        here = self._expected(learner.start)
-        trace = [here.log_evidence]
-        for _ in counted(range(self.iterations), "EM"):
+        here: Expected | None = None
+        trace: list[float] = []
+        for _ in counted(range(self.iterations + 1), "EM"):
+            if here is None:
+                here = self._expected(learner.start)
+                trace.append(here.log_evidence)
+                continue
             before = here
             image, gradient = learner.improved(here)
             x, y = learner.vector(here.point), learner.vector(image)
@@ -62,6 +66,7 @@ class Search:
                 converged = True
                 self.stopped = "a step was within the tolerance"
                 break
+        assert here is not None
         status = FitStatus(
             len(trace) - 1,
             self.e_steps,

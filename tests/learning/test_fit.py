@@ -114,6 +114,24 @@ def test_the_likeliest_noise_of_readings_of_a_constant():
     assert found.status.converged
 
 
+def test_progress_counts_iterations_alone():
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(A, 1.0, 1.0)],
+        [pgm.LinearGaussianCPD(A, {A.previous: 1.0}, cov=0.5)],
+        [pgm.LinearGaussianCPD(B, {A: 1.0}, cov=9.0)],
+    )
+    told = []
+    pgm.fit(
+        model,
+        {B: [[2.0], [3.0]]},
+        learn={B: Covariance()},
+        iterations=2,
+        tolerance=0.0,
+        progress=lambda *done: told.append(done),
+    )
+    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+
+
 def test_a_factor_on_noise_that_evidence_sets():
     """As of the same model in units in which the noise is constant."""
     rng = np.random.default_rng(6)
