@@ -7,6 +7,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogFormatter
 
 Curves = Mapping[str, Mapping[str, Mapping[int, float]]]
 Line = tuple[str, str, str, str]  # label, colour, marker, dashes
@@ -46,6 +47,10 @@ def _lines(ax: Axes, curves: Curves, lines: Mapping[tuple[str, str], Line]) -> N
             style = {"color": colour, "marker": marker, "linestyle": dashes, "markersize": 5}
             ax.loglog(list(costs), micro, label=label, **style)
     ax.grid(which="major", alpha=0.3)
+    # Plain numbers, 60 and not 6 × 10¹, at as few of a decade as leave room.
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter(LogFormatter())
+        axis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.4)))
     if ax.lines:
         ax.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
     else:

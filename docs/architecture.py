@@ -46,7 +46,10 @@ class Leg(NamedTuple):
 
 # From top to bottom; each imports from those below it, and kernels from no other.
 LAYERS = [
-    Layer("io, consistency, comparison, plot, viewer", "logs, checks, pictures"),
+    Layer(
+        "io, recordings, consistency, comparison, plot, viewer, examples",
+        "logs, checks, pictures",
+    ),
     Layer("learning", "parameters"),
     Layer("inference", "schedules, messages, results", 4.2),
     Layer("compile", "networks to graphs"),

@@ -16,6 +16,7 @@ import typer
 from experiments.catalogue import EXPERIMENTS, listing, summary_line
 from experiments.record import note, refusal
 from experiments.report import report
+from experiments.studies.command import command
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -38,6 +39,7 @@ def show() -> None:
 for _name, _experiment in EXPERIMENTS.items():
     app.command(_name, help=summary_line(_experiment))(_experiment.run)
 app.command("report")(report)
+app.command("sweep")(command(EXPERIMENTS))
 
 
 def main() -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
+import numpy.typing as npt
 import typer
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
@@ -18,6 +19,7 @@ import pgm
 import pgm.plot
 from experiments.kinds import as_gaussian
 from experiments.record import Out, Record, Seed, progress
+from experiments.run_errors import run_errors
 from models import networks, simulation
 from models.networks import pose
 from pgm import consistency
@@ -31,6 +33,7 @@ LINEARISERS: dict[str, pgm.Lineariser] = {
 DT = 0.25  # s
 REACH = 4.0  # m, how far the sensor sees
 MOTION_STD = (0.06, 0.06, 0.04)  # m, m, rad a step
+SENSOR_STD = (0.2, 0.05)  # m, rad
 LANDMARKS = 8
 FIELD = (-8.0, 9.0, -9.0, 10.0)  # west, east, south, north [m]
 CONFIDENCE = 0.95
@@ -102,7 +105,7 @@ def simulate(
 ) -> tuple[pgm.DynamicBayesianNetwork, simulation.Drive]:
     """A network, and drives drawn from it."""
     rng = np.random.default_rng(seed)
-    network = networks.range_bearing(DT, motion_std=MOTION_STD)
+    network = networks.range_bearing(DT, motion_std=MOTION_STD, sensor_std=SENSOR_STD)
     controls = simulation.figure_of_eight(steps, DT)
     landmarks = simulation.scatter(LANDMARKS, FIELD, rng)
     return network, simulation.drive(network, controls, landmarks, reach=REACH, runs=runs, rng=rng)
@@ -129,6 +132,50 @@ def compare(
             results["nees"][name][kind] = float(nees.mean())
             results["log_evidence"][name][kind] = float(posterior.log_evidence.mean())
     return results, posteriors
+
+
+def sweep(
+    runs: int,
+    rng: np.random.Generator,
+    *,
+    lineariser: Literal["Taylor", "Unscented", "Cubature", "MonteCarlo"] = "Unscented",
+    noise: float = 1.0,
+    iterations: int = 1,
+    belief: Literal["filter", "smoother"] = "filter",
+    steps: int = 100,
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Errors of the robot's pose over a drive: one part of a study.
+
+    ``rmse`` [m] and ``rmse_heading`` [rad] over the steps, their mean ``nees``, of which 3 is
+    right, and ``log_evidence``. The landmarks are those of the experiment's seed 0.
+
+    Parameters
+    ----------
+    noise : float
+        The sensor's standard deviations, in those of the experiment.
+    iterations : int
+        Linearisations; of the filter, of a step's sightings.
+    """
+    if noise <= 0.0 or steps < 1:
+        raise pgm.ModelError(f"noise and steps are above 0; found {noise:g} and {steps}")
+    network = networks.range_bearing(
+        DT, motion_std=MOTION_STD, sensor_std=[noise * std for std in SENSOR_STD]
+    )
+    drive = simulation.drive(
+        network,
+        simulation.figure_of_eight(steps, DT),
+        simulation.scatter(LANDMARKS, FIELD, np.random.default_rng(0)),
+        reach=REACH,
+        runs=runs,
+        rng=rng,
+    )
+    sampled = pgm.MonteCarlo(100, seed=int(rng.integers(2**32)), fresh_per_run=True)
+    rules = LINEARISERS | {"Cubature": pgm.Cubature(), "MonteCarlo": sampled}
+    estimate = pgm.filter if belief == "filter" else pgm.smooth
+    found = estimate(
+        network, drive.evidence, lineariser=rules[lineariser], iterations=iterations, keep=[pose]
+    )
+    return run_errors(found, drive.truth)
 
 
 def linear_check(seed: int, runs: int = 200, steps: int = 50) -> dict[str, Any]:

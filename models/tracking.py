@@ -13,24 +13,24 @@ from math import isfinite
 from numbers import Real
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from models.sinc import sinc, sinc_slope
 
 Array = NDArray[np.float64]
 
 
-def constant_velocity(dt: float) -> Array:
+def constant_velocity(dt: float | Array) -> Array:
     """The transition matrix of constant velocity over a step, p' = p + Δt v, v' = v.
 
     Parameters
     ----------
-    dt : float
+    dt : float or array, shape (...)
         Duration of the step [s].
 
     Returns
     -------
-    array, shape (4, 4)
+    array, shape (..., 4, 4)
 
     Notes
     -----
@@ -41,31 +41,42 @@ def constant_velocity(dt: float) -> Array:
     >>> (constant_velocity(2.0) @ [0.0, 0.0, 1.0, -1.0]).tolist()
     [2.0, -2.0, 1.0, -1.0]
     """
-    return _plane([[1.0, dt], [0.0, 1.0]])
+    return _plane(1.0, dt, 0.0, 1.0)
 
 
-def white_acceleration(dt: float, density: float) -> Array:
+def steady(x: Array, dt: Array) -> Array:
+    """The target's state ``(..., 4)`` after a duration ``(..., 1)`` [s] of constant velocity."""
+    moved: Array = (steady_by_state(x, dt) @ x[..., None])[..., 0]
+    return moved
+
+
+def steady_by_state(x: Array, dt: Array) -> Array:
+    """Differentiate `steady` by the state: `constant_velocity`, ``(..., 4, 4)``."""
+    return constant_velocity(dt[..., 0])
+
+
+def white_acceleration(dt: float | Array, density: float) -> Array:
     """The covariance over a step of white-noise acceleration, independent east and north.
 
         q [[Δt³/3, Δt²/2], [Δt²/2, Δt]] for a coordinate and its velocity
 
     Parameters
     ----------
-    dt : float
+    dt : float or array, shape (...)
         Duration of the step [s].
     density : float
         The power spectral density q [m²/s³], 0 or more; 0 is an exact constant velocity.
 
     Returns
     -------
-    array, shape (4, 4)
+    array, shape (..., 4, 4)
         Of full rank where q > 0.
 
     Notes
     -----
     Bar-Shalom, Li and Kirubarajan (2001), section 6.2.2.
     """
-    return density * _plane([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    return density * _plane(dt**3 / 3, dt**2 / 2, dt**2 / 2, dt)
 
 
 def held_acceleration(dt: float, std: float) -> Array:
@@ -90,7 +101,7 @@ def held_acceleration(dt: float, std: float) -> Array:
     Bar-Shalom, Li and Kirubarajan (2001), section 6.3.2.
     """
     gain = np.array([dt**2 / 2, dt])
-    return std**2 * _plane(np.outer(gain, gain))
+    return std**2 * _plane(*np.outer(gain, gain).ravel())
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +207,8 @@ class CoordinatedTurn:
         return along, self.dt * np.sin(half) * sinc(half), np.cos(turn), np.sin(turn)
 
 
-def _plane(block: ArrayLike) -> Array:
-    """The same (2, 2) block for (east, v_east) and for (north, v_north)."""
-    out: Array = np.kron(np.asarray(block, dtype=float), np.eye(2))
+def _plane(*entries: float | Array) -> Array:
+    """The same (2, 2) block, entry by entry, for (east, v_east) and for (north, v_north)."""
+    block = np.stack(np.broadcast_arrays(*entries), axis=-1)
+    out: Array = np.kron(block.reshape(*block.shape[:-1], 2, 2), np.eye(2))
     return out

@@ -17,13 +17,17 @@ from pgm.compile import (
     compile,
 )
 from pgm.cpds import (
+    Cauchy,
     GaussianCPD,
+    Huber,
     Kronecker,
     LinearGaussianCPD,
     MixtureCPD,
     NonlinearGaussianCPD,
     SampledCPD,
+    StudentT,
     TableCPD,
+    TruncatedLeastSquares,
     noise,
     shifts,
 )
@@ -62,6 +66,7 @@ from pgm.inference import (
     KLDSampling,
     LevenbergMarquardt,
     LikelihoodSampling,
+    Lost,
     MostProbable,
     OnlineBelief,
     OnlineFilter,
@@ -74,6 +79,7 @@ from pgm.inference import (
     Particles,
     ParticleStatus,
     Posterior,
+    Rejections,
     Residual,
     Sequential,
     Smoothing,
@@ -101,7 +107,7 @@ from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Discrete, Variable, variables
 
 if TYPE_CHECKING:
-    from pgm import comparison, consistency, learning, maps, plot
+    from pgm import comparison, consistency, learning, maps, plot, recordings
     from pgm.comparison import Comparison, compare
     from pgm.io.networks import (
         from_pgmpy,
@@ -116,12 +122,13 @@ if TYPE_CHECKING:
     from pgm.io.poses import Poses
     from pgm.io.tum import read_tum, write_tum
     from pgm.learning import Fit, FitStatus, fit
+    from pgm.recordings.recording import Recording
     from pgm.viewer import view
 
 __version__ = "0.1.0"
 
 # Slow to import, or seldom wanted: loaded when first asked for.
-_MODULES = ("comparison", "consistency", "learning", "maps", "plot", "viewer")
+_MODULES = ("comparison", "consistency", "learning", "maps", "plot", "recordings", "viewer")
 _LATER = {
     "pgm.comparison": ("Comparison", "compare"),
     "pgm.io.networks": (
@@ -137,6 +144,7 @@ _LATER = {
     "pgm.io.poses": ("Poses",),
     "pgm.io.tum": ("read_tum", "write_tum"),
     "pgm.learning": ("Fit", "FitStatus", "fit"),
+    "pgm.recordings.recording": ("Recording",),
     "pgm.viewer": ("view",),
 }
 
@@ -168,6 +176,7 @@ __all__ = [
     "Bethe",
     "Calibration",
     "CanonicalForm",
+    "Cauchy",
     "CellProposal",
     "ChainPosterior",
     "Cluster",
@@ -193,6 +202,7 @@ __all__ = [
     "GridPosterior",
     "GridStatus",
     "GridWarning",
+    "Huber",
     "Injection",
     "JoinGraph",
     "JunctionTree",
@@ -205,6 +215,7 @@ __all__ = [
     "LinearGaussianCPD",
     "LinearisationError",
     "Lineariser",
+    "Lost",
     "MinFill",
     "MixtureCPD",
     "ModelError",
@@ -229,6 +240,8 @@ __all__ = [
     "Posterior",
     "PrecisionWarning",
     "QuasiMonteCarlo",
+    "Recording",
+    "Rejections",
     "Residual",
     "SampledCPD",
     "Sequential",
@@ -238,10 +251,12 @@ __all__ = [
     "StatisticalRegression",
     "Status",
     "StochasticMinFill",
+    "StudentT",
     "Table",
     "TableCPD",
     "Taylor",
     "Timeline",
+    "TruncatedLeastSquares",
     "Unscented",
     "Variable",
     "WeightedMinFill",
@@ -266,6 +281,7 @@ __all__ = [
     "read_uai",
     "read_uai_evidence",
     "read_xmlbif",
+    "recordings",
     "records",
     "shifts",
     "sightings",

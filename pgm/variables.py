@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +55,25 @@ class Variable(InCode):
     angles: tuple[str, ...] = ()
     step: int | None = None
     lag: int = 0
+
+    if TYPE_CHECKING:
+        # The first so that names which several variables share can be given as ``**pose``.
+        @overload
+        def __init__(
+            self, name: str, components: Iterable[str] = ..., angles: Iterable[str] = ...
+        ) -> None: ...
+
+        @overload
+        def __init__(
+            self,
+            name: str,
+            components: Iterable[str] = ...,
+            angles: Iterable[str] = ...,
+            step: int | None = ...,
+            lag: int = ...,
+        ) -> None: ...
+
+        def __init__(self, *args: Any, **kwargs: Any) -> None: ...
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:

@@ -6,6 +6,7 @@ import inspect
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 
 import pgm
@@ -26,6 +27,7 @@ PUBLIC = [
     "pgm.linearisers",
     "pgm.maps",
     "pgm.plot",
+    "pgm.recordings",
 ]
 
 
@@ -45,7 +47,7 @@ def has_example(value):
 
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_run_as_written(name):
-    found = doctest.testmod(importlib.import_module(name))
+    found = doctest.testmod(importlib.import_module(name), extraglobs={"pgm": pgm, "np": np})
     plt.close("all")
     assert not found.failed
 

@@ -21,7 +21,7 @@ LAYERS = [
     {"compile"},
     {"inference"},
     {"learning"},
-    {"io", "consistency", "comparison", "plot", "viewer"},
+    {"io", "consistency", "comparison", "plot", "recordings", "viewer", "examples"},
 ]
 HEIGHT = {name: height for height, layer in enumerate(LAYERS) for name in layer}
 

@@ -65,6 +65,8 @@ pgm.maps.OccupancyMap(np.zeros((3, 3)), resolution="wide")
 pgm.compare(3, {})
 pgm.read_bif(3.0)
 pgm.plto
+pose = {"components": ("east", "north"), "angles": ("north",)}
+pgm.Variable("y", **pose)
 """
 
 

@@ -93,8 +93,11 @@ def drawn(page: Path, target: Path) -> list[list[tuple[Path, int]]]:
             for number in plt.get_fignums():
                 figure = plt.figure(number)
                 path = target / f"{k}-{number}.png"
-                figure.savefig(path, dpi=_DPI)
-                paths.append((path, round(figure.get_figwidth() * 80)))
+                # Diagrams have room for a title, which is blank where they have none.
+                cut = {"bbox_inches": "tight", "pad_inches": 0.04} if _untitled(figure) else {}
+                figure.savefig(path, dpi=_DPI, **cut)
+                with Image.open(path) as picture:
+                    paths.append((path, round(picture.width * 80 / _DPI)))
             plt.close("all")
             moving = {p for p in Path().iterdir() if p.suffix in _FILES} - known
             known |= moving
@@ -104,6 +107,11 @@ def drawn(page: Path, target: Path) -> list[list[tuple[Path, int]]]:
                 paths.append((path, _width(path)))
             result.append(paths)
     return result
+
+
+def _untitled(figure: Any) -> bool:
+    """Whether it is a diagram, without axes, that has no title."""
+    return any(not ax.axison and not ax.get_title() for ax in figure.axes[:1])
 
 
 def _width(path: Path) -> int:

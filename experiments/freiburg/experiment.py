@@ -30,7 +30,6 @@ from experiments.freiburg.grid import compared, gridded
 from experiments.freiburg.log import Log
 from experiments.freiburg.particles import particle_filter
 from experiments.record import Out, Record, Seed, note, progress
-from models import motion
 from models.networks import pose
 from pgm import consistency
 
@@ -294,10 +293,7 @@ def furthest(
 
 def dead_reckoning(log: Log) -> Array:
     """The path (T+1, 3) that the odometry alone makes, from (0, 0, 0) [m, m, rad]."""
-    poses = np.zeros((len(log.odometry) + 1, 3))
-    for t, control in enumerate(log.odometry):
-        poses[t + 1] = motion.odometry(poses[t], control)
-    return poses
+    return log.recording.dead_reckoning(np.zeros(3)).values
 
 
 def rms(belief: pgm.Gaussian, reckoned: Array) -> float:

@@ -26,7 +26,7 @@ def path(log: Log, posterior: pgm.ChainPosterior, reckoned: Array) -> Figure:
     figure, axes = plt.subplots(
         1, 2, figsize=(12, 6.5), sharex=True, sharey=True, layout="constrained"
     )
-    places = np.array(list(log.landmarks.values()))
+    places = log.landmarks
     kinds = {found.kind: found[pose] for found in (posterior.filtered, posterior)}
     for ax, colour, (kind, belief) in zip(axes, PALETTE, kinds.items(), strict=False):
         ax.plot(*reckoned[:, :2].T, color="black", lw=0.8, ls="--", label="odometry alone")
@@ -43,7 +43,7 @@ def filters(
     figure, axes = plt.subplots(
         2, 3, figsize=(13, 9.0), sharex=True, sharey=True, layout="constrained"
     )
-    places = np.array(list(log.landmarks.values()))
+    places = log.landmarks
     for ax, colour, (label, posterior) in zip(axes.flat, PALETTE, posteriors.items(), strict=False):
         belief = posterior.filtered[pose]
         pgm.plot.trajectory(belief, landmarks=places, label=label, colour=colour, ax=ax)

@@ -36,7 +36,7 @@ class Gridded:
 
 def cells(log: Log) -> pgm.Grid:
     """A grid around the landmarks and the start; beliefs are kept as float32."""
-    places = np.array([(0.0, 0.0), *log.landmarks.values()])
+    places = np.array([(0.0, 0.0), *log.landmarks])
     low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
     count = np.ceil((high - low) / CELL).astype(int)
     return pgm.Grid(

@@ -9,8 +9,9 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import linalg
 
-from experiments.killian.log import Edges, Log
+from experiments.killian.log import Log
 from models import motion
+from pgm.recordings import Edges
 
 Array = npt.NDArray[np.float64]
 

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.killian.graph import fitted, seen_from
-from experiments.killian.log import Edges, Log
+from experiments.killian.log import Log
 from pgm.maps import OccupancyMap
+from pgm.recordings import Edges
 
 Array = npt.NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""What the audit says of beliefs whose KL from the exact posterior is known."""
+"""The audit's verdicts on results whose distance from the exact posterior is known."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ import numpy as np
 
 import pgm
 from experiments.nonlinear_measurement.cases import Array, Integers
+from experiments.nonlinear_measurement.truth import Truth
+from models.networks import pose
 
-# A belief further than WRONG from exact [nats] should be suspect; one nearer than RIGHT should not.
+# A result further than WRONG from exact [nats] should be suspect; one nearer than RIGHT should not.
 WRONG, RIGHT = 2.0, 0.2
 
 
 @dataclass(frozen=True)
 class Audited:
-    """How an audit's verdicts agree with the KL of the pose after the step.
+    """How an audit's verdicts agree with the distance from exact; see `distance`.
 
     Attributes
     ----------
     wrong, right : int
-        Simulations with a KL of 2 nats or more, and below 0.2.
+        Simulations that are 2 nats or more off, and less than 0.2.
     caught, alarms : int
         How many of these are suspect.
     missed : int
@@ -37,10 +39,25 @@ class Audited:
     trusted: float
 
 
-def audited(found: pgm.Audit, kept: Integers, kl: Array) -> Audited:
-    """Compare the verdicts on the simulations that were kept with their KL."""
-    suspect, trusted = found.suspect[kept], found.trusted[kept]
-    wrong, right = kl >= WRONG, kl < RIGHT
+def distance(posterior: pgm.ChainPosterior, truth: Truth) -> Array:
+    """How far a result is from exact, (runs,) [nats], in what an audit judges.
+
+    KL(exact moments ‖ belief) of the pose after the step, of a smoother that of both poses
+    together, or how far the log-evidence is off, whichever is larger.
+    """
+    before, after = pose.at(0), pose.at(1)
+    if posterior.kind.last(0, 1) == 1:
+        exact = pgm.Gaussian((before, after), truth.poses_mean, truth.poses_cov)
+        kl = exact.kl(posterior.joint(before, after))
+    else:
+        kl = pgm.Gaussian(after, truth.mean, truth.cov).kl(posterior[after])
+    return np.maximum(kl, np.abs(posterior.log_evidence - truth.log_evidence))
+
+
+def audited(found: pgm.Audit, kept: Integers, off: Array) -> Audited:
+    """Compare the verdicts on the simulations that were kept with their distance from exact."""
+    suspect, trusted, off = found.suspect[kept], found.trusted[kept], off[kept]
+    wrong, right = off >= WRONG, off < RIGHT
     return Audited(
         wrong=int(wrong.sum()),
         right=int(right.sum()),

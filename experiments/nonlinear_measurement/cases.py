@@ -128,7 +128,9 @@ def declare(sensor: Sensor, heading_std: float) -> pgm.DynamicBayesianNetwork:
     )
 
 
-def simulate(sensor: Sensor, heading_std: float, runs: int, seed: int) -> Case:
+def simulate(
+    sensor: Sensor, heading_std: float, runs: int, seed: int | np.random.Generator
+) -> Case:
     """Draw poses and readings; one seed's random numbers are common to all sensors and s."""
     model = declare(sensor, heading_std)
     inputs: dict[pgm.Variable, Any] = {velocity: CONTROL[None]}

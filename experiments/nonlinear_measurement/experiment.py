@@ -16,9 +16,11 @@ summary.json, by sensor (far, near, two_ranges, collinear, position), s and rule
   of a robot;
 - ``settled``: by sensor and s, the ``share`` of simulations in which iterating came to rest, their
   mean ``kl``, and ``kl_others``, 0 where there are none;
-- ``audits``: by sensor and rule, at the widest s, how many simulations have a KL of 2 or more
-  (``wrong``) and below 0.2 (``right``), how many of these the audit calls suspect (``caught``,
+- ``audits``: by sensor and rule, at the widest s, how many simulations are 2 nats or more off
+  (``wrong``) and less than 0.2 (``right``), how many of these the audit calls suspect (``caught``,
   ``alarms``), and how many wrong ones it neither does nor says to be beyond its trust (``missed``);
+  off by the KL of the pose after the step, of a smoother that of both poses together, or by the
+  error of the log-evidence, whichever is larger;
 - ``verdict``: three sentences made of these numbers;
 - ``truth``: by sensor and s, the least and the median effective sample size, and how many
   simulations were dropped because theirs was too small;

@@ -57,9 +57,9 @@ def verdict(found: Study) -> list[str]:
         sentences.append("In this run iterating does no certain harm with any sensor.")
     total = _sum(each for audits in found.audits.values() for each in audits.values())
     sentences.append(
-        f"An audit tells which: it calls {_share(total.caught, total.wrong)} of the beliefs "
-        f"suspect whose KL is {WRONG:g} nats or more, and {_share(total.alarms, total.right)} "
-        f"of those below {RIGHT:g}."
+        f"An audit tells which: it calls {_share(total.caught, total.wrong)} of the results "
+        f"suspect that are {WRONG:g} nats or more off, and {_share(total.alarms, total.right)} "
+        f"of those less than {RIGHT:g} off."
     )
     return sentences
 
@@ -162,10 +162,12 @@ def audits(found: Study) -> str:
     """How often the audit's verdict is right."""
     total = _sum(each for audits in found.audits.values() for each in audits.values())
     return (
-        f"With every sensor at s = {_WIDEST} rad, {total.caught} of {total.wrong} beliefs with a "
-        f"KL of {WRONG:g} nats or more are suspect, {total.alarms} of {total.right} with one below "
-        f"{RIGHT:g}; {total.missed} of the former are neither suspect nor told to be beyond the "
-        "audit's trust."
+        f"With every sensor at s = {_WIDEST} rad, {total.caught} of {total.wrong} results that are "
+        f"{WRONG:g} nats or more off are suspect, {total.alarms} of {total.right} that are less "
+        f"than {RIGHT:g} off; {total.missed} of the former are neither suspect nor told to be "
+        "beyond the audit's trust. Off by, in what the audit judges: the KL of the pose after the "
+        "step, of a smoother that of both poses together, or the error of the log-evidence, "
+        "whichever is larger."
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import pgm
-from experiments.nonlinear_measurement.audits import Audited, audited
+from experiments.nonlinear_measurement.audits import Audited, audited, distance
 from experiments.nonlinear_measurement.cases import (
     HEADINGS,
     SENSORS,
@@ -25,8 +25,6 @@ from models.networks import pose
 
 Scores = dict[str, dict[str, dict[str, Score]]]  # by sensor, s and rule
 EXACT = "Exact"
-# Whose beliefs are audited, at the widest heading.
-AUDITED = ("Cubature", ITERATED, "IteratedSmoother")
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +120,8 @@ def study(
             found.settled[sensor][s] = rest
             solved[sensor, s] = solution
         found.audits[sensor] = {
-            name: audited(pgm.audit(posteriors[name], rng=seed), kept, solution.kl[name])
-            for name in AUDITED
-            if name in posteriors
+            name: audited(pgm.audit(each, rng=seed), kept, distance(each, truth))
+            for name, each in posteriors.items()
         }
         found.costs[sensor] = {name: cost(rule, case) for name, rule in compared.items()}
     return found, solved
@@ -133,16 +130,14 @@ def study(
 def _solve(
     case: Case, truth: Truth, kept: Integers, compared: dict[str, Rule]
 ) -> tuple[Solved, dict[str, float], dict[str, pgm.ChainPosterior]]:
-    """Beliefs of all rules, how iterating ended, and the posteriors that are audited."""
+    """Beliefs of all rules, how iterating ended, and the posteriors."""
     after = pose.at(1)
     exact = pgm.Gaussian(after, truth.mean[kept], truth.cov[kept])
     beliefs, rest, posteriors = {EXACT: exact}, {}, {}
     for name, rule in compared.items():
-        solved = rule.solve(case)
+        solved = posteriors[name] = rule.solve(case)
         belief = solved[after]
         beliefs[name] = pgm.Gaussian(after, belief.mean[kept], belief.cov[kept])
-        if name in AUDITED:
-            posteriors[name] = solved
         if name == ITERATED:
             rest = _rest(settled(solved.status)[kept], exact.kl(beliefs[name]))
     kl = {name: exact.kl(belief) for name, belief in beliefs.items()}

@@ -91,14 +91,14 @@ def write(
     )
     record.note(findings.audits(found))
     record.table(
-        f"the audit at s = {_WIDEST} rad: beliefs with a KL of {WRONG:g} nats or more, and below "
-        f"{RIGHT:g}, and how many of each are suspect",
+        f"the audit at s = {_WIDEST} rad: results that are {WRONG:g} nats or more off, and less "
+        f"than {RIGHT:g}, and how many of each are suspect",
         (
             "sensor",
             "rule",
-            f"KL ≥ {WRONG:g}",
+            f"off ≥ {WRONG:g}",
             "caught",
-            f"KL < {RIGHT:g}",
+            f"off < {RIGHT:g}",
             "alarms",
             "trusted",
         ),
@@ -107,9 +107,10 @@ def write(
             for sensor, audits in found.audits.items()
             for rule, a in audits.items()
         ],
-        about="Simulations. Caught: beliefs of the column before that the audit calls suspect, "
+        about="Simulations. Caught: results of the column before that the audit calls suspect, "
         "rightly; alarms: the same of the column before, wrongly; trusted: the share of all "
         "simulations whose audit can be trusted.",
+        folded=True,
     )
     truths = [each for cases in found.truth.values() for each in cases.values()]
     record.note(

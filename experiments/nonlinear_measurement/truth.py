@@ -1,10 +1,11 @@
-"""The exact posterior's mean and covariance after one step, by importance sampling.
+"""The exact posterior of both poses, its moments and log-evidence, by importance sampling.
 
 The first heading θ₀ and the new position (x, y) are sampled; the new heading, which only a bearing
-tells of, is Gaussian given these three and integrated in closed form:
+tells of, and the first position are Gaussian given these three and integrated in closed form:
 
     θ₀ ~ N(0, s²)        (x, y) | θ₀ ~ N(c (cos, sin)(θ₀ + ω/2), (p² + r²) I)
     θ' | θ₀ ~ N(θ₀ + ω, r_θ²)
+    (x₀, y₀) | θ₀, x, y ~ N(g ((x, y) − c (cos, sin)(θ₀ + ω/2)), g r² I),  g = p² / (p² + r²)
 
 Points are Sobol's: a quarter from the prior, the others from a product of Student's t along the
 axes of a pilot's covariance, about its mean. Weights are the posterior over the density of the
@@ -42,6 +43,7 @@ _BLOCK = 16  # simulations at a time, so that their points stay in the cache
 _TURN = CONTROL[1]
 _CHORD = CONTROL[0] * np.sin(_TURN / 2) / (_TURN / 2)
 _PLACE = START_STD**2 + MOTION_STD[0] ** 2  # variance of either coordinate given θ₀
+_BACK = START_STD**2 / _PLACE  # how much of the new position's surprise the first one takes
 _HEADING = MOTION_STD[2] ** 2
 # How much of a bearing's surprise the new heading takes, given the rest.
 _GAIN = _HEADING / (_HEADING + BEARING_STD**2)
@@ -53,29 +55,43 @@ class Truth:
 
     Attributes
     ----------
-    mean, cov : ndarray
-        (runs, 3), (runs, 3, 3): of the pose after the step given the readings.
+    poses_mean, poses_cov : ndarray
+        (runs, 6), (runs, 6, 6): of the poses before and after the step given the readings.
+    log_evidence : ndarray
+        (runs,): ln p(readings).
     effective : ndarray
         (runs,): effective sample sizes.
     """
 
-    mean: Array
-    cov: Array
+    poses_mean: Array
+    poses_cov: Array
+    log_evidence: Array
     effective: Array
+
+    @property
+    def mean(self) -> Array:
+        """(runs, 3): of the pose after the step."""
+        return self.poses_mean[:, 3:]
+
+    @property
+    def cov(self) -> Array:
+        """(runs, 3, 3): of the pose after the step."""
+        return self.poses_cov[:, 3:, 3:]
 
 
 class _Cloud(NamedTuple):
-    """Moments of (θ₀, x, y) and of the pose, and the effective sample sizes."""
+    """Moments of (θ₀, x, y) and of both poses, log-evidence and effective sample sizes."""
 
     centre: Array
     spread: Array
     mean: Array
     cov: Array
+    log_evidence: Array
     effective: Array
 
 
 def posterior(case: Case, log2_points: int, enough: float, seed: int) -> Truth:
-    """Moments of the pose after the step, given the readings.
+    """Moments of the poses given the readings, and log-evidence.
 
     Parameters
     ----------
@@ -106,11 +122,11 @@ def posterior(case: Case, log2_points: int, enough: float, seed: int) -> Truth:
                 break
         clouds.append(cloud)
     joined = _Cloud(*(np.concatenate(part) for part in zip(*clouds, strict=True)))
-    return Truth(joined.mean, joined.cov, joined.effective)
+    return Truth(*joined[2:])
 
 
 def log_likelihood(sensor: Sensor, points: Array, z: Array) -> tuple[Array, Array]:
-    """Log-likelihood ln p(z | θ₀, x, y) up to a constant, and a bearing's shift of θ'.
+    """Log-likelihood ln p(z | θ₀, x, y), and a bearing's shift of θ'.
 
     Parameters
     ----------
@@ -130,16 +146,17 @@ def log_likelihood(sensor: Sensor, points: Array, z: Array) -> tuple[Array, Arra
     heading, east, north = points
     if not sensor.landmarks:
         off = (z[:, 0, :1] - east) ** 2 + (z[:, 0, 1:] - north) ** 2
-        return off / (-2.0 * FIX_STD**2), np.zeros(())
+        return off / (-2.0 * FIX_STD**2) - np.log(2.0 * np.pi * FIX_STD**2), np.zeros(())
     log, shift = np.zeros(()), np.zeros(())
     for k, (m_east, m_north) in enumerate(sensor.landmarks):
         off = z[:, k, :1] - np.hypot(m_east - east, m_north - north)
-        log = log - off**2 / (2.0 * RANGE_STD**2)
+        log = log - off**2 / (2.0 * RANGE_STD**2) - 0.5 * np.log(2.0 * np.pi * RANGE_STD**2)
         if sensor.bearing:
             bearing = np.arctan2(m_north - north, m_east - east) - heading - _TURN
             surprise = z[:, k, 1:] - bearing
             surprise -= 2.0 * np.pi * np.round(surprise / (2.0 * np.pi))
-            log = log - surprise**2 / (2.0 * (_HEADING + BEARING_STD**2))
+            variance = _HEADING + BEARING_STD**2
+            log = log - surprise**2 / (2.0 * variance) - 0.5 * np.log(2.0 * np.pi * variance)
             shift = -_GAIN * surprise
     return log, shift
 
@@ -163,17 +180,24 @@ def _sample(
 
 def _weigh(points: Array, log_weights: Array, shift: Array) -> _Cloud:
     """Moments of weighted points; a shift that is none comes with a heading's whole noise."""
-    weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))
+    peak = log_weights.max(axis=1, keepdims=True)
+    weights = np.exp(log_weights - peak)
+    log_evidence = peak[:, 0] + np.log(weights.mean(axis=1))
     weights /= weights.sum(axis=1, keepdims=True)
-    centre, spread = _moments(weights, points)
     heading, east, north = points
-    mean, cov = _moments(weights, np.broadcast_arrays(east, north, heading + _TURN + shift))
-    cov[:, 2, 2] += _HEADING * (1.0 - _GAIN if shift.ndim else 1.0)
-    return _Cloud(centre, spread, mean, cov, 1.0 / np.sum(weights**2, axis=1))
+    course = heading + _TURN / 2
+    first = _BACK * (east - _CHORD * np.cos(course)), _BACK * (north - _CHORD * np.sin(course))
+    poses = np.broadcast_arrays(*first, heading, east, north, heading + _TURN + shift)
+    mean, cov = _moments(weights, poses)
+    sampled = np.array([2, 3, 4])
+    centre, spread = mean[:, sampled], cov[:, sampled[:, None], sampled]
+    cov[:, [0, 1], [0, 1]] += _BACK * MOTION_STD[0] ** 2
+    cov[:, 5, 5] += _HEADING * (1.0 - _GAIN if shift.ndim else 1.0)
+    return _Cloud(centre, spread, mean, cov, log_evidence, 1.0 / np.sum(weights**2, axis=1))
 
 
 def _moments(weights: Array, components: Iterable[Array]) -> tuple[Array, Array]:
-    """Means (b, 3) and covariances (b, 3, 3) of components (b or 1, N)."""
+    """Means (b, n) and covariances (b, n, n) of components (b or 1, N)."""
     parts = list(components)
     mean = np.stack([np.sum(weights * part, axis=1) for part in parts], axis=-1)
     off = [part - mean[:, k, None] for k, part in enumerate(parts)]

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.io import loadmat
 
 from models.networks import distance, landmark, travelled
-from pgm.errors import EvidenceError, FileError
-from pgm.io import Timeline, stamped, timeline
+from pgm.io import Timeline
+from pgm.recordings import Recording, read_plaza
 
 Array = npt.NDArray[np.float64]
 
@@ -42,8 +41,6 @@ SETTINGS = {
     "plaza2": Setting("Plaza2_.mat", 1.0694, 0.020, np.pi, 0.02, 0.529),
 }
 POSITION_RATE = 0.05  # m after one second
-# Of each table: true poses, odometry, ranges heard, and places of beacons, by time or number.
-COLUMNS = {"GT": 4, "DR": 3, "TD": 4, "TL": 3}
 START_STD = (0.2, 0.2, 0.05)  # m, m, rad
 
 
@@ -53,16 +50,22 @@ class Log:
 
     Attributes
     ----------
+    recording : Recording
+        With calibrated ranges, and what became of rows that were odd.
     timeline : Timeline
         Controls and ranges as evidence, and what became of every row.
     truth : ndarray
-        (T+1, 3): satellite positions [m] and headings [rad].
+        (n, 3): satellite positions [m] and headings [rad].
+    steps : ndarray of int
+        (n,): of the states whose truth that is.
     beacons : ndarray
         (4, 2) [m].
     """
 
+    recording: Recording
     timeline: Timeline
     truth: Array
+    steps: npt.NDArray[np.int64]
     beacons: Array
 
 
@@ -75,42 +78,20 @@ def find(name: str) -> Path | None:
     return Path(gtsam.findExampleDataFile(SETTINGS[name].file))
 
 
-def load(path: Path, setting: Setting) -> Log:
-    """Read a recording, calibrate its ranges, and lay it on the times of the true positions."""
-    truth, moved, heard, where = _tables(path)
-    place = {int(beacon): (east, north) for beacon, east, north in where}
-    strangers = sorted({int(beacon) for beacon in heard[:, 2]} - set(place))
-    if strangers:
-        raise EvidenceError(f"{path}: the beacons {strangers} in TD have no place in TL")
-    ranges = (heard[:, 3] - setting.offset) / setting.scale
-    beacons = np.array([place[int(beacon)] for beacon in heard[:, 2]])
-    laid = timeline(
-        truth[:, 0],
-        odometry={travelled: stamped(moved[:, 0], moved[:, 1:])},
-        sensors={distance: stamped(heard[:, 0], ranges, {landmark: beacons})},
+def load(path: Path, setting: Setting, *, every_stamp: bool = False) -> Log:
+    """Read a recording, calibrate its ranges, and lay it on the times of the true positions.
+
+    With `every_stamp` there are states at the ranges' own times, too.
+    """
+    drive = read_plaza(path).calibrated("radio", setting.scale, setting.offset)
+    truth = drive.truth
+    assert truth is not None
+    laid = drive.timeline(
+        None if every_stamp else truth.stamps,
+        odometry=travelled,
+        sensors={distance: "radio"},
+        landmark=landmark,
     )
-    poses = truth[:, 1:] + np.array([0.0, 0.0, setting.heading_shift])
-    return Log(laid, poses, np.array(list(place.values())))
-
-
-def _tables(path: Path) -> list[Array]:
-    """The tables of a recording, checked."""
-    try:
-        data = loadmat(path)
-    except Exception as error:  # of many kinds, as the damage is
-        raise FileError(
-            f"{path} cannot be read as a .mat file ({type(error).__name__}: {error}); fetch it "
-            "again, or leave out --path",
-            path=str(path),
-        ) from error
-    lost = [key for key in COLUMNS if key not in data]
-    if lost:
-        raise EvidenceError(f"{path} has no tables {lost}; is it a Plaza recording?")
-    for key, width in COLUMNS.items():
-        table = data[key]
-        if table.dtype.kind not in "fiu" or table.ndim != 2 or table.shape[1] != width:
-            raise EvidenceError(
-                f"{path}: the table {key} has shape {table.shape} of {table.dtype}; numbers in "
-                f"{width} columns were due; is it a Plaza recording?"
-            )
-    return [np.asarray(data[key], dtype=float) for key in COLUMNS]
+    poses = truth.values + np.array([0.0, 0.0, setting.heading_shift])
+    steps = np.searchsorted(laid.times, truth.stamps)
+    return Log(drive, laid, poses, steps, np.array(list(drive.landmarks.values())))

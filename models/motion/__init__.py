@@ -13,7 +13,21 @@ The Jacobians ``function_by_state`` and ``function_by_control`` take the same ar
 columns those of x or of u.
 """
 
-from models.motion.arcs import Velocity, velocity, velocity_by_control, velocity_by_state
+from models.motion.arcs import (
+    Velocity,
+    arc,
+    arc_by_control,
+    arc_by_state,
+    velocity,
+    velocity_by_control,
+    velocity_by_state,
+)
+from models.motion.gyro import (
+    drifting,
+    drifting_by_bias,
+    drifting_by_control,
+    drifting_by_state,
+)
 from models.motion.steps import (
     increment,
     increment_by_control,
@@ -33,6 +47,13 @@ from models.motion.wheels import DifferentialDrive
 __all__ = [
     "DifferentialDrive",
     "Velocity",
+    "arc",
+    "arc_by_control",
+    "arc_by_state",
+    "drifting",
+    "drifting_by_bias",
+    "drifting_by_control",
+    "drifting_by_state",
     "increment",
     "increment_by_control",
     "increment_by_state",

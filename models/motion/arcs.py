@@ -63,6 +63,49 @@ def velocity_by_control(x: Array, u: Array) -> Array:
     return planar.by_control(x, length, course, *_arc_partials(v, omega, dt))
 
 
+def arc(x: Array, u: Array) -> Array:
+    """Go a distance along a circular arc while turning, as an odometer and a gyro tell.
+
+    `velocity` with d = v Δt and φ = ω Δt: two parts of an arc, one after the other, are the whole,
+    which is not so of `travelled`.
+
+    Parameters
+    ----------
+    x : array, shape (..., 3)
+        East [m], north [m], heading [rad].
+    u : array, shape (..., 3)
+        Distance d [m], turn φ [rad], duration Δt [s], which moves nothing.
+
+    Returns
+    -------
+    array, shape (..., 3)
+        The state after the step; the heading is not wrapped.
+
+    Examples
+    --------
+    >>> quarter = arc(np.array([0.0, 0.0, 0.0]), np.array([np.pi, np.pi / 2, 1.0]))
+    >>> quarter.round(4).tolist()
+    [2.0, 2.0, 1.5708]
+    """
+    u = planar.shared(u)
+    return planar.move(x, *_arc(x, u[..., 0], u[..., 1], 1.0))
+
+
+def arc_by_state(x: Array, u: Array) -> Array:
+    """Differentiate `arc` by (east, north, heading); returns ``(..., 3, 3)``."""
+    u = planar.shared(u)
+    length, course, _ = _arc(x, u[..., 0], u[..., 1], 1.0)
+    return planar.by_state(x, length * np.cos(course), length * np.sin(course))
+
+
+def arc_by_control(x: Array, u: Array) -> Array:
+    """Differentiate `arc` by (distance, turn, Δt), the last column 0; returns ``(..., 3, 3)``."""
+    distance, turn = u[..., 0], u[..., 1]
+    length, course, _ = _arc(x, distance, turn, 1.0)
+    by_distance, by_turn, _ = _arc_partials(distance, turn, 1.0)
+    return planar.by_control(x, length, course, by_distance, by_turn, (0.0, 0.0, 0.0))
+
+
 @dataclass(frozen=True, slots=True)
 class Velocity:
     """The motion of `velocity` over steps of one fixed duration: u = (v [m/s], ω [rad/s]).

@@ -1,8 +1,10 @@
 """Declared networks: robots in the plane that localise themselves, and targets to track."""
 
+from models.networks.calibrated import calibrated_range, drifting_gyro
 from models.networks.drives import differential_drive, turn_after_move
 from models.networks.landmarks import odometry_ranges, range_bearing, range_only
 from models.networks.observations import (
+    reads_antenna,
     reads_heading,
     reads_pose,
     reads_position,
@@ -13,12 +15,26 @@ from models.networks.observations import (
 from models.networks.points import linear, linear_velocity
 from models.networks.poses import velocity_pose, velocity_position
 from models.networks.targets import constant_velocity, coordinated_turn
+from models.networks.uneven import (
+    drifts,
+    drives,
+    grows,
+    rolls,
+    stays,
+    uneven_constant_velocity,
+    uneven_range_bearing,
+    walks,
+)
 from models.networks.variables import (
     bearing,
+    calibration,
+    clock,
     compass,
     distance,
     fix,
+    gyro_bias,
     landmark,
+    mount,
     move,
     odometry,
     point,
@@ -28,6 +44,7 @@ from models.networks.variables import (
     sighting,
     speed,
     target,
+    timed_velocity,
     travelled,
     turning_target,
     velocity,
@@ -36,15 +53,24 @@ from models.networks.variables import (
 
 __all__ = [
     "bearing",
+    "calibrated_range",
+    "calibration",
+    "clock",
     "compass",
     "constant_velocity",
     "coordinated_turn",
     "differential_drive",
     "distance",
+    "drifting_gyro",
+    "drifts",
+    "drives",
     "fix",
+    "grows",
+    "gyro_bias",
     "landmark",
     "linear",
     "linear_velocity",
+    "mount",
     "move",
     "odometry",
     "odometry_ranges",
@@ -53,21 +79,28 @@ __all__ = [
     "pose_fix",
     "range_bearing",
     "range_only",
+    "reads_antenna",
     "reads_heading",
     "reads_pose",
     "reads_position",
+    "rolls",
     "sees_bearing",
     "sees_landmark",
     "sees_range",
     "shift",
     "sighting",
     "speed",
+    "stays",
     "target",
+    "timed_velocity",
     "travelled",
     "turn_after_move",
     "turning_target",
+    "uneven_constant_velocity",
+    "uneven_range_bearing",
     "velocity",
     "velocity_pose",
     "velocity_position",
+    "walks",
     "wheels",
 ]

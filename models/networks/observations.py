@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 import pgm
 from models import sensors
@@ -48,7 +49,28 @@ def reads_heading(std: float) -> pgm.LinearGaussianCPD:
     return pgm.LinearGaussianCPD(compass, given={pose: [[0.0, 0.0, 1.0]]}, cov=variances(std))
 
 
-def sees_range(std: float, *, grouped: bool = False) -> pgm.NonlinearGaussianCPD:
+def reads_antenna(
+    std: Sequence[float], mount: Sequence[float] | pgm.Variable
+) -> pgm.NonlinearGaussianCPD:
+    """The position of an antenna that is not at the robot's reference point is read.
+
+    Parameters
+    ----------
+    std : sequence of float
+        Standard deviations [m, m].
+    mount : sequence of float or Variable
+        Where the antenna is, (forward [m], left [m], turn [rad]), or the parent that says it.
+    """
+    return _sees(fix, sensors.POSITION, (pose,), diagonal(std), mount)
+
+
+def sees_range(
+    std: float,
+    *,
+    grouped: bool = False,
+    mount: Sequence[float] | pgm.Variable | None = None,
+    calibration: Sequence[float] | pgm.Variable | None = None,
+) -> pgm.NonlinearGaussianCPD:
     """The distance to a landmark, with a standard deviation [m].
 
     Parameters
@@ -57,43 +79,73 @@ def sees_range(std: float, *, grouped: bool = False) -> pgm.NonlinearGaussianCPD
         Standard deviation [m].
     grouped : bool
         Whether sigma points see the ranges of a step as one vector.
+    mount : sequence of float or Variable, optional
+        Where the sensor is on the robot, (forward [m], left [m], turn [rad]), or the parent that
+        says it.
+    calibration : sequence of float or Variable, optional
+        (scale, offset [m]): range = scale · distance + offset; or the parent that says it.
     """
+    cov = variances(std)
+    return _sees(
+        distance, sensors.RANGE, (pose, landmark), cov, mount, calibration, grouped=grouped
+    )
+
+
+def sees_bearing(
+    std: float, *, mount: Sequence[float] | pgm.Variable | None = None
+) -> pgm.NonlinearGaussianCPD:
+    """The direction of a landmark from the heading, with a standard deviation [rad].
+
+    Parameters
+    ----------
+    std : float
+        Standard deviation [rad].
+    mount : sequence of float or Variable, optional
+        As of `sees_range`.
+    """
+    return _sees(bearing, sensors.BEARING, (pose, landmark), variances(std), mount)
+
+
+def sees_landmark(
+    std: Sequence[float],
+    *,
+    mount: Sequence[float] | pgm.Variable | None = None,
+    calibration: Sequence[float] | pgm.Variable | None = None,
+) -> pgm.NonlinearGaussianCPD:
+    """Range and bearing of a landmark, with standard deviations [m, rad].
+
+    Parameters
+    ----------
+    std : sequence of float
+        Standard deviations [m, rad].
+    mount, calibration : sequence of float or Variable, optional
+        As of `sees_range`.
+    """
+    cov = diagonal(std)
+    return _sees(sighting, sensors.RANGE_BEARING, (pose, landmark), cov, mount, calibration)
+
+
+def _sees(
+    child: pgm.Variable,
+    sensor: sensors.Sensor,
+    parents: tuple[pgm.Variable, ...],
+    cov: npt.NDArray[np.float64],
+    mount: Sequence[float] | pgm.Variable | None = None,
+    calibration: Sequence[float] | pgm.Variable | None = None,
+    *,
+    grouped: bool = False,
+) -> pgm.NonlinearGaussianCPD:
+    """A CPD of a sensor as it is on the robot."""
+    for changed, by in ((sensors.mounted, mount), (sensors.calibrated, calibration)):
+        if isinstance(by, pgm.Variable):
+            sensor, parents = changed(sensor), (*parents, by)
+        elif by is not None:
+            sensor = changed(sensor, by)
     return pgm.NonlinearGaussianCPD(
-        distance,
-        given=(pose, landmark),
-        function=sensors.range_only,
-        cov=variances(std),
-        jacobian={
-            pose: sensors.range_only_by_state,
-            landmark: sensors.range_only_by_landmark,
-        },
+        child,
+        given=parents,
+        function=sensor.function,
+        cov=cov,
+        jacobian=dict(zip(parents, sensor.derivatives, strict=True)),
         grouped=grouped,
-    )
-
-
-def sees_bearing(std: float) -> pgm.NonlinearGaussianCPD:
-    """The direction of a landmark from the heading, with a standard deviation [rad]."""
-    return pgm.NonlinearGaussianCPD(
-        bearing,
-        given=(pose, landmark),
-        function=sensors.bearing_only,
-        cov=variances(std),
-        jacobian={
-            pose: sensors.bearing_only_by_state,
-            landmark: sensors.bearing_only_by_landmark,
-        },
-    )
-
-
-def sees_landmark(std: Sequence[float]) -> pgm.NonlinearGaussianCPD:
-    """Range and bearing of a landmark, with standard deviations [m, rad]."""
-    return pgm.NonlinearGaussianCPD(
-        sighting,
-        given=(pose, landmark),
-        function=sensors.range_bearing,
-        cov=diagonal(std),
-        jacobian={
-            pose: sensors.range_bearing_by_state,
-            landmark: sensors.range_bearing_by_landmark,
-        },
     )

@@ -24,13 +24,8 @@ class Cluster(Shown):
 
     Examples
     --------
-    >>> import pgm
-    >>> a, b = pgm.variables("a b")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(a, 0.0, 1.0),
-    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
-    ... ])
-    >>> cluster = pgm.compile(net).clusters[0]
+    >>> from pgm.examples import a, b, pair
+    >>> cluster = pgm.compile(pair).clusters[0]
     >>> cluster
     Cluster(0: (a, b))
     >>> cluster.cpds

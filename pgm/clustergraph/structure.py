@@ -63,7 +63,6 @@ class ClusterGraph(Drawn, Immutable):
 
     Examples
     --------
-    >>> import pgm
     >>> a, b = pgm.variables("a b")
     >>> prior = pgm.GaussianCPD(a, 0.0, 1.0)
     >>> net = pgm.BayesianNetwork([prior, pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)])

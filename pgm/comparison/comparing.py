@@ -84,7 +84,7 @@ def compare(
     truth : mapping of Variable to array_like, optional
         By state, (*runs, T+1, d), or (T+1, d) of all runs; NaN where it is not known.
     states : collection of Variable, optional
-        The states that are compared; all of the network's without.
+        The states that are compared; without, all of an oracle's, or those of a truth alone.
     steps : int, optional
         T, where no plain array of the evidence tells.
     progress : bool or callable
@@ -108,13 +108,8 @@ def compare(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> found = pgm.compare(model, {z: [[2.0], [3.0]]}, oracle=pgm.Grid({"x": (-8.0, 12.0, 400)}))
+    >>> from pgm.examples import walk, x, z
+    >>> found = pgm.compare(walk, {z: [[2.0], [3.0]]}, oracle=pgm.Grid({"x": (-8.0, 12.0, 400)}))
     >>> found["Taylor", "filter"].kl < 1e-3
     True
     """
@@ -131,7 +126,7 @@ def compare(
             "a network of tables is exact by pgm.filter and pgm.smooth: there is nothing to "
             "linearise, and nothing to compare"
         )
-    chosen = _states(model, states)
+    chosen = _states(model, states, truth if oracle is None else None)
     kinds = tuple(dict.fromkeys(plan.kind for plan in plans.values()))
     compared = Compared(compile(model, bound.steps), evidence, bound.lead, chosen, kinds)
     true = _truths(truth or {}, compared, model)
@@ -251,8 +246,9 @@ def _word(schedule: Any) -> str:
         word = f"fixed lag {schedule.lag}"
     else:
         word = _WORDS.get(type(schedule), repr(schedule))
-    iterations = getattr(schedule, "iterations", 1)
-    return word if iterations == 1 else f"{word} × {iterations}"
+    iterations, gate = getattr(schedule, "iterations", 1), getattr(schedule, "gate", None)
+    word = word if iterations == 1 else f"{word} × {iterations}"
+    return word if gate is None else f"{word}, gate {gate}"
 
 
 def _require_schedule(schedule: Any) -> None:
@@ -279,10 +275,12 @@ def _parted(oracle: Any, truth: Any) -> tuple[Grid | Oracle | None, Truth | None
     return None, oracle
 
 
-def _states(model: DynamicBayesianNetwork, states: Any) -> tuple[Variable, ...]:
-    """The states that are compared."""
+def _states(
+    model: DynamicBayesianNetwork, states: Any, truth: Truth | None
+) -> tuple[Variable, ...]:
+    """The states that are compared; of a truth alone others have nothing to be compared with."""
     if states is None:
-        return tuple(model.states)
+        return tuple(state for state in model.states if state in (truth or ())) or model.states
     chosen = as_scope(states, "states=")
     for state in chosen:
         if state not in model.states:

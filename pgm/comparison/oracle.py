@@ -41,13 +41,8 @@ class Oracle(Protocol):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> smoothed = pgm.smooth(model, {z: [[2.0], [3.0]]})
+    >>> from pgm.examples import walk, z
+    >>> smoothed = pgm.smooth(walk, {z: [[2.0], [3.0]]})
     >>> isinstance(smoothed, pgm.comparison.Oracle)
     True
     """

@@ -63,13 +63,8 @@ class Row(Shown):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> found = pgm.compare(model, {z: [[2.0], [3.0]]}, truth={x: [[0.0], [1.0], [2.0]]})
+    >>> from pgm.examples import walk, x, z
+    >>> found = pgm.compare(walk, {z: [[2.0], [3.0]]}, truth={x: [[0.0], [1.0], [2.0]]})
     >>> row = found["Taylor", "filter"]
     >>> row.log_evidence_kind, round(row.rmse["x"], 2)
     ('exact', 0.0)

@@ -44,13 +44,8 @@ class Comparison(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> found = pgm.compare(model, {z: [[2.0], [3.0]]}, linearisers=[pgm.Taylor(), pgm.Unscented()])
+    >>> from pgm.examples import walk, z
+    >>> found = pgm.compare(walk, {z: [[2.0], [3.0]]}, linearisers=[pgm.Taylor(), pgm.Unscented()])
     >>> [row.lineariser for row in found.rows]
     ['Taylor', 'Taylor', 'Unscented', 'Unscented']
     """

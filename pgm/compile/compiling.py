@@ -77,13 +77,8 @@ def compile(
 
     Examples
     --------
-    >>> import pgm
-    >>> a, b = pgm.variables("a b")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(a, 0.0, 1.0),
-    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net, method=pgm.JunctionTree(order=pgm.WeightedMinFill()))
+    >>> from pgm.examples import a, b, pair
+    >>> graph = pgm.compile(pair, method=pgm.JunctionTree(order=pgm.WeightedMinFill()))
     >>> graph.check()
     >>> graph.clusters
     (Cluster(0: (a, b)),)

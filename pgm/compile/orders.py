@@ -59,14 +59,9 @@ class MinFill(Rule):
 
     Examples
     --------
-    >>> import pgm
-    >>> states = [pgm.Discrete(f"x{i}", 2) for i in range(100)]
-    >>> cpds = [pgm.TableCPD(states[0], table=[0.5, 0.5])]
-    >>> for before, after in zip(states, states[1:]):
-    ...     cpds.append(pgm.TableCPD(after, given=before, table=[[0.9, 0.1], [0.1, 0.9]]))
-    ...
+    >>> from pgm.examples import chain
     >>> tree = pgm.JunctionTree(order=pgm.MinFill())
-    >>> pgm.compile(pgm.BayesianNetwork(cpds), method=tree).cost
+    >>> pgm.compile(chain, method=tree).cost
     396
     """
 
@@ -87,14 +82,9 @@ class WeightedMinFill(Rule):
 
     Examples
     --------
-    >>> import pgm
-    >>> states = [pgm.Discrete(f"x{i}", 2) for i in range(100)]
-    >>> cpds = [pgm.TableCPD(states[0], table=[0.5, 0.5])]
-    >>> for before, after in zip(states, states[1:]):
-    ...     cpds.append(pgm.TableCPD(after, given=before, table=[[0.9, 0.1], [0.1, 0.9]]))
-    ...
+    >>> from pgm.examples import chain
     >>> tree = pgm.JunctionTree(order=pgm.WeightedMinFill())
-    >>> pgm.compile(pgm.BayesianNetwork(cpds), method=tree).cost
+    >>> pgm.compile(chain, method=tree).cost
     396
     """
 
@@ -132,14 +122,9 @@ class StochasticMinFill(Rule):
 
     Examples
     --------
-    >>> import pgm
-    >>> states = [pgm.Discrete(f"x{i}", 2) for i in range(100)]
-    >>> cpds = [pgm.TableCPD(states[0], table=[0.5, 0.5])]
-    >>> for before, after in zip(states, states[1:]):
-    ...     cpds.append(pgm.TableCPD(after, given=before, table=[[0.9, 0.1], [0.1, 0.9]]))
-    ...
+    >>> from pgm.examples import chain
     >>> tree = pgm.JunctionTree(order=pgm.StochasticMinFill(tries=10))
-    >>> pgm.compile(pgm.BayesianNetwork(cpds), method=tree).cost
+    >>> pgm.compile(chain, method=tree).cost
     396
     """
 
@@ -185,14 +170,9 @@ class NestedDissection(Rule):
 
     Examples
     --------
-    >>> import pgm
-    >>> states = [pgm.Discrete(f"x{i}", 2) for i in range(100)]
-    >>> cpds = [pgm.TableCPD(states[0], table=[0.5, 0.5])]
-    >>> for before, after in zip(states, states[1:]):
-    ...     cpds.append(pgm.TableCPD(after, given=before, table=[[0.9, 0.1], [0.1, 0.9]]))
-    ...
+    >>> from pgm.examples import chain
     >>> tree = pgm.JunctionTree(order=pgm.NestedDissection())
-    >>> pgm.compile(pgm.BayesianNetwork(cpds), method=tree).cost
+    >>> pgm.compile(chain, method=tree).cost
     700
     """
 

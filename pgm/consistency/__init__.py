@@ -9,12 +9,15 @@ from pgm.consistency.autocorrelation import Whiteness, whiteness
 from pgm.consistency.averages import Average, anees, anis, average, mean_band
 from pgm.consistency.errors import error, kl, nees, nis, rmse
 from pgm.consistency.over_time import OverTime, over_time, rmse_over_time
+from pgm.consistency.ranking import Ranked, Ranking, ranking
 from pgm.consistency.regions import Coverage, coverage
 
 __all__ = [
     "Average",
     "Coverage",
     "OverTime",
+    "Ranked",
+    "Ranking",
     "Whiteness",
     "anees",
     "anis",
@@ -26,6 +29,7 @@ __all__ = [
     "nees",
     "nis",
     "over_time",
+    "ranking",
     "rmse",
     "rmse_over_time",
     "whiteness",

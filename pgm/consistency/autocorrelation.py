@@ -37,13 +37,8 @@ class Whiteness(Shown):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0], [1.0], [0.0], [2.0]]})
+    >>> from pgm.examples import walk, z
+    >>> filtered = pgm.filter(walk, {z: [[2.0], [3.0], [1.0], [0.0], [2.0]]})
     >>> found = pgm.consistency.whiteness(filtered.innovations[z], lags=2)
     >>> found.inside, found.dof
     (True, 2)
@@ -115,13 +110,8 @@ def whiteness(innovations: Innovations, lags: int = 20, *, confidence: float = 0
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0], [1.0], [0.0], [2.0]]})
+    >>> from pgm.examples import walk, z
+    >>> filtered = pgm.filter(walk, {z: [[2.0], [3.0], [1.0], [0.0], [2.0]]})
     >>> pgm.consistency.whiteness(filtered.innovations[z], lags=2).lags
     array([1, 2])
 

@@ -36,7 +36,6 @@ class Average(Shown):
 
     Examples
     --------
-    >>> import pgm
     >>> found = pgm.consistency.average([1.0, 3.0], dof=2)
     >>> found
     Average(2, band 0.1035 to 7.43, expected 2, of 2 errors)
@@ -148,7 +147,6 @@ def average(
 
     Examples
     --------
-    >>> import pgm
     >>> found = pgm.consistency.average([[1.0, 3.0], [2.0, 6.0]], dof=2, axis=0)
     >>> found.value
     array([1.5, 4.5])
@@ -218,7 +216,6 @@ def anees(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> two_runs = pgm.Gaussian(x, mean=[[[2.0]], [[4.0]]], cov=4.0, steps=[0])
     >>> pgm.consistency.anees(two_runs, truth=[[0.0]]).value
@@ -254,13 +251,8 @@ def anis(innovations: Innovations, *, confidence: float = 0.99) -> Average:
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0]]})
+    >>> from pgm.examples import walk, z
+    >>> filtered = pgm.filter(walk, {z: [[2.0], [3.0]]})
     >>> pgm.consistency.anis(filtered.innovations[z]).value
     array([nan,  1.,  1.])
     """
@@ -292,7 +284,6 @@ def mean_band(dof: int, count: int, confidence: float = 0.99) -> tuple[float, fl
 
     Examples
     --------
-    >>> import pgm
     >>> low, high = pgm.consistency.mean_band(dof=2, count=50, confidence=0.95)
     >>> round(low, 2), round(high, 2)
     (1.48, 2.59)

@@ -44,7 +44,6 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x", components=("east", "heading"), angles=("heading",))
     >>> belief = pgm.Gaussian(x, mean=[2.0, 3.0], cov=1.0)
     >>> pgm.consistency.error(belief, [1.5, -3.0]).round(3)
@@ -142,7 +141,6 @@ def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x", components=("east", "north"))
     >>> belief = pgm.Gaussian(x, mean=[[3.0, 4.0], [0.0, 5.0]], cov=1.0, steps=[0, 1])
     >>> pgm.consistency.rmse(belief, [[0.0, 0.0], [0.0, 0.0]])
@@ -192,7 +190,6 @@ def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x", components=("east", "north"))
     >>> belief = pgm.Gaussian(x, mean=[2.0, 3.0], cov=[4.0, 9.0])
     >>> float(pgm.consistency.nees(belief, [0.0, 0.0]))
@@ -263,13 +260,8 @@ def nis(innovations: Innovations) -> Array:
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0]]})
+    >>> from pgm.examples import walk, z
+    >>> filtered = pgm.filter(walk, {z: [[2.0], [3.0]]})
     >>> pgm.consistency.nis(filtered.innovations[z])
     array([nan,  1.,  1.])
     """
@@ -299,7 +291,6 @@ def kl(p: Gaussian, q: Gaussian) -> Array:
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> p, q = pgm.Gaussian(x, [0.0], 1.0), pgm.Gaussian(x, [2.0], 1.0)
     >>> float(pgm.consistency.kl(p, q))

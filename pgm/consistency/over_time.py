@@ -35,8 +35,6 @@ class OverTime(Shown):
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
     >>> found = pgm.consistency.over_time([[3.0, 1.0], [4.0, 1.0]], np.array([0, 1]))
     >>> found
     OverTime(steps 0..1, 2 runs)
@@ -90,8 +88,6 @@ def over_time(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
     >>> found = pgm.consistency.over_time([[1.0, 2.0], [7.0, 2.0]], np.array([0, 1]))
     >>> found.rms
     array([5., 2.])
@@ -167,7 +163,6 @@ def rmse_over_time(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> two_runs = pgm.Gaussian(x, mean=[[[1.0]], [[7.0]]], cov=1.0, steps=[0])
     >>> pgm.consistency.rmse_over_time(two_runs, truth=[[0.0]]).rms

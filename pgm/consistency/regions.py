@@ -36,7 +36,6 @@ class Coverage(Shown):
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> four_runs = pgm.Gaussian(x, mean=[[0.0], [1.0], [-1.0], [3.0]], cov=1.0)
     >>> pgm.consistency.coverage(four_runs, truth=[0.0])
@@ -116,7 +115,6 @@ def coverage(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> four_runs = pgm.Gaussian(x, mean=[[0.0], [1.0], [-1.0], [3.0]], cov=1.0)
     >>> found = pgm.consistency.coverage(four_runs, truth=[0.0], confidence=[0.5, 0.95])

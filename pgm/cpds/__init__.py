@@ -6,6 +6,7 @@ from pgm.cpds.linear import AffineCPD, GaussianCPD, LinearGaussianCPD
 from pgm.cpds.mixture import MixtureCPD
 from pgm.cpds.noise import Noise, noise
 from pgm.cpds.nonlinear import NonlinearGaussianCPD
+from pgm.cpds.robust import Cauchy, Huber, RobustNoise, StudentT, TruncatedLeastSquares
 from pgm.cpds.sampled import SampledCPD
 from pgm.cpds.structured import Kronecker, shifts
 from pgm.cpds.table import TableCPD
@@ -13,15 +14,20 @@ from pgm.cpds.table import TableCPD
 __all__ = [
     "CPD",
     "AffineCPD",
+    "Cauchy",
     "ConditionalGaussian",
     "GaussianCPD",
+    "Huber",
     "Kronecker",
     "LinearGaussianCPD",
     "MixtureCPD",
     "Noise",
     "NonlinearGaussianCPD",
+    "RobustNoise",
     "SampledCPD",
+    "StudentT",
     "TableCPD",
+    "TruncatedLeastSquares",
     "noise",
     "shifts",
 ]

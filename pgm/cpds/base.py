@@ -173,9 +173,8 @@ class CPD(Shown, Immutable):
 
         Examples
         --------
-        >>> from pgm import LinearGaussianCPD, Variable
-        >>> x, y = Variable("x"), Variable("y")
-        >>> cpd = LinearGaussianCPD(y, given={x: 2.0}, cov=1.0)
+        >>> x, y = pgm.variables("x y")
+        >>> cpd = pgm.LinearGaussianCPD(y, given={x: 2.0}, cov=1.0)
         >>> cpd.log_density([[6.0], [7.0]], {x: 3.0}).round(3)
         array([-0.919, -1.419])
         """
@@ -222,9 +221,8 @@ class CPD(Shown, Immutable):
 
         Examples
         --------
-        >>> from pgm import LinearGaussianCPD, Variable
-        >>> x, y = Variable("x"), Variable("y")
-        >>> cpd = LinearGaussianCPD(y, given={x: 2.0}, cov=0.0)
+        >>> x, y = pgm.variables("x y")
+        >>> cpd = pgm.LinearGaussianCPD(y, given={x: 2.0}, cov=0.0)
         >>> cpd.sample({x: [[1.0], [2.0]]}, rng=0)
         array([[2.],
                [4.]])

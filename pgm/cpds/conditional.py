@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from pgm.cpds.base import CPD
 from pgm.cpds.noise import Noise, evaluate
+from pgm.cpds.robust import RobustNoise
 from pgm.cpds.values import Known, Values
 from pgm.display import Listing, called, named_matrix
 from pgm.errors import LinearisationError, ModelError, NumericalError
@@ -28,6 +29,7 @@ from pgm.kernels.arrays import (
     deviation,
     frozen,
     independent,
+    inner,
     quiet,
     transpose,
 )
@@ -44,9 +46,12 @@ class ConditionalGaussian(CPD):
     ----------
     cov : ndarray or Noise
         Covariance of the noise.
+    noise : RobustNoise or None
+        Of what kind it is, if not Gaussian; then `cov` is its scale matrix.
     """
 
     cov: Array | Noise
+    noise: RobustNoise | None = None
     partial = True
 
     def _set_family(
@@ -72,6 +77,39 @@ class ConditionalGaussian(CPD):
         found._set_family(self.child, self.given, cov)
         return found
 
+    def _set_noise(self, noise: RobustNoise | None) -> None:
+        """Take a robust noise, whose constant covariance has to be regular."""
+        if noise is None:
+            return
+        if not isinstance(noise, RobustNoise):
+            raise ModelError(
+                f"{self!r}: noise is robust noise, like pgm.StudentT(4.0), or None for Gaussian "
+                f"noise; found {noise!r}; a covariance is given as cov=",
+                variable=self.child,
+                cpd=self,
+            )
+        self._set(noise=noise)
+        if not isinstance(self.cov, Noise):
+            self.require_proper("a robust noise weighs residuals by it")
+            self.require_regular(roots.root(self.cov))
+
+    def require_regular(self, lower: Array) -> None:
+        """Refuse the roots of covariances of which one is singular, for robust noise.
+
+        Raises
+        ------
+        ModelError
+            If one is.
+        """
+        if not (np.diagonal(lower, axis1=-2, axis2=-1) > 0.0).all():
+            raise ModelError(
+                f"{self!r}: {self.noise!r} weighs a residual by its Mahalanobis square, which a "
+                "singular covariance has not; give each component a variance, and no two that are "
+                "one",
+                variable=self.child,
+                cpd=self,
+            )
+
     @property
     def _deviations(self) -> Array:
         """Of the noise, (d,), of the first run; NaN where they depend on parents."""
@@ -80,14 +118,15 @@ class ConditionalGaussian(CPD):
         return deviation(self.cov[(0,) * (self.cov.ndim - 2)])
 
     def _noise_shown(self) -> list[str | Listing]:
-        """The noise that is more than deviations: of parents, or with correlations."""
+        """The noise that is more than deviations: robust, of parents, or with correlations."""
+        kind: list[str | Listing] = [] if self.noise is None else [f"noise: {self.noise!r}"]
         if isinstance(self.cov, Noise):
-            return [f"noise: {called(self.cov.function)} of ({listed(self.cov.given)})"]
+            return [*kind, f"noise: {called(self.cov.function)} of ({listed(self.cov.given)})"]
         cov = self.cov[(0,) * (self.cov.ndim - 2)]
         if not (cov - np.diag(np.diagonal(cov))).any():
-            return []
+            return kind
         heads = components((self.child,))
-        return [named_matrix(heads, heads, cov, "cov")]
+        return [*kind, named_matrix(heads, heads, cov, "cov")]
 
     def require_proper(self, what: str) -> None:
         """Refuse an infinite variance where there is no use for it.
@@ -125,6 +164,8 @@ class ConditionalGaussian(CPD):
             return self._marginal(child, known, seen, centre, lower)
         error = normal.INEXACT * (np.abs(child) + np.abs(centre))
         error = error + ROUNDING * unflat(self._summed(known.values), known.lead, 1)
+        if self.noise is not None:
+            return self._robust(lower, difference(child, centre, angles), child.shape[-1])
         value = _log_density(lower, difference(child, centre, angles), error)
         if angles.any() and roots.determined(lower).any():
             # Wrapped, an angle may leave the subspace on which the noise is.
@@ -146,12 +187,35 @@ class ConditionalGaussian(CPD):
         residual = np.where(seen, difference(child, centre, self.child.angle_mask), 0.0)
         error = normal.INEXACT * (np.abs(np.where(seen, child, 0.0)) + np.abs(centre))
         residual = np.broadcast_to(residual, (*lead, child.shape[-1]))
+        if self.noise is not None:
+            return self._robust(alone, residual, seen.sum(axis=-1))
         found: Array = _log_density(alone, residual, error) + 0.5 * LOG_2PI * (~seen).sum(axis=-1)
         return found
+
+    def _robust(self, lower: Array, residual: Array, count: npt.ArrayLike) -> Array:
+        """The log-densities of residuals of robust noise, of so many components each."""
+        assert self.noise is not None
+        self.noise.require_proper(self.child.dimension, self)
+        white = roots.whiten(lower, residual)
+        level = self.noise.log_scale(count) - self.noise.loss(inner(white, white), count)
+        value: Array = level - 0.5 * roots.log_determinant(lower)
+        return value
+
+    def _log_peak(self, child: Values) -> Array:
+        if self.noise is None or isinstance(self.cov, Noise):
+            return super()._log_peak(child)
+        return self._robust(
+            roots.root(independent(self.cov, ~np.isnan(child))),
+            np.zeros_like(child),
+            (~np.isnan(child)).sum(axis=-1),
+        )
 
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
         mean, lower = self._law(known)
         white = rng.standard_normal((*size, *known.shape, self.child.dimension))
+        if self.noise is not None:
+            self.noise.require_proper(self.child.dimension, self)
+            white = self.noise.draw(white, rng)
         return normal.draw(mean, lower, white)
 
     def _law(self, known: Known) -> tuple[Array, Array]:
@@ -172,6 +236,8 @@ class ConditionalGaussian(CPD):
             index = tuple(int(k) for k in np.argwhere(np.isnan(lower))[0, :-2])
             call = Call(self.child, "noise", shape, steps, 0, self)
             raise call.error(f"cannot be used: {IMPROPER}", index, kind=NumericalError)
+        if self.noise is not None:
+            self.require_regular(lower)
         return mean, lower
 
     @cached_property

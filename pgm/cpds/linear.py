@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pgm.boundary import as_floats
 from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.noise import Noise
+from pgm.cpds.robust import RobustNoise
 from pgm.display import Listing, by_component, named_matrix, stacked, vector
 from pgm.errors import ModelError
 from pgm.factors.runs import flat
@@ -149,6 +150,8 @@ class LinearGaussianCPD(AffineCPD):
         (d, d), positive semidefinite; or (d,), the variance of each component; or one variance for
         all of them; or ``pgm.noise(...)``. Zero where the sum is exact: a static unknown is
         ``LinearGaussianCPD(m, given={m.previous: 1.0}, cov=0)``.
+    noise : RobustNoise, optional
+        As of `NonlinearGaussianCPD`.
 
     Raises
     ------
@@ -170,6 +173,7 @@ class LinearGaussianCPD(AffineCPD):
         *,
         cov: npt.ArrayLike | Noise,
         offset: npt.ArrayLike = 0.0,
+        noise: RobustNoise | None = None,
     ) -> None:
         if not isinstance(given, Mapping):
             raise ModelError(
@@ -178,6 +182,7 @@ class LinearGaussianCPD(AffineCPD):
                 variable=child,
             )
         self._set_family(child, given, cov)
+        self._set_noise(noise)
         matrices = {parent: _matrix(child, parent, value) for parent, value in given.items()}
         shift = as_floats(
             offset, f"the offset of {child!r}", labels=child.components, variable=child

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.noise import Noise
+from pgm.cpds.robust import RobustNoise
 from pgm.display import Listing, called, number
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, components, listed
@@ -43,6 +44,9 @@ class NonlinearGaussianCPD(ConditionalGaussian):
     grouped : bool
         As a sensor: whether the sightings of one step are linearised as one stacked vector, so
         that a sigma-point rule keeps the cross terms of their approximation errors.
+    noise : RobustNoise, optional
+        Noise with heavier tails than Gaussian noise, of the scale matrix `cov`, which is then
+        regular: ``pgm.StudentT(dof)``, ``Huber``, ``Cauchy``, ``TruncatedLeastSquares``.
 
     Raises
     ------
@@ -51,8 +55,6 @@ class NonlinearGaussianCPD(ConditionalGaussian):
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
     >>> x, y = pgm.variables("x y")
     >>> cpd = pgm.NonlinearGaussianCPD(
     ...     y, given=x, function=np.sin, cov=0.0, jacobian={x: lambda x: np.cos(x)[..., None]}
@@ -79,8 +81,10 @@ class NonlinearGaussianCPD(ConditionalGaussian):
         jacobian: Mapping[Variable, Callable[..., Any]] | None = None,
         lineariser: Lineariser | None = None,
         grouped: bool = False,
+        noise: RobustNoise | None = None,
     ) -> None:
         self._set_family(child, given, cov)
+        self._set_noise(noise)
         if jacobian is not None and not isinstance(jacobian, Mapping):
             raise ModelError(
                 f"{self!r}: jacobian maps parents to functions, jacobian={{x: by_state}}; found "

@@ -16,7 +16,7 @@ from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Discrete, Variable
 
 # The ways of answering for what is not known.
-LIKELIHOOD, SUM = "likelihood", "sum"
+LIKELIHOOD, SUM, JOINT = "likelihood", "sum", "joint"
 
 
 class Unknown(InCode, Immutable):
@@ -83,9 +83,14 @@ class Unknown(InCode, Immutable):
             )
         if gate is not None and (not is_number(gate) or not 0.0 < gate < 1.0):
             raise EvidenceError(f"unknown: gate is a probability between 0 and 1, not {gate!r}")
-        if association not in (LIKELIHOOD, SUM):
+        if association not in (LIKELIHOOD, SUM, JOINT):
             raise EvidenceError(
-                f'unknown: association is "{LIKELIHOOD}" or "{SUM}", not {association!r}'
+                f'unknown: association is "{LIKELIHOOD}", "{JOINT}" or "{SUM}", not {association!r}'
+            )
+        if association == JOINT and gate is None:
+            raise EvidenceError(
+                'unknown: association="joint" takes as many pairs as lie within a gate together: '
+                "give gate=0.99 or so"
             )
         shares = shares / shares.max()  # whose sum is of ordinary size
         with np.errstate(divide="ignore"):
@@ -137,6 +142,12 @@ def unknown(
     ``posterior.associations`` tells what each sighting was taken for. Sightings are associated one
     by one: two of a step may be given the same candidate.
 
+    With ``"joint"``, for beliefs of Gaussians, the sightings of a sensor at a step are associated
+    together, no candidate being given twice: as many as can be whose innovations, stacked, lie
+    within the gate together, and of several such sets the likeliest, by Σ ln w_k + ln N(ν; 0, S).
+    It sees that the sightings of a robot whose heading is off are all turned alike. The others are
+    spurious or new; ``probability`` is then of the decision, 1 of what was taken.
+
     Parameters
     ----------
     candidates : array_like
@@ -158,7 +169,7 @@ def unknown(
         was likelier; where neither is declared Gaussian beliefs leave it out of the density, and to
         point masses it is impossible.
     association : str
-        ``"likelihood"`` or ``"sum"``.
+        ``"likelihood"``, ``"joint"`` or ``"sum"``.
 
     Returns
     -------
@@ -173,7 +184,8 @@ def unknown(
     References
     ----------
     Thrun, Burgard & Fox, Probabilistic Robotics, 2005, sections 7.5 and 7.6; Bar-Shalom & Fortmann,
-    Tracking and Data Association, 1988.
+    Tracking and Data Association, 1988; Neira & Tardós, Data association in stochastic mapping
+    using the joint compatibility test, 2001.
 
     Examples
     --------

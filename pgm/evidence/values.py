@@ -120,15 +120,10 @@ def soft(weights: npt.ArrayLike) -> Soft:
 
     Examples
     --------
-    >>> import pgm
-    >>> rain, wet = (pgm.Discrete(name, ("no", "yes")) for name in ("rain", "wet"))
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.TableCPD(rain, table=[0.5, 0.5]),
-    ...     pgm.TableCPD(wet, given=rain, table=[[0.75, 0.25], [0.25, 0.75]]),
-    ... ])
-    >>> pgm.query(net, rain, {wet: pgm.soft([0.0, 1.0])})
+    >>> from pgm.examples import rain, rainy, wet
+    >>> pgm.query(rainy, rain, {wet: pgm.soft([0.0, 1.0])})
     Table(rain: no 0.25, yes 0.75)
-    >>> pgm.query(net, rain, {rain: pgm.soft([1.0, 4.0])})
+    >>> pgm.query(rainy, rain, {rain: pgm.soft([1.0, 4.0])})
     Table(rain: no 0.2, yes 0.8)
     """
     return Soft(weights)

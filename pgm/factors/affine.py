@@ -44,7 +44,6 @@ class AffineGaussian(Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> double = pgm.AffineGaussian(F=[[2.0]], b=[1.0], cov=1.0)
     >>> double.forward(pgm.Gaussian(x, mean=3.0, cov=1.0), pgm.Variable("y"))

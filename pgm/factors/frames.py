@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pgm.errors import NumericalError
+from pgm.errors import ModelError, NumericalError
 from pgm.factors.axes import States
 from pgm.factors.scope import names
 from pgm.kernels import tables as kernel
@@ -63,7 +63,6 @@ class Framed:
 
         Examples
         --------
-        >>> import pgm
         >>> x = pgm.Variable("x", components=("east", "north"))
         >>> walk = pgm.Gaussian(x, mean=[[0, 5], [1, 6], [2, 7]], cov=0.25, steps=[0, 1, 2])
         >>> frame = walk.to_frame()
@@ -98,18 +97,29 @@ class Entries(Protocol):
     values: Array
     log_scale: Array
 
+    @property
+    def _title(self) -> str:
+        """A line that says which."""
+        ...
+
 
 class FramedTable:
     """A table whose entries make a data frame."""
 
     __slots__ = ()
 
-    def to_frame(self: Entries) -> Any:
+    def to_frame(self: Entries, *, axes: str | Sequence[str] | None = None) -> Any:
         """The entries as a data frame of pandas, with the states of the last variable as columns.
 
-        A row for each of the leading axes' places, levels ``axis`` or ``axis_0``, ``axis_1``, ...
-        of the index, and for each combination of the other variables' states, levels that are
-        named like these. A table without variables has the one column ``value``.
+        A row for each of the leading axes' places and each combination of the other variables'
+        states, levels of the index that are named like these. A table without variables has the
+        one column ``value``.
+
+        Parameters
+        ----------
+        axes : str or sequence of str, optional
+            The names of the leading axes, ``"step"`` of ``posterior[x]``, since a table does not
+            know what they are of; ``axis`` or ``axis_0``, ``axis_1``, ... without.
 
         Returns
         -------
@@ -121,10 +131,11 @@ class FramedTable:
             If pandas is not installed (``pip install 'sepset[frames]'``).
         NumericalError
             If an entry is too large for a number; `log_values` has its logarithm.
+        ModelError
+            If there are not as many names as axes.
 
         Examples
         --------
-        >>> import pgm
         >>> rain, wet = (pgm.Discrete(name, states=("no", "yes")) for name in ("rain", "wet"))
         >>> frame = pgm.Table((rain, wet), [[0.9, 0.1], [0.3, 0.7]]).to_frame()
         >>> frame.index.tolist(), frame.columns.tolist(), float(frame.loc["yes", "no"])
@@ -139,12 +150,16 @@ class FramedTable:
                 f"an entry of the table over {names(scope)} is too large for a number; take "
                 "log_values"
             )
-        axes = ["axis"] if len(lead) == 1 else [f"axis_{k}" for k in range(len(lead))]
+        if axes is None:
+            axes = ["axis"] if len(lead) == 1 else [f"axis_{k}" for k in range(len(lead))]
+        titles = [axes] if isinstance(axes, str) else list(axes)
+        if len(titles) != len(lead):
+            raise ModelError(f"axes= has {len(titles)} names; {self._title} has axes {lead}")
         levels = [*map(range, lead), *(variable.states for variable in scope[:-1])]
         columns = pandas.Index(["value"])
         if scope:
             columns = pandas.Index(scope[-1].states, name=repr(scope[-1]))
-        index = _index(pandas, levels, [*axes, *map(repr, scope[:-1])])
+        index = _index(pandas, levels, [*titles, *map(repr, scope[:-1])])
         return pandas.DataFrame(values.reshape(len(index), -1), index=index, columns=columns)
 
 

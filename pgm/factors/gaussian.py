@@ -204,7 +204,6 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
 
         Examples
         --------
-        >>> import pgm
         >>> x, y = pgm.variables("x y")
         >>> pgm.Gaussian((x, y), mean=[1.0, 2.0], cov=[4.0, 9.0]).marginal(y).mean
         array([2.])

@@ -16,6 +16,7 @@ from pgm.inference.grid.status import GridStatus
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import Kind
 from pgm.inference.loopy_schedules import Flooding, Residual, Sequential
+from pgm.inference.lost import Lost
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.filter import OnlineFilter
@@ -30,6 +31,7 @@ from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import Posterior
 from pgm.inference.query import query
+from pgm.inference.rejections import Rejections
 from pgm.inference.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
 from pgm.inference.status import Status
 
@@ -53,6 +55,7 @@ __all__ = [
     "Kind",
     "LevenbergMarquardt",
     "LikelihoodSampling",
+    "Lost",
     "Marginals",
     "MostProbable",
     "OnlineBelief",
@@ -66,6 +69,7 @@ __all__ = [
     "ParticleStatus",
     "Particles",
     "Posterior",
+    "Rejections",
     "Residual",
     "Schedule",
     "Sequential",

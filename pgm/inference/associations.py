@@ -10,8 +10,9 @@ import numpy as np
 
 from pgm.cpds.unidentified import UnidentifiedCPD
 from pgm.display import Listing, Shown, Summary, number, places, whereabouts
+from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading, Unknown
-from pgm.evidence.unidentified import SUM
+from pgm.evidence.unidentified import JOINT, SUM
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
@@ -37,7 +38,6 @@ class Associations(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
     >>> x, m, z = pgm.variables("x m z")
     >>> model = pgm.DynamicBayesianNetwork(
     ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
@@ -108,6 +108,14 @@ def by_density(bound: BoundEvidence) -> BoundEvidence:
     def closed(reading: Reading) -> Reading:
         if reading.unknown is None:
             return reading
+        if reading.unknown[1].association == JOINT:
+            raise EvidenceError(
+                f"sightings of {reading.cpd.child!r} leave {reading.unknown[0]!r} open, to be "
+                'associated together: that is for Gaussian beliefs; give association="likelihood" '
+                'or "sum"',
+                variable=reading.unknown[0],
+                cpd=reading.cpd,
+            )
         return replace(reading, cpd=unidentified(reading, *reading.unknown), unknown=None)
 
     return replace(bound, readings=tuple(closed(reading) for reading in bound.readings))

@@ -40,11 +40,26 @@ def require_gaussian(cpds: Iterable[CPD], beliefs: str) -> None:
             )
 
 
+def require_plain(cpds: Iterable[CPD]) -> None:
+    """Refuse robust noise, where there are no residuals of sensors to weigh."""
+    for cpd in cpds:
+        if isinstance(cpd, ConditionalGaussian) and cpd.noise is not None:
+            raise ModelError(
+                f"{cpd!r} has robust noise, {cpd.noise!r}: Gaussian beliefs take it of sensors of "
+                "a dynamic network alone, whose residuals they weigh; leave noise= out, declare a "
+                "sensor, or take belief=pgm.Particles(...) or pgm.Grid(...) of a dynamic network",
+                variable=cpd.child,
+                cpd=cpd,
+            )
+
+
 def require_density(cpds: Iterable[CPD], beliefs: str) -> None:
     """Refuse a CPD that cannot be asked for its density, where beliefs of some kind need it."""
     for cpd in cpds:
         if isinstance(cpd, MixtureCPD):
             require_density(cpd.parts, beliefs)
+        elif isinstance(cpd, ConditionalGaussian) and cpd.noise is not None:
+            cpd.noise.require_proper(cpd.child.dimension, cpd)
         elif isinstance(cpd, SampledCPD) and cpd.density is None:
             raise ModelError(
                 f"{cpd!r} has no density, by which {beliefs} move and weigh beliefs: give it "

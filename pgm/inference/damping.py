@@ -57,7 +57,6 @@ class LevenbergMarquardt(InCode):
 
     Examples
     --------
-    >>> import pgm
     >>> x, z = pgm.variables("x z")
     >>> model = pgm.DynamicBayesianNetwork(
     ...     prior=[pgm.GaussianCPD(x, 1.0, 1.0)],

@@ -12,6 +12,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.checks import require_lineariser
 from pgm.inference.damping import Damping
+from pgm.inference.gates import Gate
 from pgm.inference.grid.posterior import GridPosterior
 from pgm.inference.grid.value import Grid
 from pgm.inference.particles.posterior import ParticlePosterior
@@ -39,6 +40,7 @@ def filter(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     keep: None = None,
     executor: Executor | None = None,
     belief: None = None,
@@ -56,6 +58,7 @@ def filter(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
     belief: None = None,
@@ -73,6 +76,7 @@ def filter(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     keep: None = None,
     executor: None = None,
     belief: Grid,
@@ -90,6 +94,7 @@ def filter(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     keep: None = None,
     executor: None = None,
     belief: Particles,
@@ -106,6 +111,7 @@ def filter(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
     belief: PointMasses | None = None,
@@ -124,13 +130,9 @@ def filter(
         `Taylor()` if not given.
     steps : int, optional
         T, where no plain array of the evidence tells.
-    iterations, tolerance, damping
+    iterations, tolerance, damping, gate
         Of `Filtering`.
-    keep, executor : optional
-        As for `infer`.
-    belief : Grid or Particles, optional
-        As for `infer`.
-    progress : bool or callable
+    keep, executor, belief, progress
         As for `infer`.
 
     Returns
@@ -149,18 +151,12 @@ def filter(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> posterior = pgm.filter(model, {z: [[4.0]]})
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.filter(walk, {z: [[4.0]]})
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([0., 2.]), array([1., 1.]))
     """
-    schedule = Filtering(iterations, tolerance, damping)
+    schedule = Filtering(iterations, tolerance, damping, gate)
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True)
     graph = compile(model, bound.steps)
@@ -181,6 +177,7 @@ def smooth(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     method: Balanced | None = None,
     keep: None = None,
     executor: Executor | None = None,
@@ -201,6 +198,7 @@ def smooth(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable],
     executor: Executor | None = None,
@@ -221,6 +219,7 @@ def smooth(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     method: Balanced | None = None,
     keep: None = None,
     executor: None = None,
@@ -241,6 +240,7 @@ def smooth(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     method: Balanced | None = None,
     keep: None = None,
     executor: None = None,
@@ -260,6 +260,7 @@ def smooth(
     iterations: int = 1,
     tolerance: float = 1e-9,
     damping: Damping = 0.0,
+    gate: Gate = None,
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
@@ -276,17 +277,13 @@ def smooth(
     Parameters
     ----------
     model : DynamicBayesianNetwork
-    evidence : mapping of Variable
-        As for `infer`.
-    lineariser : Lineariser, optional
-        `Taylor()` if not given.
-    steps : int, optional
-        T, where no plain array of the evidence tells.
+    evidence, lineariser, steps
+        As of `filter`.
     start : mapping of Variable to array_like, optional
         As for `infer`; not with a lag.
     lag : int, optional
         Of `FixedLag`, in steps.
-    iterations, tolerance, damping
+    iterations, tolerance, damping, gate
         Of `Smoothing` or `FixedLag`.
     method : Balanced, optional
         Of `compile`: `Balanced()`, or without a chain of slices, whose first linearisation is the
@@ -295,21 +292,13 @@ def smooth(
         numbers, the components of a slice times the runs) and costs no digits (no noise-free or
         grouped measurements, none that shrink a variance more than 4·10⁶ times); else step by step.
         `Balanced()` saves the filter's sweep, and starts from dead reckoning.
-    keep, executor : optional
-        As for `infer`.
-    belief : Grid or Particles, optional
-        As for `infer`.
-    progress : bool or callable
+    keep, executor, belief, progress
         As for `infer`.
 
     Returns
     -------
-    ChainPosterior
-        ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
-        `KeptPosterior` with ``keep``. Of a network of tables a `StatePosterior`, whose
-        ``posterior[x]`` is a `Table` of probabilities (..., T+1, size). With ``belief`` a
-        `GridPosterior`, whose ``posterior[x]`` is a `GridBelief`, or a `ParticlePosterior` of
-        `ParticleBelief`s.
+    ChainPosterior, or another
+        As of `filter`.
 
     Raises
     ------
@@ -318,18 +307,12 @@ def smooth(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> posterior = pgm.smooth(model, {z: [[4.0]]})
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.smooth(walk, {z: [[4.0]]})
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([1., 2.]), array([0.75, 1.  ]))
     """
-    rest = iterations, tolerance, damping
+    rest = iterations, tolerance, damping, gate
     schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)
     require_lineariser(lineariser)
     bound = bind_chain(model, evidence, steps, identities=True)

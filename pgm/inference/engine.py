@@ -209,13 +209,8 @@ def infer(
 
     Examples
     --------
-    >>> import pgm
-    >>> a, b = pgm.variables("a b")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(a, 0.0, 1.0),
-    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
-    ... ])
-    >>> posterior = pgm.infer(pgm.compile(net), {b: [2.0]})
+    >>> from pgm.examples import a, b, pair
+    >>> posterior = pgm.infer(pgm.compile(pair), {b: [2.0]})
     >>> posterior[a]
     Gaussian(a)
          mean ± deviation
@@ -261,6 +256,10 @@ def infer(
         raise GraphError(
             f"{schedule!r}: the damping of linearisation points is for dynamic networks; on other "
             "graphs pgm.Flooding(damping=...) damps messages"
+        )
+    if isinstance(schedule, Smoothing) and schedule.gate is not None:
+        raise GraphError(
+            f"{schedule!r}: a gate is for dynamic networks, at whose predicted beliefs it decides"
         )
     if not graph.is_tree and not isinstance(schedule, Loopy):
         advice = f"and {schedule!r} is for trees; give"

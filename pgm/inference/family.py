@@ -144,15 +144,15 @@ class Family(Rows):
             part.affine = matrix, shift[rows] if len(shift) > 1 else shift
         else:
             part.matrix, part.offset = part.matrix.copy("K"), part.offset.copy("K")
-            part.noise = part.noise.copy("K") if self.approximate else part.noise
+        if self.approximate:
+            part.noise = part.noise.copy("K")
         return part
 
     def put(self, first: int, part: Family) -> None:
         """Keep what some of the rows, from the first of them on, were linearised to."""
-        if self.exact:
-            return
         rows = slice(first, first + part.step.size)
-        self.matrix[rows], self.offset[rows] = part.matrix, part.offset
+        if not self.exact:
+            self.matrix[rows], self.offset[rows] = part.matrix, part.offset
         if part.approximate:
             self.keep_errors()
         if self.approximate:
@@ -162,6 +162,16 @@ class Family(Rows):
     def taylor(self) -> bool:
         """Whether the CPD is affine or expanded to first order at a point."""
         return self.exact or isinstance(self.lineariser, Taylor)
+
+    @property
+    def expects(self) -> bool:
+        """Whether squares of residuals are expected ones, as functions are seen, not at a mean."""
+        return not isinstance(self.lineariser, Taylor)
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing of the CPD depends on a belief: it is affine, of Gaussian noise."""
+        return self.exact and self.cpd.noise is None
 
     @cached_property
     def semidefinite(self) -> bool:
@@ -202,19 +212,13 @@ class Family(Rows):
     def keep(self, at: At, matrix: Array, offset: Array, noise: Array | None) -> None:
         """Keep the linearisation of a step's rows; the noise where it includes an error."""
         first, last = at.first, at.last
+        if noise is not None:
+            self.keep_noise(at, noise)
         if last - first == 1 and not self.batch:
             self.matrix[first, 0], self.offset[first, 0] = matrix, offset
-            if noise is not None:
-                self.keep_errors()
-                self.noise[first, 0] = noise
             return
         count, (height, width) = last - first, self.shape[2:]
         shape = (count, height)
-        if noise is not None:
-            self.keep_errors()
-            each = np.arange(count)
-            blocks = noise.reshape(*shape, *shape, *noise.shape[2:])[each, :, each]
-            self.noise[first:last] = blocks.transpose(0, 3, 1, 2) if self.batch else blocks[:, None]
         if self.batch:
             slope = matrix.reshape(*shape, width, *self.batch)
             self.matrix[first:last] = slope.transpose(0, 3, 1, 2)
@@ -223,10 +227,24 @@ class Family(Rows):
             self.matrix[first:last, 0] = matrix.reshape(*shape, width)
             self.offset[first:last, 0] = offset.reshape(shape)
 
+    def keep_noise(self, at: At, noise: Array) -> None:
+        """Keep the noise of a step's rows, which is more than the CPD's own."""
+        self.keep_errors()
+        first, last, height = at.first, at.last, self.shape[2]
+        if last - first == 1 and not self.batch:
+            self.noise[first, 0] = noise
+            return
+        shape, each = (last - first, height), np.arange(last - first)
+        blocks = noise.reshape(*shape, *shape, *noise.shape[2:])[each, :, each]
+        self.noise[first:last] = blocks.transpose(0, 3, 1, 2) if self.batch else blocks[:, None]
+
     def stored_at(self, first: int, last: int) -> At:
         """Some rows as they were linearised."""
         if self.template is None:
-            return self._affine_at(first, last)
+            at = self._affine_at(first, last)
+            if self.approximate:  # of robust noise
+                at = at._replace(noise=self._noise_of(self.noise, first, last))
+            return at
         height, width = self.shape[2:]
         size = (last - first) * height
         matrix, offset = self.matrix[first:last], self.offset[first:last]

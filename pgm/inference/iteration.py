@@ -130,6 +130,10 @@ class Problem(Protocol[Found]):
         """The solution of the model as it is linearised."""
         ...
 
+    def settled(self) -> Mask | bool:
+        """Whether a model that changes from iteration to iteration is the one asked for."""
+        ...
+
 
 class Controlled(Problem[Found], Protocol[Found]):
     """A model whose steps can be controlled by their cost."""
@@ -205,7 +209,7 @@ def iterate(
         found = solution.point
         residual = moments.marginal_error(found.mean, point.mean, found.std)
         residuals.append(np.where(active, residual, residuals[-1]) if residuals else residual)
-        converged = converged | (residual <= schedule.tolerance)
+        converged = converged | ((residual <= schedule.tolerance) & problem.settled())
         point = control.step(point, found, active)
         shown = control.shown(found.mean, point, active)
         mean = shown if active.all() else np.where(active[:, None], shown, mean)

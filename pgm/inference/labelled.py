@@ -48,7 +48,6 @@ class Labelled:
 
         Examples
         --------
-        >>> import pgm
         >>> x = pgm.Variable("x", components=("east", "north"))
         >>> model = pgm.DynamicBayesianNetwork(
         ...     prior=[pgm.GaussianCPD(x, mean=[0, 0], cov=1.0)],

@@ -42,7 +42,6 @@ class Posterior(Labelled, Viewed, Shown, NoArray, ABC):
 
     Examples
     --------
-    >>> import pgm
     >>> a, b, c = pgm.variables("a b c")
     >>> net = pgm.BayesianNetwork([
     ...     pgm.GaussianCPD(a, 0.0, 1.0),

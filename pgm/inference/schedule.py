@@ -9,6 +9,7 @@ from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.inference.checks import require_count, require_tolerance
 from pgm.inference.damping import Damping, require_damping
+from pgm.inference.gates import Gate, as_gate
 from pgm.inference.kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.loopy_schedules import Loopy
 
@@ -33,6 +34,11 @@ class Filtering(InCode):
     damping : float or LevenbergMarquardt
         The share of the old point of linearisation that is kept, in [0, 1), or a control of each
         step by its cost.
+    gate : float or mapping of Variable to float, optional
+        The probability within which readings are taken in: a sighting whose squared innovation
+        νᵀS⁻¹ν at the predicted belief exceeds the χ² quantile of it, with as many degrees of
+        freedom as components were measured, is left out, in this run. By sensor, those that are
+        not named have no gate. ``posterior.rejected[z]`` has the record.
 
     Raises
     ------
@@ -45,14 +51,8 @@ class Filtering(InCode):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> graph = pgm.compile(model, steps=1)
+    >>> from pgm.examples import walk, x, z
+    >>> graph = pgm.compile(walk, steps=1)
     >>> posterior = pgm.infer(graph, {z: [[4.0]]}, schedule=pgm.Filtering())
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([0., 2.]), array([1., 1.]))
@@ -61,8 +61,10 @@ class Filtering(InCode):
     iterations: int = 1
     tolerance: float = 1e-9
     damping: Damping = 0.0
+    gate: Gate = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "gate", as_gate(type(self).__name__, self.gate))
         require_count(self, "iterations, which count linearisations,", self.iterations)
         require_tolerance(self, self.tolerance)
         require_damping(self, self.damping)
@@ -99,13 +101,8 @@ class Calibration(InCode):
 
     Examples
     --------
-    >>> import pgm
-    >>> a, b = pgm.variables("a b")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(a, 0.0, 1.0),
-    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net, method=pgm.JunctionTree())
+    >>> from pgm.examples import a, b, pair
+    >>> graph = pgm.compile(pair, method=pgm.JunctionTree())
     >>> posterior = pgm.infer(graph, {b: [2.0]}, schedule=pgm.Calibration())
     >>> posterior[a]
     Gaussian(a)
@@ -141,6 +138,9 @@ class Smoothing(Calibration):
     damping : float or LevenbergMarquardt
         The share of the old point of linearisation that is kept, in [0, 1), or a control of each
         step by its cost.
+    gate : float or mapping of Variable to float, optional
+        As of `Filtering`: decided in the first forward pass and kept, so that all iterations are
+        of the same measurements; with a start, as everything is linearised there.
 
     Raises
     ------
@@ -153,22 +153,18 @@ class Smoothing(Calibration):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> graph = pgm.compile(model, steps=1)
+    >>> from pgm.examples import walk, x, z
+    >>> graph = pgm.compile(walk, steps=1)
     >>> posterior = pgm.infer(graph, {z: [[4.0]]}, schedule=pgm.Smoothing())
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([1., 2.]), array([0.75, 1.  ]))
     """
 
     damping: Damping = 0.0
+    gate: Gate = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "gate", as_gate(type(self).__name__, self.gate))
         super().__post_init__()
         require_damping(self, self.damping)
 
@@ -176,6 +172,11 @@ class Smoothing(Calibration):
     def kind(self) -> Kind:
         """The kind of the beliefs that it leaves: smoothed."""
         return SMOOTHED
+
+    @property
+    def first(self) -> Filtering:
+        """The filter of the first linearisation."""
+        return Filtering(gate=self.gate)
 
 
 @dataclass(frozen=True)
@@ -213,6 +214,8 @@ class FixedLag(InCode):
     damping : float or LevenbergMarquardt
         The share of the old point of linearisation that is kept, in [0, 1), or a control of each
         step by the cost of the window's trajectory, its prior included.
+    gate : float or mapping of Variable to float, optional
+        As of `Filtering`: decided when a step is new, and kept.
 
     Raises
     ------
@@ -222,7 +225,7 @@ class FixedLag(InCode):
     Examples
     --------
     >>> FixedLag(5)
-    FixedLag(lag=5, iterations=1, tolerance=1e-09, damping=0.0)
+    FixedLag(lag=5, iterations=1, tolerance=1e-09, damping=0.0, gate=None)
 
     References
     ----------
@@ -235,8 +238,10 @@ class FixedLag(InCode):
     iterations: int = 1
     tolerance: float = 1e-9
     damping: Damping = 0.0
+    gate: Gate = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "gate", as_gate(type(self).__name__, self.gate))
         if not is_whole(self.lag) or self.lag < 0:
             raise ModelError(
                 f"{self!r}: a lag is a whole number of steps, 0 or more, not {self.lag!r}; of all "
@@ -254,7 +259,12 @@ class FixedLag(InCode):
     @property
     def filtering(self) -> Filtering:
         """The filter that it is without a lag."""
-        return Filtering(self.iterations, self.tolerance, self.damping)
+        return Filtering(self.iterations, self.tolerance, self.damping, self.gate)
+
+    @property
+    def first(self) -> Filtering:
+        """The filter of a new step."""
+        return Filtering(gate=self.gate)
 
     @property
     def smoothing(self) -> Smoothing:

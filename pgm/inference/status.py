@@ -75,7 +75,6 @@ class Status(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
     >>> x, z = pgm.variables("x z")
     >>> model = pgm.DynamicBayesianNetwork(
     ...     prior=[pgm.GaussianCPD(x, 1.0, 1.0)],

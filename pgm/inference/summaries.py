@@ -38,7 +38,12 @@ NETWORK_ROWS, RUNS = 12, 2
 
 
 def over_time(
-    title: str, posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...], last: int
+    title: str,
+    posterior: Any,
+    variables: Sequence[Variable],
+    runs: tuple[int, ...],
+    last: int,
+    told_of: Sequence[str] = (),
 ) -> Summary:
     """The summary of a posterior over time.
 
@@ -54,9 +59,12 @@ def over_time(
     runs : tuple of int
     last : int
         T.
+    told_of : sequence of str
+        Lines below its figures.
     """
     states = posterior.graph.model.states
-    return Summary(title, [*figures(posterior), *ends(posterior, variables, states, runs, last)])
+    told = [*figures(posterior), *told_of]
+    return Summary(title, [*told, *ends(posterior, variables, states, runs, last)])
 
 
 def marginals_over_time(

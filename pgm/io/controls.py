@@ -52,7 +52,6 @@ class ControlReport(Shown):
 
     Examples
     --------
-    >>> import pgm
     >>> u = pgm.Variable("u")
     >>> rows = pgm.stamped([0.5, 1.5, 2.0], [1.0, 2.0, 3.0])
     >>> log = pgm.timeline([0.0, 1.0, 2.0], odometry={u: rows})

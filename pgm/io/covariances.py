@@ -16,6 +16,7 @@ import numpy as np
 
 from pgm.io import sources
 from pgm.io.sources import Origin, Source
+from pgm.io.words import number
 from pgm.kernels.arrays import Array
 from pgm.kernels.checks import covariance_fault
 
@@ -61,17 +62,6 @@ def read(source: Source, times: Array, limit: int) -> tuple[tuple[str, ...], Arr
             if fault := covariance_fault(matrix):
                 raise origin.fault(f"the covariance of {', '.join(names)} {fault}", line)
     return names, cov
-
-
-def number(word: str, line: int, origin: Origin) -> float:
-    """The finite number that a word is."""
-    try:
-        found = float(word.replace("_", "?"))  # which Python reads, and no other tool
-    except ValueError:
-        raise origin.fault(f"{word!r} is no number", line) from None
-    if not math.isfinite(found):
-        raise origin.fault(f"{word!r} is not finite; leave the line out", line)
-    return found
 
 
 def _header(names: Sequence[str]) -> list[str]:

@@ -31,8 +31,6 @@ class Poses(Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
     >>> here, turned = np.array([[1.0, 2.0, 0.5]]), np.array([[0.0, 0.0, 1.0, 1.0]]) / np.sqrt(2.0)
     >>> drive = pgm.Poses(times=np.array([0.0]), position=here, orientation=turned)
     >>> drive.planar.round(3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,12 +29,15 @@ from pgm.io.stamped import (
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
-NOT_TAKEN, BEFORE, AFTER, FAR = (
+NOT_TAKEN, COPY, BEFORE, AFTER, FAR = (
     "not taken",
+    "a copy of an earlier row",
     "before the first state",
     "after the last state",
     "too far from any state",
 )
+# Reasons that have nothing to do with time.
+UNTIMED = (NOT_TAKEN, COPY)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,12 +57,13 @@ class ReadingReport(Shown):
     repeated : ndarray of bool
         (M,): whether a measurement kept has the stamp and the landmark of an earlier one kept. Both
         count in the evidence.
+    copied : ndarray of bool
+        (M,): whether a measurement has the stamp, the landmark and the value of an earlier one.
     backwards : int
         How many rows are stamped before the row above them.
 
     Examples
     --------
-    >>> import pgm
     >>> z = pgm.Variable("z")
     >>> rows = pgm.stamped([0.25, 2.0, 7.0], [4.0, 5.0, 6.0])
     >>> log = pgm.timeline([0.0, 1.0, 2.0], sensors={z: rows})
@@ -73,6 +78,7 @@ class ReadingReport(Shown):
     shift: Array
     reason: npt.NDArray[np.str_]
     repeated: Mask
+    copied: Mask
     backwards: int
 
     @property
@@ -105,36 +111,66 @@ class ReadingReport(Shown):
             text += f" by {np.median(by):.4g} s (median), {by.max():.4g} s at most"
         lines = [text]
         if self.repeated.any():
-            lines.append(f"{self.repeated.sum()} kept that repeat a stamp and landmark")
+            copies = (self.repeated & self.copied).sum()
+            value = f", {copies} of them the value, too: see drop_copies" * bool(copies)
+            lines.append(f"{self.repeated.sum()} kept that repeat a stamp and landmark{value}")
         if self.backwards:
             lines.append(f"{self.backwards} stamped before the row above")
-        for why in (NOT_TAKEN, BEFORE, AFTER, FAR):
+        for why in (NOT_TAKEN, COPY, BEFORE, AFTER, FAR):
             rows = np.flatnonzero(self.reason == why)
             if rows.size:
                 gap = f", by {np.abs(self.shift[rows]).max():.4g} s"
-                gap = "" if why == NOT_TAKEN else gap + " at most" * (rows.size > 1)
+                gap = "" if why in UNTIMED else gap + " at most" * (rows.size > 1)
                 lines.append(f"{rows.size} dropped: {why}{gap} ({rows_text(rows)})")
         return lines
 
 
-def readings(
-    variable: Variable, value: Any, times: Array, tolerance: float | None
-) -> tuple[Sightings, ReadingReport]:
-    """The sightings of a sensor's log, or of a list of logs, and the report."""
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A sensor's rows, or those of a list of logs one after the other, checked."""
+
+    stamps: Array
+    values: Array
+    given: dict[Variable, Array]
+    taken: Mask
+    backwards: int
+
+    @cached_property
+    def copied(self) -> Mask:
+        """The mask of rows that equal an earlier one in all they tell."""
+        missing = np.isnan(self.values)  # one NaN does not equal another
+        told = [self.stamps, missing, np.where(missing, 0.0, self.values), *self.given.values()]
+        return _repeated(np.column_stack(told), self.taken)
+
+    def wanted(self, drop_copies: bool) -> Mask:
+        """The mask of rows that stand for a measurement."""
+        return self.taken & ~self.copied if drop_copies else self.taken
+
+
+def checked(variable: Variable, value: Any) -> Log:
+    """The rows of a sensor's log, or of a list of logs."""
     logs = _logs(variable, value)
     each = [as_stamps(f"stamps of {variable!r}", log.stamps, variable) for log in logs]
     counts = [part.size for part in each]
-    stamps, values = np.concatenate(each), _values(variable, logs, counts)
+    values = _values(variable, logs, counts)
     taken: Mask = np.asarray(~np.isnan(values).all(axis=-1))
     given = {
         parent: _given(variable, parent, logs, counts, taken) for parent in _parents(variable, logs)
     }
+    backwards = sum(int((np.diff(part) < 0.0).sum()) for part in each)
+    return Log(np.concatenate(each), values, given, taken, backwards)
 
+
+def readings(
+    variable: Variable, log: Log, times: Array, tolerance: float | None, drop_copies: bool
+) -> tuple[Sightings, ReadingReport]:
+    """The sightings of a sensor's log, each at the nearest state, and the report."""
+    stamps = log.stamps
     step = nearest(times, stamps)
     shift = times[step] - stamps
-    reason = _reasons(stamps, shift, taken, times, tolerance)
+    reason = _reasons(log, shift, times, tolerance, drop_copies)
     kept = reason == ""
-    if taken.any() and not kept.any():
+    if log.taken.any() and not kept.any():
         raise EvidenceError(
             f"no measurement of {variable!r} is near a state: stamps from {clock(stamps.min())} to "
             f"{clock(stamps.max())}, states from {clock(times[0])} to {clock(times[-1])}"
@@ -147,11 +183,12 @@ def readings(
         step=sealed(step),
         shift=sealed(shift),
         reason=sealed(reason),
-        repeated=sealed(_repeated(np.column_stack([stamps, *given.values()]), kept)),
-        backwards=sum(int((np.diff(part) < 0.0).sum()) for part in each),
+        repeated=sealed(_repeated(np.column_stack([stamps, *log.given.values()]), kept)),
+        copied=sealed(log.copied),
+        backwards=log.backwards,
     )
-    seen = {parent: sealed(table[kept]) for parent, table in given.items()}
-    return sightings(sealed(values[kept]), step=sealed(step[kept]), given=seen), report
+    seen = {parent: sealed(table[kept]) for parent, table in log.given.items()}
+    return sightings(sealed(log.values[kept]), step=sealed(step[kept]), given=seen), report
 
 
 def _logs(variable: Variable, value: Any) -> list[Stamped]:
@@ -216,21 +253,25 @@ def _given(
 
 
 def _reasons(
-    stamps: Array, shift: Array, taken: Mask, times: Array, tolerance: float | None
+    log: Log, shift: Array, times: Array, tolerance: float | None, drop_copies: bool
 ) -> npt.NDArray[np.str_]:
     """Why each measurement is dropped, empty where it is kept."""
-    before, after = stamps < times[0], stamps > times[-1]
+    before, after = log.stamps < times[0], log.stamps > times[-1]
     if tolerance is None:
         first, last = 0.5 * np.diff(times)[[0, -1]]
         reach = np.select([before, after], [first, last], default=np.inf)
     else:
-        reach = np.full(stamps.shape, tolerance)
+        reach = np.full(log.stamps.shape, tolerance)
     far = np.abs(shift) > reach + SAME
-    return np.select([~taken, far & before, far & after, far], [NOT_TAKEN, BEFORE, AFTER, FAR], "")
+    return np.select(
+        [~log.taken, log.copied & drop_copies, far & before, far & after, far],
+        [NOT_TAKEN, COPY, BEFORE, AFTER, FAR],
+        "",
+    )
 
 
 def _repeated(keys: Array, kept: Mask) -> Mask:
-    """The mask of rows kept that equal an earlier one kept."""
+    """The mask of rows kept whose keys equal those of an earlier one kept."""
     rows = np.flatnonzero(kept)
     result = kept.copy()
     result[rows[np.unique(keys[rows], axis=0, return_index=True)[1]]] = False

@@ -42,7 +42,6 @@ class Stamped(Shown):
 
     Examples
     --------
-    >>> import pgm
     >>> pgm.stamped([0.1, 0.2], [5.1, 4.9])
     Stamped(2 rows, given [])
       stamp  value

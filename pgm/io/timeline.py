@@ -15,8 +15,9 @@ from pgm.display import TITLE, Listing, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.immutable import Immutable
 from pgm.io.controls import ControlReport, Kind, controls
-from pgm.io.readings import ReadingReport, readings
-from pgm.io.stamped import Stamped, as_stamps, clock, sealed
+from pgm.io.readings import ReadingReport, checked, readings
+from pgm.io.stamped import Stamped, clock, sealed
+from pgm.io.states import given_states, states_of
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
@@ -40,7 +41,6 @@ class Timeline(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
     >>> z = pgm.Variable("z")
     >>> log = pgm.timeline([0.0, 1.0, 2.0], sensors={z: pgm.stamped([1.9, 0.1], [4.0, 5.0])})
     >>> log.steps, log.dt
@@ -80,12 +80,13 @@ class Timeline(Shown, Immutable):
 
 
 def timeline(
-    times: npt.ArrayLike,
+    times: npt.ArrayLike | None = None,
     *,
     odometry: Mapping[Variable, Stamped] | None = None,
     velocities: Mapping[Variable, Stamped] | None = None,
     sensors: Mapping[Variable, Stamped | Sequence[Stamped]] | None = None,
     tolerance: float | None = None,
+    drop_copies: bool = False,
 ) -> Timeline:
     """Lay a log of stamped rows on the states: controls by step, measurements by state.
 
@@ -94,8 +95,10 @@ def timeline(
 
     Parameters
     ----------
-    times : array_like
-        (T+1,): of the states x[0..T], seconds, increasing; often the odometry's own stamps.
+    times : array_like, optional
+        (T+1,): of the states x[0..T], seconds, increasing. Without them there is a state at every
+        stamp, of controls and of measurements, in the time that all controls cover, so that no
+        measurement is moved.
     odometry : mapping of Variable to Stamped, optional
         ``{u: pgm.stamped(stamps, increments)}``: each increment is the motion since the previous
         stamp. A step's control is the sum of its increments; one that a state divides is divided
@@ -109,9 +112,13 @@ def timeline(
         ``{z: pgm.stamped(stamps, values, {m: landmarks})}``: each measurement goes to the state
         nearest in time; midway, to the earlier one. Repeated measurements all count.
     tolerance : float, optional
-        Seconds: a measurement farther than this from every state is dropped. Without it, every
-        measurement between the first and the last state is kept, and one outside them if it is
-        within half of the first or the last step.
+        Seconds by which a measurement may be moved. With `times`, one farther from every state is
+        dropped; by default every measurement between the first and the last state is kept, and one
+        outside them if it is within half of the first or the last step. Without `times`, 0 by
+        default, one farther from the other states gets a state of its own.
+    drop_copies : bool
+        Whether to drop a measurement whose stamp, value and observed parents are those of an
+        earlier row, as of a message that came twice.
 
     Returns
     -------
@@ -132,11 +139,12 @@ def timeline(
     seconds; the rows hold its other components, in order. Where it has none, the rows hold all.
 
     Sums and averages are right for motion that is steady within a step, and for small turns. What
-    does not add up, such as (first turn, translation, second turn), needs a state at every stamp.
+    does not add up, such as (first turn, translation, second turn), can be neither added nor
+    divided: it needs states at its own stamps, and at no others. A divided increment is as good as
+    the motion within it is steady; the noise of a part must grow with its share, as does one with
+    variances proportional to ``dt`` or to distance and turn.
 
-    A moved measurement is in error by what the robot does meanwhile. So that none is moved, let
-    there be a state at every stamp, of odometry and measurements, in the time that the odometry
-    covers.
+    A moved measurement is in error by what the robot does meanwhile.
 
     Examples
     --------
@@ -161,9 +169,10 @@ def timeline(
                  1 stamped before the row above
                  1 dropped: after the last state, by 5 s (row 2)
     """
-    states = _as_times(times)
     if tolerance is not None and not (is_number(tolerance) and tolerance >= 0.0):
         raise EvidenceError(f"tolerance must be 0 or more seconds, not {tolerance!r}")
+    if not isinstance(drop_copies, bool):
+        raise EvidenceError(f"drop_copies is True or False, not {drop_copies!r}")
     groups: dict[str, Mapping[Variable, Any]] = {
         name: {} if logs is None else logs
         for name, logs in (("odometry", odometry), ("velocities", velocities), ("sensors", sensors))
@@ -173,8 +182,15 @@ def timeline(
         **dict.fromkeys(groups["odometry"], "odometry"),
         **dict.fromkeys(groups["velocities"], "velocities"),
     }
+    logs = {z: checked(z, rows) for z, rows in groups["sensors"].items()}
+    if times is None:
+        tolerance = 0.0 if tolerance is None else tolerance
+        rows = {u: groups[kind][u] for u, kind in kinds.items()}
+        states = states_of(rows, logs, tolerance, drop_copies)
+    else:
+        states = given_states(times)
     driven = {u: controls(u, kind, groups[kind][u], states) for u, kind in kinds.items()}
-    seen = {z: readings(z, log, states, tolerance) for z, log in groups["sensors"].items()}
+    seen = {z: readings(z, log, states, tolerance, drop_copies) for z, log in logs.items()}
     return Timeline(
         times=sealed(states),
         dt=sealed(np.diff(states)),
@@ -182,21 +198,6 @@ def timeline(
         controls=MappingProxyType({u: report for u, (_, report) in driven.items()}),
         readings=MappingProxyType({z: report for z, (_, report) in seen.items()}),
     )
-
-
-def _as_times(times: npt.ArrayLike) -> Array:
-    states = as_stamps("times", times)
-    if states.size < 2:
-        raise EvidenceError(f"times has {states.size} states; a timeline needs two or more")
-    back = np.flatnonzero(np.diff(states) <= 0.0)
-    if back.size:
-        row = int(back[0]) + 1
-        raise EvidenceError(
-            f"times: row {row} ({float(states[row])!r} s) is not after row {row - 1} "
-            f"({float(states[row - 1])!r} s); np.unique(times) puts states in order, each once",
-            step=row,
-        )
-    return states
 
 
 def _check_variables(groups: Mapping[str, Mapping[Variable, Any]]) -> None:

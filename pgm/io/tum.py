@@ -21,6 +21,8 @@ from pgm.io import covariances, sources
 from pgm.io.poses import Poses
 from pgm.io.sources import LIMIT, Origin, Source
 from pgm.io.stamped import as_stamps, clock
+from pgm.io.words import Line, number
+from pgm.io.words import lines as text_lines
 from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array
 
@@ -85,7 +87,7 @@ def write_tum(
 
     Examples
     --------
-    >>> import io, pgm
+    >>> import io
     >>> x = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
     >>> path = pgm.Gaussian(x, [[0, 0, 0], [1, 0.5, np.pi / 2]], cov=0.01, steps=[0, 1])
     >>> file = io.StringIO()
@@ -167,11 +169,9 @@ def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIM
     content = sources.read(path, limit)
     origin = content.origin
     lines, rows = [], []
-    for number, line in enumerate(content.text().splitlines(), 1):
-        words = line.split()
-        if words and not words[0].startswith("#"):
-            rows.append(_pose(words, number, origin))
-            lines.append(number)
+    for line in text_lines(content):
+        rows.append(_pose(line))
+        lines.append(line.number)
     if not rows:
         raise origin.fault("it has no poses, lines of t x y z qx qy qz qw; is it another file?")
     table = np.array(rows)
@@ -204,16 +204,17 @@ def require_increasing(times: Array, lines: Sequence[int], origin: Origin) -> No
         )
 
 
-def _pose(words: Sequence[str], line: int, origin: Origin) -> list[float]:
+def _pose(line: Line) -> list[float]:
     """The numbers of a line."""
+    words = line.words
     if len(words) != FIELDS:
         hint = "; are they apart by spaces, and not by commas?" if "," in words[0] else ""
-        raise origin.fault(
+        raise line.origin.fault(
             f"it has {len(words)} numbers, where t x y z qx qy qz qw, {FIELDS} of them, were due"
             f"{hint}",
-            line,
+            line.number,
         )
-    return [covariances.number(word, line, origin) for word in words]
+    return [number(word, line.number, line.origin) for word in words]
 
 
 def _trajectory(belief: Any) -> Gaussian:

@@ -9,7 +9,7 @@ from pgm.kernels.arrays import Array
 
 def mounted(poses: Array, mount: Array) -> Array:
     """The poses (..., 3) of what is mounted on bodies, at a pose (3,) in their frame."""
-    return _stacked(_turned(mount[:2], poses[..., 2]) + poses[..., :2], poses[..., 2] + mount[2])
+    return _stacked(turned(mount[:2], poses[..., 2]) + poses[..., :2], poses[..., 2] + mount[2])
 
 
 def seen_from(frame: Array, poses: Array) -> Array:
@@ -20,24 +20,25 @@ def seen_from(frame: Array, poses: Array) -> Array:
 def points_from(frame: Array, points: Array) -> Array:
     """Points (..., 2) in the frame of a pose (3,)."""
     away = points - frame[:2]
-    return away if frame[2] == 0.0 else _turned(away, -frame[2])
+    return away if frame[2] == 0.0 else turned(away, -frame[2])
 
 
 def points_out_of(frame: Array, points: Array) -> Array:
     """Points (..., 2), given in the frame of a pose (3,), in the frame of that pose."""
-    turned = points if frame[2] == 0.0 else _turned(points, frame[2])
-    return turned + frame[:2]
+    along = points if frame[2] == 0.0 else turned(points, frame[2])
+    return along + frame[:2]
+
+
+def turned(points: Array, angle: Array | float) -> Array:
+    """Points (..., 2), turned about the origin by angles (...)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
 def directions(angles: Array) -> Array:
     """The unit vectors of angles (...), (..., 2)."""
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-
-
-def _turned(points: Array, angle: Array | float) -> Array:
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y = points[..., 0], points[..., 1]
-    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
 def _stacked(points: Array, headings: Array) -> Array:

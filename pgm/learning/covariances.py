@@ -125,7 +125,7 @@ class CovarianceStep:
     def factor(self, cpd: Any) -> float:
         """The factor on the covariance at the start."""
         if isinstance(cpd.cov, Noise):
-            function = cpd.cov.function
+            function: Any = cpd.cov.function
             own = isinstance(function, ScaledNoise) and function is not self.start.function
             return float(function.factor) if own else 1.0
         return float(np.trace(cpd.cov) / np.trace(self.start))
@@ -168,7 +168,8 @@ class CovarianceStep:
         if self.declared.kind == "diagonal":
             variances = np.diagonal(cpd.cov)[self.there]
             slopes: Array = np.diagonal(own)[self.there] / variances - count
-            return slopes / np.sqrt(variances)
+            slopes /= np.sqrt(variances)
+            return slopes
         lower = self._lower(cpd)
         # At a root of zero, which the M step may reach, nothing is to be gained along it.
         regular = bool(np.diagonal(lower).all())

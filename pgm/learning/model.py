@@ -160,6 +160,12 @@ class Learner:
             block: Any = TableStep(cpd, parts)
         elif isinstance(cpd, ConditionalGaussian):
             self._require(cpd, kinds, (Covariance, Coefficients, Offset))
+            if cpd.noise is not None:
+                raise ModelError(
+                    f"{cpd!r} has robust noise, {cpd.noise!r}, of which nothing is learnt; learn "
+                    "it with Gaussian noise, noise=None",
+                    cpd=cpd,
+                )
             hidden = tuple(p for p in cpd.given if p.template in {*model.states, *model.controls})
             block = GaussianStep(cpd, hidden, parts)
         else:

@@ -45,7 +45,6 @@ class FunctionTemplate:
 
     Examples
     --------
-    >>> import pgm
     >>> from pgm.linearisers import FunctionTemplate
     >>> x, y = pgm.variables("x y")
     >>> template = FunctionTemplate(y, (x,), (x,), lambda x: x**2, (None,), (1.0,))
@@ -177,8 +176,6 @@ class BoundFunction(NamedTuple):
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
     >>> from pgm.linearisers import BoundFunction, FunctionTemplate
     >>> x, y = pgm.variables("x y")
     >>> slope = lambda x: 2.0 * x[..., None]

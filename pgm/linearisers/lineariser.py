@@ -32,18 +32,13 @@ class Lineariser(Protocol):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, y = pgm.variables("x y")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(x, 3.0, 1.0),
-    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
-    ... ])
+    >>> from pgm.examples import square, y
     >>> def at_mean(function, at):
     ...     F = function.jacobian(at.mean)
     ...     b = function(at.mean) - (F @ at.mean[..., None])[..., 0]
     ...     return pgm.AffineGaussian(F, b, cov=0.0)
     ...
-    >>> pgm.infer(pgm.compile(net), {}, lineariser=at_mean)[y].mean
+    >>> pgm.infer(pgm.compile(square), {}, lineariser=at_mean)[y].mean
     array([9.])
     """
 
@@ -79,7 +74,6 @@ class Line(NamedTuple):
 
     Examples
     --------
-    >>> import numpy as np
     >>> from pgm.linearisers import Line
     >>> line = Line(matrix=np.array([[6.0]]), value=np.array([9.0]), error=None)  # of x² at 3
     >>> line.value + line.matrix @ [0.5]
@@ -96,8 +90,6 @@ class Prepared(Protocol):
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
     >>> from pgm.linearisers import TAYLOR, BoundFunction, FunctionTemplate
     >>> x, y = pgm.variables("x y")
     >>> slope = lambda x: 2.0 * x[..., None]
@@ -153,13 +145,7 @@ class ArrayLineariser(InCode, ABC):
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
-    >>> x, y = pgm.variables("x y")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(x, 3.0, 1.0),
-    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
-    ... ])
+    >>> from pgm.examples import square, x, y
     >>> def at_mean(function, mean, cov):
     ...     x = np.moveaxis(mean, 0, -1)
     ...     slope = np.moveaxis(function.jacobian(x), (-2, -1), (0, 1))
@@ -169,7 +155,7 @@ class ArrayLineariser(InCode, ABC):
     ...     def prepare(self, template):
     ...         return at_mean
     ...
-    >>> pgm.infer(pgm.compile(net), {}, lineariser=AtMean())[y].mean
+    >>> pgm.infer(pgm.compile(square), {}, lineariser=AtMean())[y].mean
     array([9.])
     """
 
@@ -326,8 +312,6 @@ def apart(prepared: Prepared, function: BoundFunction, mean: Array, cov: Array) 
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
     >>> from pgm.linearisers import TAYLOR, BoundFunction, FunctionTemplate, apart
     >>> x, m, z = pgm.variables("x m z")
     >>> slope = lambda m, x: m[..., None]

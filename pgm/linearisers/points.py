@@ -32,7 +32,6 @@ class Points(_Points):
 
     Examples
     --------
-    >>> import numpy as np
     >>> from pgm.linearisers import Points
     >>> weights = np.array([0.5, 0.5])
     >>> rule = Points(np.array([[1.0], [-1.0]]), weights, weights, centred=False)

@@ -55,20 +55,14 @@ class StatisticalRegression(ArrayLineariser):
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
-    >>> x, y = pgm.variables("x y")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(x, 3.0, 1.0),
-    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
-    ... ])
+    >>> from pgm.examples import square, y
     >>> class Ends(pgm.StatisticalRegression):
     ...     def points(self, dimension, name, step):
     ...         arm = np.sqrt(dimension) * np.eye(dimension)
     ...         weights = np.full(2 * dimension, 0.5 / dimension)
     ...         return pgm.linearisers.Points(np.vstack([arm, -arm]), weights, weights, False)
     ...
-    >>> pgm.infer(pgm.compile(net), {}, lineariser=Ends())[y].mean.round(2)
+    >>> pgm.infer(pgm.compile(square), {}, lineariser=Ends())[y].mean.round(2)
     array([10.])
     """
 

@@ -44,13 +44,8 @@ class Unscented(StatisticalRegression):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, y = pgm.variables("x y")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(x, 3.0, 1.0),
-    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net)
+    >>> from pgm.examples import square, y
+    >>> graph = pgm.compile(square)
     >>> pgm.infer(graph, {}, lineariser=pgm.Unscented())[y].mean.round(2)
     array([10.])
     """
@@ -107,13 +102,8 @@ class Cubature(StatisticalRegression):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, y = pgm.variables("x y")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(x, 3.0, 1.0),
-    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net)
+    >>> from pgm.examples import square, y
+    >>> graph = pgm.compile(square)
     >>> pgm.infer(graph, {}, lineariser=pgm.Cubature())[y].mean.round(2)
     array([10.])
     """
@@ -162,13 +152,8 @@ class GaussHermite(StatisticalRegression):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, y = pgm.variables("x y")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(x, 3.0, 1.0),
-    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net)
+    >>> from pgm.examples import square, y
+    >>> graph = pgm.compile(square)
     >>> pgm.infer(graph, {}, lineariser=pgm.GaussHermite(order=3))[y].mean.round(2)
     array([10.])
     """

@@ -222,13 +222,8 @@ class MonteCarlo(SampledRule):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, y = pgm.variables("x y")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(x, 3.0, 1.0),
-    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net)
+    >>> from pgm.examples import square, y
+    >>> graph = pgm.compile(square)
     >>> pgm.infer(graph, {}, lineariser=pgm.MonteCarlo(1000, seed=1))[y].mean.round(2)
     array([10.])
     """
@@ -284,13 +279,8 @@ class QuasiMonteCarlo(SampledRule):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, y = pgm.variables("x y")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(x, 3.0, 1.0),
-    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net)
+    >>> from pgm.examples import square, y
+    >>> graph = pgm.compile(square)
     >>> pgm.infer(graph, {}, lineariser=pgm.QuasiMonteCarlo(1024))[y].mean.round(2)
     array([10.])
     """

@@ -22,13 +22,8 @@ class Taylor(ArrayLineariser):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, y = pgm.variables("x y")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(x, 3.0, 1.0),
-    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
-    ... ])
-    >>> graph = pgm.compile(net)
+    >>> from pgm.examples import square, y
+    >>> graph = pgm.compile(square)
     >>> pgm.infer(graph, {}, lineariser=pgm.Taylor())[y].mean.round(2)
     array([9.])
     """

@@ -40,27 +40,14 @@ class BeamModel(ScanCPD):
 
     Parameters
     ----------
-    child : Variable
-        The scan, one component a beam, in metres.
-    given : Variable
-        The pose; its first components are x [m], y [m] and the heading [rad], an angle.
-    map : OccupancyMap
-    angles : array_like
-        (B,): of the beams against the sensor's heading [rad].
-    most : float
-        The largest range [m].
+    child, given, map, angles, most, mount, every, weight
+        As of `LikelihoodField`.
     std : float
         σ [m]: of ranges to obstacles of the map.
     hit, short, maximum, random : float
         Shares, from 0 on, that sum to 1.
     decay : float
         λ [1/m]: how many unmapped obstacles a metre there are.
-    mount : array_like
-        (3,): the sensor's pose in the robot's frame.
-    every : int
-        Each `every`-th beam is used.
-    weight : float
-        Above 0, at most 1.
     through_unknown : bool
         Whether beams pass unknown cells, as of `OccupancyMap.cast`.
 
@@ -75,18 +62,14 @@ class BeamModel(ScanCPD):
 
     Examples
     --------
-    >>> from pgm import Variable
-    >>> from pgm.maps import OccupancyMap
-    >>> x = Variable("x", components=("x", "y", "heading"), angles=("heading",))
-    >>> z = Variable("z", components=("left", "ahead"))
-    >>> wall = OccupancyMap([[0, 0, 0, 0, 1]] * 5, resolution=1.0)
+    >>> x = pgm.Variable("x", components=("x", "y", "heading"), angles=("heading",))
+    >>> z = pgm.Variable("z", components=("left", "ahead"))
+    >>> wall = pgm.maps.OccupancyMap([[0, 0, 0, 0, 1]] * 5, resolution=1.0)
     >>> scan = BeamModel(z, x, wall, angles=[np.pi / 2, 0.0], most=10.0, std=0.1)
     >>> scan.log_density([10.0, 3.5], {x: [0.5, 2.5, 0.0]}).round(3)
     np.float64(0.88)
-    >>> scan.sample({x: [0.5, 2.5, 0.0]}, size=3, rng=4).round(2)
-    array([[10.  ,  3.41],
-           [10.  ,  3.51],
-           [10.  ,  3.49]])
+    >>> scan.sample({x: [0.5, 2.5, 0.0]}, rng=4).round(2)
+    array([10.  ,  3.36])
     """
 
     std: float

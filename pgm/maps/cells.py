@@ -28,7 +28,6 @@ class Cells(NamedTuple):
 
     Examples
     --------
-    >>> import pgm
     >>> room = pgm.maps.OccupancyMap([[0, 0, 1], [0, 0, 1]], resolution=0.5)
     >>> found = room.at([[0.2, 0.7], [1.2, 5.0]])
     >>> found.rows, found.columns

@@ -74,11 +74,9 @@ class LikelihoodField(ScanCPD):
 
     Examples
     --------
-    >>> from pgm import Variable
-    >>> from pgm.maps import OccupancyMap
-    >>> x = Variable("x", components=("x", "y", "heading"), angles=("heading",))
-    >>> z = Variable("z", components=("left", "ahead"))
-    >>> wall = OccupancyMap([[0, 0, 0, 0, 1]] * 5, resolution=1.0)
+    >>> x = pgm.Variable("x", components=("x", "y", "heading"), angles=("heading",))
+    >>> z = pgm.Variable("z", components=("left", "ahead"))
+    >>> wall = pgm.maps.OccupancyMap([[0, 0, 0, 0, 1]] * 5, resolution=1.0)
     >>> scan = LikelihoodField(z, x, wall, angles=[np.pi / 2, 0.0], most=10.0, std=0.5)
     >>> at = [[0.5, 2.5, 0.0], [2.5, 2.5, 0.0]]
     >>> scan.log_density([10.0, 4.0], {x: at}).round(3)

@@ -211,13 +211,8 @@ class DynamicBayesianNetwork(Drawn, Immutable):
 
         Examples
         --------
-        >>> import pgm
-        >>> x = pgm.Variable("x")
-        >>> model = pgm.DynamicBayesianNetwork(
-        ...     prior=[pgm.GaussianCPD(x, mean=0.0, cov=1.0)],
-        ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=0.1)],
-        ... )
-        >>> model.sample(steps=5, runs=3, rng=0)[x].shape
+        >>> from pgm.examples import walk, x
+        >>> walk.sample(steps=5, runs=3, rng=0)[x].shape
         (3, 6, 1)
         """
         return draw_steps(self, as_mapping(inputs, "inputs"), steps, runs, as_generator(rng))
@@ -248,14 +243,9 @@ class DynamicBayesianNetwork(Drawn, Immutable):
 
         Examples
         --------
-        >>> from pgm import GaussianCPD, LinearGaussianCPD, Variable
-        >>> x = Variable("x")
-        >>> model = DynamicBayesianNetwork(
-        ...     prior=[GaussianCPD(x, mean=0.0, cov=1.0)],
-        ...     transition=[LinearGaussianCPD(x, given={x.previous: 1.0}, cov=0.1)],
-        ... )
-        >>> model.unroll(2)
-        BayesianNetwork(p(x[0])  p(x[1] | x[0])  p(x[2] | x[1]))
+        >>> from pgm.examples import walk
+        >>> walk.unroll(1)
+        BayesianNetwork(p(x[0])  p(z[0] | x[0])  p(x[1] | x[0])  p(z[1] | x[1]))
         """
         self._require_steps(steps)
         slices = range(int(steps) + 1)

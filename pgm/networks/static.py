@@ -210,11 +210,9 @@ class BayesianNetwork(Drawn, Immutable):
 
         Examples
         --------
-        >>> from pgm import Discrete, TableCPD
-        >>> coin = Discrete("coin", states=("heads", "tails"))
-        >>> net = BayesianNetwork([TableCPD(coin, table=[0.0, 1.0])])
-        >>> net.sample(4, rng=0)[coin]
-        array([1, 1, 1, 1])
+        >>> from pgm.examples import coin, side
+        >>> coin.sample(1000, rng=0)[side].mean().round(1)
+        np.float64(0.8)
         """
         return sampling.draw(
             self, () if n is None else n, as_mapping(inputs, "inputs"), as_generator(rng)

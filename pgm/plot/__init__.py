@@ -15,6 +15,7 @@ from pgm.plot.moving.run import animate
 from pgm.plot.statistics.compared import comparison
 from pgm.plot.statistics.consistency import coverage, nees, nis, whiteness
 from pgm.plot.statistics.over_time import errors, kl, rmse
+from pgm.plot.statistics.ranked import ranking
 from pgm.plot.statistics.records import convergence
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "nis",
     "occupancy_map",
     "particles",
+    "ranking",
     "rmse",
     "trajectory",
     "whiteness",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -33,8 +33,8 @@ def plain(name: str) -> str:
     return name.replace("$", r"\$")
 
 
-def unit_of(component: str, unit: Unit, *, angle: bool) -> str:
-    """The unit of a component; empty where nothing is known of it."""
+def unit_of(component: str, unit: Unit, known: Collection[str], *, angle: bool) -> str:
+    """The unit of one of the known components; empty where nothing is known of it."""
     others = "rad" if angle else ""
     if unit is None:
         return others
@@ -45,6 +45,9 @@ def unit_of(component: str, unit: Unit, *, angle: bool) -> str:
             f'unit= is a text, "m", or one for each component by name, {{"east": "m"}}; found '
             f"{unit!r}"
         )
+    for name in unit:
+        if name not in known:
+            raise ModelError(f"unit= is given of {name!r}; the components are {[*known]}")
     return unit.get(component, others)
 
 

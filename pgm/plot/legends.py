@@ -16,6 +16,8 @@ from pgm.kernels.arrays import Array
 # Of the letters, in points, and what of a letter's size a legend takes beside its texts.
 _SIZE = 8.3
 _BESIDE, _ABOVE, _LINE = 4.6, 1.6, 1.6
+# Beside an axes a legend takes no more than this part of its width.
+_PART = 0.4
 # Where a legend is put, the first that is free: its corner, as parts of the room that is left.
 _PLACES = {
     "upper right": (1.0, 1.0),
@@ -45,7 +47,7 @@ def useful_legend(ax: Axes, *, above: bool = False) -> None:
     place: Any = None if above else _free_place(ax, labels)
     if place:
         ax.legend(handles, labels, loc=place, framealpha=0.9, fontsize=_SIZE)
-    elif above or not ax.figure.get_layout_engine():
+    elif above or not ax.figure.get_layout_engine() or _beside(labels) > _PART * _width(ax):
         # Without an engine that makes room there is some above alone.
         ax.legend(
             handles,
@@ -79,8 +81,17 @@ def _colour(handle: Any) -> str:
 
 def _columns(ax: Axes, labels: list[str]) -> int:
     """As many columns as the axes is wide, four at the most."""
-    width = 72.0 / ax.figure.dpi * ax.get_window_extent().width
-    return int(np.clip(width // (_widest(labels) + _BESIDE * _SIZE), 1, min(len(labels), 4)))
+    return int(np.clip(_width(ax) // _beside(labels), 1, min(len(labels), 4)))
+
+
+def _width(ax: Axes) -> float:
+    """The width of an axes, in points."""
+    return float(72.0 / ax.figure.dpi * ax.get_window_extent().width)
+
+
+def _beside(labels: list[str]) -> float:
+    """The width of a legend of one column, in points."""
+    return _widest(labels) + _BESIDE * _SIZE
 
 
 def _widest(labels: list[str]) -> float:
@@ -99,7 +110,7 @@ def _free_place(ax: Axes, labels: list[str]) -> str | None:
     frame = ax.get_window_extent()
     dot = ax.figure.dpi / 72.0
     rows = sum(1 + label.count("\n") for label in labels)
-    width = dot * (_widest(labels) + _BESIDE * _SIZE)
+    width = dot * _beside(labels)
     height = dot * _SIZE * (_ABOVE + _LINE * rows)
     drawn = _drawn(ax)
     away = dot * 5.0

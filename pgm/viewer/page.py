@@ -9,23 +9,7 @@ from importlib.resources import files
 from typing import Any
 
 from pgm.viewer.numbers import Numbers
-
-# In the order in which they build on one another.
-SCRIPTS = (
-    "numbers",
-    "algebra",
-    "text",
-    "factors",
-    "graph_source",
-    "chain_source",
-    "drawing",
-    "pictures",
-    "inspector",
-    "plot",
-    "trajectory",
-    "controls",
-    "main",
-)
+from pgm.viewer.scripts import script
 
 
 def assembled(data: dict[str, Any], numbers: Numbers) -> str:
@@ -42,15 +26,14 @@ def assembled(data: dict[str, Any], numbers: Numbers) -> str:
     str
     """
     folder = files("pgm.viewer")
-    modules = (folder.joinpath("script", f"{name}.js").read_text("utf-8") for name in SCRIPTS)
-    script = '"use strict";\n(() => {\n' + "\n".join(modules) + "\n})();\n"
     style = folder.joinpath("viewer.css").read_text("utf-8")
+    code = script()
     parts = {
-        "{{policy}}": _policy(script, style),
+        "{{policy}}": _policy(code, style),
         "{{style}}": style,
         "{{data}}": embedded(data),
         "{{numbers}}": numbers.text(),
-        "{{script}}": script,
+        "{{script}}": code,
     }
     before, rest = folder.joinpath("page.html").read_text("utf-8"), ""
     # Each mark once, in order: what a user wrote may hold the text of another.

@@ -69,10 +69,8 @@ def view(
     Examples
     --------
     >>> import tempfile
-    >>> import pgm
-    >>> a, b = pgm.variables("a b")
-    >>> cpds = [pgm.GaussianCPD(a, 0.0, 1.0), pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)]
-    >>> posterior = pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), {b: 0.5})
+    >>> from pgm.examples import b, pair
+    >>> posterior = pgm.infer(pgm.compile(pair), {b: 0.5})
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     pgm.view(posterior, f"{folder}/run.html").name
     'run.html'

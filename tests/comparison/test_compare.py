@@ -254,7 +254,11 @@ def test_several_states_have_rows_of_their_own():
         [pgm.LinearGaussianCPD(z, {x: np.array([[1.0, 0.0]]), drift: 1.0}, cov=0.3)],
     )
     evidence = {z: np.zeros((T, 1))}
-    found = pgm.compare(model, evidence, truth={drift: np.zeros((T + 1, 1))})
+    truth = {drift: np.zeros((T + 1, 1))}
+    alone = pgm.compare(model, evidence, truth=truth)
+    assert alone.states == (drift,)
+    assert "–" not in repr(alone)
+    found = pgm.compare(model, evidence, truth=truth, states=[x, drift])
     assert found.states == (x, drift)
     assert np.isnan(found["Taylor", "filter", x].nees)
     belief = pgm.filter(model, evidence)[drift]

@@ -116,6 +116,7 @@ def cpds():
         "wide": pgm.LinearGaussianCPD(wide, {wide.previous: 1.0}, cov=np.eye(40)),
         "noisy": pgm.LinearGaussianCPD(B, {A: 1.0}, cov=pgm.noise(np.eye, given=C)),
         "nonlinear": robot()[0].transition[0],
+        "robust": pgm.LinearGaussianCPD(B, {A: 1.0}, cov=1.0, noise=pgm.StudentT(4.0)),
         "mixture": pgm.MixtureCPD([linear] * 50, weights=np.full(50, 0.02)),
         "sampled": pgm.SampledCPD(B, A, sample=lambda a, size, rng: a),
         "tables": pgm.TableCPD(DAY, (DAY.previous, WET), table=np.full((40, 2, 40), 1 / 40)),
@@ -138,6 +139,7 @@ def filtered():
     nameless = pgm.unknown([[30.0, 5.0], [0.0, 9.0]], gate=0.99)
     guess = pgm.sightings(drawn[Z], step=np.arange(STEPS + 1), given={M: nameless})
     guessed = pgm.filter(model, {U: asked[U], Z: guess})
+    gated = pgm.filter(model, batch.evidence, gate=0.9)
     empty = pgm.smooth(model, {U: asked[U]})
     errors = consistency.anees(many[X], batch[X])
     return {
@@ -161,6 +163,11 @@ def filtered():
         "innovations": one.innovations[Z],
         "many innovations": many.innovations[Z],
         "by sensor": one.innovations,
+        "rejections": gated.rejected[Z],
+        "rejected": gated.rejected,
+        "lost": gated.lost,
+        "weights": one.weights,
+        "many weights": many.weights,
         "associations": guessed.associations[Z],
         "audit": pgm.audit(one, samples=50, rng=0),
         "audits": pgm.audit(many, samples=50, rng=0),
@@ -254,6 +261,12 @@ def logs():
     ranged = pgm.Variable("range")
     turned = np.tile([0.0, 0.0, 0.0, 1.0], (200, 1))
     poses = pgm.Poses(stamps, np.ones((200, 3)), turned)
+    heard = pgm.recordings.Stream(
+        stamps[::-1], np.ones(200), ("range",), subject=np.arange(200) % 3
+    )
+    wheels = pgm.recordings.Stream(stamps, np.ones((200, 2)), ("distance", "turn"))
+    many = {f"sensor {k}": heard for k in range(30)}
+    drive = pgm.Recording(odometry=wheels, sightings=many, landmarks={0: [1.0, 2.0]}, name=HOSTILE)
     log = pgm.timeline(stamps, odometry={turns: odometry}, sensors={ranged: seen})
     return {
         "stamped": odometry,
@@ -265,6 +278,11 @@ def logs():
         "large constant": pgm.constant(np.zeros((1000, 3))),
         "bare sightings": mark,
         "poses": poses,
+        "recording": pgm.Recording(odometry=wheels, sightings={"radio": heard}, truth=poses),
+        "hostile recording": drive,
+        "stream": heard,
+        "empty stream": heard.take(slice(0)),
+        "dropped": drive.dropped[0],
         "one pose": pgm.Poses(stamps[:1], np.zeros((1, 3)), turned[:1]),
     }
 
@@ -295,6 +313,7 @@ def small():
     rest = [X, X.previous, RAIN, pgm.Kronecker([np.eye(2), np.eye(3)]), marks]
     rest += [pgm.smooth(robot()[0], {U: robot()[1][U]}).kind, pgm.noise(np.eye, given=U)]
     rest += [maps.OccupancyMap(np.zeros((50, 50), dtype=bool), 0.1)]
+    rest += [pgm.StudentT(4.0), pgm.Huber(1.5), pgm.Cauchy(2.4), pgm.TruncatedLeastSquares(3.0)]
     cells = pgm.CellProposal(A, [[0.0], [1.0]], [1.0])
     rest += [cells, pgm.Injection(cells)]
     scale = pgm.Variable("scale")

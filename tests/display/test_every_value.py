@@ -76,7 +76,7 @@ def test_html_is_sound(value):
 
 def test_each_public_class_has_a_value():
     here = {cls for value in VALUES.values() for cls in type(value).__mro__}
-    spaces = (pgm, consistency, pgm.comparison)
+    spaces = (pgm, consistency, pgm.comparison, pgm.recordings)
     for space in spaces:
         for name in set(space.__all__) - BASES - {"Oracle"}:
             found = getattr(space, name)

@@ -169,4 +169,5 @@ def test_plaza_refuses_a_file_of_unknown_kind(tmp_path):
 
 
 def test_the_command_line_knows_them_all():
-    assert {command.name for command in app.registered_commands} == {*EXPERIMENTS, "list", "report"}
+    beside = {"list", "report", "sweep"}
+    assert {command.name for command in app.registered_commands} == {*EXPERIMENTS, *beside}

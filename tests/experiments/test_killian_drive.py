@@ -11,9 +11,10 @@ from scipy.optimize import least_squares
 import pgm
 from experiments import killian
 from experiments.killian import drive, graph, localise, log, made_up
-from experiments.killian.log import Edges, Log
+from experiments.killian.log import Log
 from pgm.errors import FileError
 from pgm.maps import log_odds_map
+from pgm.recordings import Edges
 
 
 @pytest.fixture(scope="module")

@@ -119,7 +119,7 @@ def test_a_recording_that_cannot_be_read(kind, tmp_path, monkeypatch, capsys):
     words = ["plaza", "--data", "plaza1", "--path", path, "--out", tmp_path / "out"]
     code, line = command(words, monkeypatch, capsys)
     assert code == 1
-    assert line.startswith((f"FileError: {path} cannot be read", f"EvidenceError: {path} has no"))
+    assert line.startswith(f"FileError: {path}: it ")
 
 
 def test_a_recording_that_cannot_be_read_keeps_the_cause(tmp_path):
@@ -136,12 +136,15 @@ def test_a_recording_that_cannot_be_read_keeps_the_cause(tmp_path):
     [
         ({"GT": np.zeros((3, 3))}, r"the table GT has shape \(3, 3\) .* 4 columns were due"),
         ({"TD": np.array(["a", "b"])}, "the table TD has shape"),
-        ({"TD": np.full((2, 4), 7.0)}, r"the beacons \[7\] in TD have no place in TL"),
+        (
+            {"TD": np.full((2, 4), 7.0)},
+            r"of 'radio', 1 row .* without a place, 7;",
+        ),
     ],
 )
 def test_a_recording_of_other_tables(changes, told, tmp_path):
     mat(tmp_path / "log.mat", **changes)
-    with pytest.raises(EvidenceError, match=told):
+    with pytest.raises((FileError, EvidenceError), match=told):
         plaza_log.load(tmp_path / "log.mat", plaza_log.SETTINGS["plaza1"])
 
 

@@ -92,6 +92,15 @@ def test_tables_that_are_stacked():
     assert both.shape == (8, 3)
 
 
+def test_the_leading_axes_of_a_table_are_named():
+    values = RNG.dirichlet(np.ones(3), size=(4, 5))
+    frame = pgm.Table(sky, values, lead=(4, 5)).to_frame(axes=("run", "step"))
+    assert frame.index.names == ["run", "step"]
+    assert pgm.Table(sky, values[0], lead=5).to_frame(axes="step").index.name == "step"
+    with pytest.raises(pgm.ModelError, match=r"axes= has 1 names; .* has axes \(4, 5\)"):
+        pgm.Table(sky, values, lead=(4, 5)).to_frame(axes="step")
+
+
 def test_a_table_of_no_variables():
     frame = pgm.Table((), 0.25).to_frame()
     assert frame.shape == (1, 1)

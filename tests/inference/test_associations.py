@@ -275,7 +275,7 @@ def test_the_gate_of_points_is_of_residuals():
         ({"volume": 3.0}, "uniform over a volume="),
         ({"spurious": 0.1, "volume": -3.0}, "volume is a positive number"),
         ({"gate": 1.0}, "between 0 and 1"),
-        ({"association": "nearest"}, '"likelihood" or "sum"'),
+        ({"association": "nearest"}, '"likelihood", "joint" or "sum"'),
     ],
 )
 def test_what_is_no_unknown(named, message):

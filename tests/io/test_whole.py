@@ -81,6 +81,31 @@ def test_a_link_still_points_to_its_file(tmp_path):
     assert "network" in target.read_text()
 
 
+@pytest.mark.skipif(not os.path.exists("/proc/self/fd"), reason="of Linux alone")
+def test_a_durable_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
+    target, synced = tmp_path / "part.bin", []
+    sync = os.fsync
+
+    def told(file):
+        place = Path(os.readlink(f"/proc/self/fd/{file}"))
+        synced.append((place.is_dir(), target.exists()))
+        sync(file)
+
+    monkeypatch.setattr(os, "fsync", told)
+    with whole(target, durable=True) as path:
+        path.write_bytes(b"figures")
+    assert target.read_bytes() == b"figures"
+    assert synced == [(False, False), (True, True)]
+
+
+def test_two_that_write_at_once_do_not_meet(tmp_path):
+    with whole(tmp_path / "part.bin") as one, whole(tmp_path / "part.bin") as other:
+        assert one != other
+        one.write_text("one")
+        other.write_text("other")
+    assert (tmp_path / "part.bin").read_text() == "one"
+
+
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="of Linux alone")
 def test_a_device_is_written_directly():
     with pytest.raises(OSError, match="No space left"):

@@ -113,3 +113,9 @@ def test_settings(name, value):
 def test_parts(made):
     with pytest.raises(pgm.ModelError):
         made()
+
+
+def test_robust_noise():
+    sight = pgm.LinearGaussianCPD(Z, {X: 1.0}, cov=1.0, noise=pgm.StudentT(4.0))
+    with pytest.raises(pgm.ModelError, match="has robust noise"):
+        pgm.fit(model().replace(observation=[sight]), READINGS, learn={Z: Covariance()})

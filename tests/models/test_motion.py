@@ -16,6 +16,7 @@ WHEELS = motion.DifferentialDrive(radius=0.8, wheelbase=0.5, dt=0.3)
 MODELS = {
     "velocity": (motion.velocity, motion.velocity_by_state, motion.velocity_by_control),
     "Velocity": (DRIVE, DRIVE.by_state, DRIVE.by_control),
+    "arc": (motion.arc, motion.arc_by_state, motion.arc_by_control),
     "increment": (motion.increment, motion.increment_by_state, motion.increment_by_control),
     "travelled": (motion.travelled, motion.travelled_by_state, motion.travelled_by_control),
     "odometry": (motion.odometry, motion.odometry_by_state, motion.odometry_by_control),

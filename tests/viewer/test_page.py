@@ -213,10 +213,23 @@ def test_no_cluster_lies_on_another(made):
 def test_the_package_holds_what_the_page_is_made_of():
     from importlib.resources import files
 
-    from pgm.viewer.page import SCRIPTS
+    from pgm.viewer.scripts import SCRIPTS
 
     folder = files("pgm.viewer")
     there = {each.name for each in folder.joinpath("script").iterdir()}
     assert there == {f"{name}.js" for name in SCRIPTS}
     assert folder.joinpath("viewer.css").is_file()
     assert folder.joinpath("page.html").is_file()
+
+
+def test_a_wheel_has_the_script_that_a_checkout_joins(tmp_path, monkeypatch):
+    from pgm.viewer import scripts
+
+    whole = scripts.script()
+    modules = [scripts.FOLDER / "script" / f"{name}.js" for name in scripts.SCRIPTS]
+    lines = [line.strip() for each in modules for line in each.read_text("utf-8").splitlines()]
+    code = [line for line in lines if line and not line.startswith("//")]
+    assert [line for line in whole.splitlines()[2:-1] if line] == code
+    (tmp_path / "script.js").write_text(whole, encoding="utf-8")
+    monkeypatch.setattr(scripts, "FOLDER", tmp_path)
+    assert scripts.script() == whole

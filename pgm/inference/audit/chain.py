@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.errors import NumericalError
+from pgm.factors.scope import positions
 from pgm.inference.audit.corrected import Sums
 from pgm.inference.audit.density import Term, has_exact
 from pgm.inference.audit.draws import Draws, Strand
@@ -19,7 +20,7 @@ from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.kind import SMOOTHED
 from pgm.kernels import moments
-from pgm.kernels.arrays import Array, Mask, block
+from pgm.kernels.arrays import Array, Mask, block, symmetric, transpose
 from pgm.kernels.moments import Conditional
 
 Links = list[tuple[Link, Term]]
@@ -45,6 +46,8 @@ class ChainDraws:
         The smoothed moments of every slice.
     judged : ndarray of bool
         (T+1,): the steps whose beliefs in the posterior know all measurements.
+    onward : Conditional
+        The slice of each later step given the states before it, fixed components too.
     """
 
     plan: ChainPlan
@@ -57,6 +60,7 @@ class ChainDraws:
     relative: bool
     beliefs: Beliefs
     judged: Mask
+    onward: Conditional
 
     @classmethod
     def make(cls, posterior: ChainPosterior) -> ChainDraws:
@@ -120,6 +124,7 @@ class ChainDraws:
             relative,
             beliefs,
             judged,
+            later,
         )
 
     @property
@@ -135,31 +140,48 @@ class ChainDraws:
     @property
     def length(self) -> int:
         """Numbers of a whole draw."""
-        return (self.plan.steps + 1) * self.plan.layout.slice_size
+        layout = self.plan.layout
+        return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
     def sums(self) -> list[Sums]:
-        """Empty sums, one a hidden variable; judged are beliefs that know all measurements."""
-        layout, mean, cov = self.plan.layout, self.beliefs.mean, self.beliefs.cov
+        """Empty sums: each hidden variable's, the states' together, and clusters' that are judged.
+
+        Judged are beliefs that know all measurements.
+        """
+        layout, judged = self.plan.layout, self.judged
+        mean, cov = self.beliefs.mean, self.beliefs.cov
+        front = layout.state_size
+        alone = [(variable,) for variable in layout.slice]
         sums = []
-        for variable, places in layout.places.items():
-            first = 0 if variable in layout.states else 1
+        for scope in dict.fromkeys([*alone, layout.states]):
+            first = 0 if set(scope) <= set(layout.states) else 1
+            places = np.arange(layout.slice_size)[positions(layout.slice, scope)]
             sums.append(
                 Sums(
-                    variable,
-                    places,
+                    scope,
+                    front + places,
                     first,
                     mean[first:][..., places],
                     block(cov[first:], places, places),
-                    self.judged[first:],
+                    judged[first:],
                     timed=True,
                 )
             )
+        known = judged[1:] & judged[:-1]
+        if known.any():
+            states, (matrix, _, rest) = layout.state_places, self.onward
+            before = block(cov[:-1], states, states)
+            cross = matrix @ before
+            slices = symmetric(cross @ transpose(matrix) + rest)
+            means = np.concatenate([mean[:-1][..., states], mean[1:]], axis=-1)
+            pair = np.block([[before, transpose(cross)], [cross, slices]])
+            sums.append(Sums(layout.pair, slice(None), 1, means, pair, known, timed=True))
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
         """So many new trajectories a run."""
         plan, layout = self.plan, self.plan.layout
-        shape, places = (plan.runs, count), layout.state_places
+        shape, places, front = (plan.runs, count), layout.state_places, layout.state_size
         total = np.repeat(self.reference[:, None], count, axis=1)
         strand = Strand(self.excursions, shape, rng, defensive, self.relative)
         states, values = np.zeros((*shape, 0)), []
@@ -177,12 +199,13 @@ class ChainDraws:
                 total += np.where(drawn.lost, np.nan, drawn.log_density)
             strand.weigh(proposal, row, states, vector[..., start:], predicted)
             if step:
-                slices = vector[..., start:]
+                pair = vector
             else:
-                slices = np.zeros((*shape, layout.slice_size))
-                slices[..., places] = vector
+                pair = np.zeros((*shape, front + layout.slice_size))
+                pair[..., front:][..., places] = vector
+            slices = pair[..., front:]
             total += self._readings(step, slices, strict=not defensive)
-            values.append(slices)
+            values.append(pair)
             states = slices[..., places]
         return strand.drawn(total, values)
 

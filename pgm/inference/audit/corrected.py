@@ -17,13 +17,14 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A hidden variable's exact moments beside the Gaussian's, at its steps.
+    """Exact moments of a belief beside the Gaussian's, at its steps.
 
     The bound on χ² is Laurent & Massart's (2000, lemma 1).
 
     Attributes
     ----------
-    variable : Variable
+    scope : tuple of Variable
+        A hidden variable, or those of a cluster together.
     steps : ndarray of int or None
         None in a network without time.
     mean, cov : ndarray
@@ -34,7 +35,7 @@ class Compared:
         (steps,): where the Gaussian belief that was asked for knows all measurements, as q does.
     """
 
-    variable: Variable
+    scope: tuple[Variable, ...]
     steps: Integers | None
     mean: Array
     cov: Array
@@ -47,7 +48,7 @@ class Compared:
         Moments of n effective draws are χ²/2n nats off, with a degree of freedom for each of them;
         the largest of m such numbers by as much as a bound says that one in m exceeds.
         """
-        size = self.variable.dimension
+        size = self.mean.shape[-1]
         freedom, spread = 0.5 * size * (size + 3), log(max(int(self.judged.sum()), 1))
         chance = (0.5 * freedom + sqrt(freedom * spread) + spread) / draws
         return np.asarray(self._known.max(axis=0, initial=0.0) - chance)
@@ -63,15 +64,17 @@ class Compared:
         if not found.size:
             return 0.0, ""
         step, run = np.unravel_index(int(found.argmax()), found.shape)
-        at = "" if self.steps is None else f" at step {self.steps[step]}"
+        scope = self.scope
+        if self.steps is not None:
+            scope = tuple(each.at(int(self.steps[step])) for each in scope)
         where = ", ".join(str(k) for k in np.unravel_index(run, lead))
         of = f" of run {where}" if lead else ""
-        return float(found[step, run]), f"{self.variable.name}{at}{of}"
+        return float(found[step, run]), f"{', '.join(map(repr, scope))}{of}"
 
     def gaussian(self, lead: tuple[int, ...]) -> Gaussian:
         """The exact moments, stacked over runs, and over steps where there are any."""
         mean, cov = self._stacked(self.mean, lead), self._stacked(self.cov, lead)
-        return Gaussian._make((self.variable,), mean, cov, self.steps)
+        return Gaussian._make(self.scope, mean, cov, self.steps)
 
     def divergences(self, lead: tuple[int, ...]) -> Array:
         """The divergence, (*lead, steps), or (*lead) in a network without time."""
@@ -86,24 +89,24 @@ class Compared:
 
 @dataclass(eq=False)
 class Sums:
-    """Sums over draws of one hidden variable at its steps.
+    """Sums over draws of a belief's variables at its steps.
 
     Attributes
     ----------
-    variable : Variable
+    scope : tuple of Variable
     places : Index
-        Where it stands in the vector of hidden variables.
+        Where they stand in the vector of hidden variables.
     first : int
-        Its first step.
+        The first step.
     mean, cov : ndarray
         (steps, runs, d), (steps, runs, d, d): the Gaussian's.
     judged : ndarray of bool
         (steps,): of the steps, which are judged; see `Compared`.
     timed : bool
-        Whether it has steps.
+        Whether there are steps.
     """
 
-    variable: Variable
+    scope: tuple[Variable, ...]
     places: Index
     first: int
     mean: Array
@@ -130,7 +133,7 @@ class Sums:
         """
         self._offsets[0] *= fading[:, None]
         self._squares[0] *= fading[:, None, None]
-        angles = self.variable.angle_mask
+        angles = np.concatenate([each.angle_mask for each in self.scope])
         for row, drawn in enumerate(values[self.first :]):
             off = difference(drawn[..., self.places], self.mean[row][:, None], angles)
             for kind, weights in enumerate(pair):
@@ -164,7 +167,8 @@ class Sums:
             cov = np.where(lost[..., None, None], plain[1], cov)
             divergence = np.where(lost, _divergence(lower, *plain), divergence)
         steps = np.arange(self.first, self.first + len(cov)) if self.timed else None
-        return Compared(self.variable, steps, self.mean + offset, cov, divergence, self.judged)
+        mean = self.mean + offset
+        return Compared(self.scope, steps, mean, cov, divergence, self.judged)
 
 
 def _moments(offsets: Array, squares: Array) -> tuple[Array, Array]:

@@ -9,13 +9,14 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from pgm.cpds import RobustNoise
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
 from pgm.inference.audit import tails
 from pgm.inference.family import Family
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference, nearest_branch
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, independent, transpose
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, independent, inner, transpose
 
 Stack = TypeVar("Stack", Array, Mask)
 
@@ -71,6 +72,15 @@ class Term:
         if taken is not None:
             own, noise = independent(own, taken), independent(noise, taken)
         own = roots.root(own)
+        if relative and family.cpd.noise is not None:
+            cpd = family.cpd
+            raise NumericalError(
+                f"{cpd!r} has robust noise, {cpd.noise!r}, which is not audited beside a sensor "
+                "without noise or a covariance too near to singular; give the exact sensor, or the "
+                "motion, some noise",
+                variable=cpd.child,
+                cpd=cpd,
+            )
         if not relative or family.exact:
             return cls(family, own, relative, taken=taken)
         linearised = roots.root(noise)
@@ -157,14 +167,26 @@ class Term:
         reading = moved if self.family.exact else values
         angles = self.family.cpd.child.angle_mask & (not self.family.exact)
         residual = self._read(rows, difference(reading[..., None, :], value, angles))
-        log_density = normal.log_density(_at(self.own, rows), self._white(rows, residual))
-        log_density = self._relative(rows, parents, moved[..., None, :], log_density)
-        if self.taken is not None and not self.relative:
+        if self.family.cpd.noise is not None:
+            log_density = self._robust(self.family.cpd.noise, rows, residual)
+        else:
+            log_density = normal.log_density(_at(self.own, rows), self._white(rows, residual))
+            log_density = self._relative(rows, parents, moved[..., None, :], log_density)
+        if self.taken is not None and not self.relative and self.family.cpd.noise is None:
             missing = (~self.taken[rows]).sum(axis=-1)
             log_density = log_density + 0.5 * LOG_2PI * missing[..., None]
         log_density = np.where(lost, np.nan, log_density) if lost.any() else log_density
         total: Array = log_density.sum(axis=0)
         return total
+
+    def _robust(self, noise: RobustNoise, rows: slice, residual: Array) -> Array:
+        """The log-density of residuals (..., S, d) of robust noise; unnormalised if improper."""
+        count: Integers = np.asarray(self.family.shape[2])
+        if self.taken is not None:
+            count = self.taken[rows].sum(axis=-1)[..., None]
+        white = self._white(rows, residual)
+        found: Array = noise.log_scale(count) - noise.loss(inner(white, white), count)
+        return found - 0.5 * roots.log_determinant(_at(self.own, rows))[..., None]
 
     def _white(self, rows: int | slice, residual: Array) -> Array:
         """White residuals (..., S, d) of the CPD's own noise, zero where determined."""

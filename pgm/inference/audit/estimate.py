@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +12,6 @@ from pgm.inference.audit.draws import Draws
 from pgm.inference.audit.mixture import Mixture, weigh
 from pgm.kernels.arrays import quiet
 from pgm.progress import counted
-from pgm.variables import Variable
 
 # Numbers drawn at once: what stays near the processor, and what whole draws may take.
 BATCH, ROOM = 2**18, 2**24
@@ -33,12 +32,12 @@ class Drawing(Protocol):
         """So many new draws a run."""
 
     def sums(self) -> list[Sums]:
-        """Empty sums, one a hidden variable."""
+        """Empty sums, one a hidden variable and one a cluster of several."""
 
 
 def estimate(
     drawing: Drawing, runs: int, samples: int, rng: np.random.Generator
-) -> tuple[Mixture, Mapping[Variable, Compared]]:
+) -> tuple[Mixture, list[Compared]]:
     """Draw so often from the Gaussian, and as often defensively, and sum up, batch by batch."""
     size = max(
         1, min(BATCH // max(drawing.width, 1), ROOM // max(drawing.length, 1)) // max(runs, 1)
@@ -61,7 +60,7 @@ def estimate(
         for each in sums:
             each.add(drawn.values, pair, fading)
     mixture = Mixture.make(log_weights, control, log_ratio, lost / samples)
-    return mixture, {each.variable: each.compared(mixture) for each in sums}
+    return mixture, [each.compared(mixture) for each in sums]
 
 
 def _parts(samples: int, size: int) -> Iterator[tuple[slice, bool]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -19,8 +19,11 @@ from pgm.variables import Variable
 
 # Above this shape of the weights' tail no estimate made of them is to be trusted.
 UNTRUSTED = 0.7
-# A belief whose moments are further than this from the exact ones, in nats, is suspect.
+# A belief whose moments are further than this from the exact ones, in nats, is suspect, and a
+# log-evidence that is as far off.
 SUSPECT = 0.5
+# How many standard errors the log-evidence is off beyond that, to be suspect.
+ERRORS = 3.0
 # Effective draws that an estimate to be trusted is made of.
 ENOUGH = 10.0
 
@@ -61,9 +64,11 @@ class Audit(Shown, Immutable):
         The exact posterior's mean and covariance of each hidden variable, estimated: what the
         moments of a Gaussian answer should be.
     suspect : ndarray of bool
-        (...): whether a belief that knows all measurements is further than 0.5 nats from the exact
-        moments, beyond what so few effective draws may leave by chance. Of a smoother all beliefs
-        know them, of a filter the last one.
+        (...): whether a belief that knows all measurements, of a variable or of a cluster's
+        variables together, is further than 0.5 nats from the exact moments, beyond what so few
+        effective draws may leave by chance, or `correction` is more than 0.5 nats and three
+        standard errors; a negative one counts where `trusted`, since few draws tell too low an
+        evidence. Of a smoother all beliefs know all measurements, of a filter the last one.
     trusted : ndarray of bool
         (...): whether ten draws or more are effective, and the tail of their weights allows
         estimates; where not, nothing follows from `suspect` being False.
@@ -89,13 +94,8 @@ class Audit(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, y = pgm.variables("x y")
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.GaussianCPD(x, 3.0, 1.0),
-    ...     pgm.NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0),
-    ... ])
-    >>> posterior = pgm.infer(pgm.compile(net), {y: [9.0]})
+    >>> from pgm.examples import square, x, y
+    >>> posterior = pgm.infer(pgm.compile(square), {y: [9.0]})
     >>> found = pgm.audit(posterior, rng=0)
     >>> bool(found.trusted), bool(found.suspect)
     (True, False)
@@ -126,7 +126,7 @@ class Audit(Shown, Immutable):
         self,
         mixture: Mixture,
         gaussian_log_evidence: Array,
-        compared: Mapping[Variable, Compared] = MappingProxyType({}),
+        compared: Sequence[Compared] = (),
         innovations: Mapping[Variable, InnovationCheck] = MappingProxyType({}),
     ) -> None:
         known = np.array(gaussian_log_evidence, dtype=float)
@@ -146,20 +146,27 @@ class Audit(Shown, Immutable):
             "suspect": np.zeros(mixture.peak.shape, dtype=bool),
             "trusted": (mixture.pareto_k <= UNTRUSTED) & (mixture.effective_draws >= ENOUGH),
         }
-        for each in compared.values():
+        for each in compared:
             found["suspect"] |= each.excess(mixture.effective_draws) > SUSPECT
+        correction = mixture.log_evidence - known.reshape(-1)
+        # A mean of weights is t nats too high with a probability of e^−t at most, whatever their
+        # tail (Markov's inequality), and too low by any number of nats.
+        sure = found["trusted"] | (correction > 0.0)
+        beyond = np.abs(correction) - ERRORS * mixture.standard_error
+        found["suspect"] |= sure & (beyond > SUSPECT)
         reshaped = {
             name: frozen(value.reshape((*lead, *value.shape[1:]))) for name, value in found.items()
         }
+        alone = {each.scope[0]: each for each in compared if len(each.scope) == 1}
         self._set(
             **reshaped,
             gaussian_log_evidence=frozen(known),
-            corrected=MappingProxyType({v: each.gaussian(lead) for v, each in compared.items()}),
+            corrected=MappingProxyType({v: each.gaussian(lead) for v, each in alone.items()}),
             moment_divergence=MappingProxyType(
-                {v: each.divergences(lead) for v, each in compared.items()}
+                {v: each.divergences(lead) for v, each in alone.items()}
             ),
             innovations=MappingProxyType(dict(innovations)),
-            _furthest=max((each.furthest(lead) for each in compared.values()), default=(0.0, "")),
+            _furthest=max((each.furthest(lead) for each in compared), default=(0.0, "")),
         )
 
     @property
@@ -209,11 +216,15 @@ class Audit(Shown, Immutable):
         )
 
     def _verdict(self) -> list[str]:
-        """Which belief is furthest from the exact moments, and how many runs are suspect."""
+        """The belief furthest from the exact moments, and how many runs are suspect."""
         divergence, where = self._furthest
         if not where:
             return []
-        told = f"{where} is {divergence:.3g} nats from the exact posterior's moments"
+        off = float(np.abs(self.correction).max())
+        told = (
+            f"the belief of {where} is {divergence:.3g} nats from the exact moments; log-evidence "
+            f"is {'up to ' if self.suspect.ndim else ''}{off:.3g} nats off"
+        )
         if not self.suspect.any():
             return [told]
         runs = f" in {self.suspect.sum()} of {self.suspect.size} runs" if self.suspect.ndim else ""

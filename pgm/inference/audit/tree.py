@@ -95,20 +95,15 @@ class TreeDraws:
         return self.model.layout.size
 
     def sums(self) -> list[Sums]:
-        """Empty sums, one a hidden variable."""
-        every = np.ones(1, dtype=bool)
-        return [
-            Sums(
-                variable,
-                places,
-                0,
-                self.mean[..., places],
-                block(self.cov, places, places),
-                every,
-                timed=False,
-            )
-            for variable, places in self.model.layout.places.items()
-        ]
+        """Empty sums: each hidden variable's, and clusters'."""
+        layout, every = self.model.layout, np.ones(1, dtype=bool)
+        alone = [(variable,) for variable in layout.hidden]
+        sums = []
+        for scope in dict.fromkeys([*alone, *filter(None, layout.scopes)]):
+            places = layout.components(scope)
+            cov = block(self.cov, places, places)
+            sums.append(Sums(scope, places, 0, self.mean[..., places], cov, every, timed=False))
+        return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
         """So many new draws a run: defensive ones follow the prior, or have Student tails."""

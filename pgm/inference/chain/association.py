@@ -2,8 +2,9 @@ r"""Associating sightings, for Gaussian beliefs: each with its likeliest candida
 
 At the predicted belief of a step, N(μ, P), a candidate m_k of a sighting z has the innovation
 ν_k = z − ẑ_k with covariance S_k = H_k P H_kᵀ + R_k; it is in question where ν_kᵀ S_k⁻¹ ν_k is
-below the gate, and the likeliest by ln w_k + ln N(ν_k; 0, S_k). Sensors whose sightings are known
-are taken in first. What comes out is ordinary evidence.
+below the gate, and the likeliest by ln w_k + ln N(ν_k; 0, S_k), each sighting by itself; or all of
+a step are decided together (`joint_compatibility.py`). Sensors whose sightings are known are taken
+in first. What comes out is ordinary evidence.
 """
 
 from __future__ import annotations
@@ -18,22 +19,21 @@ import numpy.typing as npt
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import BoundEvidence, Reading
-from pgm.evidence.unidentified import SUM
+from pgm.evidence.unidentified import JOINT, SUM
 from pgm.inference.associations import Associations, collected
-from pgm.inference.chain import certificate
+from pgm.inference.chain import certificate, joint_compatibility
+from pgm.inference.chain.gate import Asked
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.vector import vector
-from pgm.inference.schedule import Filtering
+from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels import normal, roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet
 from pgm.kernels.semirings import log_sum
 from pgm.linearisers import Lineariser
 from pgm.progress import counted
 from pgm.variables import Variable
-
-_ONCE = Filtering()
 
 
 class Associated(NamedTuple):
@@ -51,8 +51,10 @@ class Associated(NamedTuple):
 
 
 @quiet()
-def associated(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser) -> Associated:
-    """The evidence of all steps, associated by a filter that linearises once."""
+def associated(
+    graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, gate: Asked | None = None
+) -> Associated:
+    """The evidence of all steps, associated by a filter that linearises once, with a gate maybe."""
     known = replace(bound, readings=tuple(r for r in bound.readings if r.unknown is None))
     plan = ChainPlan.make(graph, known, lineariser)
     if certificate.is_flat(plan):
@@ -60,8 +62,8 @@ def associated(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser
             "sightings leave open what was seen, and the prior has an infinite variance, under "
             "which every candidate is as likely: give it a finite one"
         )
-    chain = MomentChain(plan, _ONCE, keep=False)
-    pending = [_Pending(reading) for reading in bound.readings if reading.unknown is not None]
+    chain = MomentChain(plan, Filtering(gate=gate), keep=False)
+    pending = [_Pending(reading, gate) for reading in bound.readings if reading.unknown is not None]
     belief = chain.start()
     for step in counted(range(bound.steps + 1), "associations"):
         if step:
@@ -76,12 +78,17 @@ def associated(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser
 
 @quiet()
 def associated_at(
-    graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, step: int, belief: Moments
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    step: int,
+    belief: Moments,
+    gate: Asked | None = None,
 ) -> Associated:
     """The measurements of one step, associated at a belief; `bound` counts steps from zero."""
-    pending = [_Pending(reading) for reading in bound.readings if reading.unknown is not None]
+    pending = [_Pending(reading, gate) for reading in bound.readings if reading.unknown is not None]
     known = tuple(reading for reading in bound.readings if reading.unknown is None)
-    belief = _taken(graph, bound, lineariser, step, known, belief)
+    belief = _taken(graph, bound, lineariser, step, known, belief, gate)
     for each in pending:
         rows = range(len(each.reading.step))
         if len(rows):
@@ -102,9 +109,9 @@ def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
 class _Pending:
     """The open sightings of a sensor, as far as they are associated."""
 
-    def __init__(self, reading: Reading) -> None:
+    def __init__(self, reading: Reading, gate: Asked | None) -> None:
         assert reading.unknown is not None
-        self.reading = reading
+        self.reading, self.gate = reading, gate
         self.parent, self.unknown = reading.unknown
         if self.unknown.association == SUM:
             raise EvidenceError(
@@ -135,10 +142,11 @@ class _Pending:
     ) -> Moments:
         """Decide about some sightings at a belief, and take them in."""
         runs, unknown = bound.runs, self.unknown
-        density, square, count = _innovations(
+        pairs = _innovations(
             graph, bound, lineariser, step, self._expanded(rows, runs), belief, len(rows)
         )
-        terms = density + unknown.log_shares[:-2]
+        square, count = pairs.square, pairs.size
+        terms = pairs.density + unknown.log_shares[:-2]
         if unknown.gate is not None:
             limit = normal.square_within(unknown.gate, np.maximum(count, 1))
             terms = np.where(square > limit, -np.inf, terms)
@@ -146,6 +154,8 @@ class _Pending:
         terms = np.concatenate([terms, others], axis=-1)
         # What no one declared, and no candidate explains, is left out as spurious.
         terms[np.isneginf(terms).all(axis=-1), -2] = 0.0
+        if unknown.association == JOINT:
+            terms = self._jointly(pairs, terms, belief.by_run[1], step)
         probability = np.exp(terms - log_sum(terms, -1)[..., None])
         for row, shares in zip(rows, probability, strict=True):
             taken = np.broadcast_to(self.reading.taken[row], (runs, self.reading.taken.shape[-1]))
@@ -155,7 +165,31 @@ class _Pending:
             self.probability.append(shares)
             self.values.append(unknown.candidates[np.where(seen, likeliest, 0)])
             self.taken.append(taken & seen[:, None])
-        return _taken(graph, bound, lineariser, step, (self.part(rows),), belief)
+        return _taken(graph, bound, lineariser, step, (self.part(rows),), belief, self.gate)
+
+    def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int) -> Array:
+        """The logarithms of decisions about all sightings of a step, zero for what is taken."""
+        assert self.unknown.gate is not None
+        compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
+        parts = pairs.matrix, pairs.residual, pairs.noise, pairs.size[..., 0], compatible
+        weighed = joint_compatibility.Pairs(*parts, self.unknown.log_shares[:-2])
+        try:
+            found = joint_compatibility.decide(weighed, cov, self.unknown.gate)
+        except joint_compatibility.TooManyError as error:
+            cpd, (run,) = self.reading.cpd, error.args
+            raise EvidenceError(
+                f"{len(terms)} sightings of {cpd.child!r} at step {step} fit "
+                f"{self.unknown!r} in more than {joint_compatibility.NODES:,} ways (run {run}): "
+                f"give a narrower gate, a surer belief, or fewer candidates; "
+                'association="likelihood" decides about each sighting by itself',
+                variable=cpd.child,
+                cpd=cpd,
+                step=step,
+            ) from None
+        others = terms.shape[-1] - 2 + np.argmax(terms[..., -2:], axis=-1)
+        taken = np.where(found == joint_compatibility.NOTHING, others, found)
+        decided: Array = np.where(taken[..., None] == np.arange(terms.shape[-1]), 0.0, -np.inf)
+        return decided
 
     def _expanded(self, rows: range, runs: int) -> Reading:
         """Each sighting with each candidate, as runs of one sighting: rows, runs, candidates."""
@@ -215,12 +249,34 @@ def _taken(
     step: int,
     readings: tuple[Reading, ...],
     belief: Moments,
+    gate: Asked | None,
 ) -> Moments:
     """The belief given some measurements of its step, which they count from zero."""
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
-    chain = MomentChain(plan, _ONCE, keep=False)
+    chain = MomentChain(plan, Filtering(gate=gate), keep=False)
     return chain.taken(chain.readings(0), step, belief)[0]
+
+
+class _Pairs(NamedTuple):
+    """Each sighting with each candidate, (rows, runs, candidates, ...).
+
+    Attributes
+    ----------
+    density, square : ndarray
+        The log-density of the innovation, and its squared length.
+    size : ndarray of int
+        Components that were measured.
+    matrix, residual, noise : ndarray
+        H (..., d, n), ν (..., d) and R (..., d, d).
+    """
+
+    density: Array
+    square: Array
+    size: Integers
+    matrix: Array
+    residual: Array
+    noise: Array
 
 
 def _innovations(
@@ -231,22 +287,25 @@ def _innovations(
     reading: Reading,
     belief: Moments,
     rows: int,
-) -> tuple[Array, Array, Integers]:
-    """Log-densities, squared lengths and components of innovations, (rows, runs, candidates)."""
+) -> _Pairs:
+    """The innovations of each sighting with each candidate."""
     every = reading.values.shape[1]
     one = BoundEvidence(0, (every,), (), (reading,))
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
     means, covs = belief.by_run
     of = np.tile(np.repeat(np.arange(bound.runs), every // (rows * bound.runs)), rows)
     here = Moments.of(plan, means[of], covs[of])
-    parts = MomentChain(plan, _ONCE, keep=False).readings(0)
+    parts = MomentChain(plan, ONCE, keep=False).readings(0)
     seen = [part.linearise(here.mean, here.cov) for part in parts]
     for part in parts:
         part.require_finite()
     matrix, residual, noise, _ = vector(seen, here.mean)
     height, size = matrix.shape[:2]
     wide = matrix.reshape(height, size, -1).transpose(2, 0, 1)
-    innovation = noise.reshape(height, height, -1).transpose(2, 0, 1) + wide @ covs[of] @ wide.mT
+    noises = np.broadcast_to(
+        noise.reshape(height, height, -1).transpose(2, 0, 1), (every, height, height)
+    )
+    innovation = noises + wide @ covs[of] @ wide.mT
     lower = roots.root(innovation)
     if not roots.is_proper(lower) or roots.determined(lower).any():
         raise NumericalError(
@@ -256,10 +315,18 @@ def _innovations(
             cpd=reading.cpd,
             step=step,
         )
-    white = roots.whiten(lower, residual.reshape(height, -1).T)
+    left = residual.reshape(height, -1).T
+    white = roots.whiten(lower, left)
     square = np.einsum("bi,bi->b", white, white)
     count = reading.taken[0].sum(axis=-1)
     # A missing component is one of unit variance without a residual.
     density = -0.5 * (square + roots.log_determinant(lower) + count * LOG_2PI)
     shape = rows, bound.runs, -1
-    return density.reshape(shape), square.reshape(shape), count.reshape(shape)
+    return _Pairs(
+        density.reshape(shape),
+        square.reshape(shape),
+        count.reshape(shape),
+        np.broadcast_to(wide, (every, height, size)).reshape(*shape, height, size),
+        left.reshape(*shape, height),
+        noises.reshape(*shape, height, height),
+    )

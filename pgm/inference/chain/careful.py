@@ -18,13 +18,14 @@ Durbin & Koopman, Time series analysis by state space methods, 2012, sections 5.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from pgm.errors import LinearisationError
-from pgm.inference.chain import refusals
+from pgm.inference.chain import gate, refusals
 from pgm.inference.chain.careful_belief import (
     ROUNDING,
     Belief,
@@ -92,6 +93,7 @@ def sweep(
     schedule: Filtering | None = None,
     anchor: Anchor | None = None,
     begin: Begin | None = None,
+    gated: gate.Asked | None = None,
 ) -> tuple[Careful, Status]:
     """The forward pass.
 
@@ -104,6 +106,8 @@ def sweep(
         Measurements that hold the beliefs near a point.
     begin : Begin, optional
         Where a window begins; without, the prior.
+    gated : float or mapping, optional
+        The gates, where no schedule tells.
     """
     out = Forward.empty(plan)
     steps: list[Step] = []
@@ -129,7 +133,7 @@ def sweep(
         before = belief
         mean, cov = out.predicted_mean[step], out.predicted_cov[step]
         mean[...], cov[...] = moments(belief, unknown)
-        reading = CarefulReading.of(plan, step, (mean, cov), belief, information, schedule)
+        reading = CarefulReading.of(plan, step, (mean, cov), belief, information, schedule, gated)
         if schedule is None:
             found = reading.solve(None if anchor is None else anchor.at(step))
         else:
@@ -155,14 +159,14 @@ def predict(plan: ChainPlan, step: int, known: Belief) -> Belief:
 
 def update(
     plan: ChainPlan, step: int, known: Belief, schedule: Filtering
-) -> tuple[Belief, IteratedUpdate[CarefulUpdate]]:
-    """The belief of an online filter given the measurements of its step."""
+) -> tuple[Belief, IteratedUpdate[CarefulUpdate], Sequence[Reading]]:
+    """The belief of an online filter given the measurements of its step, as it read them."""
     nothing = Twofold.zeros((plan.runs, 1, 1))
     reading = CarefulReading.of(plan, 0, known.moments, known, nothing, schedule)
     taken = iterated(reading, schedule)
     found = taken.solution.at(taken.mean).belief
     refusals.belief(plan, step, found[:2])
-    return found, taken
+    return found, taken, reading.parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,20 +225,29 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         belief: Belief,
         information: Twofold,
         schedule: Filtering | None,
+        gated: gate.Asked | None = None,
     ) -> CarefulReading:
         """The measurements of a step, at a belief of these moments, (runs, n) and (runs, n, n)."""
-        parts = MomentChain(plan, schedule).readings(step)
-        at = Moments.of(plan, *moments)
+        chain = MomentChain(plan, schedule, gated=gated)
+        parts, at = chain.readings(step), Moments.of(plan, *moments)
         made = cls(parts, plan.first + step, at.mean, at.cov)
         made.belief, made.information = belief, information
         if schedule is None:
             for part in parts:
                 part.linearise(at.mean, at.cov)
+        if chain.gate is not None:
+            if schedule is not None:
+                made.linearise(made.predicted, None)
+            gate.decide(chain.gate, parts, made.measured, at.mean, at.cov)
         return made
 
     def move(self, part: Reading, mean: Array, cov: Array, active: Mask | None) -> None:
         """Linearise a sensor's measurements."""
         part.linearise(mean, proper(part.sensor.family, self.step, cov), active)
+
+    def raised(self, found: CarefulUpdate, surplus: Array | float) -> CarefulUpdate:
+        """The same, the log-density of its measurements raised."""
+        return replace(found, log_density=found.log_density + surplus)
 
     @quiet()
     def taken_in(self, anchor: Anchor | None) -> CarefulUpdate:
@@ -259,9 +272,8 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         if not np.isfinite(log_density).all():
             refusals.indefinite(parts, self.step)
         if left.any():
-            refusals.contradiction(
-                parts, self.step, self.mean, left.T if self.mean.ndim > 1 else left[0]
-            )
+            off = left.T if self.mean.ndim > 1 else left[0]
+            refusals.contradiction(parts, self.step, self.mean, off)
         if anchor is not None:  # a measurement of all components, which is no evidence
             held = (anchor.std[0] > 0.0) & (anchor.weight > 0.0)[:, None]
             share = np.where(anchor.weight > 0.0, anchor.weight, 1.0)[:, None]

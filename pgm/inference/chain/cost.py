@@ -56,7 +56,10 @@ def trajectory(plan: ChainPlan, at: Point) -> Array:
         total += _square(link.family, child, expected)
     for sensor in plan.sensors:
         steps = sensor.family.step - plan.first
-        total += readings(sensor, slice(None), at.mean[steps], at.cov[steps])
+        if sensor.robust:
+            total += _robust(sensor, at.mean[steps], at.cov[steps])
+        else:
+            total += readings(sensor, slice(None), at.mean[steps], at.cov[steps])
     return total
 
 
@@ -72,6 +75,20 @@ def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Arr
         for link in plan.transition:
             child = slice(link.child.start - front, link.child.stop - front)
             yield link, *at.pairs(states, link.parents), at.mean[1:][..., child]
+
+
+def _robust(sensor: Sensor, mean: Array, cov: Array) -> Array:
+    """The cost of robust measurements, 2 ρ each, at beliefs over their slices: (runs,)."""
+    family, parents, everything = sensor.family, sensor.parents, slice(None)
+    if not mean.shape[0]:
+        return np.zeros(mean.shape[1])
+    spread = block(cov, parents, parents)
+    expected = _expected(family, everything, mean[..., parents], spread)
+    left = difference(sensor.values, expected, family.cpd.child.angle_mask)
+    weights = sensor.weights
+    seen = (family.matrix, spread) if family.expects else ()
+    total: Array = weights.loss(weights.squares(left, *seen)).sum(axis=0)
+    return total
 
 
 def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:

@@ -27,7 +27,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.chain.smoother import Chain, Either, swept
 from pgm.inference.iteration import Anchor, Iterated, iterate
-from pgm.inference.schedule import ONCE, FixedLag
+from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array, Mask, stacked
 from pgm.kernels.twofold import Twofold
@@ -87,7 +87,7 @@ def slides(plan: ChainPlan, schedule: FixedLag) -> bool:
 
 def smooth(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     """Linearise once, in float64."""
-    ahead, _ = forward.run(plan, ONCE)
+    ahead, _ = forward.run(plan, schedule.first)
     reverse = Reverse.make(plan, ahead)
     found = Lagged(ahead, backward.lagged(ahead, reverse, schedule.lag), reverse)
     return found, Status.of([], np.full(plan.runs, plan.exact), plan.lead)
@@ -95,7 +95,7 @@ def smooth(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
 
 def carefully(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     """Linearise once, in twice the digits."""
-    swept, _ = careful.sweep(plan, ONCE)
+    swept, _ = careful.sweep(plan, schedule.first)
     made = CarefulSmoothed.of(plan, swept, schedule.lag)
     found = Lagged(swept.forward, made.beliefs, careful=swept, error=made.error)
     return found, Status.of([], np.full(plan.runs, plan.exact), plan.lead)
@@ -109,7 +109,7 @@ def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     window: Window | None = None
     for step in counted(range(plan.steps + 1), "windows"):
         before = None if window is None else window.at(-1)
-        plan.put(max(step - 1, 0), filter_step(plan, step, before).plan)
+        plan.put(max(step - 1, 0), filter_step(plan, step, before, schedule.first).plan)
         first = max(step - schedule.lag, 0)
         if first and window is not None:
             begin = window.at(1)
@@ -266,19 +266,22 @@ class SingleStep(NamedTuple):
     error: Array | None
 
 
-def filter_step(plan: ChainPlan, step: int, begin: Beginning | None) -> SingleStep:
+def filter_step(
+    plan: ChainPlan, step: int, begin: Beginning | None, schedule: Filtering = ONCE
+) -> SingleStep:
     """Filter one step: its transition and its measurements, from the belief before."""
     first = max(step - 1, 0)
     alone, begin = _cut(plan, first, step, begin)
     if _is_plain(alone, begin):
         try:
-            ahead, _ = forward.run(alone, ONCE)
+            ahead, _ = forward.run(alone, schedule)
             if certificate.suffices(alone, ahead):
                 return SingleStep(alone, ahead, None)
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
         alone, begin = _cut(plan, first, step, begin)
-    swept, _ = careful.sweep(alone, ONCE, begin=None if begin is None else begin.in_digits)
+    start = None if begin is None else begin.in_digits
+    swept, _ = careful.sweep(alone, schedule, begin=start)
     return SingleStep(alone, swept.forward, swept.error)
 
 
@@ -322,7 +325,7 @@ def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
 
 def _settled(chain: Chain[Either], schedule: FixedLag) -> Iterated[Either]:
     plan = chain.plan
-    linear = all(family.exact for family in plan.families if family.step.size)
+    linear = all(family.settled for family in plan.families if family.step.size)
     nothing = np.full(plan.runs, linear)
     return iterate(chain, chain.solve(), schedule.smoothing, nothing)
 

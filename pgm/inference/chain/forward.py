@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from pgm.errors import PgmError
 from pgm.inference import sweep
+from pgm.inference.chain import gate
 from pgm.inference.chain.cost import require_cost
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
@@ -202,12 +203,14 @@ def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
     return array.transpose(0, *range(2, 2 + own), 1)
 
 
-def stored(plan: ChainPlan, anchor: Anchor | None = None) -> Forward:
-    """The forward pass with every CPD as it was linearised before."""
+def stored(
+    plan: ChainPlan, anchor: Anchor | None = None, gated: gate.Asked | None = None
+) -> Forward:
+    """The forward pass with every CPD as it was linearised before; gates may decide anew."""
     out = Forward.empty(plan)
     record = _whole(plan, out)
     with record.refusing(None):
-        sweep.forward(MomentChain(plan, None, anchor=anchor), plan.steps, record)
+        sweep.forward(MomentChain(plan, None, anchor=anchor, gated=gated), plan.steps, record)
     return out
 
 
@@ -242,7 +245,9 @@ def filtered(
             sweep.forward(chain, part.steps, record)
         closest, converged[runs] = min(closest, record.watch.closest), chain.converged
         records.append(chain.residuals)
-    found = Filtered(plan, mean, cov, log_density, schedule, closest)
+    # What the gates have decided stays.
+    again = replace(schedule, gate=None)
+    found = Filtered(plan, mean, cov, log_density, again, closest)
     longest = max(map(len, records))
     # A part that was done earlier keeps its last residuals.
     padded = [each + each[-1:] * (longest - len(each)) for each in records]

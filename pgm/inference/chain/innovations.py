@@ -19,7 +19,7 @@ from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import stacks
 from pgm.inference.posterior import require_variable
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers, block, independent, inner, sandwich
+from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, sandwich
 from pgm.variables import Variable
 
 
@@ -45,6 +45,9 @@ class Innovations(Shown, NoArray):
         covariance of all components that were read at the step; NaN without any.
     dof : ndarray of int
         (..., T+1): the number of components read at each step.
+    rejected : ndarray of bool
+        (..., M): sightings that a gate has rejected: they have a residual and a covariance, and no
+        part in `nis` and `dof`.
     """
 
     residual: Array
@@ -52,6 +55,7 @@ class Innovations(Shown, NoArray):
     step: Integers
     nis: Array
     dof: Integers
+    rejected: Mask
 
     _arrays: ClassVar[str] = ".residual, .cov and .nis"
 
@@ -116,12 +120,16 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
     mean = forward.predicted_mean[family.step][..., parents]
     residual = sensor.moved - family.value(slice(None), mean)
     spread = block(forward.predicted_cov[family.step], parents, parents)
-    taken = np.broadcast_to(True if sensor.taken is None else sensor.taken, residual.shape)
+    given = sensor.taken if sensor.gated is None else sensor.gated.given
+    taken = np.broadcast_to(True if given is None else given, residual.shape)
+    rejected = np.zeros(residual.shape[:2], dtype=bool)
+    if sensor.gated is not None:
+        rejected |= sensor.gated.rejected
     if (improper := np.isinf(spread)).any():
         spread = np.where(improper, 0.0, spread)
         taken = taken & ~np.any(improper, axis=(-2, -1), keepdims=True)[..., 0]
     cov = sandwich(family.matrix, spread) + family.noise
-    nis, dof = _by_step(plan, sensor, forward)
+    nis, dof = by_step(plan, [sensor], forward)
     back = np.argsort(sensor.order)
 
     def out(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -135,18 +143,22 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
         family.step[back],
         out(nis),
         out(dof),
+        out(rejected[back]),
     )
 
 
-def _by_step(plan: ChainPlan, sensor: Sensor, forward: Forward) -> tuple[Array, Integers]:
-    """Normalised innovations squared, (T+1, runs), and how many components were read."""
+def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[Array, Integers]:
+    """Normalised innovations squared, (T+1, runs), and how many components were taken in.
+
+    NaN where none was.
+    """
     shape = plan.steps + 1, plan.runs
     nis, dof = np.full(shape, np.nan), np.zeros(shape, dtype=np.intp)
-    for steps, matrix, residual, noise, missing in stacks(plan, [sensor], forward.predicted_mean):
+    for steps, matrix, residual, noise, missing in stacks(plan, sensors, forward.predicted_mean):
         spread = forward.predicted_cov[steps]
         # Of a prediction that still has an infinite variance there are no innovations.
-        own = block(spread, sensor.parents, sensor.parents)
-        proper = np.isfinite(own).all(axis=(-2, -1))
+        read = [block(spread, sensor.parents, sensor.parents) for sensor in sensors]
+        proper = np.logical_and.reduce([np.isfinite(own).all(axis=(-2, -1)) for own in read])
         lower = roots.root(sandwich(matrix, np.where(np.isinf(spread), 0.0, spread)) + noise)
         white = roots.whiten(lower, residual)
         seen = np.where(proper, residual.shape[-1] - missing, 0)
@@ -161,7 +173,7 @@ def whitened(innovations: Innovations) -> Array:
     runs = math.prod(shape[:-2])
     residual = innovations.residual.reshape(runs, *shape[-2:])
     cov = innovations.cov.reshape(*residual.shape, shape[-1])
-    taken = ~np.isnan(residual)
+    taken = ~np.isnan(residual) & ~innovations.rejected.reshape(runs, -1, 1)
     white = roots.whiten(roots.root(independent(cov, taken)), np.where(taken, residual, 0.0))
 
     order = np.argsort(innovations.step, kind="stable")

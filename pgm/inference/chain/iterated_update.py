@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -14,11 +14,15 @@ from pgm.errors import NumericalError
 from pgm.inference.chain import cost, readings
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.vector import Measured
+from pgm.inference.chain.weights import SETTLED
 from pgm.inference.iteration import Anchor, Point, Solution, iterate
 from pgm.inference.schedule import Filtering
 from pgm.kernels import roots
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, inner
+
+# Reweighings of a step's measurements at the most.
+_REWEIGHINGS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +51,7 @@ class Updated:
         return Point(self.means, _as_point(self.known.cov, 2))
 
 
-U = TypeVar("U", bound=Solution, covariant=True)
+U = TypeVar("U", bound=Solution)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +89,13 @@ class UpdateProblem(ABC, Generic[U]):
 
     def __init__(self, parts: Sequence[Reading], step: int, mean: Array, cov: Array) -> None:
         self.parts, self.step, self.mean, self.cov = parts, step, mean, cov
+        # Whether weights of robust noise have settled, (runs,).
+        self._weighed: Mask | bool = True
+
+    @property
+    def predicted(self) -> Point:
+        """The predicted belief, as a point of linearisation."""
+        return Point(_as_point(self.mean, 1), _as_point(self.cov, 2))
 
     @property
     def measured(self) -> list[Measured]:
@@ -108,7 +119,31 @@ class UpdateProblem(ABC, Generic[U]):
         part.linearise(mean, cov, active)
 
     def solve(self, anchor: Anchor | None = None) -> U:
-        """The belief given the measurements as they are linearised."""
+        """The belief given the measurements as they are linearised.
+
+        Those of robust noise are weighed at it, and taken in again, until the weights settle.
+        """
+        found = self._solved(anchor)
+        if not any(part.sensor.robust for part in self.parts):
+            return found
+        robust = [part for part in self.parts if part.weights is not None]
+        active = np.full(found.means.shape[1], bool(robust))
+        for _ in range(_REWEIGHINGS if robust else 0):
+            mean, cov = self._moments(found.point)
+            moved = [part.reweigh(mean, cov, active) for part in robust]
+            found = self._solved(anchor)
+            active = np.max(moved, axis=0) > SETTLED
+            if not active.any():
+                break
+        self._weighed = ~active
+        surplus = sum((part.surplus for part in self.parts), 0.0)
+        return self.raised(found, surplus)
+
+    def settled(self) -> Mask | bool:
+        """Whether the weights of robust noise have settled."""
+        return self._weighed
+
+    def _solved(self, anchor: Anchor | None) -> U:
         try:
             return self.taken_in(anchor)
         except NumericalError:
@@ -119,6 +154,10 @@ class UpdateProblem(ABC, Generic[U]):
     @abstractmethod
     def taken_in(self, anchor: Anchor | None) -> U:
         """The belief given the measurements, which may be refused."""
+
+    @abstractmethod
+    def raised(self, found: U, surplus: Array | float) -> U:
+        """The same belief, of measurements whose log-density is so much larger."""
 
     def cost(self, at: Point) -> Array:
         """The cost of means, (runs,)."""
@@ -133,6 +172,9 @@ class UpdateProblem(ABC, Generic[U]):
             left = _as_point(part.values - expected, 1)
             angles = np.tile(family.cpd.child.angle_mask, len(expected) // family.shape[2])
             left = difference(left, np.zeros_like(left), angles)
+            if part.weights is not None:
+                total = total + part.loss(left[0], at.cov[0])
+                continue
             noise = _as_point(seen.noise, 2)
             if seen.taken is not None:
                 taken = _as_point(seen.taken, 1)
@@ -163,6 +205,10 @@ class MomentUpdate(UpdateProblem[Updated]):
         known, density = readings.update(self.measured, self.step, Moments(self.mean, self.cov))
         return Updated(known if anchor is None else known.held(anchor, 0), density)
 
+    def raised(self, found: Updated, surplus: Array | float) -> Updated:
+        """The same belief, of measurements whose log-density is so much larger."""
+        return replace(found, log_density=found.log_density + surplus)
+
 
 def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
     """An array (own axes, *batch) as that of one step, (1, runs, own axes)."""
@@ -176,11 +222,11 @@ def iterated(reading: UpdateProblem[U], schedule: Filtering) -> IteratedUpdate[U
 
     They are linearised at the predicted belief.
     """
-    predicted = Point(_as_point(reading.mean, 1), _as_point(reading.cov, 2))
+    predicted = reading.predicted
     reading.linearise(predicted, None)
     once = reading.solve()
     linear = all(part.sensor.family.exact for part in reading.parts)
-    nothing = np.full(predicted.mean.shape[1], linear)
+    nothing = np.full(predicted.mean.shape[1], linear) & reading.settled()
     if schedule.iterations == 1 or linear:
         return IteratedUpdate(once, once.means[0], [], nothing)
     result = iterate(reading, once, schedule, nothing, predicted)

@@ -53,6 +53,7 @@ class Readings:
     likelihood: Likelihood
     stacks: list[Stack]
     _whitened: list[Whitened]
+    _robust: list[Sensor]
 
     @classmethod
     def of(cls, plan: ChainPlan, reference: Array) -> Readings:
@@ -72,7 +73,7 @@ class Readings:
                 rows = places if isinstance(places, slice) else places[:, None]
                 likelihood.K[..., rows, places] += said.K
                 likelihood.h[..., places] += said.h
-        return cls(reference, likelihood, stacks(plan, rest, reference), regular)
+        return cls(reference, likelihood, stacks(plan, rest, reference), regular, plan.robust)
 
     def held(self, anchor: Anchor | None) -> Likelihood:
         """The likelihood with an anchor's measurements of all components."""
@@ -98,6 +99,8 @@ class Readings:
         total = np.zeros(known.shape[:2])
         for each in self._whitened:
             total += each.log_density(self.reference + known)
+        for sensor in self._robust:
+            total += _surplus(sensor)
         for steps, matrix, residual, noise, missing in self.stacks:
             left = residual - apply(matrix, predicted.mean[steps])
             cov = sandwich(matrix, predicted.cov[steps]) + noise
@@ -219,6 +222,12 @@ class Whitened:
         if sensor.taken is not None:
             left = np.where(sensor.taken[rows], left, 0.0)
         return apply(self._white(rows), left)
+
+
+def _surplus(sensor: Sensor) -> Array:
+    """What the log-density of robust measurements has more than the Gaussians', (T+1, runs)."""
+    each = sensor.weights.surplus()
+    return _by_step(sensor, lambda rows, counts: (_added(each[rows], counts),))[0]
 
 
 def shortened(array: Array) -> Array:

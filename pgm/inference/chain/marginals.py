@@ -18,7 +18,9 @@ from pgm.inference.associations import Found
 from pgm.inference.chain.backward import Beliefs
 from pgm.inference.chain.innovations import Innovations
 from pgm.inference.kind import FILTERED, Kind
+from pgm.inference.lost import Lost
 from pgm.inference.posterior import Posterior, require_variable
+from pgm.inference.rejections import Rejections
 from pgm.inference.status import Status
 from pgm.inference.summaries import marginals_over_time, over_time
 from pgm.kernels.arrays import Array, block
@@ -135,14 +137,8 @@ class KeptPosterior(Posterior):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> posterior = pgm.smooth(model, {z: [[4.0]]}, keep=x)
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.smooth(walk, {z: [[4.0]]}, keep=x)
     >>> posterior[x].mean.ravel()
     array([1., 2.])
     >>> posterior[x.at(0)].cov
@@ -207,6 +203,16 @@ class KeptPosterior(Posterior):
     def innovations(self) -> Mapping[Variable, Innovations]:
         """Not kept: raises EvidenceError."""
         raise EvidenceError(self._missing("innovations"))
+
+    @property
+    def rejected(self) -> Mapping[Variable, Rejections]:
+        """Not kept: raises EvidenceError."""
+        raise EvidenceError(self._missing("rejections by gates"))
+
+    @property
+    def lost(self) -> Lost:
+        """Not kept: raises EvidenceError."""
+        raise EvidenceError(self._missing("innovations, which tell where a belief was lost"))
 
     def joint(self, *variables: Variable) -> NoReturn:
         """Not kept: raises EvidenceError."""

@@ -13,6 +13,7 @@ from pgm.inference.chain.backward import stepwise_is_faster, transition
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import stored
+from pgm.inference.chain.reweighting import by_step, surplus
 from pgm.inference.chain.vector import stacks
 from pgm.kernels import canonical, elements, moments, roots
 from pgm.kernels.arrays import LOG_2PI, Array, apply, inner, sandwich, transpose
@@ -106,6 +107,8 @@ def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:
             matrix[rows], offset[rows], noise[rows] = keep, shift, left
             K[rows], h[rows], g[rows] = likelihood
     offset += forward.predicted_mean[1:] - forward.mean[1:]
+    if plan.robust:
+        g += np.asarray(by_step(plan))[1:]
     return Element(select @ matrix, apply(select, offset), sandwich(select, noise), K, h, g)
 
 
@@ -125,7 +128,8 @@ def absorbed(
     likelihood: Canonical | None = None
     found = stored(plan, later, predicted)
     if found is not None:
-        matrix, offset, noise, likelihood = absorb_readings(matrix, noise, *found)
+        matrix, offset, noise, (K, h, g) = absorb_readings(matrix, noise, *found)
+        likelihood = K, h, g + surplus(plan, later)
     shift = offset + predicted - forward.mean[later]
     return Conditional(select @ matrix, apply(select, shift), sandwich(select, noise)), likelihood
 

@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from pgm.inference import faults
-from pgm.inference.chain import readings, refusals
+from pgm.inference.chain import gate, readings, refusals
 from pgm.inference.chain.iterated_update import MomentUpdate, iterated
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments, Reading, Room
 from pgm.inference.iteration import Anchor
 from pgm.inference.rows import At
-from pgm.inference.schedule import Filtering
+from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Mask, components_first, components_last, times, within
@@ -40,6 +40,8 @@ class MomentChain:
         Gives arrays that the moments of a step may be written to, in a sweep of many runs.
     check : bool
         Whether all numbers are looked at, and refused where they are not finite.
+    gated : float or mapping, optional
+        The gates, where no schedule tells.
 
     Attributes
     ----------
@@ -56,8 +58,10 @@ class MomentChain:
         anchor: Anchor | None = None,
         room: Callable[[int], Room] | None = None,
         check: bool = False,
+        gated: gate.Asked | None = None,
     ) -> None:
         layout = plan.layout
+        self.gate = gated if schedule is None else schedule.gate
         self.room = room
         self.plan, self.schedule, self.anchor, self.check = plan, schedule, anchor, check
         self.linearises, self.keeps = schedule is not None, keep and schedule is not None
@@ -142,14 +146,21 @@ class MomentChain:
         """The belief given measurements of its step, and their log-density."""
         mean, cov, _ = belief
         schedule = self.schedule
-        if schedule is None or not self.iterates or self.plan.linear:
+        robust = self.plan.robust
+        if schedule is not None and robust and any(part.weights is not None for part in parts):
+            after, density = self._reweighed(parts, step, mean, cov, schedule)
+        elif schedule is None or not self.iterates or self.plan.linear:
             several = len(parts) > 1
             seen = [part.linearise(mean, cov, None, several) for part in parts]
             if self.check:
                 for part in parts:
                     part.require_finite()
+            if self.gate is not None:
+                seen = gate.decide(self.gate, parts, seen, mean, cov)
             room = None if self.room is None else self.room(step)
             after, density = readings.update(seen, step, belief, room)
+            if robust:
+                density = density + sum(part.surplus for part in parts)
         else:
             after, density = self._iterated(parts, step, mean, cov, schedule)
         if self.keeps:
@@ -159,9 +170,21 @@ class MomentChain:
             after if self.anchor is None else after.held(self.anchor, step - self.plan.first)
         ), density
 
+    def _reweighed(
+        self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
+    ) -> tuple[Moments, Array | float]:
+        if self.check:
+            for part in parts:
+                part.linearise(mean, cov)
+                part.require_finite()
+        return self._iterated(parts, step, mean, cov, schedule if self.iterates else ONCE)
+
     def _iterated(
         self, parts: Sequence[Reading], step: int, mean: Array, cov: Array, schedule: Filtering
     ) -> tuple[Moments, Array | float]:
+        if self.gate is not None:
+            seen = [part.linearise(mean, cov) for part in parts]
+            gate.decide(self.gate, parts, seen, mean, cov)
         found = iterated(MomentUpdate(parts, step, mean, cov), schedule)
         self.residuals = largest(self.residuals, found.residuals)
         self._settled = (

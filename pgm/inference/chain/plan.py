@@ -22,6 +22,7 @@ from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors.scope import Scope
 from pgm.inference.chain.sensor import Sensor
+from pgm.inference.checks import require_plain
 from pgm.inference.family import Family
 from pgm.kernels.arrays import (
     Array,
@@ -94,6 +95,11 @@ class ChainPlan:
         return all(s.family.exact for s in self.sensors if s.family.step.size)
 
     @cached_property
+    def robust(self) -> list[Sensor]:
+        """The sensors of robust noise that are read."""
+        return [s for s in self.sensors if s.robust and s.family.step.size]
+
+    @cached_property
     def runs(self) -> int:
         """Number of runs."""
         return math.prod(self.lead)
@@ -110,9 +116,14 @@ class ChainPlan:
         return links + [sensor.family for sensor in self.sensors]
 
     @property
+    def read(self) -> list[Sensor]:
+        """The sensors that have measurements."""
+        return [sensor for sensor in self.sensors if sensor.family.step.size]
+
+    @property
     def exact(self) -> bool:
-        """Whether every CPD is affine."""
-        return all(family.exact for family in self.families)
+        """Whether every CPD is affine, and those that are read of Gaussian noise."""
+        return all(family.exact for family in self.families) and not self.robust
 
     def of(self, runs: slice) -> ChainPlan:
         """The plan of some runs, with views of these arrays; what is linearised is its own."""
@@ -126,6 +137,7 @@ class ChainPlan:
                 family=sensor.family.of(runs),
                 taken=None if sensor.taken is None else cut(sensor.taken, runs),
                 values=cut(sensor.values, runs),
+                gated=None if sensor.gated is None else sensor.gated.of(runs),
                 cross={},
             )
             for sensor in self.sensors
@@ -201,6 +213,7 @@ class ChainPlan:
             )
 
         def link(cpd: Any, scope: Scope, step: Integers, inputs: Inputs) -> Link:
+            require_plain([cpd])
             place = layout.place(cpd, scope)
             turning = slice(0 if isinstance(cpd, AffineCPD) else None)
             return Link(

@@ -20,12 +20,13 @@ from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.careful import Careful
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
-from pgm.inference.chain.innovations import BySensor, Innovations, innovations
+from pgm.inference.chain.innovated import Innovated
 from pgm.inference.chain.joints import joint_moments
 from pgm.inference.chain.marginals import Marginals, located
 from pgm.inference.chain.messages import backward_messages
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.potentials import first_potential, potentials
+from pgm.inference.chain.weights_record import Weights, evidence_kind
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.posterior import Posterior
@@ -37,7 +38,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ChainPosterior(Posterior):
+class ChainPosterior(Innovated, Posterior):
     """The beliefs of a chain of clusters after a schedule of messages.
 
     ``posterior[x]`` is a stacked `Gaussian`: states at steps 0..T, hidden controls at 1..T
@@ -52,20 +53,17 @@ class ChainPosterior(Posterior):
         Which measurements the beliefs know: filtered, fixed-lag or smoothed.
     log_evidence_kind : str
         ``exact``; ``linearised``, of the linearised model; or ``laplace``, at the fixed point of
-        Taylor relinearisation.
+        Taylor relinearisation. With robust noise a lower ``bound``, a ``linearised bound``, or
+        ``unnormalised``, if a density has no integral.
+    weights : mapping of Variable to ndarray
+        By sensor, w of each sighting, (*runs, M), which counts with the covariance `cov` / w.
     associations : mapping of Variable to Associations
         By sensor, of sightings that left open what was seen, with `unknown`.
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> posterior = pgm.smooth(model, {z: [[4.0]]})
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.smooth(walk, {z: [[4.0]]})
     >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
     (array([1., 2.]), array([0.75, 1.  ]))
     >>> posterior.filtered[x].mean.ravel()
@@ -135,15 +133,9 @@ class ChainPosterior(Posterior):
         return self._marginals(beliefs if self._windows is None else self._windows.newest, FILTERED)
 
     @cached_property
-    @quiet()
-    def innovations(self) -> Mapping[Variable, Innovations]:
-        """The innovations of each sensor with evidence."""
-        return BySensor(
-            {
-                sensor.variable: innovations(self._plan, sensor, self._forward)
-                for sensor in self._plan.sensors
-            }
-        )
+    def weights(self) -> Mapping[Variable, Array]:
+        """The weights of sightings: 1 of Gaussian noise, NaN where nothing was taken."""
+        return Weights.of(self._plan)
 
     @property
     def log_evidence(self) -> Array:
@@ -153,12 +145,9 @@ class ChainPosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """The kind of `log_evidence`: exact, linearised or laplace."""
-        if self._planned.exact:
-            return "exact"
-        fixed = self.kind == SMOOTHED and bool(self.status.converged.all())
-        taylor = all(family.taylor for family in self._planned.families)
-        return "laplace" if fixed and taylor else "linearised"
+        """The kind of `log_evidence`: exact, linearised or laplace; of robust noise a bound."""
+        settled = bool(self.status.converged.all())
+        return evidence_kind(self._planned, fixed=settled and self.kind == SMOOTHED)
 
     @cached_property
     def _reverse(self) -> Reverse:
@@ -386,10 +375,10 @@ class ChainPosterior(Posterior):
 
     @property
     def _title(self) -> str:
-        lead = self._planned.lead
-        runs = f", runs {lead}" if lead else ""
+        runs = f", runs {self._planned.lead}" if self._planned.lead else ""
         return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"
 
     def _summary(self) -> Summary:
         hidden, last = self.graph.layout.slice, self.graph.steps
-        return over_time(self._title, self, hidden, self._planned.lead, last)
+        told = [f"{v!r}: {found._title}" for v, found in self.rejected.items()]
+        return over_time(self._title, self, hidden, self._planned.lead, last, told)

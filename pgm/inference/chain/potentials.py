@@ -6,6 +6,7 @@ import numpy as np
 
 from pgm.inference.chain.backward import Ahead, transition
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.reweighting import by_step
 from pgm.inference.chain.vector import stacks
 from pgm.kernels import canonical, roots
 from pgm.kernels.arrays import LOG_2PI, Array, apply, block, inner, transpose
@@ -38,7 +39,7 @@ def likelihoods(plan: ChainPlan, reference: Array) -> Canonical:
         h[steps] = apply(transpose(white), left)
         log_scale = roots.log_determinant(lower) + (matrix.shape[-2] - missing) * LOG_2PI
         g[steps] = -0.5 * (inner(left, left) + log_scale)
-    return K, h, g
+    return K, h, g + by_step(plan)
 
 
 def first_potential(plan: ChainPlan, forward: Ahead) -> Canonical:

@@ -16,11 +16,20 @@ from pgm.inference.chain import refusals
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import Measured, Vector, vector
+from pgm.inference.chain.weights import Weights, by_sighting, own_blocks, scale
 from pgm.inference.iteration import Anchor
 from pgm.inference.rows import At
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
-from pgm.kernels.arrays import LOG_2PI, Array, Mask, components_first, components_last, within
+from pgm.kernels.arrays import (
+    LOG_2PI,
+    Array,
+    Mask,
+    block,
+    components_first,
+    components_last,
+    within,
+)
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.roots import NEGLIGIBLE
 from pgm.linearisers import Line
@@ -149,15 +158,39 @@ class Reading:
         Whether angles are on their branch already.
     """
 
-    __slots__ = ("at", "erroneous", "fixed", "seen", "sensor", "taken", "values")
+    __slots__ = (
+        "at",
+        "erroneous",
+        "error",
+        "fixed",
+        "gate",
+        "gated",
+        "seen",
+        "sensor",
+        "taken",
+        "values",
+        "weights",
+    )
 
     seen: Measured
+    # Of robust noise that is to be weighed.
+    weights: Weights | None
+    error: Array | None
+    # Which sightings a gate has rejected, and their squared lengths, (k, *batch).
+    gated: tuple[Mask, Array] | None
+    gate: float
 
     def __init__(
         self, sensor: Sensor, at: At, values: Array, taken: Mask | None, *, fixed: bool = False
     ) -> None:
         self.sensor, self.at, self.values, self.taken = sensor, at, values, taken
-        self.fixed, self.erroneous = fixed, False
+        self.fixed, self.erroneous, self.gated = fixed, False, None
+        self.weights = self.error = None
+        if sensor.robust and not fixed:
+            height, runs = sensor.height, sensor.family.noise.shape[1]
+            there = None if taken is None else by_sighting(taken, height, 0)
+            own, shape = own_blocks(at.noise, height), (len(at.noise) // height, runs)
+            self.weights = Weights.of(sensor.family.cpd, own, there, shape)
 
     def linearise(
         self, mean: Array, cov: Array, active: Mask | None = None, copy: bool = True
@@ -172,9 +205,11 @@ class Reading:
         matrix, value, error = sensor.family.line(at, mean, cov)
         if copy:
             matrix, value = matrix.copy(), value.copy()
-        noise = at.noise
+        noise = at.noise if self.weights is None else self._weighed(self.weights)
         if error is not None:
             noise, self.erroneous = noise + error, True
+        if self.weights is not None:
+            self._keep_error(error, active)
         reading = self.values
         if not self.fixed:
             reading = _nearest(reading, value, sensor.turning(len(value)))
@@ -183,6 +218,63 @@ class Reading:
             seen = seen.where(active, self.seen)
         self.seen = seen
         return seen
+
+    def _weighed(self, weights: Weights) -> Array:
+        """The noise of the sightings, each over its weight."""
+        each = scale(weights.weight, self.sensor.height, self.sensor.family.batch)
+        found: Array = self.at.noise * each[:, None] * each[None]
+        return found
+
+    def _keep_error(self, error: Array | None, active: Mask | None) -> None:
+        if active is not None and self.error is not None and error is not None:
+            error = np.where(active, error, self.error)
+        self.error = error
+
+    def reweigh(self, mean: Array, cov: Array, active: Mask) -> Array:
+        """Weigh the sightings at a belief over the slice; how far weights move, (runs,)."""
+        weights, sensor, seen = self.weights, self.sensor, self.seen
+        assert weights is not None
+        if not sensor.whole:
+            mean, cov = mean[sensor.parents], within(cov, sensor.parents)
+        height, runs = sensor.height, weights.weight.shape[1]
+        if self.taken is not None:  # a gate may have rejected some since
+            weights.taken = by_sighting(self.taken, height, 0)
+        residual = by_sighting(seen.residual(mean), height, 0)
+        if sensor.family.expects:
+            error = None if self.error is None else own_blocks(self.error, height)
+            matrix = by_sighting(seen.matrix, height, 1)
+            spread = components_last(cov.reshape(*cov.shape[:2], runs), 2)[None]
+            square = weights.squares(residual, matrix, spread, error)
+        else:
+            square = weights.squares(residual)
+        moved = weights.take(square, active)
+        noise = self._weighed(weights)
+        self.seen = seen._replace(noise=noise if self.error is None else noise + self.error)
+        return moved
+
+    def loss(self, left: Array, cov: Array) -> Array:
+        """Twice the losses of residuals (runs, D) at a belief over the slice, (runs,)."""
+        weights, height = self.weights, self.sensor.height
+        assert weights is not None
+        residual = left.reshape(len(left), -1, height).swapaxes(0, 1)
+        seen: tuple[Array, ...] = ()
+        if self.sensor.family.expects:
+            spread = block(cov, self.sensor.parents, self.sensor.parents)[None]
+            seen = by_sighting(self.seen.matrix, height, 1), spread
+        total: Array = weights.loss(weights.squares(residual, *seen)).sum(axis=0)
+        return total
+
+    @property
+    def surplus(self) -> Array | float:
+        """What the log-density has more than that of the Gaussian, (*batch)."""
+        if not self.sensor.robust:
+            return 0.0
+        if self.weights is None:
+            each = self.sensor.weights.surplus(slice(self.at.first, self.at.last))
+        else:
+            each = self.weights.surplus()
+        total: Array = each.sum(axis=0)
+        return total if self.sensor.family.batch else total.item()
 
     def expected(self, mean: Array, cov: Array) -> Array:
         """The values at a belief over the slice, as the lineariser sees them.
@@ -206,8 +298,13 @@ class Reading:
         """Keep the linearisation of the sightings in the plan."""
         seen, sensor = self.seen, self.sensor
         if self.at.function is not None:
-            noise = seen.noise if self.erroneous else None
+            weighed = self.erroneous or self.weights is not None
+            noise = seen.noise if weighed else None
             sensor.family.keep(self.at, seen.matrix, seen.constant, noise)
+        elif self.weights is not None:
+            sensor.family.keep_noise(self.at, seen.noise)
+        if self.weights is not None:
+            sensor.weights.put(slice(self.at.first, self.at.last), self.weights)
         sensor.keep(self.at, seen.reading, seen.noise if self.erroneous else None)
 
 

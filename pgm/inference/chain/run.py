@@ -13,7 +13,7 @@ from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.factors.scope import positions
-from pgm.inference.chain import certificate
+from pgm.inference.chain import certificate, gate
 from pgm.inference.chain.forward import Filtered
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
@@ -61,6 +61,8 @@ def run(
         )
     given = None if start is None else _start(graph.layout, bound, start)
     plan = ChainPlan.make(graph, bound, lineariser)
+    gates = getattr(schedule, "gate", None)  # a plain calibration has none
+    gate.prepare(plan, gates)
     if not certificate.is_flat(plan):
         try:
             found = solver.solve(plan, given, room)
@@ -72,6 +74,7 @@ def run(
         except NumericalError:
             pass  # with twice the digits there may be an answer; if not, the same is refused
         plan = ChainPlan.make(graph, bound, lineariser, probe=False)
+        gate.prepare(plan, gates)
     found = solver.carefully(plan, given)
     _refuse_infinite(found)
     return found

@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pgm.inference.chain.gate_record import GateRecord
+from pgm.inference.chain.weights import Weights
 from pgm.inference.family import Family
 from pgm.inference.rows import At
 from pgm.kernels import along_runs, roots
@@ -75,6 +77,8 @@ class Sensor:
         of a grouped sensor.
     whole : bool
         Whether its hidden parents are all of the slice.
+    gated : GateRecord or None
+        The decisions of its gate, where it has one; `taken` is then all its own, to be written to.
     """
 
     family: Family
@@ -85,11 +89,23 @@ class Sensor:
     bounds: list[int]
     cross: dict[int, Array]
     whole: bool
+    gated: GateRecord | None = None
 
     @property
     def grouped(self) -> bool:
         """Whether the sightings of a step are linearised as one vector."""
         return self.family.grouped
+
+    @cached_property
+    def robust(self) -> bool:
+        """Whether sightings are weighed by their residuals."""
+        return self.family.cpd.noise is not None
+
+    @cached_property
+    def weights(self) -> Weights:
+        """The weights of all sightings, where the noise is robust; of one to begin with."""
+        shape = self.family.shape[0], self.family.shape[1]
+        return Weights.of(self.family.cpd, self.family.own_noise, self.taken, shape)
 
     @cached_property
     def moved(self) -> Array:
@@ -202,10 +218,13 @@ class Sensor:
         begin = self.bounds[first + after]
         rows, part = slice(begin, self.bounds[last + 1]), copy(self)
         part.__dict__.pop("_by_row", None)
+        if self.robust:
+            part.weights = self.weights.rows(rows)
         part.family = self.family.window(rows.start, rows.stop)
         part.order = self.order[rows]
         part.values, part.moved = self.values[rows], self.moved[rows].copy("K")
         part.taken = None if self.taken is None else self.taken[rows]
+        part.gated = None if self.gated is None else self.gated.window(rows)
         part.bounds = [max(bound - begin, 0) for bound in self.bounds[first : last + 2]]
         steps = range(first + after, last + 1)
         part.cross = {k - first: self.cross[k] for k in steps if k in self.cross}
@@ -217,6 +236,12 @@ class Sensor:
         self.family.put(row, part.family)
         if self.variable.angles:
             self.moved[row : row + len(part.moved)] = part.moved
+        if self.robust:
+            self.weights.put(slice(row, row + len(part.values)), part.weights)
+        if self.gated is not None and part.gated is not None:
+            self.gated.put(row, part.gated)
+            assert self.taken is not None
+            self.taken[row : row + len(part.moved)] = part.taken
         self.cross.update({first + k: between for k, between in part.cross.items()})
 
     def move(self, rows: slice, predicted: Array, active: Mask | None = None) -> None:

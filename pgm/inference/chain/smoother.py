@@ -18,10 +18,11 @@ from pgm.inference.chain.likelihoods import Readings
 from pgm.inference.chain.moments import on_chart, turns_far
 from pgm.inference.chain.newton import Means
 from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.reweighting import reweigh, settled
 from pgm.inference.chain.sensor import linearise_grouped
 from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.iteration import Anchor, Point, iterate
-from pgm.inference.schedule import ONCE, Smoothing
+from pgm.inference.schedule import Smoothing
 from pgm.inference.status import Status
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, block, components_first, components_last
@@ -90,9 +91,12 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
     cost.require_cost(schedule, plan.families, first=start is None)
     chain = Chain(plan, _in_rounds if _is_long(plan) and schedule.iterations > 1 else swept)
     if start is None:
-        return _iterated(chain, schedule, Smoothed.of(plan, forward.run(plan, ONCE)[0]), None)
+        ahead, _ = forward.run(plan, schedule.first)
+        return _iterated(chain, schedule, Smoothed.of(plan, ahead), None)
     at = _start(plan, start)
-    chain.linearise(at, None)
+    chain.begin(at, reckoned=False)
+    if schedule.gate is not None:
+        forward.stored(plan, gated=schedule.gate)
     return _iterated(chain, schedule, chain.solve(), at)
 
 
@@ -107,7 +111,7 @@ def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smo
     if plan.exact:
         return _iterated(chain, schedule, Smoothed.of(plan, parallel.run(plan)), None)
     at = dead_reckoning(plan) if start is None else _start(plan, start)
-    chain.linearise(at, None)
+    chain.begin(at, reckoned=start is None)
     means = newton.step(plan, at.mean) if _is_newton(plan, schedule) else None
     if means is None:
         return _iterated(chain, schedule, chain.solve(), at)
@@ -126,10 +130,12 @@ def carefully(
     cost.require_cost(schedule, plan.families, first=start is None and not reckoned)
     chain = Chain(plan, _careful)
     if start is None and not reckoned:
-        swept, _ = careful.sweep(plan, ONCE)
+        swept, _ = careful.sweep(plan, schedule.first)
         return _iterated(chain, schedule, CarefulSmoothed.of(plan, swept), None)
     at = dead_reckoning(plan) if start is None else _start(plan, start)
-    chain.linearise(at, None)
+    chain.begin(at, reckoned=start is None)
+    if schedule.gate is not None:
+        careful.sweep(plan, None, gated=schedule.gate)
     return _iterated(chain, schedule, chain.solve(), at)
 
 
@@ -150,6 +156,8 @@ def _iterated(
 def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
     """Whether iterations need no covariances."""
     several = schedule.iterations > 1 and not isinstance(schedule.damping, LevenbergMarquardt)
+    if any(sensor.family.expects for sensor in plan.robust):
+        return False
     return several and not any(family.needs_cov for family in plan.families)
 
 
@@ -206,8 +214,22 @@ class Chain(Generic[Either]):
 
     def linearise(self, at: Point, active: Mask | None) -> None:
         """Linearise every CPD, for the runs that are active."""
-        relinearise(self.plan, at, None if active is None or active.all() else active)
+        some = None if active is None or active.all() else active
+        relinearise(self.plan, at, some)
+        reweigh(self.plan, at, some)
         self.at = at.mean
+
+    def begin(self, at: Point, *, reckoned: bool) -> None:
+        """Linearise every CPD first; along dead reckoning, all sightings have the weight one."""
+        if reckoned:
+            relinearise(self.plan, at, None)
+            self.at = at.mean
+        else:
+            self.linearise(at, None)
+
+    def settled(self) -> Mask | bool:
+        """Whether all losses of robust noise are those that were asked for."""
+        return settled(self.plan)
 
     def solve(self, anchor: Anchor | None = None) -> Either:
         """Smooth as everything is linearised."""
@@ -231,6 +253,9 @@ class _Means:
 
     def linearise(self, at: Point, active: Mask | None) -> None:
         self.chain.linearise(at, active)
+
+    def settled(self) -> Mask | bool:
+        return self.chain.settled()
 
     def solve(self, anchor: Anchor | None = None) -> Means:
         plan, at = self.chain.plan, self.chain.at

@@ -40,6 +40,11 @@ class Solver(ABC):
     def __init__(self, graph: DynamicGraph, schedule: Any) -> None:
         self.graph, self.schedule = graph, schedule
         self.balanced = isinstance(graph, BalancedGraph)
+        if self.balanced and getattr(schedule, "gate", None) is not None:
+            raise GraphError(
+                f"{schedule!r}: a gate decides at one predicted belief after another, and "
+                f"{titled(graph)} solves for all steps at once: compile without pgm.Balanced()"
+            )
 
     @abstractmethod
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainPosterior:
@@ -97,9 +102,10 @@ class FilterSolver(Solver):
 
     def _refuse_nonlinear(self, plan: ChainPlan) -> None:
         for family in plan.families:
-            if not family.exact:
+            if not family.settled:
+                kind = "of robust noise" if family.exact else "nonlinear"
                 raise GraphError(
-                    f"{family.cpd!r} is nonlinear, and {titled(self.graph)} solves for all steps "
+                    f"{family.cpd!r} is {kind}, and {titled(self.graph)} solves for all steps "
                     "at once, where a filter linearises at the belief before: compile without "
                     "pgm.Balanced(), or smooth"
                 )

@@ -61,7 +61,6 @@ class MostProbable(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
     >>> x, z = (pgm.Discrete(name, ("no", "yes")) for name in "xz")
     >>> model = pgm.DynamicBayesianNetwork(
     ...     prior=[pgm.TableCPD(x, table=[0.5, 0.5])],
@@ -192,13 +191,8 @@ def most_probable(
 
     Examples
     --------
-    >>> import pgm
-    >>> rain, wet = (pgm.Discrete(name, ("no", "yes")) for name in ("rain", "wet"))
-    >>> net = pgm.BayesianNetwork([
-    ...     pgm.TableCPD(rain, table=[0.5, 0.5]),
-    ...     pgm.TableCPD(wet, given=rain, table=[[0.75, 0.25], [0.25, 0.75]]),
-    ... ])
-    >>> found = pgm.most_probable(pgm.compile(net), {wet: "yes"})
+    >>> from pgm.examples import rain, rainy, wet
+    >>> found = pgm.most_probable(pgm.compile(rainy), {wet: "yes"})
     >>> found.assignment[rain]
     'yes'
     """

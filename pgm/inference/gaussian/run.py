@@ -13,7 +13,7 @@ from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.arrays import as_rows, require_finite
 from pgm.evidence.continuous import BoundValues, bind_values
-from pgm.inference.checks import require_gaussian
+from pgm.inference.checks import require_gaussian, require_plain
 from pgm.inference.gaussian import careful
 from pgm.inference.gaussian.beliefs import Calibrated, TreePoint, relinearise
 from pgm.inference.gaussian.buffer import Buffer
@@ -45,6 +45,7 @@ def run(
     """Send the messages of a schedule; see `pgm.infer`."""
     network = graph.network
     require_gaussian(network.cpds, "Gaussian beliefs")
+    require_plain(network.cpds)
     absent = barren(network, evidence)
     cpds = [cpd for cpd in network.cpds if cpd.child not in absent]
     inputs = set(network.inputs)
@@ -107,6 +108,10 @@ class _Tree:
     def linearise(self, at: TreePoint, active: Mask) -> None:
         """Linearise every CPD at its cluster's belief, for the runs that are active."""
         relinearise(at.beliefs, self.model, active)
+
+    def settled(self) -> bool:
+        """Nothing but points of linearisation changes."""
+        return True
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
         """Calibrate the tree as everything is linearised."""

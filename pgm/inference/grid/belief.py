@@ -50,14 +50,8 @@ class GridBelief(Framed, Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> belief = pgm.filter(model, {z: [[4.0]]}, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))[x][1]
+    >>> from pgm.examples import walk, x, z
+    >>> belief = pgm.filter(walk, {z: [[4.0]]}, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))[x][1]
     >>> belief.mean.round(2), belief.std.round(2)
     (array([2.]), array([1.]))
     >>> belief.marginal("x").values.shape

@@ -41,7 +41,7 @@ def groups(
         family = {each.child: values[each.child] for each in own}
         family[cpd.child] = {v: a for v, a in values[cpd.child].items() if v in cpd.parents}
         about = family, prior, first, place
-        if isinstance(cpd, ConditionalGaussian):
+        if isinstance(cpd, ConditionalGaussian) and cpd.noise is None:
             return Group(lattice, own, (cpd,), *about)
         if isinstance(cpd, MixtureCPD):
             parts = tuple(made(part, (*place, k)) for k, part in enumerate(cpd.parts))
@@ -66,7 +66,8 @@ def joined(some: Sequence[Members], kept: Kept) -> Members:
     controls = tuple(dict.fromkeys(cpd for group in some for cpd in group.controls))
     known = {v: values for group in some for v, values in group.known.items()}
     states = tuple(cpd for group in some for cpd in group.states)
-    gaussian = tuple(cpd for cpd in states if isinstance(cpd, ConditionalGaussian))
+    plain = (c for c in states if isinstance(c, ConditionalGaussian) and c.noise is None)
+    gaussian = tuple(plain)
     if len(gaussian) == len(states):
         return Group(one.lattice, controls, gaussian, known, one.prior, one.first)
     return DensityGroup(one.lattice, (), states, known, one.prior, one.first, (), kept)
@@ -74,7 +75,7 @@ def joined(some: Sequence[Members], kept: Kept) -> Members:
 
 def _gaussian(control: CPD) -> ConditionalGaussian:
     """The CPD of a hidden control, refused if it is of another kind."""
-    if not isinstance(control, ConditionalGaussian):
+    if not isinstance(control, ConditionalGaussian) or control.noise is not None:
         raise ModelError(
             f"{control!r} is that of a hidden control, over which a grid sums where it is "
             "Gaussian; make it a state, with a prior, or take belief=pgm.Particles(...)",

@@ -47,20 +47,10 @@ class OnlineGridBelief(Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> robot = pgm.OnlineFilter(model, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))
-    >>> belief = robot.predict(robot.initial())
-    >>> belief = robot.update(belief, {z: [4.0]})
-    >>> belief[x].std.round(2)
-    array([1.])
-    >>> belief.step, str(belief.kind)
-    (1, 'filtered')
+    >>> from pgm.examples import walk, x
+    >>> belief = pgm.OnlineFilter(walk, belief=pgm.Grid({"x": (-8.0, 8.0, 160)})).initial()
+    >>> belief[x].std.round(2), str(belief.kind)
+    (array([1.]), 'predicted')
     """
 
     step: int
@@ -159,14 +149,8 @@ class OnlineGrid(InCode, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> robot = pgm.OnlineFilter(model, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))
+    >>> from pgm.examples import walk, x, z
+    >>> robot = pgm.OnlineFilter(walk, belief=pgm.Grid({"x": (-8.0, 8.0, 160)}))
     >>> belief = robot.predict(robot.initial())
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x].mean.round(2)
@@ -201,12 +185,7 @@ class OnlineGrid(InCode, Immutable):
         return f"OnlineFilter(over {list(self.model.states)}, belief={self.belief!r})"
 
     def initial(self) -> OnlineGridBelief:
-        """The prior, at step 0; runs are those of the model.
-
-        Returns
-        -------
-        OnlineGridBelief
-        """
+        """The prior, at step 0; runs are those of the model."""
         lead = self.model.lead
         bound = BoundEvidence(0, lead, (), ())
         found = self._each(bound, 0, None, lambda slices, _: (slices.prior(), 0.0))
@@ -215,24 +194,12 @@ class OnlineGrid(InCode, Immutable):
     def predict(
         self, belief: OnlineGridBelief, inputs: Mapping[Variable, Any] | None = None
     ) -> OnlineGridBelief:
-        """The belief one step later.
-
-        Parameters
-        ----------
-        belief : OnlineGridBelief
-        inputs : mapping of Variable to array_like
-            Values (..., d) of the transition's inputs.
-
-        Returns
-        -------
-        OnlineGridBelief
+        """The belief one step later, as of `OnlineFilter.predict`.
 
         Raises
         ------
-        EvidenceError
-            If an input is missing or of a wrong shape, or something is no input.
-        ModelError
-            If the belief is not this filter's, or a function returns a wrong shape.
+        EvidenceError, ModelError
+            As there.
         LinearisationError, NumericalError
             If a function has no value at a centre, or all probability has left the bounds.
         """
@@ -248,18 +215,7 @@ class OnlineGrid(InCode, Immutable):
     def update(
         self, belief: OnlineGridBelief, readings: Mapping[Variable, Any]
     ) -> OnlineGridBelief:
-        """The belief given measurements of its step; a further update goes on from the first.
-
-        Parameters
-        ----------
-        belief : OnlineGridBelief
-        readings : mapping of Variable
-            For a sensor ``pgm.sightings(values, given=...)`` without steps, any number, or one
-            measurement (..., d); for inputs that the sensors need, values (..., d).
-
-        Returns
-        -------
-        OnlineGridBelief
+        """The belief given measurements of its step, as of `OnlineFilter.update`.
 
         Raises
         ------

@@ -46,15 +46,9 @@ class GridPosterior(Labelled, Viewed, Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
+    >>> from pgm.examples import walk, x, z
     >>> grid = pgm.Grid({"x": (-8.0, 8.0, 160)})
-    >>> posterior = pgm.smooth(model, {z: [[4.0]]}, belief=grid)
+    >>> posterior = pgm.smooth(walk, {z: [[4.0]]}, belief=grid)
     >>> posterior[x].mean.ravel().round(2)
     array([1., 2.])
     >>> posterior[x.at(1)].std.round(2)

@@ -90,7 +90,8 @@ class GridModel:
             blank = Shape(Dependence(lattice))
             shape = tested.sensors.setdefault(reading.cpd.child, blank)
             cpd = by_run(reading.cpd, bound.lead)
-            kind = GridSensor if isinstance(cpd, ConditionalGaussian) else DensitySensor
+            gaussian = isinstance(cpd, ConditionalGaussian) and cpd.noise is None
+            kind = GridSensor if gaussian else DensitySensor
             self.sensors.append(kind(lattice, replace(reading, cpd=cpd), shape))
         for sensor in self.sensors:
             sensor.require_covered()

@@ -113,15 +113,9 @@ class GridStatus(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
+    >>> from pgm.examples import walk, x, z
     >>> grid = pgm.Grid({"x": (-8.0, 8.0, 160)})
-    >>> status = pgm.filter(model, {z: [[4.0]]}, belief=grid).status
+    >>> status = pgm.filter(walk, {z: [[4.0]]}, belief=grid).status
     >>> bool(status.outside < 1e-6)
     True
     >>> round(status.narrowest.cells, 1), status.narrowest.component

@@ -33,6 +33,11 @@ def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
             f"{beliefs} take pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
             f"{schedule!r}"
         )
+    if schedule.gate is not None:
+        raise ModelError(
+            f"{schedule!r}: a gate is for Gaussian beliefs, whose innovations have a covariance; "
+            f"{beliefs} weigh measurements: leave it out"
+        )
     if schedule.iterations != 1 or schedule.damping:
         raise ModelError(
             f"{schedule!r}: {beliefs} need no linearising, so that there is nothing to "

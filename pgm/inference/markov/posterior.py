@@ -51,7 +51,6 @@ class StatePosterior(Posterior):
 
     Examples
     --------
-    >>> import pgm
     >>> x, z = (pgm.Discrete(name, ("no", "yes")) for name in "xz")
     >>> model = pgm.DynamicBayesianNetwork(
     ...     prior=[pgm.TableCPD(x, table=[0.5, 0.5])],

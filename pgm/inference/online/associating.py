@@ -11,6 +11,7 @@ from pgm.compile import DynamicGraph
 from pgm.evidence import BoundEvidence, Sightings, Unknown
 from pgm.inference.associations import Found
 from pgm.inference.chain.association import associated_at
+from pgm.inference.chain.gate import Asked
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.online import step_evidence
 from pgm.inference.online.beliefs import OnlineBelief, moments_of
@@ -33,13 +34,14 @@ def associated(
     lineariser: Lineariser,
     belief: OnlineBelief,
     readings: Mapping[Variable, Any],
+    gate: Asked | None,
 ) -> tuple[dict[Variable, Any], Found]:
     """Readings that leave nothing open, and what the sightings were taken for."""
     bound = step_evidence.readings(graph.model, belief, readings)
     everything = BoundEvidence(0, bound.lead, (), ())
     plan = ChainPlan.make(graph, everything, lineariser, first=belief.step, prior=False)
     known = moments_of(belief, plan)
-    closed, found = associated_at(graph, bound, lineariser, belief.step, known)
+    closed, found = associated_at(graph, bound, lineariser, belief.step, known, gate)
     result = dict(readings)
     for before, reading in zip(bound.readings, closed.readings, strict=True):
         if before.unknown is not None:

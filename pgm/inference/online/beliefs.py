@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from functools import cached_property
 from types import MappingProxyType
@@ -20,13 +21,16 @@ from pgm.inference.chain.careful_belief import Belief, over
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.kind import Kind
+from pgm.inference.lost import PageTest
+from pgm.inference.online.judged import Decided, Watch
 from pgm.inference.online.window import Sliding, Trail, is_like
 from pgm.inference.posterior import require_variable
+from pgm.inference.rejections import Rejections, RejectionsBySensor
 from pgm.inference.schedule import Filtering, FixedLag
 from pgm.inference.status import Status, digits
 from pgm.inference.summaries import at_a_step
 from pgm.kernels import gaussian
-from pgm.kernels.arrays import Array, block, symmetric
+from pgm.kernels.arrays import Array, Integers, Mask, block, symmetric
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
 
@@ -52,14 +56,8 @@ class OnlineBelief(Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> robot = pgm.OnlineFilter(model)
+    >>> from pgm.examples import walk, x, z
+    >>> robot = pgm.OnlineFilter(walk)
     >>> belief = robot.predict(robot.initial())
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x]
@@ -81,6 +79,8 @@ class OnlineBelief(Shown, NoArray, Immutable):
     careful: Belief | None
     behind: Trail | Sliding | None
     associations: Found = NONE
+    _gated: tuple[Decided, ...] = ()
+    watch: Watch | None = None
 
     _arrays: ClassVar[str] = ".mean and .cov by variable, belief[x].mean"
 
@@ -143,6 +143,46 @@ class OnlineBelief(Shown, NoArray, Immutable):
         found._set(associations=MappingProxyType(dict(associations)))
         return found
 
+    def judged(self, gated: tuple[Decided, ...], watch: Watch | None) -> OnlineBelief:
+        """The same belief, with what gates decided at its last update, and whether it is lost."""
+        self.__dict__.update(_gated=gated, watch=watch)  # which nobody else has seen yet
+        return self
+
+    @property
+    def rejected(self) -> Mapping[Variable, Rejections]:
+        """The decisions of the gates at the last update, by sensor."""
+        return RejectionsBySensor(
+            (variable, Rejections.of(record, np.full(len(order), self.step), order, self.lead))
+            for variable, record, order in self._gated
+        )
+
+    @property
+    def lost(self) -> Mask:
+        """Whether the belief is probably wrong, (*runs), by a filter made with ``watch=True``.
+
+        Raises
+        ------
+        EvidenceError
+            If the filter does not watch.
+        """
+        return self._watched.lost.reshape(self.lead)
+
+    @property
+    def lost_since(self) -> Integers:
+        """The step at which that probably began, (*runs); −1 where it is not lost."""
+        found = self._watched
+        return np.where(found.lost, found.first, -1).reshape(self.lead)
+
+    @property
+    def _watched(self) -> PageTest:
+        if self.watch is None:
+            raise EvidenceError(
+                f"{self._title} was not watched, whether it is lost: make the filter with "
+                "OnlineFilter(model, watch=True)",
+                step=self.step,
+            )
+        return self.watch.test(self.step)
+
     @cached_property
     def lagged(self) -> OnlineBelief:
         """The belief at the step a lag before, given all measurements so far; at step 0 until then.
@@ -178,7 +218,12 @@ class OnlineBelief(Shown, NoArray, Immutable):
 
     def _summary(self) -> Summary:
         known = self.layout.slice if self.step else self.layout.states
-        return at_a_step(self._title, self, known, self.lead)
+        found = at_a_step(self._title, self, known, self.lead)
+        told = [f"{v!r}: {those._title}" for v, those in self.rejected.items()]
+        if self.watch is not None and self.lost.any():
+            since = self.lost_since[self.lost].min()
+            told.append(f"lost since step {since}, {int(self.lost.sum())} of {self.lost.size} runs")
+        return Summary(found.title, [*told, *found.parts]) if told else found
 
 
 def belief_of(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Self, overload
 
 import numpy as np
@@ -15,9 +15,11 @@ from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
 from pgm.inference.chain import careful
 from pgm.inference.chain.cost import require_cost
+from pgm.inference.chain.gate import prepare as prepare_gates
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
+from pgm.inference.gates import Gate
 from pgm.inference.grid.online import OnlineGrid
 from pgm.inference.grid.value import Grid
 from pgm.inference.kind import FILTERED, PREDICTED
@@ -36,15 +38,16 @@ from pgm.inference.online.beliefs import (
     refuse,
     require_own,
 )
-from pgm.inference.online.settings import require_settings
+from pgm.inference.online.judged import Watch, of_update, of_window
+from pgm.inference.online.settings import require_neither, require_settings
+from pgm.inference.online.slid import slid
 from pgm.inference.online.step_evidence import Layouts
 from pgm.inference.online.window import Passed, Sliding, Trail, look_again, trailing
 from pgm.inference.particles.online import OnlineParticles
 from pgm.inference.particles.value import Particles
 from pgm.inference.points import PointMasses, online_points
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
-from pgm.inference.status import Status, digits
-from pgm.kernels.arrays import Array
+from pgm.inference.status import Status
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -59,8 +62,7 @@ _quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 class OnlineFilter(InCode, Immutable):
     """A filter for one step at a time; immutable, and so are its beliefs.
 
-    Beliefs belong to the filter's own model: to go on from one in another process, pickle the two
-    together.
+    Beliefs belong to the filter's own model: pickle the two together.
 
     Parameters
     ----------
@@ -75,6 +77,10 @@ class OnlineFilter(InCode, Immutable):
         measurements of the step together, as `infer` does on recorded ones.
     lag : int, optional
         In place of a schedule, as ``schedule=FixedLag(lag)``.
+    gate : float or mapping of Variable to float, optional
+        That of the schedule, where none is given; see ``belief.rejected[z]``.
+    watch : bool
+        Whether ``belief.lost`` is to tell if a belief is probably wrong, as `Lost` does.
     belief : Grid or Particles, optional
         Beliefs are then point masses: the filter is an `OnlineGrid` or `OnlineParticles`, with the
         same methods, and takes neither lineariser nor schedule, of which it has no use.
@@ -82,18 +88,12 @@ class OnlineFilter(InCode, Immutable):
     Raises
     ------
     ModelError
-        If one is of a wrong kind, a schedule and a lag are given, or a prior is improper.
+        If one is of a wrong kind, two of them exclude each other, or a prior is improper.
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> robot = pgm.OnlineFilter(model)
+    >>> from pgm.examples import walk, x, z
+    >>> robot = pgm.OnlineFilter(walk)
     >>> belief = robot.predict(robot.initial())
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x].mean, belief[x].cov
@@ -103,6 +103,7 @@ class OnlineFilter(InCode, Immutable):
     model: DynamicBayesianNetwork
     lineariser: Lineariser
     schedule: Filtering | FixedLag
+    watch: bool
 
     @overload
     def __new__(
@@ -112,6 +113,8 @@ class OnlineFilter(InCode, Immutable):
         schedule: Filtering | FixedLag | None = None,
         lag: int | None = None,
         *,
+        gate: Gate = None,
+        watch: bool = False,
         belief: None = None,
     ) -> Self: ...
     @overload
@@ -126,16 +129,22 @@ class OnlineFilter(InCode, Immutable):
         schedule: Any = None,
         lag: int | None = None,
         *,
+        gate: Gate = None,
+        watch: bool = False,
         belief: PointMasses | None = None,
     ) -> Any:
         """The filter itself; of point masses, or of tables, one of its own kind."""
+        discrete = isinstance(model, DynamicBayesianNetwork) and model.discrete
+        if belief is not None or discrete:
+            own = getattr(schedule, "gate", None)
+            require_neither(own if gate is None else gate, watch)
         if belief is not None:
             return online_points(belief, model, lineariser, schedule, lag)
-        if isinstance(model, DynamicBayesianNetwork) and model.discrete:
+        if discrete:
             return online_tables(model, lineariser, schedule, lag)
-        schedule = require_settings(model, lineariser, schedule, lag)
+        schedule = require_settings(model, lineariser, schedule, lag, gate)
         found = object.__new__(cls)
-        found._set(model=model, lineariser=lineariser, schedule=schedule)
+        found._set(model=model, lineariser=lineariser, schedule=schedule, watch=watch is True)
         return found
 
     @cached_property
@@ -147,7 +156,7 @@ class OnlineFilter(InCode, Immutable):
         """The schedule of a step's measurements, where its window is not linearised."""
         schedule = self.schedule
         if isinstance(schedule, FixedLag):
-            return ONCE if schedule.lag else schedule.filtering
+            return schedule.first if schedule.lag else schedule.filtering
         return schedule
 
     @cached_property
@@ -158,12 +167,7 @@ class OnlineFilter(InCode, Immutable):
             return None
         if not schedule.lag or schedule.iterations == 1:
             return Trail(schedule.lag)
-        inputs = self.model.inputs
-        motion = tuple(
-            {v: np.zeros((0, 1, v.dimension)) for v in cpd.parents if v in inputs}
-            for cpd in self.model.transition
-        )
-        return Sliding.first(schedule, self.model.lead, motion)
+        return Sliding.first(schedule, self.model)
 
     @cached_property
     def _motions(self) -> Layouts:
@@ -177,7 +181,8 @@ class OnlineFilter(InCode, Immutable):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # What was prepared is not part of the value.
-        return OnlineFilter, (self.model, self.lineariser, self.schedule)
+        made = partial(OnlineFilter, watch=self.watch)
+        return made, (self.model, self.lineariser, self.schedule)
 
     def __repr__(self) -> str:
         states = [cpd.child for cpd in self.model.prior]
@@ -186,9 +191,13 @@ class OnlineFilter(InCode, Immutable):
     @_quiet
     def initial(self) -> OnlineBelief:
         """The prior, at step 0; runs are those of the model."""
+        found = self._prior()
+        return found if not self.watch else found.judged((), Watch.start(found.lead))
+
+    def _prior(self) -> OnlineBelief:
         lead = self.model.lead
         if isinstance(self._behind, Sliding):
-            return self._slid(0, self._behind, np.zeros(lead))
+            return slid(self._windows, 0, self._behind, np.zeros(lead))
         plan = self._plan(BoundEvidence(0, lead, (), ()), 0, prior=True)
         found = MomentChain(plan, ONCE, keep=False).start()
         log_evidence, status = np.zeros(lead), nothing_to_iterate(lead)
@@ -222,6 +231,10 @@ class OnlineFilter(InCode, Immutable):
         LinearisationError, NumericalError
             If a number that is needed does not exist.
         """
+        later = self._later(belief, inputs)
+        return later if belief.watch is None else later.judged((), belief.watch.on(belief.step))
+
+    def _later(self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None) -> OnlineBelief:
         require_own(belief, self.model, self.schedule, self._behind)
         if type(inputs) is not dict:
             given = {} if inputs is None else inputs
@@ -230,7 +243,9 @@ class OnlineFilter(InCode, Immutable):
         if isinstance(behind, Sliding):
             bound = step_evidence.inputs(self.model, belief, inputs)
             behind = behind.on(self._windows, bound.transition, bound.lead)
-            return self._slid(step, behind, np.broadcast_to(belief.log_evidence, bound.lead))
+            return slid(
+                self._windows, step, behind, np.broadcast_to(belief.log_evidence, bound.lead)
+            )
         if is_plain(belief):
             ordinary = self._predicted(belief, inputs)
             if ordinary is not None:
@@ -306,25 +321,28 @@ class OnlineFilter(InCode, Immutable):
         if type(readings) is not dict:
             readings = step_evidence.mapping(readings, "update", "sensors to measurements")
         if leaves_open(readings):
-            closed, seen = associated(self._graph, self.lineariser, belief, readings)
+            gate = self.schedule.gate
+            closed, seen = associated(self._graph, self.lineariser, belief, readings, gate)
             return self.update(belief, closed).told(seen)
         behind = belief.behind
         if isinstance(behind, Sliding):
             bound = step_evidence.readings(self.model, belief, readings)
             behind = behind.read(self._windows, bound.readings, bound.lead)
-            return self._slid(belief.step, behind, belief.log_evidence)
+            made = slid(self._windows, belief.step, behind, belief.log_evidence)
+            return made.judged(*of_window(belief.watch, behind.settled(self._windows)))
         if is_plain(belief):
             ordinary = self._updated(belief, readings)
             if ordinary is not None:
                 return ordinary
         plan = self._seen(belief, readings)
         known = in_digits(belief, plan)
-        found, taken = careful.update(plan, belief.step, known, self._filtering)
+        found, taken, parts = careful.update(plan, belief.step, known, self._filtering)
         log_density = taken.solution.log_density.reshape(plan.lead)
         log_evidence = np.asarray(belief.log_evidence + log_density)
         status = Status.of(taken.residuals, taken.converged, plan.lead)
         behind = None if behind is None else behind._replace(imprecise=True)
-        return careful_belief(plan, belief.step, found, log_evidence, status, FILTERED, behind)
+        made = careful_belief(plan, belief.step, found, log_evidence, status, FILTERED, behind)
+        return made.judged(*of_update(belief.watch, parts, Moments.of(plan, *known.moments)))
 
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
@@ -337,13 +355,10 @@ class OnlineFilter(InCode, Immutable):
         else:
             chain, parts = laid
         plan, known = chain.plan, moments_of(belief, chain.plan)
-        log_density: Array | float = 0.0
-        found = known
-        if parts:
-            try:
-                found, log_density = chain.taken(parts, belief.step, known)
-            except NumericalError:
-                return None  # with twice the digits there may be an answer; if not, it is refused
+        try:
+            found, log_density = chain.taken(parts, belief.step, known) if parts else (known, 0.0)
+        except NumericalError:
+            return None  # with twice the digits there may be an answer; if not, it is refused
         if not is_moderate(found, known):
             return None
         if belief.lead or plan.lead:
@@ -352,11 +367,13 @@ class OnlineFilter(InCode, Immutable):
             )
         else:
             log_evidence = np.array(belief.log_evidence.item() + float(log_density))
-        if chain.residuals or plan.lead:
+        if chain.residuals or plan.lead or plan.robust:
             status = Status.of(chain.residuals, chain.converged, plan.lead)
         else:
             status = _DONE if plan.linear else _LINEARISED
-        return belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
+        made = belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
+        judges = chain.gate is not None or belief.watch is not None
+        return made.judged(*of_update(belief.watch, parts, known)) if judges else made
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of an update, its measurements checked."""
@@ -364,30 +381,12 @@ class OnlineFilter(InCode, Immutable):
         require_cost(self._filtering, (sensor.family for sensor in plan.sensors))
         return plan
 
-    def _slid(self, step: int, behind: Sliding, log_evidence: Array) -> OnlineBelief:
-        """The belief at the newest step of a window, or before anything was read there."""
-        lead, window = behind.lead, behind.window
-        if window is None:
-            alone = behind.ahead(self._windows, step)
-            mean, cov, error = alone.ahead.mean[-1], alone.ahead.cov[-1], alone.error
-            status, kind, plan = nothing_to_iterate(lead), PREDICTED, alone.plan
-        else:
-            mean, cov, plan = window.beliefs.mean[-1], window.beliefs.cov[-1], window.plan
-            error = None if window.careful is None else window.careful.error
-            status, kind = Status.of(window.residuals, window.converged, lead), FILTERED
-            log_evidence = behind.log_evidence.reshape(lead)
-        if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
-            refuse(step)
-        if error is not None:
-            status = status.with_digits(digits(error, lead))
-        found = Moments.of(plan, mean, cov)
-        return belief_of(plan, step, found, log_evidence, status, kind, behind)
-
     def _windows(self, bound: BoundEvidence, first: int, prior: bool) -> ChainPlan:
         """The plan of a window."""
         plan = self._plan(bound, first, prior=prior)
         assert isinstance(self.schedule, FixedLag)
         require_cost(self.schedule.smoothing, plan.families)
+        prepare_gates(plan, self.schedule.gate)
         return plan
 
     def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:

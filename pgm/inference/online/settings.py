@@ -6,13 +6,25 @@ from typing import Any
 
 from pgm.display import titled
 from pgm.errors import ModelError
-from pgm.inference.checks import require_gaussian, require_lineariser
+from pgm.inference.chain.gate import require_sensors
+from pgm.inference.checks import require_gaussian, require_lineariser, require_plain
+from pgm.inference.gates import Gate
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.networks import DynamicBayesianNetwork
 
 
+def require_neither(gate: object, watch: object) -> None:
+    """Refuse what beliefs that are no Gaussians have no use of."""
+    for name, value in (("gate", gate), ("watch", watch or None)):
+        if value is not None:
+            raise ModelError(
+                f"{name}= is for beliefs that are Gaussian, whose innovations have a covariance: "
+                "leave it out"
+            )
+
+
 def require_settings(
-    model: Any, lineariser: Any, schedule: Any, lag: int | None
+    model: Any, lineariser: Any, schedule: Any, lag: int | None, gate: Gate = None
 ) -> Filtering | FixedLag:
     """The schedule of a filter, whose settings are refused if they are none, or do not fit."""
     if not isinstance(model, DynamicBayesianNetwork):
@@ -23,13 +35,21 @@ def require_settings(
             f"lag={lag!r} beside {schedule!r}: an online filter takes one of them; a FixedLag "
             "has iterations of its own"
         )
-    if schedule is None:
-        schedule = ONCE if lag is None else FixedLag(lag)
+    if gate is not None and schedule is not None:
+        raise ModelError(
+            f"gate={gate!r} beside {schedule!r}, which has a gate of its own: give one of them"
+        )
+    if schedule is None and lag is None:
+        schedule = ONCE if gate is None else Filtering(gate=gate)
+    elif lag is not None:
+        schedule = FixedLag(lag, gate=gate)
     if not isinstance(schedule, Filtering | FixedLag):
         raise ModelError(
             f"an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not {schedule!r}"
         )
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
+    require_plain(model.transition)
+    require_sensors(model, schedule.gate)
     for cpd in model.prior:
         cpd.require_proper("an online filter begins at a belief, which has moments")
     return schedule

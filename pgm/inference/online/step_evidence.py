@@ -304,7 +304,7 @@ class Layouts:
                 Reading(sensor, at, reading if local.sightings == 1 else reading.reshape(-1), None)
             )
         chain = layout.chain
-        if chain.iterates:  # and tells how that went
+        if chain.iterates or layout.plan.robust:  # and tells how that went
             chain = MomentChain(layout.plan, self._schedule, keep=False)
         return chain, parts
 

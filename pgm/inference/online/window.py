@@ -29,6 +29,7 @@ from pgm.inference.schedule import ONCE, FixedLag
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Kind
 from pgm.kernels.moments import Conditional
+from pgm.networks import DynamicBayesianNetwork
 
 # Lays out the evidence of steps, the first of which has this number, with the prior or without.
 Make = Callable[[BoundEvidence, int, bool], ChainPlan]
@@ -76,11 +77,13 @@ class Sliding:
     left: Array
 
     @classmethod
-    def first(
-        cls, schedule: FixedLag, lead: tuple[int, ...], motion: tuple[Inputs, ...]
-    ) -> Sliding:
+    def first(cls, schedule: FixedLag, model: DynamicBayesianNetwork) -> Sliding:
         """At step 0, where the transition has no rows."""
-        return cls(schedule, lead, (Entry(motion),), None, None, np.zeros(1))
+        motion = tuple(
+            {v: np.zeros((0, 1, v.dimension)) for v in cpd.parents if v in model.inputs}
+            for cpd in model.transition
+        )
+        return cls(schedule, model.lead, (Entry(motion),), None, None, np.zeros(1))
 
     def on(self, make: Make, motion: tuple[Inputs, ...], lead: tuple[int, ...]) -> Sliding:
         """A step later, of which nothing has been read."""
@@ -152,7 +155,8 @@ class Sliding:
         plan = make(evidence, first, begin is None)
         if part is not None:
             plan.put(0, part)
-        plan.put(max(plan.steps - 1, 0), filter_step(plan, plan.steps, self._newest).plan)
+        alone = filter_step(plan, plan.steps, self._newest, self.schedule.first)
+        plan.put(max(plan.steps - 1, 0), alone.plan)
         return plan, begin
 
 

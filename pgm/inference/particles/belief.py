@@ -47,14 +47,8 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> belief = pgm.filter(model, {z: [[4.0]]}, belief=pgm.Particles(10_000, seed=0))[x][1]
+    >>> from pgm.examples import walk, x, z
+    >>> belief = pgm.filter(walk, {z: [[4.0]]}, belief=pgm.Particles(10_000, seed=0))[x][1]
     >>> belief.mean.round(1), belief.std.round(1)
     (array([2.]), array([1.]))
     >>> belief.states.shape, belief.sample(5, rng=0).shape

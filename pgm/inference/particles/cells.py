@@ -64,7 +64,6 @@ class CellProposal(InCode, Immutable):
 
     Examples
     --------
-    >>> import numpy as np
     >>> pose = Variable("pose", components=("east", "north"))
     >>> CellProposal(pose, [[0.5, 0.5], [1.5, 0.5], [2.5, 0.5]], widths=[1, 1])
     CellProposal(pose, 3 cells of east 1, north 1)

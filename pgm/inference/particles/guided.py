@@ -27,7 +27,7 @@ from pgm.evidence import BoundEvidence, Reading
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
-from pgm.inference.checks import require_gaussian
+from pgm.inference.checks import require_gaussian, require_plain
 from pgm.inference.particles.laws import Drawing, Some, States
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.schedule import Filtering
@@ -157,6 +157,7 @@ class Steered(Drawing):
 def require_guidable(model: DynamicBayesianNetwork) -> None:
     """Refuse a network whose transition no Gaussian proposal can be made of."""
     require_gaussian(model.transition, "proposals of a lineariser")
+    require_plain(model.transition)
     every: Sequence[CPD] = (*model.transition, *model.observation)
     for cpd in every:
         if isinstance(cpd, GaussianCPD) and cpd._lead():

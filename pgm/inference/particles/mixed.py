@@ -11,6 +11,7 @@ import numpy as np
 from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD
 from pgm.cpds.mixture import chosen, log_mixed
 from pgm.errors import ModelError
+from pgm.inference.checks import require_density
 from pgm.inference.particles.laws import Drawing, GaussianLaw, Law, Some, States
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
@@ -77,7 +78,8 @@ def law(
     """The law of a CPD: by its Gaussian noise, its parts, or its own sampler and density."""
     rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
     about = rows, places, dtype, first_run
-    if isinstance(cpd, ConditionalGaussian):
+    require_density([cpd] if isinstance(cpd, ConditionalGaussian) else [], "particles")
+    if isinstance(cpd, ConditionalGaussian) and cpd.noise is None:
         return GaussianLaw(cpd, *about)
     if isinstance(cpd, MixtureCPD):
         return MixtureLaw(cpd, *about, tuple(law(part, *about) for part in cpd.parts))

@@ -52,20 +52,10 @@ class OnlineParticleBelief(Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> robot = pgm.OnlineFilter(model, belief=pgm.Particles(10_000, seed=0))
-    >>> belief = robot.predict(robot.initial())
-    >>> belief = robot.update(belief, {z: [4.0]})
-    >>> belief[x].std.round(1)
-    array([1.])
-    >>> belief.step, str(belief.kind)
-    (1, 'filtered')
+    >>> from pgm.examples import walk, x
+    >>> belief = pgm.OnlineFilter(walk, belief=pgm.Particles(10_000, seed=0)).initial()
+    >>> belief[x].std.round(1), str(belief.kind)
+    (array([1.]), 'predicted')
     """
 
     step: int
@@ -167,14 +157,8 @@ class OnlineParticles(InCode, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> robot = pgm.OnlineFilter(model, belief=pgm.Particles(10_000, seed=0))
+    >>> from pgm.examples import walk, x, z
+    >>> robot = pgm.OnlineFilter(walk, belief=pgm.Particles(10_000, seed=0))
     >>> belief = robot.predict(robot.initial())
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x].mean.round(1)
@@ -194,12 +178,7 @@ class OnlineParticles(InCode, Immutable):
         return f"OnlineFilter(over {list(self.model.states)}, belief={self.belief!r})"
 
     def initial(self) -> OnlineParticleBelief:
-        """The prior, at step 0; runs are those of the model.
-
-        Returns
-        -------
-        OnlineParticleBelief
-        """
+        """The prior, at step 0; runs are those of the model."""
         bound = BoundEvidence(0, self.model.lead, (), ())
         chain, record = self._chain(bound, 0)
         cloud = chain.start()
@@ -209,24 +188,12 @@ class OnlineParticles(InCode, Immutable):
     def predict(
         self, belief: OnlineParticleBelief, inputs: Mapping[Variable, Any] | None = None
     ) -> OnlineParticleBelief:
-        """The belief one step later.
-
-        Parameters
-        ----------
-        belief : OnlineParticleBelief
-        inputs : mapping of Variable to array_like
-            Values (..., d) of the transition's inputs.
-
-        Returns
-        -------
-        OnlineParticleBelief
+        """The belief one step later, as of `OnlineFilter.predict`.
 
         Raises
         ------
-        EvidenceError
-            If an input is missing or of a wrong shape, or something is no input.
-        ModelError
-            If the belief is not this filter's, or a function returns a wrong shape.
+        EvidenceError, ModelError
+            As there.
         LinearisationError, NumericalError
             If a function has no value at a particle.
         """
@@ -243,18 +210,7 @@ class OnlineParticles(InCode, Immutable):
     def update(
         self, belief: OnlineParticleBelief, readings: Mapping[Variable, Any]
     ) -> OnlineParticleBelief:
-        """The belief given measurements of its step; a further update goes on from the first.
-
-        Parameters
-        ----------
-        belief : OnlineParticleBelief
-        readings : mapping of Variable
-            For a sensor ``pgm.sightings(values, given=...)`` without steps, any number, or one
-            measurement (..., d); for inputs that the sensors need, values (..., d).
-
-        Returns
-        -------
-        OnlineParticleBelief
+        """The belief given measurements of its step, as of `OnlineFilter.update`.
 
         Raises
         ------

@@ -50,14 +50,8 @@ class ParticlePosterior(Labelled, Viewed, Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> posterior = pgm.filter(model, {z: [[4.0]]}, belief=pgm.Particles(10_000, seed=0))
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.filter(walk, {z: [[4.0]]}, belief=pgm.Particles(10_000, seed=0))
     >>> posterior.joint(x.at(1)).std.round(1)
     array([1.])
     >>> posterior[x].mean.ravel().round(1)

@@ -44,14 +44,8 @@ class ParticleStatus(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> status = pgm.filter(model, {z: [[4.0]]}, belief=pgm.Particles(10_000, seed=0)).status
+    >>> from pgm.examples import walk, z
+    >>> status = pgm.filter(walk, {z: [[4.0]]}, belief=pgm.Particles(10_000, seed=0)).status
     >>> status.number
     array([10000, 10000])
     >>> bool((status.effective > 1000).all())

@@ -13,6 +13,7 @@ from pgm.evidence import BoundEvidence
 from pgm.inference.chain.backward import Beliefs, Reverse
 from pgm.inference.chain.fixed_lag import Windows
 from pgm.inference.chain.forward import Filtered, Forward
+from pgm.inference.chain.gate_record import GateRecord
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.posterior import ChainPosterior
 from pgm.inference.chain.sensor import Sensor
@@ -99,10 +100,9 @@ def _digits(status: Status) -> Array:
 
 
 def _family(whole: Family, parts: list[Family]) -> None:
-    if whole.exact:
-        return
-    whole.matrix = np.concatenate([part.matrix for part in parts], axis=1)
-    whole.offset = np.concatenate([part.offset for part in parts], axis=1)
+    if not whole.exact:
+        whole.matrix = np.concatenate([part.matrix for part in parts], axis=1)
+        whole.offset = np.concatenate([part.offset for part in parts], axis=1)
     whole.approximate = any(part.approximate for part in parts)
     if whole.approximate:
         whole.noise = np.concatenate([part.noise for part in parts], axis=1)
@@ -110,6 +110,15 @@ def _family(whole: Family, parts: list[Family]) -> None:
 
 def _sensor(whole: Sensor, parts: list[Sensor]) -> None:
     whole.moved = np.concatenate([part.moved for part in parts], axis=1)
+    if whole.robust:
+        for name in ("weight", "square"):
+            joined = [getattr(part.weights, name) for part in parts]
+            setattr(whole.weights, name, np.concatenate(joined, axis=1))
+    records = [part.gated for part in parts if part.gated is not None]
+    if records:
+        taken = [part.taken for part in parts if part.taken is not None]
+        whole.taken = np.concatenate(taken, axis=1)
+        whole.gated = GateRecord.joined(records)
     for step in {step for part in parts for step in part.cross}:
         some = next(part.cross[step] for part in parts if step in part.cross)
 

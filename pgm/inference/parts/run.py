@@ -65,7 +65,8 @@ def run(
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     if is_open(bound):
-        bound, found = associated(graph, bound, lineariser)
+        gate = getattr(schedule, "gate", None)
+        bound, found = associated(graph, bound, lineariser, gate)
         posterior = run(graph, bound, schedule, lineariser, start, keep, executor)
         return replace(posterior, associations=found)
     kept = None if keep is None else _hidden(graph.layout, keep)
@@ -211,6 +212,8 @@ class Share:
             isinstance(schedule, Filtering | Calibration) and schedule.iterations == 1
         )
         plain = start is None and not isinstance(graph, BalancedGraph)
+        # What gates have decided is in all of it.
+        plain = plain and getattr(schedule, "gate", None) is None
         return cls(kept, kept is None and once and plain, not isinstance(schedule, Filtering))
 
     def shapes(self, graph: DynamicGraph, bound: BoundEvidence) -> list[Shape]:

@@ -90,14 +90,9 @@ def query(
 
     Examples
     --------
-    >>> from pgm import BayesianNetwork, Discrete, TableCPD
-    >>> rain, wet = (Discrete(name, ("no", "yes")) for name in ("rain", "wet"))
-    >>> net = BayesianNetwork([
-    ...     TableCPD(rain, table=[0.8, 0.2]),
-    ...     TableCPD(wet, given=rain, table=[[0.9, 0.1], [0.3, 0.7]]),
-    ... ])
-    >>> query(net, rain, {wet: "yes"})
-    Table(rain: no 0.364, yes 0.636)
+    >>> from pgm.examples import rain, rainy, wet
+    >>> query(rainy, rain, {wet: "yes"})
+    Table(rain: no 0.25, yes 0.75)
     """
     asked, graph = _discrete(network)
     if not isinstance(evidence, Mapping):

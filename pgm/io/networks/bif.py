@@ -56,7 +56,6 @@ def read_bif(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     Examples
     --------
     >>> import io
-    >>> import pgm
     >>> file = io.StringIO(
     ...     "variable side { type discrete [2] { heads, tails }; }"
     ...     "probability (side) { table 0.25, 0.75; }"

@@ -37,9 +37,7 @@ def from_pgmpy(network: Any) -> BayesianNetwork:
     --------
     The last two lines need pgmpy.
 
-    >>> import pgm
-    >>> side = pgm.Discrete("side", ("heads", "tails"))
-    >>> coin = pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])])
+    >>> from pgm.examples import coin
     >>> theirs = pgm.to_pgmpy(coin)  # doctest: +SKIP
     >>> pgm.from_pgmpy(theirs).cpds[0].table  # doctest: +SKIP
     array([0.25, 0.75])
@@ -94,9 +92,7 @@ def to_pgmpy(network: BayesianNetwork) -> Any:
     --------
     The last line needs pgmpy.
 
-    >>> import pgm
-    >>> side = pgm.Discrete("side", ("heads", "tails"))
-    >>> coin = pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])])
+    >>> from pgm.examples import coin
     >>> pgm.to_pgmpy(coin).get_cpds("side").values  # doctest: +SKIP
     array([0.25, 0.75])
     """

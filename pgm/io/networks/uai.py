@@ -33,11 +33,7 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
 
     Parameters
     ----------
-    source : str, Path or open file
-        A path, or a file opened as text or as bytes; gzipped or not.
-    normalise : bool, optional
-        As of `read_bif`.
-    limit : int, optional
+    source, normalise, limit
         As of `read_bif`.
 
     Returns
@@ -48,17 +44,14 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
 
     Raises
     ------
-    FileError
-        If the file is no such network; the message names the line, what was found, what to do.
-    OSError
-        If the file cannot be opened.
+    FileError, OSError
+        As of `read_bif`.
 
     Examples
     --------
     Two variables of two states, with the tables p(0) and p(1 | 0):
 
     >>> import io
-    >>> import pgm
     >>> file = io.StringIO("BAYES 2  2 2  2  1 0  2 0 1  2 0.25 0.75  4 0.5 0.5 0.1 0.9")
     >>> network = pgm.read_uai(file)
     >>> network.cpds[1].table
@@ -149,7 +142,6 @@ def read_uai_evidence(
     Examples
     --------
     >>> import io
-    >>> import pgm
     >>> network = pgm.read_uai(io.StringIO("BAYES 1  2  1  1 0  2 0.25 0.75"))
     >>> pgm.read_uai_evidence(io.StringIO("1  0 1"), network)
     {0: 1}

@@ -80,10 +80,9 @@ def write_bif(network: BayesianNetwork, target: Source) -> None:
     Examples
     --------
     >>> import io
-    >>> import pgm
-    >>> side = pgm.Discrete("side", ("heads", "tails"))
+    >>> from pgm.examples import coin
     >>> file = io.StringIO()
-    >>> pgm.write_bif(pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])]), file)
+    >>> pgm.write_bif(coin, file)
     >>> print(file.getvalue())
     network unknown {
     }
@@ -147,11 +146,9 @@ def write_xmlbif(network: BayesianNetwork, target: Source) -> None:
     Examples
     --------
     >>> import tempfile
-    >>> import pgm
-    >>> side = pgm.Discrete("side", ("heads", "tails"))
-    >>> network = pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])])
+    >>> from pgm.examples import coin
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     pgm.write_xmlbif(network, f"{folder}/coin.xml")
+    ...     pgm.write_xmlbif(coin, f"{folder}/coin.xml")
     ...     pgm.read_xmlbif(f"{folder}/coin.xml").variables
     (side,)
     """

@@ -37,33 +37,25 @@ def read_xmlbif(source: Source, *, normalise: bool = False, limit: int = LIMIT) 
 
     Parameters
     ----------
-    source : str, Path or open file
-        A path, or a file opened as text or as bytes; gzipped or not.
-    normalise : bool, optional
-        As of `read_bif`.
-    limit : int, optional
+    source, normalise, limit
         As of `read_bif`.
 
     Returns
     -------
     BayesianNetwork
-        Its variables are `Discrete`, and in the order of their declarations as far as parents
-        before children allow.
+        As of `read_bif`.
 
     Raises
     ------
-    FileError
-        If the file is no network; the message names the line, what was found, what to do.
-    OSError
-        If the file cannot be opened.
+    FileError, OSError
+        As of `read_bif`.
 
     Examples
     --------
     >>> import io
-    >>> import pgm
-    >>> side = pgm.Discrete("side", ("heads", "tails"))
+    >>> from pgm.examples import coin
     >>> file = io.StringIO()
-    >>> pgm.write_xmlbif(pgm.BayesianNetwork([pgm.TableCPD(side, table=[0.25, 0.75])]), file)
+    >>> pgm.write_xmlbif(coin, file)
     >>> pgm.read_xmlbif(io.StringIO(file.getvalue())).cpds[0].table
     array([0.25, 0.75])
 

@@ -16,6 +16,7 @@ from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Table
 from pgm.inference import GridBelief
+from pgm.plot.axes import Unit
 from pgm.plot.beliefs.cells import belief_map
 from pgm.plot.beliefs.chances import chances
 from pgm.plot.beliefs.grid_map import grid_map
@@ -28,6 +29,7 @@ def animate_beliefs(
     *,
     truth: npt.ArrayLike | None = None,
     landmarks: npt.ArrayLike | None = None,
+    unit: Unit = None,
     rate: float = 5.0,
     also: Callable[[Axes, int], None] | None = None,
     figsize: tuple[float, float] = (5.0, 5.2),
@@ -52,6 +54,8 @@ def animate_beliefs(
         of states, or (T+1, 2) of two variables.
     landmarks : array_like, optional
         (L, 2), in the two components drawn; of a grid alone.
+    unit : str or mapping of str, optional
+        As of `grid_map`; of a grid alone.
     rate : float
         Pictures a second.
     also : callable, optional
@@ -77,7 +81,6 @@ def animate_beliefs(
     Examples
     --------
     >>> import tempfile
-    >>> import pgm
     >>> row, column = (pgm.Discrete(name, states=("0", "1")) for name in ("row", "column"))
     >>> chances = [[[0.25, 0.25], [0.25, 0.25]], [[0.0, 0.5], [0.0, 0.5]]]
     >>> belief = pgm.Table((row, column), chances, lead=2)
@@ -86,9 +89,9 @@ def animate_beliefs(
     'drive.gif'
     """
     if isinstance(belief, Table):
-        steps, picture = _of_table(belief, truth, landmarks)
+        steps, picture = _of_table(belief, truth, landmarks, unit)
     else:
-        steps, picture = _of_grid(belief, truth, landmarks)
+        steps, picture = _of_grid(belief, truth, landmarks, unit)
     writer = movie_writer(path, rate)
     figure, ax = plt.subplots(figsize=figsize, layout="constrained")
 
@@ -107,7 +110,7 @@ def animate_beliefs(
 
 
 def _of_grid(
-    belief: Any, truth: npt.ArrayLike | None, landmarks: npt.ArrayLike | None
+    belief: Any, truth: npt.ArrayLike | None, landmarks: npt.ArrayLike | None, unit: Unit
 ) -> tuple[npt.NDArray[Any], Callable[..., Axes]]:
     """The steps of a belief on a grid, and the map of the k-th."""
     if not isinstance(belief, GridBelief):
@@ -124,20 +127,21 @@ def _of_grid(
 
     def picture(k: int, **style: Any) -> Axes:
         at = None if right is None else right[k].astype(float)
-        return grid_map(belief[k], truth=at, landmarks=landmarks, **style)
+        return grid_map(belief[k], truth=at, landmarks=landmarks, unit=unit, **style)
 
     return belief.steps, picture
 
 
 def _of_table(
-    belief: Table, truth: npt.ArrayLike | None, landmarks: npt.ArrayLike | None
+    belief: Table, truth: npt.ArrayLike | None, landmarks: npt.ArrayLike | None, unit: Unit
 ) -> tuple[npt.NDArray[Any], Callable[..., Axes]]:
     """The steps of a table over time, and the map of the k-th."""
     values = chances(belief, (1, 2), 1, "beliefs of one run over steps, like posterior[x]")
     if not len(values):
         raise ModelError("beliefs over no steps are no moving picture")
-    if landmarks is not None:
-        raise ModelError("landmarks stand in a grid; the cells of a table have no coordinates")
+    for name, given in (("landmarks", landmarks), ("unit", unit)):
+        if given is not None:
+            raise ModelError(f"{name}= is for a grid; the cells of a table have no coordinates")
     count = len(belief.scope)
     shape = (len(values),) if count == 1 else (len(values), count)
     right = _truth(truth, shape, "steps" if count == 1 else "steps and variables")

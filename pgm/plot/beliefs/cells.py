@@ -75,7 +75,6 @@ def belief_map(
 
     Examples
     --------
-    >>> import pgm
     >>> place = pgm.Discrete("place", states=("hall", "room"))
     >>> ax = pgm.plot.belief_map(pgm.Table(place, [0.25, 0.75]), places=[[0, 0], [0, 1]])
     >>> [text.get_text() for text in ax.texts]

@@ -62,14 +62,8 @@ def particles(
         How many are drawn at the most.
     truth : array_like, optional
         (n,), in the order of the belief's components; its place is marked by a cross.
-    landmarks : array_like, optional
-        (L, 2), in the two components drawn.
-    unit : str or mapping of str, optional
-        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    landmarks, unit, colour, ax
+        As of `trajectory`.
     **style
         Properties of `matplotlib.axes.Axes.scatter`, which win over the defaults.
 
@@ -85,14 +79,9 @@ def particles(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = (pgm.Variable(name, components=("east", "north")) for name in "xz")
-    >>> prior = [pgm.GaussianCPD(x, mean=[0.0, 0.0], cov=1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> posterior = pgm.filter(model, {z: [[1.0, 2.0]]}, belief=pgm.Particles(100, seed=1))
-    >>> ax = pgm.plot.particles(posterior[x.at(1)], landmarks=[[0.0, 3.0]])
+    >>> from pgm.examples import drive, p, q
+    >>> posterior = pgm.filter(drive, {q: [[1.0, 2.0]]}, belief=pgm.Particles(100, seed=1))
+    >>> ax = pgm.plot.particles(posterior[p.at(1)], landmarks=[[0.0, 3.0]])
     """
     if not isinstance(belief, ParticleBelief):
         raise ModelError(f"particles draws a belief of particles, not a {type(belief).__name__}")

@@ -58,12 +58,8 @@ def grid_map(
         How many along the longer side of the map at the most; 0 for none.
     truth : array_like, optional
         (n,), in the order of the belief's components; its place is marked by a cross.
-    landmarks : array_like, optional
-        (L, 2), in the two components drawn.
-    unit : str or mapping of str, optional
-        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    landmarks, unit, ax
+        As of `trajectory`.
     **style
         Properties of `matplotlib.axes.Axes.pcolormesh`, which win over the defaults.
 
@@ -79,15 +75,10 @@ def grid_map(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = (pgm.Variable(name, components=("east", "north")) for name in "xz")
-    >>> prior = [pgm.GaussianCPD(x, mean=[0.0, 0.0], cov=1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
+    >>> from pgm.examples import drive, p, q
     >>> cells = pgm.Grid({"east": (-5.0, 5.0, 20), "north": (-5.0, 5.0, 20)})
-    >>> posterior = pgm.filter(model, {z: [[1.0, 2.0]]}, belief=cells)
-    >>> ax = pgm.plot.grid_map(posterior[x.at(1)], landmarks=[[0.0, 3.0]])
+    >>> posterior = pgm.filter(drive, {q: [[1.0, 2.0]]}, belief=cells)
+    >>> ax = pgm.plot.grid_map(posterior[p.at(1)], landmarks=[[0.0, 3.0]])
     """
     if not isinstance(belief, GridBelief):
         raise ModelError(f"grid_map draws a belief on a grid, not a {type(belief).__name__}")

@@ -41,7 +41,6 @@ def occupancy_map(map: OccupancyMap, *, ax: Axes | None = None, **style: Any) ->
 
     Examples
     --------
-    >>> import pgm
     >>> room = pgm.maps.OccupancyMap([[1, 1, 1], [0, 0, 1]], resolution=0.5)
     >>> ax = pgm.plot.occupancy_map(room)
     >>> ax.get_xlabel()

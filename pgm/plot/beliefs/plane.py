@@ -59,14 +59,10 @@ def ellipses(
         c, the probability of the region, in (0, 1).
     components : pair of str, optional
         Which components, by name; the first two without.
-    unit : str or mapping of str, optional
-        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
-    label : str or Kind, optional
-        In the legend, which is drawn where there are two things or more to tell apart.
     colour : str, optional
         Of the outline, and faintly of the inside; the next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    unit, label, ax
+        As of `trajectory`.
     **style
         Properties of `matplotlib.collections.EllipseCollection`, which win over the defaults.
 
@@ -81,7 +77,6 @@ def ellipses(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x", components=("east", "north"))
     >>> belief = pgm.Gaussian(x, mean=[1.0, 2.0], cov=[[4.0, 1.0], [1.0, 2.0]])
     >>> ax = pgm.plot.ellipses(belief, confidence=0.95, unit="m")
@@ -153,7 +148,7 @@ def _name_ellipses(ax: Axes, drawn: EllipseCollection, label: str, dash: Any) ->
 def name_plane(ax: Axes, belief: Gaussian, pair: tuple[str, str], unit: Unit) -> None:
     """Label the axes with two components and their units."""
     angles = dict(zip(labels(belief.scope), belief.angles.tolist(), strict=True))
-    name_axes(ax, *(with_unit(one, unit_of(one, unit, angle=angles[one])) for one in pair))
+    name_axes(ax, *(with_unit(one, unit_of(one, unit, angles, angle=angles[one])) for one in pair))
 
 
 def trajectory(
@@ -213,7 +208,6 @@ def trajectory(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x", components=("east", "north"))
     >>> path = [[0.0, 0.0], [1.0, 0.5], [2.0, 0.5]]
     >>> belief = pgm.Gaussian(x, mean=path, cov=0.04, steps=[0, 1, 2])

@@ -30,12 +30,15 @@ class Plane(NamedTuple):
         Whether the axes are the other way round than headings are counted.
     angles : tuple of str
         All components that are angles.
+    known : tuple of str
+        All components.
     """
 
     pair: tuple[str, str]
     heading: str | None
     mirrored: bool
     angles: tuple[str, ...]
+    known: tuple[str, ...]
 
 
 def plane_of(
@@ -66,7 +69,7 @@ def plane_of(
     if heading is not None and (heading not in belief.angles or heading in pair):
         raise ModelError(f"heading={heading!r} is no angle of {titled(belief)} beside {pair}")
     mirrored = belief.components.index(pair[0]) > belief.components.index(pair[1])
-    return Plane((pair[0], pair[1]), heading, mirrored, belief.angles)
+    return Plane((pair[0], pair[1]), heading, mirrored, belief.angles, belief.components)
 
 
 def as_truth(
@@ -110,7 +113,7 @@ def finish(
         draw_landmarks(ax, landmarks)
     if truth is not None:
         ax.plot(*truth, "x", color=INK, markersize=8, markeredgewidth=1.8, label="truth")
-    units = (unit_of(one, unit, angle=one in plane.angles) for one in plane.pair)
+    units = (unit_of(one, unit, plane.known, angle=one in plane.angles) for one in plane.pair)
     name_axes(ax, *(with_unit(one, of) for one, of in zip(plane.pair, units, strict=True)))
     equal_aspect(ax)
     return ax

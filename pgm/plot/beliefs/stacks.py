@@ -58,10 +58,8 @@ def beliefs_over_time(
         Whether the belief is filled, or an outline; the first of the axes is filled without.
     label : str or Kind, optional
         In the legend, above the axes.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    colour, ax
+        As of `trajectory`.
 
     Returns
     -------
@@ -76,7 +74,6 @@ def beliefs_over_time(
 
     Examples
     --------
-    >>> import pgm
     >>> rain = pgm.Discrete("rain", states=("no", "yes"))
     >>> belief = pgm.Table(rain, [[0.5, 0.5], [0.2, 0.8], [0.1, 0.9]], lead=3)
     >>> ax = pgm.plot.beliefs_over_time(belief, label="filtered", truth=["no", "yes", "yes"])

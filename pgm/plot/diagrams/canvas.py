@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
@@ -63,11 +64,15 @@ def _written(text: str) -> str:
 def text_size(text: str) -> Size:
     """The width and height of a text of some lines at the size `FONT`."""
     lines = _written(text).split("\n")
+    fonts = *plt.rcParams["font.family"], *plt.rcParams["font.sans-serif"]
+    return Size(max(_width(line, fonts) for line in lines), _LINE * len(lines))
+
+
+@lru_cache(maxsize=10_000)  # a diagram asks for the same words many times
+def _width(line: str, fonts: tuple[str, ...]) -> float:
+    """The width of a line in the fonts that are set."""
     font = FontProperties(size=FONT)
-    widths = [
-        text_to_path.get_text_width_height_descent(line, font, ismath=False)[0] for line in lines
-    ]
-    return Size(max(widths), _LINE * len(lines))
+    return float(text_to_path.get_text_width_height_descent(line, font, ismath=False)[0])
 
 
 def slack(texts: Sequence[Size], shapes: Sequence[Size], *, round: bool = True) -> float:

@@ -53,10 +53,8 @@ def dot(
 
     Examples
     --------
-    >>> from pgm import BayesianNetwork, GaussianCPD, LinearGaussianCPD, variables
-    >>> a, b = variables("a b")
-    >>> cpds = [GaussianCPD(a, 0.0, 1.0), LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)]
-    >>> print(dot(BayesianNetwork(cpds), evidence=[b]))
+    >>> from pgm.examples import b, pair
+    >>> print(dot(pair, evidence=[b]))
     digraph {
       node [shape=ellipse, style=filled, fillcolor="white", color="#222222"];
       v0 [label="a"];

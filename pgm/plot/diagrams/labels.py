@@ -15,7 +15,7 @@ from pgm.variables import Variable
 # A line wider than this, in points, is broken.
 _WIDEST = 84.0
 _EMPTY = "∅"
-# As many families are listed one by one, and as many hidden variables alike.
+# As many families that are like others are listed one by one, and as many hidden variables alike.
 _LISTED, _NAMED = 5, 8
 _NUMBER = re.compile(r"\d+")
 
@@ -60,8 +60,8 @@ def cluster_label(
 ) -> str:
     """The variables of a cluster: hidden ones first, then the observed ones, a line a family.
 
-    Of more than a few families, those whose names differ by numbers alone share a line, as
-    ``z1…z20[3] ×38``, which is 38 measurements of twenty sensors.
+    Where more than a few families have others alike, whose names differ by numbers alone, these
+    share a line, as ``z1…z20[3] ×38``, which is 38 measurements of twenty sensors.
 
     Parameters
     ----------
@@ -87,8 +87,12 @@ def cluster_label(
     mentioned = {v for family in cluster.families for v in family}
     rest = [v for v in left if v not in mentioned]
     lines = _hidden(hidden, most)
-    if len(observations) > _LISTED:
-        lines += _alike(observations, counts)
+    kinds = _alike(observations)
+    if sum(len(kind) for kind in kinds if len(kind) > 2) > _LISTED:
+        lines += [
+            [_several(list(dict.fromkeys(column)), counts) for column in zip(*kind, strict=True)]
+            for kind in kinds
+        ]
     else:
         lines += [[_counted(v, counts.get(v, 1)) for v in group] for group in observations]
     return _text([*lines, [_short(repr(v)) for v in rest]], most)
@@ -113,17 +117,12 @@ def _hidden(scope: Iterable[Variable], most: int | None) -> list[list[str]]:
     return found
 
 
-def _alike(
-    families: Iterable[Sequence[Variable]], counts: Mapping[Variable, int]
-) -> list[list[str]]:
-    """Families whose variables' names differ by numbers alone, on a line each: ``z1…z20[3]``."""
+def _alike(families: Iterable[Sequence[Variable]]) -> list[list[Sequence[Variable]]]:
+    """Families by kind: those whose variables' names differ by numbers alone are of one."""
     found: dict[tuple[str, ...], list[Sequence[Variable]]] = defaultdict(list)
     for family in families:
         found[tuple(_NUMBER.sub("#", repr(v)) for v in family)].append(family)
-    return [
-        [_several(list(dict.fromkeys(column)), counts) for column in zip(*alike, strict=True)]
-        for alike in found.values()
-    ]
+    return list(found.values())
 
 
 def _several(alike: Sequence[Variable], counts: Mapping[Variable, int]) -> str:

@@ -59,7 +59,6 @@ def markov_network(
 
     Examples
     --------
-    >>> import pgm
     >>> a, b, c, d = pgm.variables("a b c d")
     >>> ax = pgm.plot.markov_network([(a, b), (b, c), (c, d), (d, a)])
     >>> sorted(text.get_text() for text in ax.texts)

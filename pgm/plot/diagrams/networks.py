@@ -71,10 +71,8 @@ def network(
 
     Examples
     --------
-    >>> import pgm
-    >>> a, b = pgm.variables("a b")
-    >>> cpds = [pgm.GaussianCPD(a, 0.0, 1.0), pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)]
-    >>> ax = pgm.plot.network(pgm.BayesianNetwork(cpds), evidence=[b])
+    >>> from pgm.examples import a, b, pair
+    >>> ax = pgm.plot.network(pair, evidence=[b])
     >>> sorted(text.get_text() for text in ax.texts)
     ['a', 'b']
     """

@@ -15,7 +15,6 @@ from matplotlib.lines import Line2D
 from pgm.factors import Gaussian
 from pgm.inference import Kind
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import name_axes
 from pgm.plot.colours import INK, MUTED, PALETTE
 from pgm.plot.moving.passes import Frame
 
@@ -131,7 +130,6 @@ class Paths:
         )
         traces = [trace for trace in (self._filtered, self._revised) if trace]
         _limit(ax, traces, [each for each in (truth, landmarks) if each is not None])
-        name_axes(ax, *pair)
         self.marks = marks
 
     @property

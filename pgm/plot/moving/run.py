@@ -22,6 +22,8 @@ from pgm.factors.scope import labels
 from pgm.inference import ChainPosterior, ParticlePosterior
 from pgm.inference.kind import SMOOTHED
 from pgm.kernels.arrays import Array
+from pgm.plot.axes import Unit
+from pgm.plot.beliefs.plane import name_plane
 from pgm.plot.beliefs.point_plane import as_landmarks
 from pgm.plot.components import as_gaussian, component_places, one_run, truth_columns
 from pgm.plot.moving.blitting import BlittedCanvas
@@ -48,6 +50,7 @@ def animate(
     landmarks: npt.ArrayLike | None = None,
     confidence: float = 0.95,
     components: tuple[str, str] | None = None,
+    unit: Unit = None,
     run: int | Sequence[int] | None = None,
     clusters: int = 5,
     every: int | None = None,
@@ -73,12 +76,8 @@ def animate(
         The state that is drawn; the first of two components or more without.
     truth : array_like, optional
         (T+1, k), columns in the order of the state's components.
-    landmarks : array_like, optional
-        (L, 2), in the two components drawn.
     confidence : float
         Probability of an ellipse's inside.
-    components : pair of str, optional
-        Which components are the plane's, by name; the first two without.
     run : int or sequence of int, optional
         Which of several runs, an index for each leading axis.
     clusters : int
@@ -92,6 +91,8 @@ def animate(
         Of a picture [inches].
     dpi : int
         Dots an inch.
+    landmarks, components, unit
+        As of `trajectory`.
 
     Returns
     -------
@@ -108,13 +109,8 @@ def animate(
     Examples
     --------
     >>> import tempfile
-    >>> import pgm
-    >>> x, z = (pgm.Variable(name, components=("east", "north")) for name in "xz")
-    >>> prior = [pgm.GaussianCPD(x, mean=[0.0, 0.0], cov=1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> smoothed = pgm.smooth(model, {z: [[1.0, 2.0], [1.0, 3.0]]})
+    >>> from pgm.examples import drive, q
+    >>> smoothed = pgm.smooth(drive, {q: [[1.0, 2.0], [1.0, 3.0]]})
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     pgm.plot.animate(smoothed, f"{folder}/drive.gif").name
     'drive.gif'
@@ -137,6 +133,7 @@ def animate(
     entries = 2 + sum((line is not None, marks is not None, bool(kind.lag)))  # of the legend
     plane, below = (figure.add_axes(room) for room in _rooms(*figsize, entries))
     paths = Paths(plane, (filtered, known), kind, pair, line, marks, confidence)
+    name_plane(plane, filtered, pair, unit)
     chain = Chain(below, graph, clusters, (FILTERED, REVISED), kind == SMOOTHED)
     title = _head(plane, paths.marks)
     BlittedCanvas(figure, [*paths.artists, *chain.artists, title])

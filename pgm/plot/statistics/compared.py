@@ -71,13 +71,8 @@ def comparison(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> found = pgm.compare(model, {z: [[2.0], [3.0]]}, oracle=pgm.Grid({"x": (-8.0, 12.0, 400)}))
+    >>> from pgm.examples import walk, x, z
+    >>> found = pgm.compare(walk, {z: [[2.0], [3.0]]}, oracle=pgm.Grid({"x": (-8.0, 12.0, 400)}))
     >>> ax = pgm.plot.comparison(found)
     """
     if not isinstance(found, Comparison):
@@ -110,7 +105,7 @@ def comparison(
         for row in found.oracle_rows:
             if row.kind in kinds and row.state == rows[0].state and np.nanmax(of(row), initial=0):
                 style = DASHES[schedules.index(kinds[row.kind]) % len(DASHES)]
-                text = f"{row.lineariser}, {row.kind}, from its own Gaussian"
+                text = f"{row.lineariser}, {row.kind},\nfrom its own Gaussian"
                 _draw(ax, across, of(row), text, {"color": MUTED, "ls": style})
     else:
         ax.axhline(float(np.nanmax([r.nees_expected for r in rows])), color=INK, lw=0.8, zorder=1.5)

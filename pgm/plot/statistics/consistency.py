@@ -59,12 +59,8 @@ def nees(
         Probability of the band, at each step.
     times : array_like, optional
         (steps,), for the horizontal axis; the steps themselves without.
-    label : str or Kind, optional
-        In the legend.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    label, colour, ax
+        As of `trajectory`.
 
     Returns
     -------
@@ -79,7 +75,6 @@ def nees(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> belief = pgm.Gaussian(x, mean=[[2.0], [4.0]], cov=4.0, steps=[0, 1])
     >>> ax = pgm.plot.nees(belief, truth=[[0.0], [0.0]])
@@ -122,12 +117,8 @@ def nis(
         Probability of the band, at each step.
     times : array_like, optional
         (steps,), of steps 0 to T, for the horizontal axis; the steps themselves without.
-    label : str or Kind, optional
-        In the legend.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    label, colour, ax
+        As of `trajectory`.
 
     Returns
     -------
@@ -140,13 +131,8 @@ def nis(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0]]})
+    >>> from pgm.examples import walk, z
+    >>> filtered = pgm.filter(walk, {z: [[2.0], [3.0]]})
     >>> ax = pgm.plot.nis(filtered.innovations[z], label="Kalman filter")
     """
     average = consistency.anis(innovations, confidence=confidence).per_dof()
@@ -207,12 +193,8 @@ def coverage(
         Whose region, two for an ellipse in the plane; all without.
     confidence : float
         Probability of the intervals, which count runs alone.
-    label : str or Kind, optional
-        In the legend.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    label, colour, ax
+        As of `trajectory`.
 
     Returns
     -------
@@ -227,7 +209,6 @@ def coverage(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> runs = pgm.Gaussian(x, mean=[[0.0], [1.0], [-1.0], [3.0]], cov=1.0)
     >>> ax = pgm.plot.coverage(runs, truth=[0.0])
@@ -270,12 +251,8 @@ def whiteness(
         The number of lags, in steps at which the sensor was read.
     confidence : float
         Probability of the band, at each lag.
-    label : str or Kind, optional
-        In the legend.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    label, colour, ax
+        As of `trajectory`.
 
     Returns
     -------
@@ -289,13 +266,8 @@ def whiteness(
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> filtered = pgm.filter(model, {z: [[2.0], [3.0], [1.0], [0.0], [2.0]]})
+    >>> from pgm.examples import walk, z
+    >>> filtered = pgm.filter(walk, {z: [[2.0], [3.0], [1.0], [0.0], [2.0]]})
     >>> ax = pgm.plot.whiteness(filtered.innovations[z], lags=3)
     """
     found = consistency.whiteness(innovations, lags, confidence=confidence)

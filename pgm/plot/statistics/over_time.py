@@ -53,14 +53,12 @@ def errors(
         Half the width of the band, in standard deviations.
     times : array_like, optional
         (steps,), the time of each step, for the horizontal axis; the steps themselves without.
-    unit : str or mapping of str, optional
-        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
     label : str or Kind, optional
         In the legend, above the first axes.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
     axes : matplotlib.axes.Axes or iterable of them, optional
         One a component; a column of new ones without.
+    unit, colour
+        As of `trajectory`.
 
     Returns
     -------
@@ -74,7 +72,6 @@ def errors(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> belief = pgm.Gaussian(x, mean=[[2.0], [4.0]], cov=4.0, steps=[0, 1])
     >>> (ax,) = pgm.plot.errors(belief, truth=[[0.0], [0.0]], unit="m")
@@ -103,6 +100,7 @@ def errors(
 
     columns = _axes(axes, len(places))
     look = look_of(columns[0], colour)
+    known = labels(belief.scope)
     marker = "o" if len(mean) == 1 else None
     for k, ax in enumerate(columns):
         if not ax.lines:
@@ -128,7 +126,7 @@ def errors(
             marker=marker,
             label="error" if label is None else str(label),
         )
-        of = unit_of(chosen[k], unit, angle=bool(belief.angles[places[k]]))
+        of = unit_of(chosen[k], unit, known, angle=bool(belief.angles[places[k]]))
         name_time(ax, name if ax is columns[-1] else "", with_unit(f"{chosen[k]} error", of))
     useful_legend(columns[0], above=True)
     return columns
@@ -184,14 +182,8 @@ def rmse(
         Of the band, in percent.
     times : array_like, optional
         (steps,), for the horizontal axis; the steps themselves without.
-    unit : str or mapping of str, optional
-        Of lengths, as ``"m"``, or of components by name; angles are in rad. For the labels alone.
-    label : str or Kind, optional
-        In the legend.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    unit, label, colour, ax
+        As of `trajectory`.
 
     Returns
     -------
@@ -204,7 +196,6 @@ def rmse(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> belief = pgm.Gaussian(x, mean=[[2.0], [4.0]], cov=4.0, steps=[0, 1])
     >>> ax = pgm.plot.rmse(belief, truth=[[0.0], [0.0]], label="belief", unit="m")
@@ -232,7 +223,7 @@ def rmse(
     ax.lines[-1].sticky_edges.y.append(0.0)
     ax.autoscale_view()
     angles = dict(zip(labels(belief.scope), belief.angles.tolist(), strict=True))
-    units = [unit_of(one, unit, angle=angles[one]) for one in components or angles]
+    units = [unit_of(one, unit, angles, angle=angles[one]) for one in components or angles]
     text = f"error in {', '.join(components)}" if components else "error"
     name_time(ax, name, with_unit(text, *units))
     useful_legend(ax)
@@ -262,12 +253,8 @@ def kl(
         Of the band, in percent.
     times : array_like, optional
         (steps,), for the horizontal axis; the steps themselves without.
-    label : str or Kind, optional
-        In the legend.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    label, colour, ax
+        As of `trajectory`.
 
     Returns
     -------
@@ -282,7 +269,6 @@ def kl(
 
     Examples
     --------
-    >>> import pgm
     >>> x = pgm.Variable("x")
     >>> p, q = (pgm.Gaussian(x, [[k], [2.0 * k]], 1.0, steps=[0, 1]) for k in (0.0, 1.0))
     >>> ax = pgm.plot.kl(p, q)

@@ -45,12 +45,8 @@ def convergence(
         As ``posterior.status``.
     tolerance : float, optional
         That of the schedule, drawn as a dashed line.
-    label : str or Kind, optional
-        In the legend, which is drawn where there are two things or more to tell apart.
-    colour : str, optional
-        The next of a colour-blind-safe palette without.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure's without.
+    label, colour, ax
+        As of `trajectory`.
 
     Returns
     -------
@@ -63,8 +59,6 @@ def convergence(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pgm
     >>> x, z = pgm.variables("x z")
     >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
     >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]

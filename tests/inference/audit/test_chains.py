@@ -81,7 +81,7 @@ def test_a_mode_lost_on_the_way(lost):
         np.testing.assert_allclose(told, due, rtol=0.35, atol=0.05)
         assert told.argmax() == AT
         assert "SUSPECT" in repr(found)
-        assert f"a at step {AT} of run " in repr(found)
+        assert f"a[{AT}]" in repr(found)
 
 
 def test_beliefs_that_know_all_measurements_are_judged():

@@ -38,6 +38,24 @@ def test_a_table_over_time_has_a_picture_a_step(tmp_path):
     assert middle[0] < middle[1] < middle[2]
 
 
+def test_the_axes_have_units(tmp_path):
+    named = []
+    pgm.plot.animate_beliefs(
+        BELIEF,
+        tmp_path / "drive.gif",
+        unit={"east": "km", "north": "m"},
+        also=lambda ax, step: named.append((ax.get_xlabel(), ax.get_ylabel())),
+        figsize=(1.5, 1.5),
+        dpi=20,
+    )
+    assert named == [("east [km]", "north [m]")] * 4
+    with pytest.raises(ModelError, match="unit= is given of 'up'"):
+        pgm.plot.animate_beliefs(BELIEF, tmp_path / "not.gif", unit={"up": "m"})
+    with pytest.raises(ModelError, match="unit= is for a grid"):
+        pgm.plot.animate_beliefs(WALK, tmp_path / "not.gif", places=PLACES, unit="m")
+    assert not (tmp_path / "not.gif").exists()
+
+
 def test_a_gif_has_a_picture_a_step(tmp_path):
     drawn = []
     path = pgm.plot.animate_beliefs(
@@ -89,7 +107,12 @@ def test_an_mp4_without_ffmpeg_is_refused(tmp_path, monkeypatch):
         (BELIEF, "drive.gif", {"landmarks": [1.0]}, r"landmarks have shape \(1,\)"),
         (WALK, "walk.gif", {}, "places are the cells of a table over one variable"),
         (WALK, "walk.gif", {"places": PLACES, "truth": [0, 1]}, r"\(2,\); \(3,\) was due, steps"),
-        (WALK, "walk.gif", {"places": PLACES, "landmarks": [[0.0, 0.0]]}, "stand in a grid"),
+        (
+            WALK,
+            "walk.gif",
+            {"places": PLACES, "landmarks": [[0.0, 0.0]]},
+            "landmarks= is for a grid",
+        ),
         (pgm.Table(CELL, np.ones(3)), "walk.gif", {"places": PLACES}, "one run over steps"),
     ],
 )

@@ -394,6 +394,14 @@ def test_units_that_are_no_texts_are_refused():
         pgm.plot.trajectory(belief(9), unit=3)
 
 
+@pytest.mark.parametrize("draw", [pgm.plot.errors, pgm.plot.rmse, pgm.plot.trajectory])
+def test_units_of_components_that_are_none_are_refused(draw):
+    truth = {} if draw is pgm.plot.trajectory else {"truth": belief(9).mean}
+    told = r"unit= is given of 'est'; the components are \['east', 'north', 'heading'\]"
+    with pytest.raises(pgm.ModelError, match=told):
+        draw(belief(9), **truth, unit={"est": "m"})
+
+
 def test_the_rmse_of_a_later_belief_is_not_cut():
     small, large = belief(9), belief(9, seed=1)
     ax = pgm.plot.rmse(small, small.mean + 0.1, unit="m")

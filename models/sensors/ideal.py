@@ -1,13 +1,4 @@
-"""What a planar robot senses: the state is x = (east [m], north [m], heading θ [rad]).
-
-Landmarks are m = (east [m], north [m]). Functions are called ``function(x)`` or ``function(x, m)``
-with equal leading axes (``...``) and return ``(..., d)``. The Jacobians ``function_by_state``
-``(..., d, 3)`` and ``function_by_landmark`` ``(..., d, 2)`` take the same arguments.
-
-At the landmark itself a range has no derivative and a bearing means nothing: it is what atan2 makes
-of two zeros, less the heading. The Jacobians there are NaN, without a warning, so that whoever
-linearises there finds it out.
-"""
+"""Sensors at the robot's reference point that read what geometry has, and their derivatives."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,0 +1,192 @@
+r"""Gates: sightings too far from their prediction say nothing.
+
+At the predicted belief N(μ, P) of a step, a sighting z that is linearised as ẑ + H (x − μ) + n has
+the innovation ν = z − ẑ with covariance S = H P Hᵀ + noise. It is rejected where νᵀS⁻¹ν exceeds the
+χ² quantile of the gate's probability, with as many degrees of freedom as components were measured.
+A rejected sighting is one that was not taken, in this run, for all that follows: the decisions are
+written to the plan. What an infinite variance predicts is not judged.
+
+References
+----------
+Bar-Shalom, Li & Kirubarajan, Estimation with applications to tracking and navigation, 2001, 5.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from math import inf
+
+import numpy as np
+
+from pgm.errors import EvidenceError
+from pgm.inference.chain.gate_record import GateRecord
+from pgm.inference.chain.plan import ChainPlan
+from pgm.inference.chain.readings import Reading
+from pgm.inference.chain.vector import Measured
+from pgm.inference.gates import gate_of
+from pgm.kernels import innovation, normal
+from pgm.kernels.arrays import Array, Integers, Mask, within
+from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
+
+Asked = float | Mapping[Variable, float]
+
+
+def require_sensors(model: DynamicBayesianNetwork, gate: object) -> None:
+    """Refuse a gate of what is no sensor of a model."""
+    for variable in gate if isinstance(gate, Mapping) else ():
+        if variable not in model.sensors:
+            raise EvidenceError(
+                f"gate= names {variable!r}, which is no sensor of the model; it has "
+                f"{list(model.sensors)}",
+                variable=variable,
+            )
+
+
+def prepare(plan: ChainPlan, gate: Asked | None) -> None:
+    """Make room in a plan for the decisions of its gates."""
+    if gate is None:
+        return
+    require_sensors(plan.layout.model, gate)
+    for sensor in plan.sensors:
+        own = gate_of(gate, sensor.variable)
+        if own is None or sensor.gated is not None:
+            continue
+        count, runs, height, _ = sensor.family.shape
+        taken: Mask = np.ones((count, runs, height), dtype=bool)
+        if sensor.taken is not None:
+            taken &= sensor.taken
+        sensor.gated = GateRecord.empty(own, taken.copy())
+        sensor.taken = taken
+
+
+def decide(
+    gate: Asked, parts: Sequence[Reading], seen: Sequence[Measured], mean: Array, cov: Array
+) -> list[Measured]:
+    """Gate the measurements of a step at a belief over the slice, as they are linearised there.
+
+    What is rejected is not taken: in the readings, in the plan, and in the linearised measurements
+    that are returned.
+    """
+    return [
+        part_seen
+        if (own := gate_of(gate, part.sensor.variable)) is None
+        else _decided(own, part, part_seen, mean, cov)
+        for part, part_seen in zip(parts, seen, strict=True)
+    ]
+
+
+def _decided(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) -> Measured:
+    if mean.ndim == 1 and seen.taken is None and len(seen.value) == part.sensor.height:
+        one = _one(gate, part, seen, mean, cov)
+        if one is not None:
+            return one
+    sensor, record, batch = part.sensor, part.sensor.gated, mean.shape[1:]
+    rows, height = slice(part.at.first, part.at.last), sensor.height
+    count = len(seen.value) // height
+    taken = part.taken
+    if record is not None:  # which an earlier attempt may have written to
+        taken = sensor._flat(record.given[rows])
+        taken = None if taken.all() else taken
+    square, number = squares(seen._replace(taken=taken), mean, cov, count)
+    rejected = square > _limits(gate, height)[number]
+    square = np.where(number > 0, square, np.nan)
+    part.gate, part.gated = gate, (rejected, square)
+    if record is not None:
+        record.rejected[rows], record.square[rows] = (
+            rejected.reshape(count, -1),
+            square.reshape(count, -1),
+        )
+        assert sensor.taken is not None
+        sensor.taken[rows] = record.given[rows] & ~record.rejected[rows][..., None]
+    if rejected.any():
+        there = np.ones((count, height, *batch), dtype=bool)
+        if taken is not None:
+            there &= taken.reshape(count, height, *(taken.shape[1:] or ()))
+        taken = (there & ~rejected[:, None]).reshape(count * height, *batch)
+    part.taken = taken
+    part.seen = seen if taken is seen.taken else seen._replace(taken=taken)
+    return part.seen
+
+
+def _one(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) -> Measured | None:
+    """Let a whole sighting of one run in, the usual case; None where it may be rejected."""
+    sensor, record = part.sensor, part.sensor.gated
+    if not sensor.whole:
+        mean, cov = mean[sensor.parents], within(cov, sensor.parents)
+    left, matrix = seen.residual(mean), seen.matrix
+    spread = matrix.dot(cov).dot(matrix.T)
+    spread += seen.noise
+    height = len(left)
+    if height == 1:
+        (a,), s = left.tolist(), spread.item()
+        square = a * a / s if s > 0.0 else inf
+    elif height == 2:
+        (a, b), (s, c, _, d) = left.tolist(), spread.ravel().tolist()
+        volume = s * d - c * c
+        square = (
+            (a * a * d - 2.0 * a * b * c + b * b * s) / volume if volume > s * d * _WELL else inf
+        )
+    else:
+        return None
+    if not square <= _limits(gate, height).item(height):
+        return None
+    found = np.array([square])
+    part.gate, part.gated, part.seen = gate, (_TAKEN, found), seen
+    if record is not None:
+        row = part.at.first
+        record.rejected[row], record.square[row] = False, square
+        assert sensor.taken is not None
+        sensor.taken[row] = record.given[row]
+    return seen
+
+
+# A sighting that is taken in; and the share of the variances that a regular covariance of two has.
+_TAKEN: Mask = np.zeros(1, dtype=bool)
+_WELL = 1e-6
+
+
+def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array, Integers]:
+    """Squared lengths of the innovations of a sensor's sightings, and their components.
+
+    (count, *batch) each; the belief is over the slice. A component that depends on one of infinite
+    variance does not count.
+    """
+    sensor, height = seen.sensor, len(seen.value) // count
+    if not sensor.whole:
+        mean, cov = mean[sensor.parents], within(cov, sensor.parents)
+    batch = mean.shape[1:]
+    matrix = seen.matrix.reshape(count, height, *seen.matrix.shape[1:])
+    taken = None if seen.taken is None else seen.taken.reshape(count, height, *seen.taken.shape[1:])
+    infinite = ~np.isfinite(np.einsum("ii...->i...", cov))
+    if infinite.any():
+        open_ = ((matrix != 0.0) & infinite).any(axis=2)
+        taken = ~open_ if taken is None else taken & ~open_
+        cov = np.where(infinite[:, None] | infinite[None], 0.0, cov)
+    if batch:
+        spread = np.einsum("kinr,nmr,kjmr->kijr", matrix, cov, matrix, optimize=_PATH)
+    else:
+        spread = matrix @ cov @ matrix.swapaxes(1, 2)
+    own = seen.noise.reshape(count, height, count, height, *seen.noise.shape[2:])
+    spread = spread + np.einsum("kikj...->kij...", own)
+    residual = np.broadcast_to(seen.residual(mean), (count * height, *batch))
+    residual = residual.reshape(count, height, *batch)
+    if taken is None:
+        return innovation.squares(residual, spread), np.full((count, *batch), height)
+    both = taken[:, :, None] & taken[:, None]
+    eye = np.eye(height).reshape(1, height, height, *(1 for _ in batch))
+    square = innovation.squares(np.where(taken, residual, 0.0), np.where(both, spread, eye))
+    return square, np.broadcast_to(taken.sum(axis=1), (count, *batch))
+
+
+# Along the covariance first, then along the rows.
+_PATH = ["einsum_path", (0, 1), (0, 1)]
+
+
+@lru_cache(maxsize=64)
+def _limits(gate: float, height: int) -> Array:
+    """The squared length within the gate by the number of components; of none, no limit."""
+    limits = np.full(height + 1, np.inf)
+    limits[1:] = normal.square_within(gate, np.arange(1, height + 1))
+    return limits

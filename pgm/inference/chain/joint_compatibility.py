@@ -1,0 +1,173 @@
+r"""Joint compatibility of the sightings of a step: which candidates they are of, taken together.
+
+A hypothesis pairs some sightings with a candidate each, no candidate twice. Its innovations,
+stacked to ν with covariance S = H P Hᵀ + R, which the error of the belief correlates, have to lie
+within the gate: νᵀS⁻¹ν at most the χ² quantile with as many degrees of freedom as components. The
+hypothesis with the most pairings is taken, and of several the likeliest, by
+Σ ln w + ln N(ν; 0, S). The search goes sighting by sighting, each pairing taken into the belief
+before the next, so that squares and densities add up; it leaves a branch that cannot have as many
+pairings as the best so far, or not so likely ones, or whose square is beyond any gate ahead.
+
+References
+----------
+Neira & Tardós, Data association in stochastic mapping using the joint compatibility test, 2001.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.kernels import normal
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
+
+# Hypotheses, whole ones and parts, that a step of a run may take to look at.
+NODES = 20_000
+NOTHING = -1
+
+
+class Pairs(NamedTuple):
+    """The pairs of each sighting of a step with each candidate, linearised at the belief.
+
+    Attributes
+    ----------
+    matrix, residual, noise : ndarray
+        H, ν and R over the slice: (k, runs, candidates, d, n), (..., d) and (..., d, d). A missing
+        component has unit variance and says nothing.
+    size : ndarray of int
+        (k, runs): components that were measured.
+    compatible : ndarray of bool
+        (k, runs, candidates): pairs that are within the gate by themselves.
+    log_weight : ndarray
+        (candidates,).
+    """
+
+    matrix: Array
+    residual: Array
+    noise: Array
+    size: Integers
+    compatible: Mask
+    log_weight: Array
+
+
+class TooManyError(Exception):
+    """A search that looked at as many hypotheses as it may."""
+
+
+def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
+    """The candidate of each sighting, (k, runs), or `NOTHING`; P is (runs, n, n).
+
+    Raises
+    ------
+    TooManyError
+        If a run has more hypotheses than may be looked at; its number is the argument.
+    """
+    every = int(pairs.size.sum(axis=0).max(initial=0))
+    limits = np.concatenate([[0.0], normal.square_within(gate, np.arange(1, every + 1))])
+    number = pairs.compatible.sum(axis=-1)
+    chosen = np.where(number > 0, np.argmax(pairs.compatible, axis=-1), NOTHING)
+    # Where no sighting has a choice, and no two have the same, the whole is looked at first.
+    taken = chosen[..., None] == np.arange(pairs.compatible.shape[-1])
+    plain = (number <= 1).all(axis=0) & (taken.sum(axis=0) <= 1).all(axis=-1)
+    plain[plain] = _within(pairs, chosen, cov, limits, np.flatnonzero(plain))
+    for run in np.flatnonzero(~plain).tolist():
+        chosen[:, run] = _Search(pairs, cov[run], limits, run).best
+    return chosen
+
+
+def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Integers) -> Mask:
+    """Whether the hypotheses of some runs are within the gate."""
+    spread, shift = cov[runs], np.zeros((runs.size, cov.shape[-1]))
+    square, dof = np.zeros(runs.size), np.zeros(runs.size, dtype=np.intp)
+    for k, own in enumerate(chosen[:, runs]):
+        seen = own != NOTHING
+        place = k, runs, np.where(seen, own, 0)
+        H = pairs.matrix[place] * seen[:, None, None]
+        step = _paired(H, pairs.residual[place] * seen[:, None], pairs.noise[place], spread, shift)
+        spread, shift, square = step.cov, step.shift, square + step.square
+        dof += np.where(seen, pairs.size[k, runs], 0)
+    within: Mask = square <= limits[dof]
+    return within
+
+
+class _Step(NamedTuple):
+    """Pairings taken in: the belief after each, its square, and its log-density but for 2π."""
+
+    shift: Array
+    cov: Array
+    square: Array
+    density: Array
+
+
+def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Step:
+    """Take a pairing into a belief about its mean, (..., d, n), (..., d), (..., n, n), (..., n)."""
+    cross = matrix @ cov
+    spread = cross @ matrix.mT + noise
+    left = residual - np.einsum("...dn,...n->...d", matrix, shift)
+    solved = np.linalg.solve(spread, np.concatenate([cross, left[..., None]], axis=-1))
+    square = np.einsum("...d,...d->...", left, solved[..., -1])
+    moved = shift + np.einsum("...dn,...d->...n", cross, solved[..., -1])
+    density = -0.5 * (square + np.linalg.slogdet(spread)[1])
+    return _Step(moved, cov - cross.mT @ solved[..., :-1], square, density)
+
+
+class _Search:
+    """The search for the best hypothesis of one run."""
+
+    def __init__(self, pairs: Pairs, cov: Array, limits: Array, run: int) -> None:
+        self.pairs, self.run, self.limits, self.nodes = pairs, run, limits, 0
+        compatible = pairs.compatible[:, run]
+        number = compatible.sum(axis=-1)
+        # Those with the fewest choices first.
+        self.order = [k for k in np.argsort(number, kind="stable").tolist() if number[k]]
+        self.choices = [np.flatnonzero(compatible[k]) for k in self.order]
+        counts = [int(pairs.size[k, run]) for k in self.order]
+        likeliest = []
+        for k, some, count in zip(self.order, self.choices, counts, strict=True):
+            # S is at least R.
+            volume = np.linalg.slogdet(pairs.noise[k, run, some])[1] + count * LOG_2PI
+            likeliest.append(float((pairs.log_weight[some] - 0.5 * volume).max()))
+        self.counts = counts
+        self.ahead = [sum(counts[k:]) for k in range(len(counts) + 1)]
+        self.most = [sum(likeliest[k:]) for k in range(len(counts) + 1)]
+        self.found: tuple[int, float] = (-1, -np.inf)
+        self.best = np.full(len(compatible), NOTHING)
+        self._descend(0, np.zeros(len(cov)), cov, 0.0, 0, 0.0, [])
+
+    def _descend(
+        self,
+        depth: int,
+        shift: Array,
+        cov: Array,
+        square: float,
+        dof: int,
+        score: float,
+        chosen: list[int],
+    ) -> None:
+        self.nodes += 1
+        if self.nodes > NODES:
+            raise TooManyError(self.run)
+        number = depth - chosen.count(NOTHING)
+        left = len(self.order) - depth
+        if (number + left, score + self.most[depth]) <= self.found:
+            return
+        if not left:
+            if square <= self.limits[dof]:
+                self.found = number, score
+                self.best[self.order] = chosen
+            return
+        k, count, pairs = self.order[depth], self.counts[depth], self.pairs
+        some = np.array([c for c in self.choices[depth].tolist() if c not in chosen], dtype=np.intp)
+        if some.size:
+            own = k, self.run, some
+            step = _paired(pairs.matrix[own], pairs.residual[own], pairs.noise[own], cov, shift)
+            weight = step.density + pairs.log_weight[some] - 0.5 * count * LOG_2PI
+            for c in np.argsort(-weight, kind="stable").tolist():
+                further = square + float(step.square[c])
+                if further <= self.limits[dof + self.ahead[depth]]:
+                    here = step.shift[c], step.cov[c], further, dof + count
+                    self._descend(
+                        depth + 1, *here, score + float(weight[c]), [*chosen, int(some[c])]
+                    )
+        self._descend(depth + 1, shift, cov, square, dof, score, [*chosen, NOTHING])

@@ -1,0 +1,199 @@
+r"""The weights of sightings with robust noise: each counts with the covariance R / w.
+
+w = 2 ρ′(s) is that of the tangent of the loss ρ at the square s of the sighting's residual in
+deviations of its own noise R. With `Taylor`, which sees functions at a mean, s is that of the mean,
+and a fixed point of weights and belief maximises the density (iteratively reweighted least
+squares). With rules that take expectations over the belief, s is the expected square,
+
+.. math:: s = r^T R^{-1} r + \operatorname{tr} R^{-1} (H P H^T + Ω),
+
+and a fixed point maximises the lower bound of the evidence (expectation–maximisation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.cpds import ConditionalGaussian, RobustNoise, TruncatedLeastSquares
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, Integers, Kind, Mask, independent, inner
+
+# Weights that move by no more than this have settled.
+SETTLED = 1e-10
+
+
+@dataclass(eq=False)
+class Weights:
+    """The weights of some sightings of a sensor, for each run.
+
+    Attributes
+    ----------
+    noise : RobustNoise
+    white : ndarray
+        (k or 1, runs or 1, d, d): L⁻¹ of the noise L Lᵀ of the components taken.
+    taken : ndarray of bool or None
+        (k, runs or 1, d): which were; None for all.
+    weight, square : ndarray
+        (k, runs): w, and the square s that it is of.
+    stage : ndarray
+        (runs,): the μ of a graduated loss; infinite once it is that loss, NaN before the first.
+    """
+
+    noise: RobustNoise
+    white: Array
+    taken: Mask | None
+    weight: Array
+    square: Array
+    stage: Array
+
+    @classmethod
+    def of(
+        cls, cpd: ConditionalGaussian, own: Array, taken: Mask | None, shape: tuple[int, int]
+    ) -> Weights:
+        """Weights of one, for own noises (k or 1, runs or 1, d, d)."""
+        assert cpd.noise is not None
+        if taken is not None:
+            own = independent(own, taken)
+        lower = roots.root(own)
+        cpd.require_regular(lower)
+        white = roots.solve_lower(lower, np.broadcast_to(np.eye(own.shape[-1]), own.shape))
+        stage = np.full(shape[1], np.nan if cpd.noise.graduated else np.inf)
+        return cls(cpd.noise, white, taken, np.ones(shape), np.zeros(shape), stage)
+
+    @property
+    def count(self) -> Integers:
+        """The number of components that were taken, which broadcasts to (k, runs)."""
+        if self.taken is None:
+            return np.full((1, 1), self.white.shape[-1])
+        found: Integers = self.taken.sum(axis=-1)
+        return found
+
+    def squares(
+        self,
+        residual: Array,
+        matrix: Array | None = None,
+        cov: Array | None = None,
+        error: Array | None = None,
+    ) -> Array:
+        """The squares of residuals, (k, runs); expected ones where a belief is given.
+
+        Parameters
+        ----------
+        residual : ndarray
+            (k, runs, d).
+        matrix, cov : ndarray, optional
+            H (k, runs, d, m), and the covariance of the parents, (k or 1, runs, m, m).
+        error : ndarray, optional
+            Ω, (k, runs, d, d).
+        """
+        if self.taken is not None:
+            residual = np.where(self.taken, residual, 0.0)
+        white = np.einsum("...ij,...j->...i", self.white, residual)
+        found = inner(white, white)
+        if matrix is None or cov is None:
+            return found
+        spread = np.einsum("...im,...mn,...jn->...ij", matrix, cov, matrix)
+        if error is not None:
+            spread = spread + error
+        if self.taken is not None:
+            spread = np.where(self.taken[..., None] & self.taken[..., None, :], spread, 0.0)
+        found += np.einsum("...ij,...jk,...ik->...", self.white, spread, self.white)
+        return found
+
+    def take(self, square: Array, active: Mask | None = None) -> Array:
+        """Take the weights of squares; how far they move, (runs,)."""
+        weight, stage = self._weights(square)
+        change = np.abs(weight - self.weight).max(axis=0, initial=0.0)
+        moved: Array = np.where(np.isinf(stage), change, np.inf)
+        if active is None or active.all():
+            self.weight, self.square, self.stage = weight, square, stage
+            return moved
+        self.weight = np.where(active, weight, self.weight)
+        self.square = np.where(active, square, self.square)
+        self.stage = np.where(active, stage, self.stage)
+        return np.asarray(np.where(active, moved, 0.0))
+
+    def _weights(self, square: Array) -> tuple[Array, Array]:
+        """The weights of squares, and the stage that they are of."""
+        noise = self.noise
+        hard = noise.weight(square, self.count)
+        if not isinstance(noise, TruncatedLeastSquares):
+            return hard, self.stage
+        counted = np.where(self.count > 0, square, 0.0)
+        stage = np.where(
+            np.isnan(self.stage),
+            noise.first_stage(counted.max(axis=0, initial=0.0)),
+            noise.next_stage(self.stage),
+        )
+        found = np.where(self.count > 0, noise.staged(square, stage), 1.0)
+        # Weights that are those of the hard loss already need no further stage.
+        stage = np.where((found == hard).all(axis=0), np.inf, stage)
+        return found, stage
+
+    def surplus(self, rows: slice = slice(None)) -> Array:
+        """What the log-densities of sightings have more than those of N(0, R / w), (k, runs)."""
+        count = self.count if self.taken is None else self.count[rows]
+        return self.noise.surplus(self.square[rows], count, self.weight[rows])
+
+    @property
+    def staged(self) -> Mask:
+        """Whether the loss is the one that was asked for, (runs,)."""
+        return np.isinf(self.stage)
+
+    def loss(self, square: Array) -> Array:
+        """Twice the loss of squares, (k, runs), at the stage of a graduated one."""
+        noise = self.noise
+        if isinstance(noise, TruncatedLeastSquares):
+            found = noise.staged_loss(square, self.stage)
+        else:
+            found = noise.loss(square, self.count)
+        return 2.0 * np.where(self.count > 0, found, 0.0)
+
+    def scaled(self, own: Array) -> Array:
+        """The noises R / w, (k, runs, d, d)."""
+        return own / self.weight[..., None, None]
+
+    def rows(self, rows: slice) -> Weights:
+        """Those of some sightings, which are taken anew."""
+        white = self.white[rows] if len(self.white) > 1 else self.white
+        taken = None if self.taken is None else self.taken[rows]
+        stage = np.full(self.stage.shape, np.nan if self.noise.graduated else np.inf)
+        weight, square = self.weight[rows].copy(), self.square[rows].copy()
+        return replace(self, white=white, taken=taken, weight=weight, square=square, stage=stage)
+
+    def put(self, rows: slice, other: Weights) -> None:
+        """Keep the weights of some of the sightings."""
+        self.weight[rows], self.square[rows] = other.weight, other.square
+
+
+def by_sighting(array: npt.NDArray[Kind], height: int, own: int) -> npt.NDArray[Kind]:
+    """An array (D, *own, *batch) of stacked sightings as (k, runs or 1, d, *own)."""
+    count = len(array) // height
+    batch = array.shape[1 + own :] or (1,)
+    rows = array.reshape(count, height, *array.shape[1 : 1 + own], *batch)
+    return np.moveaxis(rows, -1, 1)
+
+
+def own_blocks(noise: Array, height: int) -> Array:
+    """The blocks (k, runs or 1, d, d) of a block-diagonal noise (D, D, *batch)."""
+    count = len(noise) // height
+    batch = noise.shape[2:] or (1,)
+    each = np.arange(count)
+    blocks = noise.reshape(count, height, count, height, *batch)[each, :, each]
+    return np.moveaxis(blocks, -1, 1)
+
+
+def scale(weight: Array, height: int, batch: tuple[int, ...]) -> Array:
+    """The deviations' scales 1/√w of stacked components, (D, *batch), of weights (k, runs)."""
+    found: Array = np.repeat(1.0 / np.sqrt(weight), height, axis=0)
+    return found if batch else found[:, 0]
+
+
+def shown(weight: Array, taken: Mask | None) -> Array:
+    """Weights (k, runs), NaN where nothing was taken."""
+    if taken is None:
+        return weight
+    return np.where(taken.any(axis=-1), weight, np.nan)

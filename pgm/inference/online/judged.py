@@ -1,0 +1,104 @@
+"""What gates decided at an update of an online filter, and the test whether its belief is lost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.inference.chain.fixed_lag import Window
+from pgm.inference.chain.gate_record import GateRecord
+from pgm.inference.chain.innovations import by_step
+from pgm.inference.chain.readings import Moments, Reading
+from pgm.inference.chain.vector import vector
+from pgm.inference.lost import PageTest, Read
+from pgm.kernels import innovation
+from pgm.kernels.arrays import Array, Integers
+from pgm.variables import Variable
+
+# A sensor, the decisions of its gate, and the order of its sightings.
+Decided = tuple[Variable, GateRecord, Integers]
+
+
+class Watch(NamedTuple):
+    """The test whether a belief is lost, after the step before, and what its step has read."""
+
+    before: PageTest
+    read: Read | None = None
+
+    @classmethod
+    def start(cls, lead: tuple[int, ...]) -> Watch:
+        """At the prior."""
+        return cls(PageTest.start(math.prod(lead)))
+
+    def test(self, step: int) -> PageTest:
+        """The test after the step of this number."""
+        if self.read is None:
+            return self.before
+        return self.before.over(len(self.read.nis)).on(step, self.read.weights)
+
+    def on(self, step: int) -> Watch:
+        """After the step of this number, at the next one."""
+        return Watch(self.test(step))
+
+    def and_(self, read: Read) -> Watch:
+        """After another update of the step."""
+        return Watch(self.before, read if self.read is None else self.read.and_(read))
+
+
+def of_update(
+    watch: Watch | None, parts: Sequence[Reading], known: Moments
+) -> tuple[tuple[Decided, ...], Watch | None]:
+    """The decisions about measurements that were taken into a belief, and the watch after them."""
+    gated = tuple(_decided(part) for part in parts if part.gated is not None)
+    if watch is None or not parts:
+        return gated, watch
+    mean, cov, _ = known
+    matrix, residual, noise, missing = vector([part.seen for part in parts], mean)
+    if mean.ndim == 1:
+        spread = matrix @ cov @ matrix.T + noise
+    else:
+        spread = np.einsum("ijr,jkr,lkr->ilr", matrix, cov, matrix, optimize=_PATH) + noise
+        residual = np.broadcast_to(residual, (len(residual), *mean.shape[1:]))
+    nis = innovation.squares(residual[None], spread[None]).reshape(-1)
+    dof = np.full(nis.shape, len(residual), dtype=np.intp)
+    if missing is not None:
+        dof -= np.asarray(missing, dtype=np.intp)
+    return gated, watch.and_(_read(nis, dof, gated))
+
+
+# First along the covariance, then along the rows.
+_PATH = ["einsum_path", (0, 1), (0, 1)]
+
+
+def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...], Watch | None]:
+    """The decisions at the newest step of a window, with all of its measurements."""
+    plan, found = window.plan, list[Decided]()
+    for sensor in plan.sensors:
+        rows = sensor.rows(plan.steps)
+        if sensor.gated is not None and rows.stop > rows.start:
+            order = np.argsort(np.argsort(sensor.order[rows]))
+            found.append((sensor.variable, sensor.gated.window(rows), order))
+    gated = tuple(found)
+    if watch is None:
+        return gated, None
+    nis, dof = by_step(plan, plan.read, window.ahead)
+    return gated, Watch(watch.before, _read(np.nan_to_num(nis[-1]), dof[-1], gated))
+
+
+def _read(nis: Array, dof: Integers, gated: tuple[Decided, ...]) -> Read:
+    rejected, judged = np.zeros_like(dof), np.zeros_like(dof)
+    for _, record, _ in gated:
+        rejected += record.rejected.sum(axis=0)
+        judged += (~np.isnan(record.square)).sum(axis=0)
+    return Read(nis, dof, rejected, judged)
+
+
+def _decided(part: Reading) -> Decided:
+    assert part.gated is not None
+    rejected, square = (each.reshape(len(each), -1) for each in part.gated)
+    nothing = np.ones((0, 0, 0), dtype=bool)
+    record = GateRecord(part.gate, nothing, rejected.astype(bool), square.astype(float))
+    return part.sensor.variable, record, part.sensor.order

@@ -1,0 +1,31 @@
+"""The belief of an online filter at the newest step of a window that slides."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.inference.chain.readings import Moments
+from pgm.inference.kind import FILTERED, PREDICTED
+from pgm.inference.online.beliefs import OnlineBelief, belief_of, nothing_to_iterate, refuse
+from pgm.inference.online.window import Make, Sliding
+from pgm.inference.status import Status, digits
+from pgm.kernels.arrays import Array
+
+
+def slid(make: Make, step: int, behind: Sliding, log_evidence: Array) -> OnlineBelief:
+    """The belief at the newest step of a window, or before anything was read there."""
+    lead, window = behind.lead, behind.window
+    if window is None:
+        alone = behind.ahead(make, step)
+        mean, cov, error = alone.ahead.mean[-1], alone.ahead.cov[-1], alone.error
+        status, kind, plan = nothing_to_iterate(lead), PREDICTED, alone.plan
+    else:
+        mean, cov, plan = window.beliefs.mean[-1], window.beliefs.cov[-1], window.plan
+        error = None if window.careful is None else window.careful.error
+        status, kind = Status.of(window.residuals, window.converged, lead), FILTERED
+        log_evidence = behind.log_evidence.reshape(lead)
+    if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
+        refuse(step)
+    if error is not None:
+        status = status.with_digits(digits(error, lead))
+    return belief_of(plan, step, Moments.of(plan, mean, cov), log_evidence, status, kind, behind)

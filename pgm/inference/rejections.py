@@ -1,0 +1,123 @@
+"""The record of a gate, as users see it: which sightings of a sensor it has rejected."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from pgm.display import Listing, Shown, Summary, number, places, whereabouts
+from pgm.errors import EvidenceError
+from pgm.factors.scope import listed
+from pgm.immutable import Immutable
+from pgm.inference.chain.gate_record import GateRecord
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.variables import Variable
+
+
+class Rejections(Shown, Immutable):
+    """The decisions of one sensor's gate, in the order of the evidence.
+
+    Attributes
+    ----------
+    gate : float
+        The probability within which a sighting was taken in.
+    step : ndarray of int
+        (M,): the steps of the sightings.
+    rejected : ndarray of bool
+        (..., M). Leading axes are runs.
+    square : ndarray
+        (..., M): νᵀS⁻¹ν, the squared length of the innovation at the predicted belief; NaN where
+        nothing was measured.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> x, z = pgm.variables("x z")
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
+    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
+    ... )
+    >>> found = pgm.filter(model, {z: [[1.0], [30.0]]}, gate=0.99).rejected[z]
+    >>> found.rejected
+    array([False,  True])
+    >>> print(found)
+    Rejections(1 of 2 sightings, gate 0.99, steps 2..2)
+      step  squared innovation
+      2                    218
+    """
+
+    gate: float
+    step: Integers
+    rejected: Mask
+    square: Array
+
+    def __init__(self, gate: float, step: Integers, rejected: Mask, square: Array) -> None:
+        for array in (step, rejected, square):
+            array.flags.writeable = False
+        self._set(gate=gate, step=step, rejected=rejected, square=square)
+
+    @classmethod
+    def of(
+        cls, record: GateRecord, step: Integers, order: Integers, lead: tuple[int, ...]
+    ) -> Rejections:
+        """A record (M, runs) of sightings that stand in this order of the evidence."""
+        back = np.argsort(order)
+        shape = *lead, len(order)
+        rejected, square = record.rejected[back].T, record.square[back].T
+        return cls(
+            record.gate, step[back], rejected.reshape(shape).copy(), square.reshape(shape).copy()
+        )
+
+    @property
+    def _title(self) -> str:
+        measured, found = int((~np.isnan(self.square)).sum()), int(self.rejected.sum())
+        steps = self.step[self.rejected.reshape(-1, len(self.step)).any(axis=0)]
+        where = f", steps {steps.min()}..{steps.max()}" if found else ""
+        return f"Rejections({found:,} of {measured:,} sightings, gate {self.gate:g}{where})"
+
+    def _summary(self) -> Summary:
+        each = np.argwhere(self.rejected)
+        heads, where = whereabouts(self.rejected.shape, self.step)
+        rows: list[Sequence[str] | None] = []
+        for at in places((len(each),)):
+            if at is None:
+                rows.append(None)
+                continue
+            place = tuple(int(k) for k in each[at[0]])
+            rows.append([*where(place), number(self.square[place], 3)])
+        heads = [*heads, "squared innovation"]
+        return Summary(self._title, [Listing(heads, rows, names=len(heads) - 1)] if rows else [])
+
+
+class RejectionsBySensor(Shown, Mapping[Variable, Rejections]):
+    """The decisions of each sensor that has a gate, and was read."""
+
+    def __init__(self, found: Iterable[tuple[Variable, Rejections]] = ()) -> None:
+        self._found = dict(found)
+
+    def __getitem__(self, variable: Variable) -> Rejections:
+        if variable not in self._found:
+            raise EvidenceError(
+                f"no gate has decided about {variable!r}; "
+                + (f"gates were those of {list(self)}" if self._found else "give gate=0.99 or so"),
+                variable=variable if isinstance(variable, Variable) else None,
+            )
+        return self._found[variable]
+
+    def __contains__(self, variable: object) -> bool:
+        return variable in self._found
+
+    def __iter__(self) -> Iterator[Variable]:
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    @property
+    def _title(self) -> str:
+        return f"RejectionsBySensor({listed(self._found)})"
+
+    def _summary(self) -> Summary:
+        return Summary(self._title, [f"{v!r}: {found._title}" for v, found in self._found.items()])

@@ -1,0 +1,176 @@
+"""Bags of ROS 1 and ROS 2, through the package rosbags."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pgm.boundary import as_tuple
+from pgm.errors import EvidenceError, FileError
+from pgm.factors.scope import listed
+from pgm.io.sources import Origin
+from pgm.optional import optional
+from pgm.recordings.dropped import Dropped
+from pgm.recordings.readers import files, messages
+from pgm.recordings.recording import Recording
+from pgm.recordings.scans import Scans
+from pgm.recordings.stream import Stream
+
+EXTRA = "sepset[bags]"
+# The part of a recording that messages of a type are, unless told otherwise.
+PARTS = {
+    "nav_msgs/msg/Odometry": "odometry",
+    "geometry_msgs/msg/PoseStamped": "truth",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "sightings",
+    "geometry_msgs/msg/TwistStamped": "velocities",
+    "sensor_msgs/msg/Imu": "imu",
+    "sensor_msgs/msg/NavSatFix": "fixes",
+    "sensor_msgs/msg/LaserScan": "scans",
+}
+# Other parts that they can be.
+CHOICES = {
+    "nav_msgs/msg/Odometry": ("odometry", "velocities", "truth", "sightings"),
+    "geometry_msgs/msg/PoseStamped": ("truth", "odometry", "sightings"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": ("sightings", "truth", "odometry"),
+    "sensor_msgs/msg/NavSatFix": ("fixes", "sightings"),
+}
+MANY = ("sightings", "scans")
+
+
+def read_bag(
+    path: str | os.PathLike[str], topics: Mapping[str, str] | Sequence[str] | None = None
+) -> Recording:
+    """Read a bag of ROS 1, a file, or of ROS 2, a folder.
+
+    Stamps are those of the messages' headers. Poses are seen from above: x, y and yaw.
+
+    Parameters
+    ----------
+    path : str or Path
+    topics : sequence of str or mapping of str to str, optional
+        The topics to read, all of a known type without; or the part of the recording that each is:
+
+        - ``nav_msgs/Odometry``: ``odometry``, the motion (forward, left, turn) between its poses;
+          or ``velocities``, (v_forward, v_left, omega) of its twist; ``truth`` or ``sightings``;
+        - ``geometry_msgs/PoseStamped``: ``truth``; or ``odometry``, or ``sightings``;
+        - ``geometry_msgs/PoseWithCovarianceStamped``: ``sightings``, (east, north, heading) with
+          variances, called like the topic; or ``truth`` or ``odometry``;
+        - ``geometry_msgs/TwistStamped``: ``velocities``;
+        - ``sensor_msgs/Imu``: ``imu``, rates and accelerations with variances where they are told,
+          and the yaw;
+        - ``sensor_msgs/LaserScan``: ``scans``, called like the topic; farther than the largest
+          range is the largest range;
+        - ``sensor_msgs/NavSatFix``: ``fixes``, or ``sightings``, (east, north, up).
+
+    Notes
+    -----
+    Fixes are metres in the plane that touches the ellipsoid of WGS 84 at the first fix: its east,
+    its north, and the height above it. A message without a fix is left out, and so are topics of
+    other types; `dropped` tells of both.
+
+    Raises
+    ------
+    ImportError
+        If rosbags is not installed: it is in the extra ``bags``.
+    EvidenceError
+        If a topic cannot be what it is asked to be.
+    FileError
+        If it is no bag, is damaged, has no such topic, or two topics for one part.
+
+    Examples
+    --------
+    >>> import pgm
+    >>> drive = pgm.recordings.read_bag("drive.bag", ["/odom", "/gps"])    # doctest: +SKIP
+    """
+    highlevel = optional("rosbags.highlevel", "read_bag", EXTRA)
+    typesys = optional("rosbags.typesys", "read_bag", EXTRA)
+    if not isinstance(path, str | os.PathLike):
+        raise EvidenceError(f"a bag's path was due, not {type(path).__name__}")
+    where = Path(os.fsdecode(path))
+    origin = Origin(str(where), str(where))
+    store = typesys.Stores.LATEST if where.is_dir() else typesys.Stores.ROS1_NOETIC
+    found: dict[str, tuple[str, list[Any]]] = {}
+    try:
+        typestore = typesys.get_typestore(store)
+        with highlevel.AnyReader([where], default_typestore=typestore) as reader:
+            kinds = {each.topic: each.msgtype for each in reader.connections}
+            parts, others = _parts(kinds, topics, origin)
+            wanted = [each for each in reader.connections if each.topic in parts]
+            counts = {topic: reader.topics[topic].msgcount for topic in kinds}
+            found = {topic: (kinds[topic], []) for topic in parts}
+            for connection, _, raw in reader.messages(connections=wanted) if wanted else ():
+                found[connection.topic][1].append(reader.deserialize(raw, connection.msgtype))
+    except (EvidenceError, FileError):
+        raise
+    except Exception as error:  # of many kinds, as the damage is
+        raise origin.fault(
+            f"it cannot be read as a bag ({type(error).__name__}: {error}); is it whole, and was "
+            "it closed?"
+        ) from error
+    told = [
+        Dropped(topic, f"of {kinds[topic]}", np.arange(counts[topic]))
+        for topic in others
+        if counts[topic]
+    ]
+    return _recording(found, parts, told, origin, where)
+
+
+def _recording(
+    found: Mapping[str, tuple[str, list[Any]]],
+    parts: Mapping[str, str],
+    told: list[Dropped],
+    origin: Origin,
+    where: Path,
+) -> Recording:
+    """The recording of messages by topic."""
+    made: dict[str, Any] = {}
+    many: dict[str, dict[str, Any]] = {part: {} for part in MANY}
+    with files.told_of(origin):
+        for topic, (kind, rows) in found.items():
+            part = parts[topic]
+            stream, fates = messages.READERS[kind](topic, part, rows, origin)
+            told += fates
+            if stream is None:
+                continue
+            if part in MANY:
+                many[part][topic] = stream
+            else:
+                made[part] = stream
+        sightings: dict[str, Stream] = many["sightings"]
+        scans: dict[str, Scans] = many["scans"]
+        return Recording(**made, sightings=sightings, scans=scans, name=where.stem, dropped=told)
+
+
+def _parts(
+    kinds: Mapping[str, str], topics: Any, origin: Origin
+) -> tuple[dict[str, str], list[str]]:
+    """The part that each topic is read as, and the topics that are not read."""
+    if topics is None:
+        parts = {topic: PARTS[kind] for topic, kind in kinds.items() if kind in PARTS}
+    else:
+        asked = topics if isinstance(topics, Mapping) else dict.fromkeys(as_tuple(topics) or ())
+        if not asked:
+            raise EvidenceError(f"topics= names topics, like ['/odom'], not {topics!r}")
+        parts = {}
+        for topic, part in asked.items():
+            if topic not in kinds:
+                raise origin.fault(f"it has no topic {topic!r}; it has {listed(kinds, 20)}")
+            kind = kinds[topic]
+            if kind not in PARTS:
+                raise origin.fault(f"{topic} is of {kind}; known are {listed(PARTS)}")
+            choices = CHOICES.get(kind, (PARTS[kind],))
+            if part is not None and part not in choices:
+                raise EvidenceError(f"{topic}, of {kind}, is {listed(choices)}, not {part!r}")
+            parts[topic] = part or PARTS[kind]
+    for part in set(parts.values()) - set(MANY):
+        each = [topic for topic in parts if parts[topic] == part]
+        if len(each) > 1:
+            raise origin.fault(
+                f"{listed(each)} would each be {part}; say which topics to read, and as which "
+                f"part, like topics={{{each[0]!r}: {part!r}}}"
+            )
+    return parts, [topic for topic in kinds if topic not in parts] if topics is None else []

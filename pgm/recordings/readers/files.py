@@ -1,0 +1,108 @@
+"""Files of a recording: opened, and refused in words that name the file."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat
+
+from pgm.errors import EvidenceError, FileError
+from pgm.io import sources
+from pgm.io.sources import Content, Origin, Source
+from pgm.kernels.arrays import Array
+
+# Bytes that a file may hold once unpacked.
+LIMIT = 2**30
+
+
+def content(source: Source) -> Content:
+    """All of a file, which is there and can be read."""
+    try:
+        return sources.read(source, LIMIT)
+    except OSError as error:
+        name = os.fspath(source) if isinstance(source, str | os.PathLike) else "the file"
+        raise FileError(
+            f"{name} cannot be read ({type(error).__name__}: {error.strerror or error})",
+            path=str(name),
+        ) from error
+
+
+def folder(path: Any) -> Path:
+    """A folder, which is there."""
+    if not isinstance(path, str | os.PathLike):
+        raise FileError(f"a folder's path was due, not {type(path).__name__}")
+    found = Path(os.fsdecode(path))
+    if not found.is_dir():
+        raise FileError(f"{found} is no folder", path=str(found))
+    return found
+
+
+def name(source: Source) -> str:
+    """The name of a recording: of its file or folder, without the ending."""
+    return Path(source).stem if isinstance(source, str | os.PathLike) else ""
+
+
+@contextmanager
+def told_of(origin: Origin) -> Iterator[None]:
+    """Errors of values that a file holds, as errors of the file."""
+    try:
+        yield
+    except EvidenceError as error:
+        raise origin.fault(str(error)) from error
+
+
+def matlab(
+    path: Source,
+    kind: str,
+    tables: Mapping[str, int | None],
+    optional: Sequence[str] = (),
+) -> tuple[dict[str, Array], Origin]:
+    """Tables of numbers by name from a ``.mat`` file before version 7.3.
+
+    Parameters
+    ----------
+    path : str, Path or open file
+    kind : str
+        The recording that it should be, for messages.
+    tables : mapping of str to int or None
+        Names and widths of those that are needed; one of any width has None.
+    optional : sequence of str
+        Names of those that may be there.
+    """
+    held = content(path)
+    data = held.data if isinstance(held.data, bytes) else held.data.encode()
+    try:
+        found = loadmat(io.BytesIO(data))  # type: ignore[arg-type]
+    except Exception as error:  # of many kinds, as the damage is
+        raise held.origin.fault(
+            f"it cannot be read as a .mat file ({type(error).__name__}: {error}); fetch it again"
+        ) from error
+    lost = [key for key in tables if key not in found]
+    if lost:
+        raise held.origin.fault(f"it has no tables {lost}; is it {kind}?")
+    due = {**tables, **{key: None for key in optional if key in found}}
+    read = {key: _table(found[key], key, width, kind, held.origin) for key, width in due.items()}
+    return read, held.origin
+
+
+def _table(value: Any, key: str, width: int | None, kind: str, origin: Origin) -> Array:
+    if (
+        not isinstance(value, np.ndarray)
+        or value.dtype.kind not in "fiu"
+        or value.ndim != 2
+        or width not in (None, value.shape[1])
+    ):
+        found = f"shape {np.shape(value)} of {getattr(value, 'dtype', type(value).__name__)}"
+        due = "numbers" if width is None else f"numbers in {width} columns"
+        raise origin.fault(f"the table {key} has {found}; {due} were due; is it {kind}?")
+    table = np.asarray(value, dtype=float)
+    if not np.isfinite(table).all():
+        row = int(np.argwhere(~np.isfinite(table))[0, 0])
+        raise origin.fault(f"the table {key}, row {row}: {table[row].tolist()} is not finite")
+    return table

@@ -1,0 +1,166 @@
+"""Messages of ROS as rows of streams."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from pgm.errors import EvidenceError
+from pgm.io.sources import Origin
+from pgm.kernels import quaternions, twists
+from pgm.kernels.arrays import Array
+from pgm.recordings import mending
+from pgm.recordings.dropped import Dropped
+from pgm.recordings.motion import PLANAR, PLANAR_SPEEDS
+from pgm.recordings.readers import geodesy
+from pgm.recordings.recording import POSE
+from pgm.recordings.scans import Scans
+from pgm.recordings.stream import Stream
+
+# Of a 6 × 6 covariance, x, y, z and three turns: those in the plane.
+_PLANE = (0, 1, 5)
+_UNIT = 1e-3
+NO_FIX = "without a fix"
+Read = tuple[Any, list[Dropped]]
+
+
+def _odometry(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
+    """Messages of nav_msgs/Odometry."""
+    if part != "velocities":
+        return _poses(topic, part, rows, origin)
+    return _speeds(rows, [m.twist.twist for m in rows])
+
+
+def _poses(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
+    """Messages that have a pose, with a covariance or without."""
+    each = [m.pose.pose if hasattr(m.pose, "pose") else m.pose for m in rows]
+    turns = _table([(q.x, q.y, q.z, q.w) for q in (pose.orientation for pose in each)], 4)
+    places = _table([(pose.position.x, pose.position.y) for pose in each], 2)
+    poses = np.column_stack([places, _yaw(topic, turns)])
+    stamps = _stamps(rows)
+    if part == "odometry":
+        return _increments(stamps, poses)
+    spread = None
+    if rows and hasattr(rows[0].pose, "covariance"):
+        cov = _table([m.pose.covariance for m in rows], 36).reshape(-1, 6, 6)
+        spread = np.diagonal(cov, axis1=1, axis2=2)[:, _PLANE]
+        spread = spread if spread.any() else None  # all zero: not told
+    return Stream(stamps, poses, POSE, variances=spread), []
+
+
+def _increments(stamps: Array, poses: Array) -> Read:
+    """The motion between poses, put in order of their stamps first."""
+    if not len(stamps):
+        return None, []
+    stream, told = mending.ordered("odometry", Stream(stamps, poses, POSE))
+    found = twists.between(stream.values)
+    return Stream(stream.stamps[1:], found, PLANAR, begin=stream.stamps[0]), told
+
+
+def _twists(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
+    """Messages of geometry_msgs/TwistStamped."""
+    return _speeds(rows, [m.twist for m in rows])
+
+
+def _speeds(rows: Sequence[Any], each: Sequence[Any]) -> Read:
+    values = _table([(twist.linear.x, twist.linear.y, twist.angular.z) for twist in each], 3)
+    return Stream(_stamps(rows), values, PLANAR_SPEEDS), []
+
+
+def _imu(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
+    """Messages of sensor_msgs/Imu; a covariance that begins with −1 says: not measured."""
+    names, columns, spreads = [], [], []
+    for what, attribute in (("rate", "angular_velocity"), ("acceleration", "linear_acceleration")):
+        cov = _table([getattr(m, f"{attribute}_covariance") for m in rows], 9)
+        values = _table([[getattr(getattr(m, attribute), axis) for axis in "xyz"] for m in rows], 3)
+        values[cov[:, 0] == -1.0] = np.nan
+        names += [f"{what}_{axis}" for axis in "xyz"]
+        columns.append(values)
+        spreads.append(np.where(cov[:, :1] == -1.0, 0.0, cov[:, [0, 4, 8]]))
+    turns = _table([(q.x, q.y, q.z, q.w) for q in (m.orientation for m in rows)], 4)
+    cov = _table([m.orientation_covariance for m in rows], 9)
+    told = (cov[:, 0] != -1.0) & turns.any(axis=1)
+    yaw = np.full(len(rows), np.nan)
+    yaw[told] = _yaw(topic, turns[told])
+    spreads.append(np.where(told, cov[:, 8], 0.0)[:, None])
+    spread = np.concatenate(spreads, axis=1)
+    values = np.column_stack([*columns, yaw])
+    variances = spread if spread.any() else None
+    return Stream(_stamps(rows), values, (*names, "heading"), variances=variances), []
+
+
+def _fixes(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
+    """Messages of sensor_msgs/NavSatFix."""
+    world = np.radians(_table([(m.latitude, m.longitude) for m in rows], 2))
+    height = np.array([m.altitude for m in rows], dtype=float)
+    fixed = np.array([m.status.status >= 0 for m in rows], dtype=bool) & np.isfinite(world).all(1)
+    told = [] if fixed.all() else [Dropped(part, NO_FIX, np.flatnonzero(~fixed))]
+    if not fixed.any():
+        return None, told
+    known = np.isfinite(height)
+    values = geodesy.local(world[fixed], np.where(known, height, 0.0)[fixed])
+    values[~known[fixed], 2] = np.nan
+    cov = _table([m.position_covariance for m in rows], 9)[fixed]
+    spread = cov[:, [0, 4, 8]] if all(m.position_covariance_type for m in rows) else None
+    stream = Stream(_stamps(rows)[fixed], values, ("east", "north", "up"), variances=spread)
+    return stream, told
+
+
+def _scans(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
+    """Messages of sensor_msgs/LaserScan."""
+    if not rows:
+        return None, []
+    settings = {
+        (m.angle_min, m.angle_increment, m.range_min, m.range_max, len(m.ranges)) for m in rows
+    }
+    if len(settings) > 1:
+        raise origin.fault(
+            f"{topic}: scans of {len(settings)} kinds (first angle, step, ranges, rays), as "
+            f"{sorted(settings)[:2]}; one kind was due"
+        )
+    start, step, least, most, count = settings.pop()
+    ranges = _table([m.ranges for m in rows], count)
+    # By REP 117 infinity is nothing in reach, and what is too near or no reading is NaN.
+    with np.errstate(invalid="ignore"):
+        ranges[ranges < least] = np.nan
+    stamps = _stamps(rows)
+    told = []
+    if (back := np.flatnonzero(np.diff(stamps) < 0.0) + 1).size:
+        told.append(Dropped(topic, mending.BACKWARDS, back, kept=True))
+    order = np.argsort(stamps, kind="stable")
+    return Scans(stamps[order], ranges[order], start + step * np.arange(count), most), told
+
+
+def _stamps(rows: Sequence[Any]) -> Array:
+    """The stamps of headers, seconds."""
+    if any(m.header.stamp.sec == 0 and m.header.stamp.nanosec == 0 for m in rows[1:]):
+        raise EvidenceError("headers of messages have no stamps; the bag's times are not used")
+    return np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in rows], dtype=float)
+
+
+def _table(rows: Sequence[Any], width: int) -> Array:
+    return np.array(rows, dtype=float).reshape(len(rows), width)
+
+
+def _yaw(topic: str, turns: Array) -> Array:
+    length = np.linalg.norm(turns, axis=1)
+    if not (np.abs(length - 1.0) <= _UNIT).all():
+        row = int((~(np.abs(length - 1.0) <= _UNIT)).argmax())
+        raise EvidenceError(
+            f"{topic}, message {row}: the orientation {turns[row].tolist()} is no unit quaternion"
+        )
+    yaw: Array = quaternions.angles(turns / length[:, None])[:, 2]
+    return yaw
+
+
+READERS: dict[str, Callable[[str, str, Sequence[Any], Origin], Read]] = {
+    "nav_msgs/msg/Odometry": _odometry,
+    "geometry_msgs/msg/PoseStamped": _poses,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _poses,
+    "geometry_msgs/msg/TwistStamped": _twists,
+    "sensor_msgs/msg/Imu": _imu,
+    "sensor_msgs/msg/NavSatFix": _fixes,
+    "sensor_msgs/msg/LaserScan": _scans,
+}

@@ -1,0 +1,398 @@
+"""One recorded drive: odometry, sightings, landmarks and truth, each with its own stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.boundary import as_floats, as_mapping, is_number
+from pgm.display import TITLE, Listing, NoArray, Shown, Summary
+from pgm.errors import EvidenceError
+from pgm.factors.scope import listed
+from pgm.immutable import Immutable
+from pgm.io.poses import Poses
+from pgm.io.stamped import SAME, as_stamps, clock
+from pgm.io.timeline import Timeline
+from pgm.kernels import twists
+from pgm.kernels.arrays import Array
+from pgm.recordings import checks, handing, mending, motion, summaries
+from pgm.recordings.dropped import Dropped
+from pgm.recordings.scans import Scans
+from pgm.recordings.stream import Stream
+from pgm.variables import Variable
+
+POSE, PLACE = ("east", "north", "heading"), ("east", "north")
+NO_PLACE = "of a subject without a place"
+_PARTS = ("name", "odometry", "velocities", "sightings", "landmarks", "landmark_cov", "truth")
+_MORE = ("imu", "fixes", "scans", "mounts", "dropped")
+
+
+class Recording(Shown, NoArray, Immutable):
+    """A recorded drive in the plane: streams of rows, each with its own stamps.
+
+    Rows are put in order of time. Measurements that are NaN, and rows that repeat another in all
+    that they hold, are left out; `dropped` and the printed summary tell of each.
+
+    Parameters
+    ----------
+    odometry : Stream, optional
+        Increments since the stamp before: (distance, turn) along an arc, (forward, left, turn) as
+        one pose is seen from another, or (rot1, trans, rot2); metres and radians.
+    velocities : Stream, optional
+        Held until the next stamp: (v, omega), or (v_forward, v_left, omega); m/s and rad/s.
+    sightings : mapping of str to Stream, optional
+        By sensor: range [m], bearing [rad], or whatever it measures.
+    landmarks : mapping, optional
+        Positions [m], (2,) or (3,), by identity.
+    landmark_cov : mapping, optional
+        Their covariances, by identity, where they are known.
+    truth : Stream or Poses, optional
+        The reference: (east, north, heading) or (east, north).
+    imu, fixes : Stream, optional
+        Inertial readings; and positions, as of satellites: (east, north) or more.
+    scans : mapping of str to Scans, optional
+        By laser.
+    mounts : mapping of str to array_like, optional
+        Where a sensor or laser sits on the robot: (forward [m], left [m], turn [rad]).
+    name : str, optional
+    dropped : sequence of Dropped, optional
+        What a reader has already left out.
+
+    Raises
+    ------
+    EvidenceError
+        If components are not those above, motion is NaN, or positions are not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pgm.recordings import Recording, Stream
+    >>> arcs = [[1.0, 0.0], [np.pi / 2, np.pi / 2]]
+    >>> wheels = Stream([1.0, 2.0], arcs, ("distance", "turn"), begin=0)
+    >>> heard = Stream([1.5, 0.2], [4.0, 5.0], ("range",), subject=[7, 7])
+    >>> drive = Recording(odometry=wheels, sightings={"radio": heard}, landmarks={7: [5.0, 0.0]})
+    >>> drive
+    Recording, 0 s to 2 s
+      odometry   2 increments of distance, turn; every 1 s (median), 1 s at most
+      radio      2 of range, of 1 subject
+      landmarks  1
+      radio      1 kept: stamped before the row above, put in order (row 1)
+    >>> drive.dead_reckoning([0.0, 0.0, 0.0]).values.round(3)
+    array([[0.   , 0.   , 0.   ],
+           [1.   , 0.   , 0.   ],
+           [2.   , 1.   , 1.571]])
+    """
+
+    name: str
+    odometry: Stream | None
+    velocities: Stream | None
+    sightings: Mapping[str, Stream]
+    landmarks: Mapping[Hashable, Array]
+    landmark_cov: Mapping[Hashable, Array]
+    truth: Stream | None
+    imu: Stream | None
+    fixes: Stream | None
+    scans: Mapping[str, Scans]
+    mounts: Mapping[str, Array]
+    dropped: tuple[Dropped, ...]
+
+    _arrays: ClassVar[str] = "streams' .stamps and .values"
+
+    def __init__(
+        self,
+        *,
+        odometry: Stream | None = None,
+        velocities: Stream | None = None,
+        sightings: Mapping[str, Stream] | None = None,
+        landmarks: Mapping[Any, npt.ArrayLike] | None = None,
+        landmark_cov: Mapping[Any, npt.ArrayLike] | None = None,
+        truth: Stream | Poses | None = None,
+        imu: Stream | None = None,
+        fixes: Stream | None = None,
+        scans: Mapping[str, Scans] | None = None,
+        mounts: Mapping[str, npt.ArrayLike] | None = None,
+        name: str = "",
+        dropped: Sequence[Dropped] = (),
+    ) -> None:
+        told = list(dropped)
+        if isinstance(truth, Poses):
+            truth = Stream(truth.times, truth.planar, POSE)
+        streams: dict[str, Stream | None] = {}
+        for key, given, mend in (
+            ("odometry", odometry, mending.ordered),
+            ("velocities", velocities, mending.ordered),
+            ("truth", truth, mending.reference),
+            ("imu", imu, mending.sightings),
+            ("fixes", fixes, mending.sightings),
+        ):
+            streams[key] = None
+            if given is not None:
+                streams[key], fates = mend(key, checks.stream(key, given))
+                told += fates
+        for key, known in (("odometry", motion.ODOMETRY), ("velocities", motion.VELOCITIES)):
+            if (found := streams[key]) is not None:
+                motion.require_motion(key, found, known)
+        if streams["truth"] is not None and streams["truth"].components not in (POSE, PLACE):
+            raise EvidenceError(
+                f"truth has the components ({listed(streams['truth'].components)}); "
+                f"({listed(POSE)}) or ({listed(PLACE)}) was due"
+            )
+        seen = {}
+        for key, stream in as_mapping(sightings, "sightings").items():
+            seen[key], fates = mending.sightings(key, checks.stream(f"the sensor {key!r}", stream))
+            told += [fate for fate in fates if not mending.known(fate, dropped)]
+        places = checks.places(landmarks)
+        self._set(
+            name=name,
+            sightings=MappingProxyType(seen),
+            scans=MappingProxyType(checks.scans(scans)),
+            mounts=MappingProxyType(checks.mounts(mounts, (*seen, *(scans or ())))),
+            landmarks=MappingProxyType(places),
+            landmark_cov=MappingProxyType(checks.covariances(landmark_cov, places)),
+            dropped=tuple(told),
+            **streams,
+        )
+
+    def replace(self, **changes: Any) -> Recording:
+        """A recording that differs in some of its attributes."""
+        return Recording(**{name: getattr(self, name) for name in (*_PARTS, *_MORE)} | changes)
+
+    @property
+    def times(self) -> Array:
+        """The times at which rows of the motion begin and end, seconds, increasing."""
+        return self._motion().axis
+
+    def stamps(self) -> Array:
+        """One axis of the stamps of motion, sightings and fixes, within the motion's time.
+
+        With a state at each of them `timeline` moves nothing. Stamps less than a microsecond apart
+        are one.
+        """
+        axis = self.times
+        others = [stream.stamps for stream in self.sightings.values()]
+        if self.fixes is not None:
+            others.append(self.fixes.stamps)
+        return motion.merged(axis, others)
+
+    def between(self, first: float, last: float) -> Recording:
+        """The part from one time to another, both included; motion is cut there, along its arc."""
+        if not (is_number(first) and is_number(last) and first < last):
+            raise EvidenceError(f"between takes two times, the later one last; not {first}, {last}")
+
+        def cut(stream: Stream | None) -> Stream | None:
+            if stream is None:
+                return None
+            return stream.take((stream.stamps >= first) & (stream.stamps <= last))
+
+        changes: dict[str, Any] = {
+            name: cut(getattr(self, name)) for name in ("truth", "imu", "fixes")
+        }
+        changes["sightings"] = {name: cut(stream) for name, stream in self.sightings.items()}
+        changes["scans"] = {name: each.between(first, last) for name, each in self.scans.items()}
+        if self.odometry is not None:
+            changes["odometry"] = motion.cut_odometry(self.odometry, first, last)
+        if self.velocities is not None:
+            changes["velocities"] = motion.cut_velocities(self.velocities, first, last)
+        return self.replace(**changes)
+
+    def resampled(
+        self, times: npt.ArrayLike | None = None, *, period: float | None = None
+    ) -> Recording:
+        """Motion between given times, composed exactly; truth and velocities at them.
+
+        Parameters
+        ----------
+        times : array_like
+            (m,), seconds, increasing, within the time of the motion.
+        period : float
+            Instead of times: seconds from one to the next.
+
+        Returns
+        -------
+        Recording
+            Its odometry is (forward, left, turn) from time to time, of the odometry or else of the
+            velocities, which are held. Sightings keep their stamps. Truth is `truth_at`, left out
+            where it does not reach over all times.
+
+        Raises
+        ------
+        EvidenceError
+            If times do not increase, or the motion does not cover them.
+        """
+        spans = self._motion()
+        if (times is None) == (period is None):
+            raise EvidenceError("resampled takes times or period=, one of them")
+        if period is not None:
+            if not (is_number(period) and period > 0.0):
+                raise EvidenceError(f"period= is a positive number of seconds, not {period!r}")
+            first, last = spans.axis[[0, -1]]
+            times = first + period * np.arange(int((last - first) / period + SAME) + 1)
+        axis = checks.increasing(times)
+        changes: dict[str, Any] = {
+            "odometry": Stream(axis[1:], spans.between(axis), motion.PLANAR, begin=axis[0])
+        }
+        if self.velocities is not None:
+            row = np.searchsorted(self.velocities.stamps, axis + SAME) - 1
+            held = self.velocities.take(row.clip(0)).values
+            changes["velocities"] = Stream(axis, held, self.velocities.components)
+        if self.truth is not None:
+            inside = axis[0] >= self.truth.stamps[0] and axis[-1] <= self.truth.stamps[-1]
+            changes["truth"] = self.truth_at(axis) if inside else None
+        return self.replace(**changes)
+
+    def merged(self) -> Recording:
+        """The recording with motion from each stamp of any stream to the next: `stamps`."""
+        return self.resampled(self.stamps())
+
+    def dead_reckoning(
+        self, start: npt.ArrayLike | None = None, times: npt.ArrayLike | None = None
+    ) -> Stream:
+        """Poses by the motion alone, composed exactly.
+
+        Parameters
+        ----------
+        start : array_like, optional
+            (3,): east [m], north [m], heading [rad] at the first time; the truth's without.
+        times : array_like, optional
+            (m,), seconds; those of the motion's rows without.
+
+        Returns
+        -------
+        Stream
+            (east, north, heading); the heading is not wrapped.
+        """
+        spans = self._motion()
+        axis = spans.axis if times is None else checks.increasing(times)
+        if start is None:
+            truth = self.truth_at(axis[:1])
+            if truth.components != POSE:
+                raise EvidenceError("the truth has no headings; give start=(east, north, heading)")
+            start = truth.values[0]
+        pose = as_floats(start, "start=", EvidenceError)
+        if pose.shape != (3,) or not np.isfinite(pose).all():
+            raise EvidenceError(f"start= is (east, north, heading), not {start!r}")
+        return Stream(axis, twists.path(pose, spans.between(axis)), POSE)
+
+    def truth_at(self, times: npt.ArrayLike) -> Stream:
+        """The truth at given times, between its own on a line; headings are not wrapped.
+
+        Raises
+        ------
+        EvidenceError
+            If there is none, or a time is before the first or after the last of it.
+        """
+        if self.truth is None or not len(self.truth):
+            raise EvidenceError(f"{self._title} has no truth")
+        asked, known = as_stamps("times", times), self.truth.stamps
+        outside = (asked < known[0] - SAME) | (asked > known[-1] + SAME)
+        if outside.any():
+            raise EvidenceError(
+                f"the truth is of {clock(known[0])} to {clock(known[-1])}, and not of "
+                f"{clock(asked[outside.argmax()])}"
+            )
+        values = self.truth.values
+        if self.truth.components == POSE:
+            values = np.column_stack([values[:, :2], np.unwrap(values[:, 2])])
+        columns = [np.interp(asked, known, column) for column in values.T]
+        return Stream(asked, np.column_stack(columns), self.truth.components)
+
+    def located(self) -> Recording:
+        """The recording without sightings whose subject has no place; `dropped` tells of them."""
+        told, seen = list(self.dropped), {}
+        for name, stream in self.sightings.items():
+            lost = handing.without_place(stream, self.landmarks)
+            seen[name] = stream.take(~lost)
+            if lost.any():
+                told.append(Dropped(name, NO_PLACE, np.flatnonzero(lost)))
+        return self.replace(sightings=seen, dropped=told)
+
+    def calibrated(
+        self, sensor: str, scale: float = 1.0, offset: float = 0.0, *, component: str = "range"
+    ) -> Recording:
+        """The recording with readings = scale · value + offset of a sensor undone.
+
+        Parameters
+        ----------
+        sensor : str
+        scale, offset : float
+        component : str, optional
+        """
+        if not (is_number(scale) and np.isfinite(scale) and scale > 0.0):
+            raise EvidenceError(f"scale is a positive number, not {scale!r}")
+        if not (is_number(offset) and np.isfinite(offset)):
+            raise EvidenceError(f"offset is a number, not {offset!r}")
+        stream = handing.sensor(self, sensor)
+        column = stream.place(component)
+        values = stream.values.copy()
+        values[:, column] = (values[:, column] - offset) / scale
+        variances = stream.variances
+        if variances is not None:
+            variances = variances.copy()
+            variances[:, column] /= scale**2
+        mended = stream.replace(values=values, variances=variances)
+        return self.replace(sightings={**self.sightings, sensor: mended})
+
+    def timeline(
+        self,
+        times: npt.ArrayLike | None = None,
+        *,
+        odometry: Variable | None = None,
+        velocities: Variable | None = None,
+        sensors: Mapping[Variable, str] | None = None,
+        landmark: Variable | None = None,
+        tolerance: float | None = None,
+    ) -> Timeline:
+        """Evidence of a network: the streams handed to `pgm.timeline` under its variables.
+
+        Parameters
+        ----------
+        times : array_like, optional
+            (T+1,): of the states; without them `stamps`, so that no measurement is moved.
+        odometry, velocities : Variable, optional
+            The control that each is evidence of. A variable of (forward, left, turn) has the
+            motion of each step composed exactly, of odometry of any kind; of another kind the
+            components are the stream's own, and `pgm.timeline` sums or averages them. A component
+            ``dt`` is filled in.
+        sensors : mapping of Variable to str, optional
+            The name of the sensor that each is evidence of.
+        landmark : Variable, optional
+            The sensors' observed parent: its evidence is the place of each sighting's subject.
+        tolerance : float, optional
+            As of `pgm.timeline`.
+
+        Raises
+        ------
+        EvidenceError
+            If a stream or component is not there, or a sighting's subject has no place: `located`
+            leaves these out.
+        """
+        axis = self.stamps() if times is None else checks.increasing(times)
+        return handing.timeline(
+            self,
+            axis,
+            odometry=odometry,
+            velocities=velocities,
+            sensors=sensors,
+            landmark=landmark,
+            tolerance=tolerance,
+        )
+
+    def _motion(self) -> motion.Spans:
+        """The rows of motion: of odometry, or else of velocities."""
+        if self.odometry is not None:
+            return motion.of_odometry(self.odometry)
+        if self.velocities is not None:
+            return motion.of_velocities(self.velocities)
+        raise EvidenceError(f"{self._title} has neither odometry nor velocities")
+
+    @property
+    def _title(self) -> str:
+        return f"Recording{' ' * bool(self.name)}{self.name}{summaries.span(self)}"
+
+    def _summary(self) -> Summary:
+        rows = summaries.rows(self)
+        return Summary(self._title, [Listing(("", ""), rows, names=2, cell=TITLE)] * bool(rows))

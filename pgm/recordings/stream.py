@@ -1,0 +1,218 @@
+"""Stamped rows of one sensor, odometer or reference, by the names of their components."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.boundary import as_floats, as_tuple, is_number, is_unordered
+from pgm.display import NoArray, Shown, Summary, count, table
+from pgm.errors import EvidenceError
+from pgm.factors.scope import listed
+from pgm.immutable import Immutable
+from pgm.io.stamped import as_stamps, clock
+from pgm.kernels.arrays import Array, Integers, Mask, frozen
+from pgm.optional import FRAMES, optional
+
+Subjects = npt.NDArray[Any]
+_SUBJECTS = {int: np.dtype(int), str: np.dtype(np.str_), type(None): np.dtype(object)}
+
+
+class Stream(Shown, NoArray, Immutable):
+    """Rows with their stamps; values are read by component, ``stream["range"]``.
+
+    Parameters
+    ----------
+    stamps : array_like
+        (n,), seconds.
+    values : array_like
+        (n, d), or (n,) where d = 1; NaN where nothing was measured.
+    components : sequence of str
+        The d names of the columns.
+    subject : array_like, optional
+        (n,): the identity of each row's landmark, numbers or words; None where it is unknown.
+    variances : array_like, optional
+        (n, d), of the noise, where the file says it.
+    begin : float, optional
+        Of increments: when the first of them begins, seconds. Without it, the first row only
+        stamps the moment from which the second counts.
+
+    Raises
+    ------
+    EvidenceError
+        If shapes do not fit each other, stamps are not finite seconds, or variances are negative.
+
+    Examples
+    --------
+    >>> from pgm.recordings import Stream
+    >>> seen = Stream([0.1, 0.2], [[5.1, 0.3], [4.9, 0.2]], ("range", "bearing"), subject=[6, 9])
+    >>> seen["bearing"]
+    array([0.3, 0.2])
+    >>> seen
+    Stream(2 rows of range, bearing, 0.1 s to 0.2 s)
+      stamp  range, bearing       subject
+        0.1             5.1  0.3        6
+        0.2             4.9  0.2        9
+    """
+
+    stamps: Array
+    values: Array
+    components: tuple[str, ...]
+    subject: Subjects | None
+    variances: Array | None
+    begin: float | None
+
+    _arrays: ClassVar[str] = ".stamps and .values"
+
+    def __init__(
+        self,
+        stamps: npt.ArrayLike,
+        values: npt.ArrayLike,
+        components: Sequence[str],
+        *,
+        subject: Any = None,
+        variances: npt.ArrayLike | None = None,
+        begin: float | None = None,
+    ) -> None:
+        names = _names(components)
+        when = as_stamps("stamps", stamps)
+        if begin is not None and not (is_number(begin) and np.isfinite(begin)):
+            raise EvidenceError(f"begin= is a time in seconds, not {begin!r}")
+        if begin is not None and when.size and begin > when.min():
+            raise EvidenceError(
+                f"begin={float(begin)!r} is after the first stamp, {clock(when.min())}; increments "
+                "count up to their stamps"
+            )
+        spread = None if variances is None else _table("variances", variances, when.size, names)
+        if spread is not None and (spread < 0.0).any():
+            row = int(np.argwhere(spread < 0.0)[0, 0])
+            raise EvidenceError(f"variances, row {row}: {spread[row].tolist()}; 0 or more was due")
+        self._set(
+            stamps=frozen(when),
+            values=frozen(_table("values", values, when.size, names)),
+            components=names,
+            subject=None if subject is None else _subjects(subject, when.size),
+            variances=None if spread is None else frozen(spread),
+            begin=None if begin is None else float(begin),
+        )
+
+    def __len__(self) -> int:
+        return self.stamps.size
+
+    def __getitem__(self, component: str) -> Array:
+        """The values of a component, (n,)."""
+        return self.values[:, self.place(component)]
+
+    def place(self, component: str) -> int:
+        """The column of a component."""
+        if component not in self.components:
+            raise EvidenceError(
+                f"{self._title} has no component {component!r}; it has {listed(self.components)}"
+            )
+        return self.components.index(component)
+
+    def take(self, rows: Integers | Mask | slice) -> Stream:
+        """Some of the rows, by number or mask."""
+        return self.replace(
+            stamps=self.stamps[rows],
+            values=self.values[rows],
+            subject=None if self.subject is None else self.subject[rows],
+            variances=None if self.variances is None else self.variances[rows],
+        )
+
+    def replace(self, **changes: Any) -> Stream:
+        """A stream that differs in some of its attributes."""
+        given = {name: getattr(self, name) for name in type(self).__annotations__ if name[0] != "_"}
+        return Stream(**given | changes)
+
+    def to_frame(self) -> Any:
+        """A data frame of the rows, by stamp.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        pandas = optional("pandas", "to_frame", FRAMES)
+        frame = pandas.DataFrame(
+            self.values, columns=list(self.components), index=pandas.Index(self.stamps, name="t")
+        )
+        if self.subject is not None:
+            frame["subject"] = self.subject
+        for k, name in enumerate(self.components if self.variances is not None else ()):
+            frame[f"variance of {name}"] = self.variances[:, k]  # type: ignore[index]
+        return frame
+
+    @property
+    def _title(self) -> str:
+        what = f"{count(len(self), 'row')} of {', '.join(self.components)}"
+        span = f", {clock(self.stamps.min())} to {clock(self.stamps.max())}" if len(self) else ""
+        return f"Stream({what}{span})"
+
+    def _summary(self) -> Summary:
+        if not len(self):
+            return Summary(self._title)
+        columns: list[tuple[str, Any]] = [("stamp", self.stamps)]
+        columns.append((", ".join(self.components), self.values))
+        if self.subject is not None:
+            columns.append(("subject", self.subject))
+        return Summary(self._title, [table(columns, digits=15)])
+
+
+def _names(components: Any) -> tuple[str, ...]:
+    names = as_tuple(components)
+    if (
+        not names
+        or is_unordered(components)
+        or not all(isinstance(name, str) and name for name in names)
+        or len(set(names)) < len(names)
+    ):
+        raise EvidenceError(
+            f"components= names the columns, each once, like ('range', 'bearing'); not "
+            f"{components!r}"
+        )
+    return names
+
+
+def _table(what: str, value: Any, rows: int, names: tuple[str, ...]) -> Array:
+    array = as_floats(value, what, EvidenceError, labels=names, missing=True).copy()
+    if array.ndim == 1 and len(names) == 1:
+        array = array[:, None]
+    if array.size == 0 and rows == 0:
+        array = array.reshape(0, len(names))
+    if array.shape != (rows, len(names)):
+        raise EvidenceError(
+            f"{what} have shape {array.shape}; {(rows, len(names))} was due, a row for each stamp "
+            f"and a column for each of {listed(names)}"
+        )
+    return array
+
+
+def _subjects(value: Any, rows: int) -> Subjects:
+    """Identities as an array of whole numbers or words; of objects, where some are unknown."""
+    array = np.asarray(value)
+    if array.shape != (rows,):
+        raise EvidenceError(
+            f"subject= has the shape {array.shape}, where ({rows},) was due, one for each stamp"
+        )
+    each = array.tolist()
+    odd = [one for one in each if type(one) not in _SUBJECTS]
+    if odd:
+        raise EvidenceError(
+            f"subject= has whole numbers or words, and None where unknown; not {odd[0]!r}"
+        )
+    kinds = {type(one) for one in each}
+    plain = _SUBJECTS[kinds.pop()] if len(kinds) == 1 else np.dtype(object)
+    found: Subjects = np.empty(rows, dtype=object)
+    found[:] = each
+    if plain.kind == "U" or (plain.kind == "i" and max(map(abs, each)) < 2**62):
+        found = found.astype(plain)
+    found.flags.writeable = False
+    return found

@@ -1,0 +1,253 @@
+"""Bags of ROS 1 and ROS 2, written here by rosbags: what was put in comes out, in metres."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from pgm.errors import EvidenceError, FileError
+from pgm.recordings import read_bag
+from pgm.recordings.readers.geodesy import local
+
+rosbags = pytest.importorskip("rosbags")
+from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
+from rosbags.rosbag2 import Writer as Writer2  # noqa: E402
+from rosbags.typesys import Stores, get_typestore  # noqa: E402
+
+TYPES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
+BEGIN = 1_700_000_000
+
+
+class Maker:
+    """Messages of one kind of ROS."""
+
+    def __init__(self, ros):
+        self.ros, self.types = ros, TYPES[ros].types
+
+    def make(self, kind, **values):
+        return self.types[kind](**values)
+
+    def header(self, t):
+        nanoseconds = round(t * 1e9)
+        stamp = self.make(
+            "builtin_interfaces/msg/Time",
+            sec=BEGIN + nanoseconds // 10**9,
+            nanosec=nanoseconds % 10**9,
+        )
+        more = {"seq": 0} if self.ros == 1 else {}
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id="map", **more)
+
+    def vector(self, x, y, z):
+        return self.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+    def pose(self, x, y, yaw):
+        return self.make(
+            "geometry_msgs/msg/Pose",
+            position=self.make("geometry_msgs/msg/Point", x=x, y=y, z=0.3),
+            orientation=self.make(
+                "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(yaw / 2), w=np.cos(yaw / 2)
+            ),
+        )
+
+    def twist(self, v, omega):
+        return self.make(
+            "geometry_msgs/msg/Twist",
+            linear=self.vector(v, 0.0, 0.0),
+            angular=self.vector(0.0, 0.0, omega),
+        )
+
+    def odometry(self, t, x, y, yaw):
+        pose = self.make(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=self.pose(x, y, yaw),
+            covariance=np.zeros(36),
+        )
+        twist = self.make(
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=self.twist(1.5, 0.2),
+            covariance=np.zeros(36),
+        )
+        return self.make(
+            "nav_msgs/msg/Odometry",
+            header=self.header(t),
+            child_frame_id="base",
+            pose=pose,
+            twist=twist,
+        )
+
+    def stamped(self, t, x, y, yaw):
+        return self.make(
+            "geometry_msgs/msg/PoseStamped", header=self.header(t), pose=self.pose(x, y, yaw)
+        )
+
+    def guess(self, t, x, y, yaw):
+        pose = self.make(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=self.pose(x, y, yaw),
+            covariance=np.arange(36.0),
+        )
+        return self.make(
+            "geometry_msgs/msg/PoseWithCovarianceStamped", header=self.header(t), pose=pose
+        )
+
+    def imu(self, t, rate):
+        quaternion = self.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+        untold = np.array([-1.0, *np.zeros(8)])
+        return self.make(
+            "sensor_msgs/msg/Imu",
+            header=self.header(t),
+            orientation=quaternion,
+            orientation_covariance=untold,
+            angular_velocity=self.vector(0.0, 0.0, rate),
+            angular_velocity_covariance=np.diag([0.1, 0.2, 0.3]).ravel(),
+            linear_acceleration=self.vector(0.5, 0.0, 9.8),
+            linear_acceleration_covariance=np.zeros(9),
+        )
+
+    def fix(self, t, latitude, longitude, status=0):
+        return self.make(
+            "sensor_msgs/msg/NavSatFix",
+            header=self.header(t),
+            status=self.make("sensor_msgs/msg/NavSatStatus", status=status, service=1),
+            latitude=latitude,
+            longitude=longitude,
+            altitude=50.0,
+            position_covariance=np.diag([1.0, 4.0, 9.0]).ravel(),
+            position_covariance_type=2,
+        )
+
+    def scan(self, t, ranges):
+        return self.make(
+            "sensor_msgs/msg/LaserScan",
+            header=self.header(t),
+            angle_min=-0.5,
+            angle_max=0.5,
+            angle_increment=0.5,
+            time_increment=0.0,
+            scan_time=0.0,
+            range_min=0.1,
+            range_max=10.0,
+            ranges=np.array(ranges, dtype=np.float32),
+            intensities=np.zeros(0, dtype=np.float32),
+        )
+
+
+def write(path, ros, messages):
+    """A bag of (topic, message) in order."""
+    store = TYPES[ros]
+    with Writer1(path) if ros == 1 else Writer2(path, version=9) as writer:
+        connections = {}
+        for k, (topic, message) in enumerate(messages):
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            code = store.serialize_ros1 if ros == 1 else store.serialize_cdr
+            writer.write(connections[topic], 10**9 * BEGIN + k, code(message, kind))
+    return path
+
+
+POSES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.5], [1.0, 2.0, 3.1], [0.0, 2.0, -3.1]])
+
+
+def drive(ros):
+    make = Maker(ros)
+    found = []
+    for k, pose in enumerate(POSES.tolist()):
+        t = 0.5 * k
+        found += [
+            ("/odom", make.odometry(t, *pose)),
+            ("/truth", make.stamped(t + 0.1, *pose)),
+            ("/amcl", make.guess(t, *pose)),
+            ("/imu", make.imu(t, 0.1 * k)),
+            ("/gps", make.fix(t, 48.0 + 1e-5 * k, 9.0, -1 if k == 2 else 0)),
+            ("/scan", make.scan(t, [1.0, np.inf, 0.05])),
+        ]
+    words = make.make("std_msgs/msg/String", data="hello")
+    return [*found, ("/chat", words)]
+
+
+@pytest.fixture(params=[1, 2], ids=["ROS 1", "ROS 2"])
+def bag(request, tmp_path):
+    path = tmp_path / ("drive.bag" if request.param == 1 else "drive")
+    return write(path, request.param, drive(request.param))
+
+
+def test_each_message_is_read(bag):
+    found = read_bag(bag)
+    assert_allclose(found.truth.stamps, BEGIN + 0.1 + 0.5 * np.arange(4))
+    assert_allclose(found.truth.values, POSES)
+    reckoned = found.dead_reckoning(POSES[0])
+    assert_allclose(reckoned.stamps, BEGIN + 0.5 * np.arange(4))
+    assert_allclose(reckoned.values[:, :2], POSES[:, :2], atol=1e-12)
+    assert_allclose(reckoned["heading"], np.unwrap(POSES[:, 2]))
+    guess = found.sightings["/amcl"]
+    assert_allclose(guess.values, POSES)
+    assert_array_equal(guess.variances[0], [0.0, 7.0, 35.0])
+    assert_allclose(found.imu["rate_z"], 0.1 * np.arange(4))
+    assert np.isnan(found.imu["heading"]).all()
+    assert_array_equal(found.imu.variances[0, :3], [0.1, 0.2, 0.3])
+    assert_array_equal(found.scans["/scan"].ranges[0], [1.0, 10.0, np.nan])
+    assert_allclose(found.scans["/scan"].angles, [-0.5, 0.0, 0.5])
+    assert len(found.fixes) == 3
+    assert_allclose(found.fixes["north"], [0.0, 1.11192, 3.33577], rtol=2e-5)
+    assert_array_equal(found.fixes.variances[0], [1.0, 4.0, 9.0])
+    told = {each.stream: each.fate for each in found.dropped}
+    assert told == {"fixes": "without a fix", "/chat": "of std_msgs/msg/String"}
+
+
+def test_topics_are_the_parts_that_are_asked_for(bag):
+    found = read_bag(bag, {"/odom": "velocities", "/amcl": "truth"})
+    assert found.odometry is None
+    assert_allclose(found.velocities.values, np.tile([1.5, 0.0, 0.2], (4, 1)))
+    assert_allclose(found.truth.values, POSES)
+    assert not found.sightings
+    assert read_bag(bag, ["/truth"]).odometry is None
+
+
+@pytest.mark.parametrize(
+    ("topics", "error", "told"),
+    [
+        (["/odometry"], FileError, "no topic '/odometry'; it has '/odom'"),
+        (["/chat"], FileError, "/chat is of std_msgs/msg/String; known are"),
+        ({"/odom": "imu"}, EvidenceError, "'odometry', 'velocities'.*, not 'imu'"),
+        ({"/odom": "truth", "/truth": "truth"}, FileError, "would each be truth"),
+        ([], EvidenceError, "topics= names topics"),
+    ],
+)
+def test_topics_that_cannot_be(bag, topics, error, told):
+    with pytest.raises(error, match=told):
+        read_bag(bag, topics)
+
+
+def test_what_is_no_bag(tmp_path):
+    (tmp_path / "a.bag").write_bytes(b"no bag")
+    (tmp_path / "b").mkdir()
+    for path in (tmp_path / "a.bag", tmp_path / "b", tmp_path / "nowhere"):
+        with pytest.raises(FileError, match="cannot be read as a bag") as caught:
+            read_bag(path)
+        assert caught.value.path == str(path)
+
+
+def test_messages_that_are_no_measurements(tmp_path):
+    make = Maker(2)
+    bad = make.odometry(1.0, 0.0, 0.0, 0.0)
+    bad.pose.pose.orientation.w = 0.5
+    with pytest.raises(FileError, match=r"/odom, message 1: .* is no unit quaternion"):
+        read_bag(write(tmp_path / "a", 2, [("/odom", make.odometry(0.5, 0, 0, 0)), ("/odom", bad)]))
+    late = [make.scan(1.0, [1, 1, 1]), make.scan(0.5, [2, 2, 2])]
+    found = read_bag(write(tmp_path / "b", 2, [("/scan", each) for each in late]))
+    assert_array_equal(found.scans["/scan"].ranges[:, 0], [2.0, 1.0])
+    assert found.dropped[0].rows.tolist() == [1]
+
+
+def test_metres_of_latitudes_and_longitudes():
+    here = np.radians([[48.0, 9.0], [48.0, 9.001], [48.001, 9.0], [-89.9, 0.0]])
+    found = local(here, np.array([500.0, 500.0, 510.0, 0.0]))
+    # Radii of curvature in the prime vertical and the meridian.
+    a, e2, sin = 6378137.0, 6.69437999014e-3, np.sin(here[0, 0])
+    prime = a / np.sqrt(1 - e2 * sin**2)
+    meridian = prime * (1 - e2) / (1 - e2 * sin**2)
+    step = np.radians(0.001)
+    assert_allclose(found[1, 0], (prime + 500) * np.cos(here[0, 0]) * step, rtol=1e-8)
+    assert_allclose(found[2, 1], (meridian + 510) * step, rtol=3e-6)
+    assert_allclose(found[:3, 2], [0.0, 0.0, 10.0], atol=2e-3)
+    assert np.isfinite(found).all()
