@@ -19,6 +19,7 @@ from experiments import (
     kalman,
     kidnapped,
     killian,
+    learning,
     linearisers,
     localisation,
     maze,
@@ -45,6 +46,7 @@ THEMES: dict[str, dict[str, ModuleType]] = {
     "Linearisers": {
         "linearisers": linearisers,
         "nonlinear_measurement": nonlinear_measurement,
+        "learning": learning,
     },
     "Recorded robots": {
         "recordings": recordings,
