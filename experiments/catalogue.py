@@ -26,9 +26,11 @@ from experiments import (
     nonlinear_measurement,
     particle_counts,
     plaza,
+    recordings,
     seven_nodes,
     smoothing,
     topological,
+    wide_start,
 )
 
 # Themes, and within them experiments, in the order in which a newcomer would read them.
@@ -47,6 +49,8 @@ THEMES: dict[str, dict[str, ModuleType]] = {
         "learning": learning,
     },
     "Recorded robots": {
+        "recordings": recordings,
+        "wide_start": wide_start,
         "plaza": plaza,
         "freiburg": freiburg,
         "killian": killian,
@@ -75,6 +79,8 @@ EXPERIMENTS: dict[str, ModuleType] = {
 }
 # Recordings and maps that an experiment cannot run without, and where they come from.
 NEEDS = {
+    "recordings": "recordings: pip install gtsam, or --path, or PGM_DATA",
+    "wide_start": "recordings: pip install gtsam, or PGM_DATA",
     "plaza": "recordings: pip install gtsam",
     "freiburg": "a recording: --path, or PGM_DATA",
     "killian": "a recording: pip install 'rtb-data>=2.0'; or --data made_up",
