@@ -18,9 +18,7 @@ from pgm.clustergraph.checks import (
     check_running_intersection,
     is_forest,
 )
-from pgm.clustergraph.cluster import Cluster
-from pgm.clustergraph.listing import neighbourhoods
-from pgm.clustergraph.size import amount, extent, is_discrete, work
+from pgm.clustergraph.cluster import Cluster, amount, extent, is_discrete, neighbourhoods, work
 from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.display.numbers import DIGITS, column, number
-from pgm.display.places import places
-from pgm.display.summary import LEFT_OUT, Listing, one_line
+from pgm.display.summary import LEFT_OUT, Listing, one_line, places
 
 # Numbers that are listed, and those of a vector in one cell.
 LISTED, VECTOR = 12, 4

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgm.inference.grid.densities import EVEN, Dense, Uneven
-from pgm.inference.grid.groups import Members
+from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD
+from pgm.errors import ModelError
+from pgm.inference.grid.densities import EVEN, Dense, DensityGroup, Uneven
+from pgm.inference.grid.groups import Group, Members
 from pgm.inference.grid.lattice import Lattice, Window, spanned
 from pgm.inference.grid.moves import Operator, Split
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.lattice import Span
+from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,3 +158,75 @@ def _around(spans: Sequence[Span], cells: int, periodic: bool) -> Span:
     for span in spans:
         used[np.arange(span.first, span.first + span.length) % cells] = True
     return spanned(used, periodic)
+
+
+# Weights between all cells, by the key of a group.
+Kept = dict[tuple[object, ...], Dense]
+
+
+def groups(
+    lattice: Lattice,
+    cpds: Sequence[CPD],
+    known: Sequence[Mapping[Variable, Array]],
+    kept: Kept,
+    *,
+    prior: bool,
+    first: int = 0,
+) -> list[Members]:
+    """The groups of a prior or transition: states whose CPDs depend on one control are together."""
+    values = {cpd.child: given for cpd, given in zip(cpds, known, strict=True)}
+    states = [cpd for cpd in cpds if cpd.child in lattice.of]
+    controls = {cpd.child: _gaussian(cpd) for cpd in cpds if cpd.child not in lattice.of}
+
+    def needed(cpd: CPD) -> set[Variable]:
+        found = {v for v in cpd.given if v in controls}
+        return found.union(*(needed(controls[v]) for v in found))
+
+    def made(cpd: CPD, place: tuple[int, ...]) -> Members:
+        """The group of one CPD, or of one part of a mixture."""
+        own = tuple(control for control in controls.values() if control.child in needed(cpd))
+        family = {each.child: values[each.child] for each in own}
+        family[cpd.child] = {v: a for v, a in values[cpd.child].items() if v in cpd.parents}
+        about = family, prior, first, place
+        if isinstance(cpd, ConditionalGaussian) and cpd.noise is None:
+            return Group(lattice, own, (cpd,), *about)
+        if isinstance(cpd, MixtureCPD):
+            parts = tuple(made(part, (*place, k)) for k, part in enumerate(cpd.parts))
+            return MixedGroup(lattice, own, (cpd,), *about, parts, cpd.weights)
+        return DensityGroup(lattice, (), (cpd,), *about, kept)
+
+    alike: list[tuple[set[Variable], list[CPD]]] = []
+    for cpd in states:
+        need, members = needed(cpd), [cpd]
+        for other in [pair for pair in alike if pair[0] & need]:
+            alike.remove(other)
+            need, members = need | other[0], other[1] + members
+        alike.append((need, members))
+    return [joined([made(cpd, ()) for cpd in members], kept) for _, members in alike]
+
+
+def joined(some: Sequence[Members], kept: Kept) -> Members:
+    """One group of several: of displacements, if all are Gaussian, else by their density."""
+    one = some[0]
+    if len(some) == 1:
+        return one
+    controls = tuple(dict.fromkeys(cpd for group in some for cpd in group.controls))
+    known = {v: values for group in some for v, values in group.known.items()}
+    states = tuple(cpd for group in some for cpd in group.states)
+    plain = (c for c in states if isinstance(c, ConditionalGaussian) and c.noise is None)
+    gaussian = tuple(plain)
+    if len(gaussian) == len(states):
+        return Group(one.lattice, controls, gaussian, known, one.prior, one.first)
+    return DensityGroup(one.lattice, (), states, known, one.prior, one.first, (), kept)
+
+
+def _gaussian(control: CPD) -> ConditionalGaussian:
+    """The CPD of a hidden control, refused if it is of another kind."""
+    if not isinstance(control, ConditionalGaussian) or control.noise is not None:
+        raise ModelError(
+            f"{control!r} is that of a hidden control, over which a grid sums where it is "
+            "Gaussian; make it a state, with a prior, or take belief=pgm.Particles(...)",
+            variable=control.child,
+            cpd=control,
+        )
+    return control

@@ -21,8 +21,7 @@ from pgm.inference.chain.marginals import located
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.markov.chain import TINY, StateChain
-from pgm.inference.markov.joints import joint, pair, potential
-from pgm.inference.markov.marginals import Beliefs, StateMarginals
+from pgm.inference.markov.marginals import Beliefs, StateMarginals, joint, pair, potential
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
