@@ -25,6 +25,7 @@ from experiments import (
     nonlinear_measurement,
     particle_counts,
     plaza,
+    recordings,
     seven_nodes,
     smoothing,
     topological,
@@ -45,6 +46,7 @@ THEMES: dict[str, dict[str, ModuleType]] = {
         "nonlinear_measurement": nonlinear_measurement,
     },
     "Recorded robots": {
+        "recordings": recordings,
         "plaza": plaza,
         "freiburg": freiburg,
         "killian": killian,
@@ -73,6 +75,7 @@ EXPERIMENTS: dict[str, ModuleType] = {
 }
 # Recordings and maps that an experiment cannot run without, and where they come from.
 NEEDS = {
+    "recordings": "recordings: pip install gtsam, or --path, or PGM_DATA",
     "plaza": "recordings: pip install gtsam",
     "freiburg": "a recording: --path, or PGM_DATA",
     "killian": "a recording: pip install 'rtb-data>=2.0'; or --data made_up",

@@ -18,7 +18,8 @@ import numpy as np
 from experiments.studies.code import differences, versions
 from experiments.studies.errors import StudyError
 from experiments.studies.folder import Folder
-from experiments.studies.study import Columns, Part, Study
+from experiments.studies.study import Part, Study
+from experiments.studies.task import Columns, Task
 
 # Parts a worker has or waits for; how often workers are counted [s].
 AHEAD, COUNTED = 2, 5.0
@@ -36,7 +37,7 @@ def carried(
     StudyError
         If there are no workers, one has other code, or a part fails.
     """
-    from distributed import CancelledError, as_completed
+    from distributed import as_completed
 
     with _client(scheduler, workers) as client:
         call = uuid4().hex[:12]  # tasks of two calls are two, of which one may end
@@ -46,48 +47,58 @@ def carried(
         running: dict[Any, Part] = {}
         finished = as_completed()
         room, counted_at = 0, -COUNTED
-        while True:
-            if monotonic() - counted_at > COUNTED:
-                room, counted_at = AHEAD * sum(client.nthreads().values()), monotonic()
-            while len(running) < max(room, AHEAD):
-                part = next(waiting, None)
-                if part is None:
-                    break
-                if folder.file(part).exists():
-                    yield part
-                    continue
-                future = client.submit(
-                    _worked, study, part, expected, key=f"{call}-{part.setting}-{part.part}"
-                )
-                running[future] = part
-                finished.add(future)
-            if not running:
-                return
-            future = next(finished)
-            part = running.pop(future)
-            try:
-                columns = future.result()
-            except CancelledError as error:
-                raise StudyError(
-                    f"the scheduler has lost {study.called(*part)}, or has gone ({error}); parts "
-                    "that are done are kept: run the study again"
-                ) from error
-            except StudyError:
-                raise
-            except Exception as error:
-                raise _failed(study, part, error) from error
-            folder.keep(part, columns)
-            yield part
+        try:
+            while True:
+                if monotonic() - counted_at > COUNTED:
+                    room, counted_at = AHEAD * sum(client.nthreads().values()), monotonic()
+                while len(running) < max(room, AHEAD):
+                    part = next(waiting, None)
+                    if part is None:
+                        break
+                    if folder.file(part).exists():
+                        yield part
+                        continue
+                    key = f"{call}-{part.setting}-{part.part}"
+                    future = client.submit(_worked, study.task(part), expected, key=key)
+                    running[future] = part
+                    finished.add(future)
+                if not running:
+                    return
+                future = next(finished)
+                part = running.pop(future)
+                folder.keep(part, _columns(study, part, future))
+                yield part
+        finally:  # of a client that goes on
+            for future in running:
+                future.release()
 
 
-def _worked(study: Study, part: Part, expected: dict[str, str]) -> Columns:
+def _worked(task: Task, expected: dict[str, str]) -> Columns:
     """The figures of a part; a worker's work."""
-    if differ := differences(versions(study.function.__module__), expected):
+    if differ := differences(versions(task.function.__module__), expected):
         raise StudyError(
             f"a worker has other versions than the study: {differ.replace('here', 'there')}; give "
             "all workers the same"
         )
-    return study.part(*part)
+    return task.figures()
+
+
+def _columns(study: Study, part: Part, future: Any) -> Columns:
+    """What a worker has found; or the error that it had."""
+    from distributed import CancelledError
+
+    try:
+        found: Columns = future.result()
+    except CancelledError as error:
+        raise StudyError(
+            f"the scheduler has lost {study.called(*part)}, or has gone ({error}); parts that are "
+            "done are kept: run the study again"
+        ) from error
+    except StudyError:
+        raise
+    except Exception as error:
+        raise _failed(study, part, error) from error
+    return found
 
 
 def _failed(study: Study, part: Part, error: Exception) -> StudyError:

@@ -19,7 +19,8 @@ import numpy as np
 
 from experiments.studies.code import differences, own_source, versions
 from experiments.studies.errors import StudyError, require_packages
-from experiments.studies.study import Columns, Part, Study
+from experiments.studies.study import Part, Study
+from experiments.studies.task import Columns
 from pgm.io.whole import whole
 
 MANIFEST, PARTS = "study.json", "parts"

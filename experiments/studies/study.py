@@ -11,25 +11,19 @@ from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from experiments.studies.errors import StudyError
 from experiments.studies.settings import Setting, Value, declared, gridded
+from experiments.studies.task import Columns, Task
 from pgm.errors import PgmError
 from pgm.progress import Progress, counted, reporting
 
 if TYPE_CHECKING:
     from experiments.studies.table import Table
 
-Columns = dict[str, npt.NDArray[Any]]
-
 # Runs of a part: enough for work to outweigh calls, few enough for arrays to stay in the cache.
 PART_SIZE = 2000
 # Runs of the trial that each setting has before work starts.
 TRIED = 2
-# Figures are numbers, stored as these by the kind of their type.
-STORED = {"b": np.bool_, "i": np.int64, "u": np.int64, "f": np.float64}
 
 
 class Part(NamedTuple):
@@ -145,7 +139,16 @@ class Study:
         StudyError
             If figures are not as they should be.
         """
-        return self._figures(setting, self.size(part), (setting, part))
+        return self.task(Part(setting, part)).figures()
+
+    def task(self, part: Part) -> Task:
+        """The work of a part."""
+        return self._task(self.size(part.part), part)
+
+    def _task(self, runs: int, key: tuple[int, ...]) -> Task:
+        return Task(
+            self.function, self.settings[key[0]], runs, self.seed, tuple(key), self.called(*key)
+        )
 
     def trial(self) -> dict[str, str]:
         """Try two runs of each setting, and tell the figures that they have, by name and type.
@@ -158,7 +161,7 @@ class Study:
         found: dict[str, str] = {}
         for k, setting in enumerate(self.settings):
             try:
-                columns = self._figures(k, min(TRIED, self.runs), (k,))
+                columns = self._task(min(TRIED, self.runs), (k,)).figures()
             except Exception as error:
                 if isinstance(error, StudyError) or not isinstance(error, PgmError):
                     raise
@@ -242,28 +245,3 @@ class Study:
         from experiments.studies.table import table
 
         return table(self, Folder.open(Path(folder), self))
-
-    def _figures(self, setting: int, runs: int, key: tuple[int, ...]) -> Columns:
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
-        found = self.function(runs, rng, **self.settings[setting])
-        called = self.called(setting)
-        if not isinstance(found, Mapping) or not found:
-            raise StudyError(
-                f"{called} returned {type(found).__name__}; it returns figures by name"
-            )
-        columns: Columns = {}
-        for name, given in found.items():
-            values = np.asarray(given)
-            if values.shape != (runs,) or values.dtype.kind not in STORED:
-                raise StudyError(
-                    f"{called}: figure {name!r} has the shape {values.shape} and type "
-                    f"{values.dtype}; of {runs} runs ({runs},) numbers are due"
-                )
-            if values.dtype.kind == "f" and np.isinf(values).any():
-                run = int(np.argmax(np.isinf(values)))
-                raise StudyError(
-                    f"{called}: figure {name!r} is infinite in run {run}; where a run has no such "
-                    "figure it is NaN, which is counted"
-                )
-            columns[str(name)] = values.astype(STORED[values.dtype.kind])
-        return columns

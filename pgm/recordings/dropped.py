@@ -26,7 +26,6 @@ class Dropped(Shown):
 
     Examples
     --------
-    >>> import pgm
     >>> heard = pgm.recordings.Stream([0.0, 1.0], [[4.0], [float("nan")]], ("range",))
     >>> pgm.Recording(sightings={"radio": heard}).dropped[0]
     radio: 1 dropped: NaN, not taken (row 1)

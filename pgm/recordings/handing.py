@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pgm.boundary import as_mapping
 from pgm.display import count
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
@@ -30,7 +29,7 @@ def timeline(
     *,
     odometry: Variable | None,
     velocities: Variable | None,
-    sensors: Mapping[Variable, str] | None,
+    sensors: Mapping[Variable, str],
     landmark: Variable | None,
     tolerance: float | None,
 ) -> Timeline:
@@ -52,10 +51,18 @@ def timeline(
         stream = recording.velocities
         held[velocities] = stamped(stream.stamps, columns(velocities, stream))
     seen = {}
-    for variable, name in as_mapping(sensors, "sensors=").items():
+    named = {v: sensor(recording, name) for v, name in sensors.items()}
+    if landmark is not None and not any(each.subject is not None for each in named.values()):
+        raise EvidenceError(
+            "nothing says whose the sightings are; leave landmark= out, and give "
+            f"{landmark!r} as pgm.unknown(candidates)",
+            variable=landmark,
+        )
+    for variable, stream in named.items():
         _require(variable, "sensors=")
-        stream = sensor(recording, name)
-        given = None if landmark is None else {landmark: places(recording, name, landmark)}
+        given = None
+        if landmark is not None and stream.subject is not None:
+            given = {landmark: places(recording, sensors[variable], stream, landmark)}
         seen[variable] = stamped(stream.stamps, columns(variable, stream), given)
     return lay(times, odometry=driven, velocities=held, sensors=seen, tolerance=tolerance)
 
@@ -88,12 +95,14 @@ def _since(stream: Stream, table: Array, times: Array) -> Stamped:
 
 
 def sensor(recording: Recording, name: str) -> Stream:
-    """The sightings of a sensor."""
-    if name not in recording.sightings:
-        raise EvidenceError(
-            f"{recording._title} has no sensor {name!r}; it has {listed(recording.sightings)}"
-        )
-    return recording.sightings[name]
+    """The sightings of a sensor; or the fixes, or the inertial readings."""
+    known = dict(recording.sightings)
+    for part, stream in (("fixes", recording.fixes), ("imu", recording.imu)):
+        if stream is not None:
+            known.setdefault(part, stream)
+    if name not in known:
+        raise EvidenceError(f"{recording._title} has no sensor {name!r}; it has {listed(known)}")
+    return known[name]
 
 
 def columns(variable: Variable, stream: Stream) -> Array:
@@ -109,15 +118,9 @@ def columns(variable: Variable, stream: Stream) -> Array:
     return stream.values[:, [stream.place(name) for name in names]]
 
 
-def places(recording: Recording, name: str, landmark: Variable) -> Array:
+def places(recording: Recording, name: str, stream: Stream, landmark: Variable) -> Array:
     """The place of each sighting's subject, (M, d)."""
-    stream = recording.sightings[name]
-    if stream.subject is None:
-        raise EvidenceError(
-            f"nothing says whose the sightings of {name!r} are; leave landmark= out, and give "
-            f"{landmark!r} as pgm.unknown(candidates)",
-            variable=landmark,
-        )
+    assert stream.subject is not None
     lost = without_place(stream, recording.landmarks)
     if lost.any():
         strangers = sorted(set(stream.subject[lost].tolist()), key=str)

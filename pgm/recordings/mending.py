@@ -67,14 +67,22 @@ def known(fate: Dropped, told: Sequence[Dropped]) -> bool:
 
 def _again(stream: Stream, *, values: bool) -> Mask:
     """The mask of rows that have the stamp and subject, and the values, of an earlier row."""
-    keys = [stream.stamps]
+    again = np.zeros(len(stream), dtype=bool)
+    if len(stream) < 2:
+        return again
+    order = np.argsort(stream.stamps, kind="stable")
+    same = np.diff(stream.stamps[order]) == 0.0
+    rows = np.sort(order[np.append(same, False) | np.append(False, same)])
+    if not rows.size:
+        return again
+    keys = [stream.stamps[rows]]
     if stream.subject is not None:
-        _, numbers = np.unique(stream.subject.astype(str), return_inverse=True)
+        _, numbers = np.unique(stream.subject[rows].astype(str), return_inverse=True)
         keys.append(numbers.astype(float))
     if values:
-        keys += [*stream.values.T]
+        keys += [*stream.values[rows].T]
     table = np.nan_to_num(np.column_stack(keys), nan=np.inf)
     first: Integers = np.unique(table, axis=0, return_index=True)[1]
-    again = np.ones(len(stream), dtype=bool)
-    again[first] = False
+    again[rows] = True
+    again[rows[first]] = False
     return again

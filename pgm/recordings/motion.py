@@ -6,11 +6,11 @@ no sum of increments stands for their composition.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.boundary import is_number
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.io.stamped import SAME, clock, rows_text
@@ -20,6 +20,7 @@ from pgm.recordings.stream import Stream
 
 ARC, PLANAR, TURNS = ("distance", "turn"), ("forward", "left", "turn"), ("rot1", "trans", "rot2")
 ODOMETRY = (ARC, PLANAR, TURNS)
+WHEELS = ("left", "right")
 SPEEDS, PLANAR_SPEEDS = ("v", "omega"), ("v_forward", "v_left", "omega")
 VELOCITIES = (SPEEDS, PLANAR_SPEEDS)
 
@@ -148,6 +149,13 @@ def of_velocities(stream: Stream) -> Spans:
     )
 
 
+def of_wheels(left: Array, right: Array, wheelbase: float) -> Array:
+    """What two wheels, so far apart, do together: straight on, and the turn; (n, 2)."""
+    if not (is_number(wheelbase) and wheelbase > 0.0):
+        raise EvidenceError(f"wheelbase= is a positive number of metres, not {wheelbase!r}")
+    return np.column_stack([(left + right) / 2.0, (right - left) / wheelbase])
+
+
 def require_motion(what: str, stream: Stream, known: tuple[tuple[str, ...], ...]) -> None:
     """Refuse components that are no motion, and motion that is unknown."""
     if stream.components not in known:
@@ -206,12 +214,3 @@ def joined(one: Stream, other: Stream) -> Stream:
         values=np.concatenate([one.values, other.values]),
         variances=np.concatenate([one.variances, other.variances]) if both else None,
     )
-
-
-def merged(axis: Array, others: Sequence[Array]) -> Array:
-    """An axis of times with other stamps between its ends; those of one moment are one."""
-    own = np.unique(np.concatenate([axis, *others]))
-    own = own[(own >= axis[0]) & (own <= axis[-1])]
-    after = np.searchsorted(axis, own).clip(1, max(axis.size - 1, 1)) % axis.size
-    own = own[np.minimum(np.abs(own - axis[after - 1]), np.abs(own - axis[after])) > SAME]
-    return np.union1d(axis, own[np.diff(own, prepend=-np.inf) > SAME])

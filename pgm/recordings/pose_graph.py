@@ -18,8 +18,8 @@ from pgm.recordings.scans import Scans
 from pgm.recordings.stream import Stream
 
 
-@dataclass(frozen=True, eq=False)
-class Edges:
+@dataclass(frozen=True, eq=False, repr=False)
+class Edges(Shown):
     """Measurements between vertices.
 
     Attributes
@@ -33,7 +33,6 @@ class Edges:
 
     Examples
     --------
-    >>> import numpy as np
     >>> from pgm.recordings import Edges
     >>> Edges(np.array([0]), np.array([1]), np.zeros((1, 3)), np.eye(3)[None]).covariances.shape
     (1, 3, 3)
@@ -46,6 +45,10 @@ class Edges:
 
     def __len__(self) -> int:
         return self.first.size
+
+    @property
+    def _title(self) -> str:
+        return f"Edges({count(len(self), 'edge')} of {self.motions.shape[1]} numbers each)"
 
     @property
     def covariances(self) -> Array:
@@ -84,7 +87,6 @@ class PoseGraph(Shown, NoArray, Immutable):
     Examples
     --------
     >>> import io
-    >>> import pgm
     >>> text = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
     >>> graph = pgm.recordings.read_pose_graph(io.StringIO(text))
     >>> graph

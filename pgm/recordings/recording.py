@@ -15,11 +15,12 @@ from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.io.poses import Poses
-from pgm.io.stamped import SAME, as_stamps, clock
+from pgm.io.stamped import SAME
+from pgm.io.states import joined
 from pgm.io.timeline import Timeline
 from pgm.kernels import planar
 from pgm.kernels.arrays import Array
-from pgm.recordings import checks, handing, mending, motion, summaries
+from pgm.recordings import checks, handing, mending, motion, reference, summaries
 from pgm.recordings.dropped import Dropped
 from pgm.recordings.scans import Scans
 from pgm.recordings.stream import Stream
@@ -69,7 +70,6 @@ class Recording(Shown, NoArray, Immutable):
 
     Examples
     --------
-    >>> import numpy as np
     >>> from pgm.recordings import Recording, Stream
     >>> arcs = [[1.0, 0.0], [np.pi / 2, np.pi / 2]]
     >>> wheels = Stream([1.0, 2.0], arcs, ("distance", "turn"), begin=0)
@@ -166,17 +166,17 @@ class Recording(Shown, NoArray, Immutable):
         """The times at which rows of the motion begin and end, seconds, increasing."""
         return self._motion().axis
 
-    def stamps(self) -> Array:
-        """One axis of the stamps of motion, sightings and fixes, within the motion's time.
+    def stamps(self, *sensors: str, tolerance: float = 0.0) -> Array:
+        """One axis of the stamps of the motion and of sensors, within the motion's time.
 
-        With a state at each of them `timeline` moves nothing. Stamps less than a microsecond apart
-        are one.
+        With a state at each of them `timeline` moves no measurement, or none by more than a
+        tolerance [s]. Without names the sensors are all that have sightings, and the fixes.
         """
         axis = self.times
-        others = [stream.stamps for stream in self.sightings.values()]
-        if self.fixes is not None:
-            others.append(self.fixes.stamps)
-        return motion.merged(axis, others)
+        names = sensors or (*self.sightings, *(["fixes"] if self.fixes is not None else []))
+        others = np.sort(np.concatenate([[], *(handing.sensor(self, n).stamps for n in names)]))
+        inside = (others >= axis[0]) & (others <= axis[-1])
+        return joined(axis, others[inside], tolerance)
 
     def between(self, first: float, last: float) -> Recording:
         """The part from one time to another, both included; motion is cut there, along its arc."""
@@ -277,28 +277,24 @@ class Recording(Shown, NoArray, Immutable):
             raise EvidenceError(f"start= is (east, north, heading), not {start!r}")
         return Stream(axis, planar.path(pose, spans.between(axis)), POSE)
 
-    def truth_at(self, times: npt.ArrayLike) -> Stream:
+    def truth_at(self, times: npt.ArrayLike, *, longest: float | None = None) -> Stream:
         """The truth at given times, between its own on a line; headings are not wrapped.
+
+        Parameters
+        ----------
+        times : array_like
+            (m,), seconds.
+        longest : float, optional
+            The longest gap [s] between two rows of truth that is bridged so; any without.
 
         Raises
         ------
         EvidenceError
-            If there is none, or a time is before the first or after the last of it.
+            If there is no truth, or a time is not within it or falls into a longer gap.
         """
         if self.truth is None or not len(self.truth):
             raise EvidenceError(f"{self._title} has no truth")
-        asked, known = as_stamps("times", times), self.truth.stamps
-        outside = (asked < known[0] - SAME) | (asked > known[-1] + SAME)
-        if outside.any():
-            raise EvidenceError(
-                f"the truth is of {clock(known[0])} to {clock(known[-1])}, and not of "
-                f"{clock(asked[outside.argmax()])}"
-            )
-        values = self.truth.values
-        if self.truth.components == POSE:
-            values = np.column_stack([values[:, :2], np.unwrap(values[:, 2])])
-        columns = [np.interp(asked, known, column) for column in values.T]
-        return Stream(asked, np.column_stack(columns), self.truth.components)
+        return reference.at(self.truth, times, longest)
 
     def located(self) -> Recording:
         """The recording without sightings whose subject has no place; `dropped` tells of them."""
@@ -358,9 +354,10 @@ class Recording(Shown, NoArray, Immutable):
             components are the stream's own, and `pgm.timeline` sums or averages them. A component
             ``dt`` is filled in.
         sensors : mapping of Variable to str, optional
-            The name of the sensor that each is evidence of.
+            The name of the sensor that each is evidence of; ``fixes`` and ``imu`` are such, too.
         landmark : Variable, optional
-            The sensors' observed parent: its evidence is the place of each sighting's subject.
+            The observed parent of the sensors whose rows have subjects: its evidence is the place
+            of each.
         tolerance : float, optional
             As of `pgm.timeline`.
 
@@ -370,13 +367,17 @@ class Recording(Shown, NoArray, Immutable):
             If a stream or component is not there, or a sighting's subject has no place: `located`
             leaves these out.
         """
-        axis = self.stamps() if times is None else checks.increasing(times)
+        named = as_mapping(sensors, "sensors=")
+        if times is None:
+            axis = self.stamps(*named.values(), tolerance=tolerance or 0.0)
+        else:
+            axis = checks.increasing(times)
         return handing.timeline(
             self,
             axis,
             odometry=odometry,
             velocities=velocities,
-            sensors=sensors,
+            sensors=named,
             landmark=landmark,
             tolerance=tolerance,
         )

@@ -123,6 +123,15 @@ class Stream(Shown, NoArray, Immutable):
             variances=None if self.variances is None else self.variances[rows],
         )
 
+    def select(self, **columns: str) -> Stream:
+        """Some of the columns under names of your own, ``stream.select(v="v_forward")``."""
+        places = [self.place(column) for column in columns.values()]
+        return self.replace(
+            values=self.values[:, places],
+            components=tuple(columns),
+            variances=None if self.variances is None else self.variances[:, places],
+        )
+
     def replace(self, **changes: Any) -> Stream:
         """A stream that differs in some of its attributes."""
         given = {name: getattr(self, name) for name in type(self).__annotations__ if name[0] != "_"}

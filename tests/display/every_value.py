@@ -1,5 +1,7 @@
 """One value at least of each public kind, small and large ones; by `every`."""
 
+import io
+
 import numpy as np
 
 import pgm
@@ -265,6 +267,7 @@ def logs():
         stamps[::-1], np.ones(200), ("range",), subject=np.arange(200) % 3
     )
     wheels = pgm.recordings.Stream(stamps, np.ones((200, 2)), ("distance", "turn"))
+    graph = pgm.recordings.read_pose_graph(io.StringIO("VERTEX_SE2 0 0 0 0\n"))
     many = {f"sensor {k}": heard for k in range(30)}
     drive = pgm.Recording(odometry=wheels, sightings=many, landmarks={0: [1.0, 2.0]}, name=HOSTILE)
     log = pgm.timeline(stamps, odometry={turns: odometry}, sensors={ranged: seen})
@@ -281,6 +284,9 @@ def logs():
         "recording": pgm.Recording(odometry=wheels, sightings={"radio": heard}, truth=poses),
         "hostile recording": drive,
         "stream": heard,
+        "scans": pgm.recordings.Scans(stamps, np.ones((200, 180)), np.arange(180.0), 8.0),
+        "pose graph": graph,
+        "edges": graph.edges,
         "empty stream": heard.take(slice(0)),
         "dropped": drive.dropped[0],
         "one pose": pgm.Poses(stamps[:1], np.zeros((1, 3)), turned[:1]),

@@ -1,5 +1,6 @@
 """Gates: against a textbook filter that leaves sightings out, and against evidence without them."""
 
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 
@@ -128,6 +129,48 @@ def test_what_is_rejected_is_as_good_as_missing(run, runs):
     assert_allclose(found.predicted[x].mean, due.predicted[x].mean, atol=1e-9)
 
 
+@pytest.mark.parametrize("noise", [pgm.StudentT(4), pgm.TruncatedLeastSquares(3.0)], ids=str)
+def test_a_gate_goes_with_robust_noise(noise):
+    model = network(SIGHT.cpd(noise=noise), FIX.cpd())
+    for named in ({}, {"iterations": 3}, {"lineariser": pgm.Unscented()}):
+        found = pgm.filter(model, EVIDENCE, gate=LEVEL, **named)
+        assert found.rejected[z].rejected.any()
+        due = pgm.filter(model, without(EVIDENCE, found.rejected), **named)
+        assert_allclose(found[x].mean, due[x].mean, atol=1e-9)
+        assert_allclose(found.log_evidence, due.log_evidence, atol=1e-8)
+
+
+def test_sightings_are_associated_with_the_gate_of_others():
+    """A fix far off would lead the sightings of its step astray."""
+    fixes = np.array([[0.0, 0.0], [40.0, 40.0]])
+    where = np.array([[5.0, 0.0], [45.0, 45.0]])
+    guess = pgm.unknown(where, association="likelihood")
+    evidence = {
+        u: np.zeros((1, 2)),
+        fix: pgm.sightings(fixes, step=[0, 1]),
+        z: pgm.sightings([[5.0, 0.0]], step=[1], given={m: guess}),
+    }
+    found = pgm.filter(MODEL, evidence, gate=0.999)
+    assert_array_equal(found.associations[z].candidate, [0])
+    assert_array_equal(found.rejected[fix].rejected, [False, True])
+    assert_array_equal(found.rejected[z].rejected, [False])
+    robot = pgm.OnlineFilter(MODEL, gate=0.999)
+    belief = robot.update(robot.initial(), {fix: fixes[0]})
+    belief = robot.predict(belief, {u: np.zeros(2)})
+    now = {fix: fixes[1], z: pgm.sightings([[5.0, 0.0]], given={m: guess})}
+    belief = robot.update(belief, now)
+    assert_array_equal(belief.associations[z].candidate, [0])
+    assert_allclose(belief[x].mean, found[x].mean[-1], atol=1e-12)
+
+
+def test_schedules_with_gates_are_values():
+    one, other = (pgm.Filtering(gate={z: 0.9, fix: 0.8}) for _ in range(2))
+    assert one == other == pickle.loads(pickle.dumps(one))
+    assert hash(one) == hash(pickle.loads(pickle.dumps(one)))
+    assert one != pgm.Filtering(gate={z: 0.9})
+    assert repr(pickle.loads(pickle.dumps(one))) == repr(one)
+
+
 def test_innovations_of_what_was_rejected_can_be_told():
     found = pgm.filter(MODEL, EVIDENCE, gate=LEVEL)
     own, record = found.innovations[z], found.rejected[z]
@@ -236,6 +279,13 @@ STATIC = pgm.compile(
         [pgm.GaussianCPD(A, 0.0, 1.0), pgm.LinearGaussianCPD(B, given={A: 1.0}, cov=1.0)]
     )
 )
+RAIN, WET = (pgm.Discrete(name, states=("no", "yes")) for name in ("rain", "wet"))
+EVEN = [[0.5, 0.5], [0.5, 0.5]]
+TABLES = pgm.DynamicBayesianNetwork(
+    [pgm.TableCPD(RAIN, table=[0.5, 0.5])],
+    [pgm.TableCPD(RAIN, given=(RAIN.previous,), table=EVEN)],
+    [pgm.TableCPD(WET, given=(RAIN,), table=EVEN)],
+)
 CARTS = pgm.compile(MODEL, T, method=pgm.Balanced())
 
 
@@ -277,6 +327,16 @@ CARTS = pgm.compile(MODEL, T, method=pgm.Balanced())
             lambda: pgm.OnlineFilter(MODEL, watch=True, belief=pgm.Particles(10)),
             pgm.ModelError,
             "watch= is for",
+        ),
+        (
+            lambda: pgm.OnlineFilter(TABLES, schedule=pgm.Filtering(gate=0.9)),
+            pgm.ModelError,
+            "gate= is for beliefs that are Gaussian",
+        ),
+        (
+            lambda: pgm.filter(TABLES, {WET: ["yes"]}, gate=0.9),
+            pgm.ModelError,
+            "a gate is for Gaussian beliefs",
         ),
         (lambda: pgm.filter(MODEL, EVIDENCE).rejected[z], pgm.EvidenceError, "give gate="),
         (

@@ -227,6 +227,20 @@ def test_what_is_no_bag(tmp_path):
         assert caught.value.path == str(path)
 
 
+def test_mangled_bags_are_read_or_refused(bag):
+    file = bag if bag.is_file() else next(bag.glob("*.db3"))
+    whole, rng, refused = file.read_bytes(), np.random.default_rng(0), 0
+    for k in range(24):
+        data, at = bytearray(whole), int(rng.integers(len(whole)))
+        data[at : len(data) if k % 3 else at + 40] = b"" if k % 3 == 1 else rng.bytes(40)
+        file.write_bytes(data)
+        try:
+            read_bag(bag)
+        except FileError:
+            refused += 1
+    assert refused > 8
+
+
 def test_messages_that_are_no_measurements(tmp_path):
     make = Maker(2)
     bad = make.odometry(1.0, 0.0, 0.0, 0.0)

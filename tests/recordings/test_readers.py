@@ -166,6 +166,17 @@ def test_a_table_without_names_in_other_units():
     assert_array_equal(drive.sightings["thermometer"]["celsius"], [25.0])
 
 
+def test_a_table_of_wheels():
+    text = "t,l,r\n0,0.1,0.2\n1,0.3,0.3\n"
+    wheels = {"t": "t", "left": "l", "right": "r"}
+    drive = read_csv(io.StringIO(text), {"odometry": wheels}, begin=-1.0, wheelbase=0.5)
+    assert_allclose(drive.odometry.values, [[0.15, 0.2], [0.3, 0.0]])
+    drive = read_csv(io.StringIO(text), {"velocities": wheels}, wheelbase=0.5)
+    assert drive.velocities.components == ("v", "omega")
+    with pytest.raises(EvidenceError, match="wheelbase= is a positive"):
+        read_csv(io.StringIO(text), {"odometry": wheels}, wheelbase=-1.0)
+
+
 @pytest.mark.parametrize(
     ("text", "columns", "error", "told"),
     [

@@ -68,6 +68,31 @@ def test_the_truth_has_one_row_a_stamp():
             drive.truth_at([time])
 
 
+def test_gaps_of_the_truth_are_bridged_as_far_as_is_wished():
+    drive = Recording(truth=Stream([0.0, 1.0, 5.0], [[0, 0], [1, 0], [5, 0]], ("east", "north")))
+    assert_allclose(drive.truth_at([1.0, 3.0, 5.0])["east"], [1.0, 3.0, 5.0])
+    assert_allclose(drive.truth_at([0.0, 0.5, 1.0, 5.0], longest=1.0)["east"], [0, 0.5, 1, 5])
+    with pytest.raises(EvidenceError, match="a gap of 4 s around 3 s, longer than longest=1"):
+        drive.truth_at([1.0, 3.0], longest=1.0)
+
+
+def test_fixes_are_a_sensor_and_columns_have_names_of_your_own():
+    fixes = Stream([1.0], [[1.0, 2.0, 3.0]], ("x", "y", "z"), variances=[[1.0, 4.0, 9.0]])
+    place = fixes.select(north="y", east="x")
+    assert_array_equal(place.variances, [[4.0, 1.0]])
+    drive = Recording(
+        odometry=odometry(),
+        fixes=place,
+        sightings={"radio": heard([2.0], subject=[1])},
+        landmarks={1: (1, 2)},
+    )
+    fix = pgm.Variable("fix", components=("east", "north"))
+    radio = pgm.Variable("z", components=("range",))
+    laid = drive.timeline(odometry=u, sensors={fix: "fixes", radio: "radio"}, landmark=m)
+    assert_array_equal(laid.evidence[fix].values, [[1.0, 2.0]])
+    assert list(laid.evidence[radio].given) == [m]
+
+
 def test_truth_of_poses_in_space():
     turned = np.array([[0.0, 0.0, np.sin(0.2), np.cos(0.2)]])
     drive = Recording(truth=pgm.Poses(np.array([1.0]), np.array([[1.0, 2.0, 3.0]]), turned))
@@ -242,7 +267,7 @@ PART = Stream([0.0, 1.0], [[1.0], [2.0]], ("range",), subject=[1, 2])
             lambda: Recording(odometry=odometry(), sightings={"a": heard([1.0])}).timeline(
                 odometry=u, sensors={pgm.Variable("z", components=("range",)): "a"}, landmark=m
             ),
-            "nothing says whose the sightings of 'a' are",
+            "nothing says whose the sightings are",
         ),
         (lambda: Scans([0.0], [[1.0]], [0.0, 1.0], 8.0), "ranges have shape"),
         (lambda: Scans([0.0], [[-1.0]], [0.0], 8.0), "0 or more was due"),

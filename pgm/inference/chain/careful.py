@@ -228,13 +228,12 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         gated: gate.Asked | None = None,
     ) -> CarefulReading:
         """The measurements of a step, at a belief of these moments, (runs, n) and (runs, n, n)."""
-        chain = MomentChain(plan, schedule, gated=gated)
-        parts, at = chain.readings(step), Moments.of(plan, *moments)
+        chain, at = MomentChain(plan, schedule, gated=gated), Moments.of(plan, *moments)
+        parts = chain.readings(step)
         made = cls(parts, plan.first + step, at.mean, at.cov)
         made.belief, made.information = belief, information
-        if schedule is None:
-            for part in parts:
-                part.linearise(at.mean, at.cov)
+        for part in parts if schedule is None else ():
+            part.linearise(at.mean, at.cov)
         if chain.gate is not None:
             if schedule is not None:
                 made.linearise(made.predicted, None)

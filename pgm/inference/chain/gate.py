@@ -105,7 +105,8 @@ def _decided(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array
         if taken is not None:
             there &= taken.reshape(count, height, *(taken.shape[1:] or ()))
         taken = (there & ~rejected[:, None]).reshape(count * height, *batch)
-    part.taken = taken
+    if rejected.any() or taken is not part.taken:
+        part.take(taken)
     part.seen = seen if taken is seen.taken else seen._replace(taken=taken)
     return part.seen
 

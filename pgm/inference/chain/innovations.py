@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.display import NoArray, Shown, Summary, number, stacked
-from pgm.errors import EvidenceError
-from pgm.factors.scope import listed
+from pgm.inference.by_sensor import EachSensor
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.sensor import Sensor
 from pgm.inference.chain.vector import stacks
-from pgm.inference.posterior import require_variable
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, Mask, block, independent, inner, sandwich
-from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,7 +51,7 @@ class Innovations(Shown, NoArray):
     step: Integers
     nis: Array
     dof: Integers
-    rejected: Mask
+    rejected: Mask = field(default_factory=lambda: np.zeros((), dtype=bool))
 
     _arrays: ClassVar[str] = ".residual, .cov and .nis"
 
@@ -81,37 +77,13 @@ class Innovations(Shown, NoArray):
         )
 
 
-class BySensor(Shown, Mapping[Variable, Innovations]):
+class BySensor(EachSensor[Innovations]):
     """The innovations of each sensor that was read."""
 
-    def __init__(self, innovations: Mapping[Variable, Innovations]) -> None:
-        self._innovations = dict(innovations)
-
-    def __getitem__(self, variable: Variable) -> Innovations:
-        if require_variable(variable) not in self._innovations:
-            raise EvidenceError(
-                f"there are no innovations of {variable!r}; measurements were given of "
-                f"{list(self)}",
-                variable=variable,
-            )
-        return self._innovations[variable]
-
-    def __contains__(self, variable: object) -> bool:
-        return variable in self._innovations
-
-    def __iter__(self) -> Iterator[Variable]:
-        return iter(self._innovations)
-
-    def __len__(self) -> int:
-        return len(self._innovations)
-
-    @property
-    def _title(self) -> str:
-        return f"BySensor({listed(self._innovations)})"
+    _what = "innovations"
 
     def _summary(self) -> Summary:
-        each = [f"{v!r}: {found._title}" for v, found in self._innovations.items()]
-        return Summary(self._title, each)
+        return Summary(self._title, [f"{v!r}: {found._title}" for v, found in self.items()])
 
 
 def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovations:
@@ -173,7 +145,8 @@ def whitened(innovations: Innovations) -> Array:
     runs = math.prod(shape[:-2])
     residual = innovations.residual.reshape(runs, *shape[-2:])
     cov = innovations.cov.reshape(*residual.shape, shape[-1])
-    taken = ~np.isnan(residual) & ~innovations.rejected.reshape(runs, -1, 1)
+    rejected = np.broadcast_to(innovations.rejected, shape[:-1]).reshape(residual.shape[:2])
+    taken = ~np.isnan(residual) & ~rejected[..., None]
     white = roots.whiten(roots.root(independent(cov, taken)), np.where(taken, residual, 0.0))
 
     order = np.argsort(innovations.step, kind="stable")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
@@ -127,6 +128,7 @@ class UpdateProblem(ABC, Generic[U]):
         if not any(part.sensor.robust for part in self.parts):
             return found
         robust = [part for part in self.parts if part.weights is not None]
+        before = [(copy(part.weights), part.seen) for part in robust]
         active = np.full(found.means.shape[1], bool(robust))
         for _ in range(_REWEIGHINGS if robust else 0):
             mean, cov = self._moments(found.point)
@@ -137,6 +139,9 @@ class UpdateProblem(ABC, Generic[U]):
                 break
         self._weighed = ~active
         surplus = sum((part.surplus for part in self.parts), 0.0)
+        if anchor is not None:  # a try of a step control, which leaves no trace
+            for part, (weights, seen) in zip(robust, before, strict=True):
+                part.weights, part.seen = weights, seen
         return self.raised(found, surplus)
 
     def settled(self) -> Mask | bool:

@@ -176,6 +176,7 @@ class Reading:
     # Of robust noise that is to be weighed.
     weights: Weights | None
     error: Array | None
+    taken: Mask | None
     # Which sightings a gate has rejected, and their squared lengths, (k, *batch).
     gated: tuple[Mask, Array] | None
     gate: float
@@ -183,10 +184,15 @@ class Reading:
     def __init__(
         self, sensor: Sensor, at: At, values: Array, taken: Mask | None, *, fixed: bool = False
     ) -> None:
-        self.sensor, self.at, self.values, self.taken = sensor, at, values, taken
-        self.fixed, self.erroneous, self.gated = fixed, False, None
-        self.weights = self.error = None
-        if sensor.robust and not fixed:
+        self.sensor, self.at, self.values = sensor, at, values
+        self.fixed, self.erroneous, self.gated, self.error = fixed, False, None, None
+        self.take(taken)
+
+    def take(self, taken: Mask | None) -> None:
+        """Take some of the components alone, as of `Measured`, with weights of one."""
+        sensor, at = self.sensor, self.at
+        self.taken, self.weights = taken, None
+        if sensor.robust and not self.fixed:
             height, runs = sensor.height, sensor.family.noise.shape[1]
             there = None if taken is None else by_sighting(taken, height, 0)
             own, shape = own_blocks(at.noise, height), (len(at.noise) // height, runs)

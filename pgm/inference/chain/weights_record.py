@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-
 import numpy as np
 
-from pgm.display import Shown, Summary, number
-from pgm.errors import EvidenceError
-from pgm.factors.scope import listed
+from pgm.display import Summary, number
+from pgm.inference.by_sensor import EachSensor
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.weights import shown
-from pgm.inference.posterior import require_variable
 from pgm.kernels.arrays import Array
-from pgm.variables import Variable
 
 # Below this share of a Gaussian's information a sighting is counted as one hardly used.
 _HARDLY = 0.1
 
 
-class Weights(Shown, Mapping[Variable, Array]):
+class Weights(EachSensor[Array]):
     """The weights of each sensor that was read, (*runs, M)."""
 
-    def __init__(self, weights: Mapping[Variable, Array]) -> None:
-        self._weights = dict(weights)
+    _what = "weights"
 
     @classmethod
     def of(cls, plan: ChainPlan) -> Weights:
@@ -38,30 +32,9 @@ class Weights(Shown, Mapping[Variable, Array]):
             found[sensor.variable] = each
         return cls(found)
 
-    def __getitem__(self, variable: Variable) -> Array:
-        if require_variable(variable) not in self._weights:
-            raise EvidenceError(
-                f"there are no weights of {variable!r}; measurements were given of {list(self)}",
-                variable=variable,
-            )
-        return self._weights[variable]
-
-    def __contains__(self, variable: object) -> bool:
-        return variable in self._weights
-
-    def __iter__(self) -> Iterator[Variable]:
-        return iter(self._weights)
-
-    def __len__(self) -> int:
-        return len(self._weights)
-
-    @property
-    def _title(self) -> str:
-        return f"Weights({listed(self._weights)})"
-
     def _summary(self) -> Summary:
         lines = []
-        for variable, weight in self._weights.items():
+        for variable, weight in self.items():
             seen = weight[~np.isnan(weight)]
             if not seen.size:
                 lines.append(f"{variable!r}: nothing read")

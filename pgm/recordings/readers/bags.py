@@ -83,15 +83,20 @@ def read_bag(
 
     Examples
     --------
-    >>> import pgm
-    >>> drive = pgm.recordings.read_bag("drive.bag", ["/odom", "/gps"])    # doctest: +SKIP
+    >>> drive = pgm.recordings.read_bag("drive.bag", ["/odom", "/gps"])  # doctest: +SKIP
+    >>> pgm.recordings.read_bag("nowhere.bag")
+    Traceback (most recent call last):
+        ...
+    pgm.errors.FileError: nowhere.bag: it cannot be read as a bag: there is nothing
     """
-    highlevel = optional("rosbags.highlevel", "read_bag", EXTRA)
-    typesys = optional("rosbags.typesys", "read_bag", EXTRA)
     if not isinstance(path, str | os.PathLike):
         raise EvidenceError(f"a bag's path was due, not {type(path).__name__}")
     where = Path(os.fsdecode(path))
     origin = Origin(str(where), str(where))
+    if not where.exists():
+        raise origin.fault("it cannot be read as a bag: there is nothing")
+    highlevel = optional("rosbags.highlevel", "read_bag", EXTRA)
+    typesys = optional("rosbags.typesys", "read_bag", EXTRA)
     store = typesys.Stores.LATEST if where.is_dir() else typesys.Stores.ROS1_NOETIC
     found: dict[str, tuple[str, list[Any]]] = {}
     try:

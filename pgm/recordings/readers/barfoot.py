@@ -45,7 +45,7 @@ def read_barfoot(path: Source) -> Recording:
     Examples
     --------
     >>> import io
-    >>> import numpy as np, pgm, scipy.io
+    >>> import scipy.io
     >>> file, zero = io.BytesIO(), np.zeros((3, 1))
     >>> scipy.io.savemat(file, dict(
     ...     t=[[0.0], [0.1], [0.2]], x_true=zero, y_true=zero, th_true=zero, l=[[2.0, 0.0]], d=0.2,

@@ -43,7 +43,6 @@ def read_freiburg(folder: str | os.PathLike[str]) -> Recording:
     Examples
     --------
     >>> import pathlib, tempfile
-    >>> import pgm
     >>> with tempfile.TemporaryDirectory() as name:
     ...     folder = pathlib.Path(name)
     ...     _ = (folder / "world.dat").write_text("1 2 1\n")

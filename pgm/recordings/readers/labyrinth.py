@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pgm.boundary import is_number
-from pgm.errors import EvidenceError
 from pgm.io import words
 from pgm.io.sources import Content, Source
 from pgm.kernels.arrays import Array
+from pgm.recordings import motion
 from pgm.recordings.readers import files
 from pgm.recordings.recording import PLACE, Recording
 from pgm.recordings.stream import Stream
@@ -58,14 +57,11 @@ def read_labyrinth(
     Examples
     --------
     >>> import io
-    >>> import pgm
     >>> lines = ["range2 0.1 2.9 0.01 0 2 105 0", "odom2diff 0.1 0.2 0.4 0 0.0785 0 0 0"]
     >>> drive = pgm.recordings.read_labyrinth(io.StringIO("\n".join(lines)))
     >>> drive.velocities.values.round(3)
     array([[0.3  , 1.274]])
     """
-    if not (is_number(wheelbase) and wheelbase > 0.0):
-        raise EvidenceError(f"wheelbase= is a positive number of metres, not {wheelbase!r}")
     name = files.name(source)
     if isinstance(source, str | os.PathLike) and Path(source).is_dir():
         source, truth = Path(source) / INPUT, truth or Path(source) / TRUTH
@@ -80,7 +76,7 @@ def read_labyrinth(
                 f"the module {number} has two places, {place} and {places[number]}"
             )
     left, right = wheels[:, [1, 2] if swapped else [2, 1]].T
-    speeds = np.column_stack([(left + right) / 2.0, (right - left) / wheelbase])
+    speeds = motion.of_wheels(left, right, wheelbase)
     known = None
     if truth is not None:
         points = files.content(truth)

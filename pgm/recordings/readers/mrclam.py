@@ -48,7 +48,6 @@ def read_mrclam(folder: str | os.PathLike[str], robot: int = 1) -> Recording:
     Examples
     --------
     >>> import pathlib, tempfile
-    >>> import pgm
     >>> texts = {
     ...     "Barcodes": "6 72", "Landmark_Groundtruth": "6 1.9 -5.6 0.001 0.002",
     ...     "Robot1_Odometry": "0.0 0.1 0.0", "Robot1_Measurement": "0.5 72 1.5 -0.2",

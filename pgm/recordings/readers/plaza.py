@@ -42,7 +42,7 @@ def read_plaza(path: Source) -> Recording:
     Examples
     --------
     >>> import io
-    >>> import pgm, scipy.io
+    >>> import scipy.io
     >>> file = io.BytesIO()
     >>> poses = [[0.0, 0, 0, 0], [1.0, 2, 0, 0]]
     >>> heard = [[0.5, 2, 7, 3.9]]

@@ -16,6 +16,7 @@ from pgm.factors.scope import listed
 from pgm.io.sources import Origin, Source
 from pgm.io.words import number
 from pgm.kernels.arrays import Array
+from pgm.recordings import motion
 from pgm.recordings.dropped import Dropped
 from pgm.recordings.readers import files
 from pgm.recordings.recording import Recording
@@ -57,6 +58,7 @@ def read_csv(
     *,
     landmarks: Mapping[Any, Any] | None = None,
     begin: float | None = None,
+    wheelbase: float | None = None,
     delimiter: str = ",",
 ) -> Recording:
     r"""Read streams from a table of comma-separated values.
@@ -76,6 +78,8 @@ def read_csv(
         Positions by identity.
     begin : float, optional
         When the first increment of odometry begins, seconds.
+    wheelbase : float, optional
+        Metres between two wheels, where odometry or velocities are (left, right).
     delimiter : str, optional
 
     Returns
@@ -98,7 +102,6 @@ def read_csv(
     Examples
     --------
     >>> import io
-    >>> import pgm
     >>> text = "time,speed,yaw rate,beacon,distance\n0,1.0,90,,\n500,1.5,0,7,420\n"
     >>> drive = pgm.recordings.read_csv(io.StringIO(text), {
     ...     "velocities": {"t": ("time", "ms"), "v": "speed", "omega": ("yaw rate", "deg/s")},
@@ -128,6 +131,8 @@ def read_csv(
         }
         with files.told_of(held.origin):
             streams[part], filled = _stream(part, places, table, held.origin, begin)
+        if part in _MOTION and wheelbase is not None:
+            streams[part] = _driven(part, streams[part], wheelbase)
         empty[filled] = False
     told = [Dropped("table", "of no stream", np.flatnonzero(empty))] if empty.any() else []
     sensors = {part: stream for part, stream in streams.items() if part not in _STREAMS}
@@ -181,6 +186,14 @@ def _stream(
         begin=begin if part == "odometry" else None,
     )
     return stream, filled
+
+
+def _driven(part: str, stream: Stream, wheelbase: float) -> Stream:
+    """The motion of two wheels."""
+    left, right = (stream[name] for name in motion.WHEELS)
+    names = motion.ARC if part == "odometry" else motion.SPEEDS
+    values = motion.of_wheels(left, right, wheelbase)
+    return Stream(stream.stamps, values, names, begin=stream.begin)
 
 
 def _variances(rows: Sequence[Sequence[float]], width: int) -> Array:

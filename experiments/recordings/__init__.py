@@ -1,0 +1,5 @@
+"""Recorded drives, each estimated in every way that the library has."""
+
+from experiments.recordings.experiment import QUICK, run
+
+__all__ = ["QUICK", "run"]

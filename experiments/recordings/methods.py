@@ -1,0 +1,66 @@
+"""Ways to estimate a recorded drive: each a call of the library."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import pgm
+from experiments.recordings.drives import Drive
+
+LINEARISERS: dict[str, pgm.Lineariser] = {
+    "Taylor": pgm.Taylor(),
+    "unscented": pgm.Unscented(),
+    "cubature": pgm.Cubature(),
+    "Gauss–Hermite 3": pgm.GaussHermite(3),
+}
+ITERATIONS, LAG, GATE = 10, 20, 0.999
+ROBUST = pgm.Cauchy(1.0)
+
+
+@dataclass(frozen=True)
+class Method:
+    """A schedule, with a gate or a robust noise.
+
+    Attributes
+    ----------
+    about : str
+        Itself, in words.
+    noise : RobustNoise or None
+        Of the sensor.
+    run : callable
+        From a network, its evidence and a lineariser to the posterior.
+    """
+
+    about: str
+    run: Callable[..., pgm.ChainPosterior]
+    noise: pgm.RobustNoise | None = None
+
+    def __call__(self, drive: Drive, lineariser: pgm.Lineariser) -> pgm.ChainPosterior:
+        """The posterior of a drive."""
+        return self.run(drive.network(noise=self.noise), drive.evidence, lineariser=lineariser)
+
+
+def _smooth(**settings: object) -> Callable[..., pgm.ChainPosterior]:
+    return lambda model, evidence, **more: pgm.smooth(model, evidence, **settings, **more)
+
+
+def _filter(**settings: object) -> Callable[..., pgm.ChainPosterior]:
+    return lambda model, evidence, **more: pgm.filter(model, evidence, **settings, **more)
+
+
+METHODS = {
+    "filter": Method("each sighting as it comes", _filter()),
+    "gated filter": Method(f"without sightings beyond a gate of {GATE}", _filter(gate=GATE)),
+    "robust filter": Method(f"sightings weighed by {ROBUST!r}", _filter(), ROBUST),
+    "fixed lag": Method(f"given {LAG} more steps", _smooth(lag=LAG)),
+    "smoother": Method("given all sightings", _smooth()),
+    "iterated smoother": Method(
+        f"linearised up to {ITERATIONS} times", _smooth(iterations=ITERATIONS, tolerance=1e-4)
+    ),
+    "robust smoother": Method(
+        f"linearised and weighed up to {5 * ITERATIONS} times",
+        _smooth(iterations=5 * ITERATIONS, tolerance=1e-3),
+        ROBUST,
+    ),
+}
