@@ -61,17 +61,12 @@ class MostProbable(Shown, Immutable):
 
     Examples
     --------
-    >>> x, z = (pgm.Discrete(name, ("no", "yes")) for name in "xz")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.TableCPD(x, table=[0.5, 0.5])],
-    ...     transition=[pgm.TableCPD(x, given=x.previous, table=[[1.0, 0.0], [0.0, 1.0]])],
-    ...     observation=[pgm.TableCPD(z, given=x, table=[[0.75, 0.25], [0.25, 0.75]])],
-    ... )
-    >>> graph = pgm.compile(model, steps=2)
-    >>> found = pgm.most_probable(graph, {z: [1, 1]})
-    >>> found.assignment[x]
+    >>> from pgm.examples import rain, still, wet
+    >>> graph = pgm.compile(still, steps=2)
+    >>> found = pgm.most_probable(graph, {wet: [1, 1]})
+    >>> found.assignment[rain]
     array([1, 1, 1])
-    >>> found.states(x).tolist()
+    >>> found.states(rain).tolist()
     ['yes', 'yes', 'yes']
     """
 
