@@ -1,4 +1,4 @@
-"""Scopes: which variables, in which order, share one stacked vector."""
+"""Scopes: which variables, in which order, share one stacked vector; unknown ones."""
 
 from __future__ import annotations
 

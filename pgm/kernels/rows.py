@@ -9,8 +9,8 @@ NaN; the callers, who know the names, raise.
 References: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977; Schoeman, van
 Daalen & du Preez, Degenerate Gaussian factors for probabilistic inference, 2022.
 
-All are stacks (V, B, s, s) with right sides (V, B, s, N): of V runs with a matrix each and N = 1,
-or of N runs that share one, V = 1.
+Messages between clusters are stacks (V, B, s, s) with right sides (V, B, s, N): of V runs with a
+matrix each and N = 1, or of N runs that share one, V = 1.
 """
 
 from __future__ import annotations

@@ -12,9 +12,8 @@ from pgm.errors import ModelError
 from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.corrected import Compared, Sums
 from pgm.inference.audit.draws import Draws
-from pgm.inference.audit.innovations import checks
 from pgm.inference.audit.mixture import Mixture, weigh
-from pgm.inference.audit.result import Audit
+from pgm.inference.audit.result import Audit, checks
 from pgm.inference.audit.tree import TreeDraws
 from pgm.inference.chain.marginals import KeptPosterior
 from pgm.inference.chain.posterior import ChainPosterior

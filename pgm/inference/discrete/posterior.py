@@ -1,4 +1,4 @@
-"""Posteriors of discrete networks."""
+"""Posteriors of discrete networks, and joints of variables of one cluster or of several."""
 
 from __future__ import annotations
 

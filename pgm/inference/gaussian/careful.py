@@ -5,12 +5,13 @@ evidence are taken as they are, to all digits, so that only the rounding of a li
 a value F μ + b the last places of its summands. Where these go, to first order, says how many
 digits of a posterior mean they leave.
 
-Rows are divided by their noise and multiplied by the prior's deviations, so that the size a of a
-row's entries says by how much a CPD or measurement is sharper than the prior. A factorisation moves
-each row by some 10⁻¹⁶ a, and a mean by as many of its own deviations, times the distance of the
-mean from the prior's in deviations of the prior. A covariance is pushed down the tree as it is and
-keeps what is small to 10⁻¹⁶ of the prior's, 10⁻¹⁶ a² of itself. What relations without noise put
-into rows counts as they do, and so do the reciprocals of what they are divided by; where it is not
+How far apart the deviations of a tree lie tells whether float64 keeps digits enough. Rows are
+divided by their noise and multiplied by the prior's deviations, so that the size a of a row's
+entries says by how much a CPD or measurement is sharper than the prior. A factorisation moves each
+row by some 10⁻¹⁶ a, and a mean by as many of its own deviations, times the distance of the mean
+from the prior's in deviations of the prior. A covariance is pushed down the tree as it is and keeps
+what is small to 10⁻¹⁶ of the prior's, 10⁻¹⁶ a² of itself. What relations without noise put into
+rows counts as they do, and so do the reciprocals of what they are divided by; where it is not
 certain how many of them are independent, no digits are. Last, residuals are differences of numbers:
 these are compared with the noise, or with the prior where there is none.
 """

@@ -1,4 +1,4 @@
-"""Posteriors of Gaussian networks."""
+"""Posteriors of Gaussian networks, and joints of variables that no single cluster holds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The posterior of a network on a grid."""
+"""The posterior of a network on a grid, and the associations of its open sightings."""
 
 from __future__ import annotations
 

@@ -17,10 +17,10 @@ from pgm.inference.checks import require_density
 from pgm.inference.grid.cut import TINY, Cut, Tails, bound, doubtful
 from pgm.inference.grid.densities import EVEN, Uneven
 from pgm.inference.grid.dependence import Dependence
+from pgm.inference.grid.grouping import Kept, groups
 from pgm.inference.grid.groups import Members
 from pgm.inference.grid.lattice import Lattice, Window, spanned
 from pgm.inference.grid.measured import MeasuredSensor, Shape, Sharpness
-from pgm.inference.grid.mixed import Kept, groups
 from pgm.inference.grid.motion import Motion
 from pgm.inference.grid.sensors import DensitySensor, GridSensor, likelihood
 from pgm.inference.runs import by_run

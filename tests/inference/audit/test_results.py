@@ -9,8 +9,7 @@ from textbooks import refusal
 import pgm
 from pgm import GraphError, LinearisationError, ModelError, NumericalError
 from pgm.inference.audit import run
-from pgm.inference.audit.mixture import Mixture
-from pgm.inference.audit.tail import pareto_shape
+from pgm.inference.audit.mixture import Mixture, pareto_shape
 
 a, b, z, fix = pgm.variables("a b z fix")
 pair = pgm.Variable("pair", components=("p", "q"))

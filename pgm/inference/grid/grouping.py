@@ -1,4 +1,4 @@
-"""Moves of which one holds by chance: those of the CPDs of a mixture."""
+"""The CPDs of a model in the groups in which a grid moves them: of a mixture, one by chance."""
 
 from __future__ import annotations
 
