@@ -50,6 +50,7 @@ LAYERS = [
         "io, recordings, consistency, comparison, plot, viewer, examples",
         "logs, checks, pictures",
     ),
+    Layer("learning", "parameters"),
     Layer("inference", "schedules, messages, results", 4.2),
     Layer("compile", "networks to graphs"),
     Layer("clustergraph", "clusters and sepsets"),

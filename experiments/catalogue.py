@@ -19,6 +19,7 @@ from experiments import (
     kalman,
     kidnapped,
     killian,
+    learning,
     linearisers,
     localisation,
     maze,
@@ -29,6 +30,7 @@ from experiments import (
     seven_nodes,
     smoothing,
     topological,
+    wide_start,
 )
 
 # Themes, and within them experiments, in the order in which a newcomer would read them.
@@ -44,9 +46,11 @@ THEMES: dict[str, dict[str, ModuleType]] = {
     "Linearisers": {
         "linearisers": linearisers,
         "nonlinear_measurement": nonlinear_measurement,
+        "learning": learning,
     },
     "Recorded robots": {
         "recordings": recordings,
+        "wide_start": wide_start,
         "plaza": plaza,
         "freiburg": freiburg,
         "killian": killian,
@@ -76,6 +80,7 @@ EXPERIMENTS: dict[str, ModuleType] = {
 # Recordings and maps that an experiment cannot run without, and where they come from.
 NEEDS = {
     "recordings": "recordings: pip install gtsam, or --path, or PGM_DATA",
+    "wide_start": "recordings: pip install gtsam, or PGM_DATA",
     "plaza": "recordings: pip install gtsam",
     "freiburg": "a recording: --path, or PGM_DATA",
     "killian": "a recording: pip install 'rtb-data>=2.0'; or --data made_up",

@@ -107,7 +107,7 @@ from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Discrete, Variable, variables
 
 if TYPE_CHECKING:
-    from pgm import comparison, consistency, maps, plot, recordings
+    from pgm import comparison, consistency, learning, maps, plot, recordings
     from pgm.comparison import Comparison, compare
     from pgm.io.networks import (
         from_pgmpy,
@@ -121,13 +121,14 @@ if TYPE_CHECKING:
     )
     from pgm.io.poses import Poses
     from pgm.io.tum import read_tum, write_tum
+    from pgm.learning import Fit, FitStatus, fit
     from pgm.recordings.recording import Recording
     from pgm.viewer import view
 
 __version__ = "0.1.0"
 
 # Slow to import, or seldom wanted: loaded when first asked for.
-_MODULES = ("comparison", "consistency", "maps", "plot", "recordings", "viewer")
+_MODULES = ("comparison", "consistency", "learning", "maps", "plot", "recordings", "viewer")
 _LATER = {
     "pgm.comparison": ("Comparison", "compare"),
     "pgm.io.networks": (
@@ -142,6 +143,7 @@ _LATER = {
     ),
     "pgm.io.poses": ("Poses",),
     "pgm.io.tum": ("read_tum", "write_tum"),
+    "pgm.learning": ("Fit", "FitStatus", "fit"),
     "pgm.recordings.recording": ("Recording",),
     "pgm.viewer": ("view",),
 }
@@ -187,6 +189,8 @@ __all__ = [
     "ExecutorError",
     "FileError",
     "Filtering",
+    "Fit",
+    "FitStatus",
     "FixedLag",
     "Flooding",
     "GaussHermite",
@@ -263,8 +267,10 @@ __all__ = [
     "consistency",
     "constant",
     "filter",
+    "fit",
     "from_pgmpy",
     "infer",
+    "learning",
     "maps",
     "most_probable",
     "noise",

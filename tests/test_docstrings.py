@@ -23,6 +23,7 @@ PUBLIC = [
     "pgm.comparison",
     "pgm.consistency",
     "pgm.io",
+    "pgm.learning",
     "pgm.linearisers",
     "pgm.maps",
     "pgm.plot",

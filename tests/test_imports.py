@@ -20,6 +20,7 @@ LAYERS = [
     {"clustergraph"},
     {"compile"},
     {"inference"},
+    {"learning"},
     {"io", "consistency", "comparison", "plot", "recordings", "viewer", "examples"},
 ]
 HEIGHT = {name: height for height, layer in enumerate(LAYERS) for name in layer}

@@ -235,23 +235,33 @@ class Drive:
 def load(name: str, path: Path, *, every_stamp: bool = False) -> Drive:
     """Read a recording and lay it on the times of its motion, or with `every_stamp` of all rows."""
     setting = SETTINGS[name]
+    return laid(name, setting, read(setting, path), every_stamp=every_stamp)
+
+
+def read(setting: Setting, path: Path) -> Recording:
+    """The recording, its ranges calibrated."""
     found = setting.read(path)
-    if (setting.scale, setting.offset) != (1.0, 0.0):
-        found = found.calibrated(setting.sensor, setting.scale, setting.offset)
+    if (setting.scale, setting.offset) == (1.0, 0.0):
+        return found
+    return found.calibrated(setting.sensor, setting.scale, setting.offset)
+
+
+def laid(name: str, setting: Setting, found: Recording, *, every_stamp: bool = False) -> Drive:
+    """A recording on the times of its states."""
     sensor = distance if len(setting.sensor_std) == 1 else sighting
-    laid = found.timeline(
+    timeline = found.timeline(
         None if every_stamp else found.times,
         odometry=moved,
         sensors={sensor: setting.sensor},
         landmark=landmark,
     )
-    truth = _truth(found, laid.times, setting.heading_shift)
+    truth = _truth(found, timeline.times, setting.heading_shift)
     start = np.full(3, np.nan) if setting.start is None else np.array(setting.start)
     if np.isnan(start).any():
         if truth is None or np.isnan(np.where(np.isnan(start), truth[0], start)).any():
             raise pgm.EvidenceError(f"{name}: the truth does not say where the drive begins")
         start = np.where(np.isnan(start), truth[0], start)
-    return Drive(name, setting, found, laid, truth, start)
+    return Drive(name, setting, found, timeline, truth, start)
 
 
 def _truth(found: Recording, times: Array, shift: float) -> Array | None:

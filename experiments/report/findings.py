@@ -116,6 +116,14 @@ FINDINGS = {
         "Kalman, extended and unscented filters and smoothers differ from textbook "
         "implementations by {largest_difference:.0e} at most.",
     ),
+    "learning": Finding(
+        "Can noise be learnt from the readings alone?",
+        "From five times the true variances, over {settings/runs} recordings of {settings/steps} "
+        "steps, the median process noise of the turning target comes to "
+        "{median/turn/Taylor/process:.2f} of the truth with Taylor and to "
+        "{median/turn/cubature/process:.2f} with cubature, the noise of its bearings to "
+        "{median/turn/cubature/bearing:.2f}.",
+    ),
     "imu_heading": Finding(
         "What does one reading of the heading tell?",
         "It takes the heading's variance from {ours/predicted_variance:.4f} to "

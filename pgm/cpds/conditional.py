@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -68,6 +69,13 @@ class ConditionalGaussian(CPD):
             cov = as_covariance((child,), cov, what, runs=runs, flat=flat, variable=child)
             cov = frozen(cov)
         self._set(cov=cov)
+
+    def _with_cov(self, cov: npt.ArrayLike | Noise) -> Self:
+        """The same density with another noise covariance."""
+        found = copy.copy(self)
+        found.__dict__.pop("_variances", None)  # of a nonlinear CPD, computed from the noise
+        found._set_family(self.child, self.given, cov)
+        return found
 
     def _set_noise(self, noise: RobustNoise | None) -> None:
         """Take a robust noise, whose constant covariance has to be regular."""

@@ -322,6 +322,16 @@ def small():
     rest += [pgm.StudentT(4.0), pgm.Huber(1.5), pgm.Cauchy(2.4), pgm.TruncatedLeastSquares(3.0)]
     cells = pgm.CellProposal(A, [[0.0], [1.0]], [1.0])
     rest += [cells, pgm.Injection(cells)]
+    scale = pgm.Variable("scale")
+    calibrated = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(A, 1.0, 1.0)],
+        [pgm.LinearGaussianCPD(A, {A.previous: 1.0}, cov=0.0)],
+        [pgm.NonlinearGaussianCPD(B, (A, scale), lambda a, k: a * k, cov=1.0)],
+    )
+    learn = {A.at(0): pgm.learning.Offset(), scale: pgm.learning.Parameter(1.0)}
+    learn[B] = pgm.learning.Covariance()
+    learnt = pgm.fit(calibrated, {B: [[1.0], [2.0], [4.0]]}, learn=learn, iterations=3)
+    rest += [learnt, learnt.status, pgm.learning.Table()]
     every = [*rules, *schedules, *methods, *orders, *rest]
     return {f"{type(value).__name__} {k}": value for k, value in enumerate(every)}
 

@@ -172,10 +172,10 @@ class CarefulSmoothed:
     @cached_property
     def point(self) -> Point:
         """The moments of slices and of pairs, as a point of linearisation."""
-        pairs = None if self.layout.single else self._pairs()
+        pairs = None if self.layout.single else self.pairs()
         return Point(self.beliefs.mean, self.beliefs.cov, pairs)
 
-    def _pairs(self) -> Array:
+    def pairs(self) -> Array:
         """The covariances of the states before each step with its slice."""
         states, front = self.layout.state_places, self.layout.state_size
         found = [

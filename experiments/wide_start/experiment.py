@@ -1,0 +1,134 @@
+"""Recorded drives from starts that are hardly known: there linearisers part company.
+
+Starts are drawn about the true one, with the deviations that the prior says. A start's NEES is the
+mean over the first seconds, of a component of the position; what counts is the 90th percentile over
+starts. Where a grid fits it is the oracle, from the true start: KL(grid ‖ belief), mean over steps.
+In summary.json ``results.<data>.<lineariser>`` has them.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+import pgm
+from experiments.record import Out, Record, Seed, note, progress
+from experiments.recordings.drives import Drive
+from experiments.wide_start import figures
+from experiments.wide_start.cases import CASES, load, starts
+from models.networks import pose
+from pgm import consistency
+
+QUICK: dict[str, Any] = {"data": "plaza2", "runs": 3}
+PLANE = ("east", "north")
+LINEARISERS: dict[str, pgm.Lineariser] = {
+    "Taylor": pgm.Taylor(),
+    "unscented": pgm.Unscented(),
+    "cubature": pgm.Cubature(),
+    "Gauss–Hermite 3": pgm.GaussHermite(3),
+    "Gauss–Hermite 7": pgm.GaussHermite(7),
+}
+
+
+def run(
+    out: Out = None,
+    seed: Seed = 0,
+    data: Annotated[
+        str | None, typer.Option(help=f"One of {', '.join(CASES)}; all that are found without.")
+    ] = None,
+    runs: Annotated[int, typer.Option(min=1, help="Starts that are drawn.")] = 20,
+) -> None:
+    """Begin recorded drives anywhere near the truth, and see which linearisers bear it."""
+    if data is not None and data not in CASES:
+        raise pgm.EvidenceError(f"{data!r} is not a recording: {', '.join(CASES)}")
+    found = {name: load(name) for name in ([data] if data else CASES)}
+    for name, drive in found.items():
+        if drive is None:
+            note(f"wide_start: {name} is not here; {CASES[name].setting.needs}")
+    there = {name: drive for name, drive in found.items() if drive is not None}
+    if not there:
+        return
+    record = Record("wide_start", out, seed=seed, data=list(there), runs=runs)
+    results: dict[str, Any] = {}
+    for name, drive in there.items():
+        results[name] = {label: {} for label in LINEARISERS}
+        if drive.truth is not None:
+            _drawn(record, drive, runs, np.random.default_rng(seed), results[name])
+        if CASES[name].grid is not None:
+            _beside_grid(record, drive, results[name])
+    record.summary(results=results)
+
+
+def _drawn(
+    record: Record, drive: Drive, runs: int, rng: np.random.Generator, results: dict[str, Any]
+) -> None:
+    """The NEES over time of every start, with every lineariser."""
+    case = CASES[drive.name]
+    means = starts(drive, runs, rng)
+    over_time: dict[str, Any] = {}
+    assert drive.truth is not None
+    for label in progress(list(LINEARISERS), drive.name):
+        errors, squares = [], []
+        for mean in means:
+            model = drive.network(start=mean)
+            belief = pgm.filter(model, drive.evidence, lineariser=LINEARISERS[label])[pose]
+            squares.append(consistency.nees(belief, drive.truth, PLANE) / len(PLANE))
+            errors.append(consistency.rmse(belief, drive.truth, PLANE))
+        known = ~np.isnan(squares[0])
+        over_time[label] = np.array(squares)
+        each = over_time[label][:, known].mean(axis=1)
+        results[label] |= {
+            "nees_90": float(np.percentile(each, 90)),
+            "nees_median": float(np.median(each)),
+            "nees_end": float(np.percentile(over_time[label][:, known][:, -1], 90)),
+            "rmse_90": float(np.percentile(errors, 90)),
+        }
+    record.table(
+        f"{drive.name}: {runs} starts, known to {case.about}; the first {case.seconds:g} s",
+        ("lineariser", "NEES, 90 % of starts", "median", "at the end, 90 %", "RMSE, 90 % [m]"),
+        [
+            (label, found["nees_90"], found["nees_median"], found["nees_end"], found["rmse_90"])
+            for label, found in results.items()
+        ],
+        about="NEES of the position, a component's: 1 of a right belief; a start's is its mean "
+        "over time. Percentiles are over starts.",
+        best={"NEES, 90 % of starts": -np.inf, "RMSE, 90 % [m]": -np.inf},
+    )
+    record.figure(
+        figures.over_time(drive, over_time),
+        f"{drive.name}_nees",
+        f"NEES of the position of {drive.name} over time [s], a component's, on a logarithmic "
+        "axis: the 90th percentile of starts. A right belief has 1 on average.",
+    )
+
+
+def _beside_grid(record: Record, drive: Drive, results: dict[str, Any]) -> None:
+    """Every lineariser, from the true start, beside the grid."""
+    case = CASES[drive.name]
+    assert case.grid is not None
+    found = pgm.compare(
+        drive.network(),
+        drive.evidence,
+        linearisers=LINEARISERS,
+        schedules={"filter": pgm.Filtering()},
+        oracle=case.grid,
+    )
+    for label in LINEARISERS:
+        results[label]["kl"] = float(found[label, "filter"].kl)
+    record.table(
+        f"{drive.name}: KL from the grid, the start known to {case.about}",
+        ("lineariser", "KL(grid ‖ filter) [nats]"),
+        [(label, each["kl"]) for label, each in results.items()],
+        about="From the true start; the mean over steps, of the Gaussian of the grid's moments.",
+        best={"KL(grid ‖ filter) [nats]": -np.inf},
+    )
+    record.note(repr(found))
+    figure, ax = figures.empty()
+    pgm.plot.comparison(found, ax=ax)
+    record.figure(
+        figure,
+        f"{drive.name}_kl",
+        f"KL(grid ‖ filter) [nats] over the steps of {drive.name}, each from the true start.",
+    )

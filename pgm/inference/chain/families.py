@@ -1,0 +1,84 @@
+"""The smoothed beliefs of each CPD's family, of all its rows at once."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.cpds import CPD
+from pgm.inference.chain import backward
+from pgm.inference.chain.adjoint import CarefulSmoothed
+from pgm.inference.chain.backward import Beliefs
+from pgm.inference.chain.posterior import ChainPosterior
+from pgm.inference.family import Family
+from pgm.kernels.arrays import Array, Index, Mask, block, quiet
+
+
+class FamilyBelief(NamedTuple):
+    """The belief of a CPD's hidden parents, and of its child where that is hidden.
+
+    Attributes
+    ----------
+    family : Family
+        The CPD with its evidence, a row a step or a sighting.
+    mean, cov : ndarray
+        (rows, runs, n) and (rows, runs, n, n): of the hidden parents, then of the child.
+    values : ndarray or None
+        (rows, runs or 1, d): a sensor's measurements.
+    taken : ndarray of bool or None
+        (rows, runs or 1, d): which components were; None for all.
+    """
+
+    family: Family
+    mean: Array
+    cov: Array
+    values: Array | None
+    taken: Mask | None
+
+
+@quiet()
+def family_beliefs(posterior: ChainPosterior) -> dict[CPD, FamilyBelief]:
+    """The belief of each family that has rows, by CPD, given all measurements.
+
+    Parameters
+    ----------
+    posterior : ChainPosterior
+        After smoothing.
+    """
+    plan, beliefs = posterior._plan, posterior._beliefs
+    layout, places = plan.layout, plan.layout.state_places
+    found: dict[CPD, FamilyBelief] = {}
+    first = Beliefs(beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places))
+    groups = [(plan.prior, first)]
+    if plan.steps:
+        groups.append((plan.transition, _pairs(posterior)))
+    for links, moments in groups:
+        everywhere = np.arange(moments.mean.shape[-1])
+        for link in links:
+            chosen = np.concatenate([everywhere[link.parents], everywhere[link.child]])
+            found[link.family.cpd] = _belief(link.family, moments, chosen)
+    everywhere = np.arange(layout.slice_size)
+    for sensor in plan.sensors:
+        if not sensor.family.step.size:
+            continue
+        rows = sensor.family.step - plan.first
+        at = Beliefs(beliefs.mean[rows], beliefs.cov[rows])
+        own = _belief(sensor.family, at, everywhere[sensor.parents])
+        found[sensor.family.cpd] = own._replace(values=sensor.values, taken=sensor.taken)
+    return found
+
+
+def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:
+    mean, cov = moments.mean[..., chosen], block(moments.cov, chosen, chosen)
+    return FamilyBelief(family, mean, cov, None, None)
+
+
+def _pairs(posterior: ChainPosterior) -> Beliefs:
+    """The moments of (states of t − 1, slice of t) at steps 1..T."""
+    beliefs, careful = posterior._beliefs, posterior._careful
+    if careful is None:
+        return backward.pairs(beliefs, posterior._reverse, slice(None))
+    states = posterior._plan.layout.state_places
+    mean = np.concatenate([beliefs.mean[:-1][..., states], beliefs.mean[1:]], axis=-1)
+    return Beliefs(mean, CarefulSmoothed.of(posterior._plan, careful).pairs())

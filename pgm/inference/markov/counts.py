@@ -1,0 +1,108 @@
+"""Expected counts of the states of each CPD's family, given all measurements."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pgm.cpds import CPD
+from pgm.inference.markov.marginals import pair
+from pgm.inference.markov.posterior import StatePosterior
+from pgm.kernels.arrays import Array, Integers
+
+
+def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Array]:
+    """The expected number of times that each CPD's parents and child had their states.
+
+    Parameters
+    ----------
+    posterior : StatePosterior
+        After smoothing.
+    cpds : list of CPD
+        Of arrays of numbers.
+
+    Returns
+    -------
+    dict
+        By CPD, (size of each parent..., size of the child), summed over steps, sightings and runs.
+    """
+    chain, plan, bound = posterior._chain, posterior._plan, posterior._slices.bound
+    model = posterior.graph.model
+    counts = {cpd: np.zeros(cpd.table.shape) for cpd in cpds}  # type: ignore[attr-defined]
+    prior = [cpd for cpd in model.prior if cpd in counts]
+    moving = [(cpd, bound.transition[k]) for k, cpd in enumerate(model.transition) if cpd in counts]
+    reading = [each for each in bound.readings if each.cpd in counts]
+    ends = [np.searchsorted(each.step, np.arange(bound.steps + 2)) for each in reading]
+    places = {v: k for k, v in enumerate(plan.slice)}
+    message = chain.unit()
+    for step in range(bound.steps, -1, -1):
+        if step < bound.steps:
+            message = chain.back(step, message)
+        belief = chain.posterior(step, message)
+        for each, end in zip(reading, ends, strict=True):
+            for row in range(end[step], end[step + 1]):
+                _read(counts[each.cpd], each, row, _by_run(belief, chain.batch), places)
+        if not step:
+            first = _by_run(belief, chain.batch)
+            for cpd in prior:
+                _moved(counts[cpd], cpd, {}, 0, first, places)
+        elif moving:
+            both = _by_run(pair(chain, plan, step, message), chain.batch)
+            axes = {v.previous: k for k, v in enumerate(plan.states)}
+            axes |= {v: len(axes) + k for k, v in enumerate(plan.slice)}
+            for cpd, inputs in moving:
+                _moved(counts[cpd], cpd, inputs, step - 1, both, axes)
+    return counts
+
+
+def _by_run(belief: Array, batch: int) -> Array:
+    """A belief (*states, [runs]) as (runs, *states)."""
+    return np.moveaxis(belief, -1, 0) if batch else belief[None]
+
+
+def _marginal(belief: Array, wanted: list[int]) -> Array:
+    """The marginal over some axes, in their order, (runs, ...)."""
+    others = tuple(1 + k for k in range(belief.ndim - 1) if k not in wanted)
+    left = [k for k in range(belief.ndim - 1) if k in wanted]
+    found: Array = belief.sum(axis=others)
+    return found.transpose(0, *(1 + left.index(k) for k in wanted))
+
+
+def _states(rows: Any, row: int, runs: int) -> Integers:
+    return np.broadcast_to(rows[row, :, 0], runs)
+
+
+def _moved(
+    counts: Array, cpd: Any, inputs: Any, row: int, belief: Array, axes: dict[Any, int]
+) -> None:
+    """Add the belief of a family at one row, its observed parents being known."""
+    family = (*cpd.given, cpd.child)
+    found = _marginal(belief, [axes[v] for v in family if v in axes])
+    runs = len(found)
+    for run in range(runs) if inputs else (slice(None),):
+        at = tuple(
+            slice(None) if v in axes else int(_states(inputs[v], row, runs)[run]) for v in family
+        )
+        counts[at] += found[run] if inputs else found.sum(axis=0)
+
+
+def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, int]) -> None:
+    """Add the belief of a sensor's parents at one measurement."""
+    cpd, runs = reading.cpd, len(belief)
+    found = _marginal(belief, [axes[v] for v in cpd.given if v in axes])
+    taken = np.broadcast_to(reading.taken[row, :, 0], runs)
+    soft = reading.values.dtype.kind == "f"
+    for run in np.flatnonzero(taken):
+        at: tuple[Any, ...] = tuple(
+            slice(None) if v in axes else int(_states(reading.inputs[v], row, runs)[run])
+            for v in cpd.given
+        )
+        if soft:
+            weights = np.broadcast_to(reading.values[row], (runs, cpd.child.size))[run]
+            joint = cpd.table[at] * weights
+            total = joint.sum(axis=-1, keepdims=True)
+            share = joint / np.where(total > 0.0, total, 1.0)
+            counts[at] += found[run][..., None] * share
+        else:
+            counts[(*at, int(_states(reading.values, row, runs)[run]))] += found[run]

@@ -1,0 +1,304 @@
+"""The M step of a Gaussian CPD: regression of the child on its parents, and the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pgm.cpds import AffineCPD, ConditionalGaussian, GaussianCPD, LinearGaussianCPD, Noise
+from pgm.errors import ModelError
+from pgm.factors.scope import Scope, listed
+from pgm.inference.chain.families import FamilyBelief
+from pgm.kernels.arrays import Array, Mask, transpose
+from pgm.learning.covariances import CovarianceStep
+from pgm.learning.declared import Coefficients, Covariance, Offset
+from pgm.learning.residuals import Known, Residuals, residuals
+
+# Coordinate ascent over coefficients and noise, where neither alone has a closed form.
+_ROUNDS = 200
+_SETTLED = 1e-13
+_LEAST = 1e-300
+
+
+@dataclass(frozen=True, eq=False)
+class Weighted:
+    """Sums that rows enter by the inverses of their own noises.
+
+    Attributes
+    ----------
+    normal, said : ndarray
+        The normal equations of the free entries.
+    moments : list of tuple
+        By recording E[r rᵀ], E[r gᵀ], E[g gᵀ] and the inverse noise of each row.
+    ranks : int
+        The sum of the noises' ranks.
+    """
+
+    normal: Array
+    said: Array
+    moments: list[tuple[Array, Array, Array, Array]]
+    ranks: int
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What is expected of a CPD's residuals.
+
+    Attributes
+    ----------
+    cpd : ConditionalGaussian
+        As it is.
+    own, cross, gram : ndarray
+        Sums of E[r rᵀ], E[r gᵀ], E[g gᵀ], the regressors counted from the reference.
+    count : int
+        N.
+    reference : ndarray
+        (k,): near the regressors' mean where an offset is free, so that sums keep their digits.
+    weighted : Weighted or None
+        In place of the sums, where the noise is a function of evidence.
+    """
+
+    cpd: Any
+    own: Array
+    cross: Array
+    gram: Array
+    count: int
+    reference: Array
+    weighted: Weighted | None = None
+
+
+def _left(own: Array, change: Array, cross: Array, gram: Array) -> Array:
+    """E[(r − δ g)(r − δ g)ᵀ], of a row or summed."""
+    both = change @ transpose(cross)
+    left: Array = own - both - transpose(both) + change @ gram @ change.T
+    return left
+
+
+class GaussianStep:
+    """The M step of one Gaussian CPD, closed for affine ones.
+
+    Where all rows of the matrix have the same free entries, or the noise is diagonal, the
+    coefficients are those of a least-squares regression whatever the noise; else noise and
+    coefficients are found in turn, until they settle.
+
+    Parameters
+    ----------
+    cpd : ConditionalGaussian
+        As it is at the start.
+    hidden : tuple of Variable
+        Its hidden parents.
+    parts : sequence of Covariance, Coefficients or Offset
+    """
+
+    def __init__(self, cpd: ConditionalGaussian, hidden: Scope, parts: Sequence[Any]) -> None:
+        self.hidden, self.noise = hidden, None
+        order = (*hidden, *(p for p in cpd.given if p not in hidden))
+        self.order = order
+        starts = np.cumsum([0, *(p.dimension for p in order)])
+        self.places = {p: slice(*starts[k : k + 2]) for k, p in enumerate(order)}
+        self.free: Mask = np.zeros((cpd.child.dimension, int(starts[-1]) + 1), dtype=bool)
+        for part in parts:
+            if isinstance(part, Covariance):
+                self.noise = CovarianceStep(cpd, part)
+            elif isinstance(part, Coefficients):
+                self._free_matrices(cpd, part)
+            else:
+                self._free_offset(cpd, part)
+        self.same = bool((self.free == self.free[0]).all())
+
+    def _free_matrices(self, cpd: ConditionalGaussian, part: Coefficients) -> None:
+        if not isinstance(cpd, LinearGaussianCPD):
+            raise ModelError(
+                f"{cpd!r} has no coefficients to learn; those of functions are learnt as a parent, "
+                "pgm.learning.Parameter(start)",
+                cpd=cpd,
+            )
+        free = dict.fromkeys(cpd.given, True) if part.free is None else part.free
+        for parent, mask in free.items():
+            if parent not in cpd.given:
+                raise ModelError(
+                    f"{cpd!r}: coefficients of {parent!r} are to be learnt, which is none of its "
+                    f"parents ({listed(cpd.given)})",
+                    cpd=cpd,
+                )
+            due = cpd.child.dimension, parent.dimension
+            self.free[:, self.places[parent]] = _mask(cpd, f"the mask of {parent!r}", mask, due)
+
+    def _free_offset(self, cpd: ConditionalGaussian, part: Offset) -> None:
+        if not isinstance(cpd, AffineCPD):
+            raise ModelError(
+                f"{cpd!r} has no offset; that of a function is learnt as a parent, "
+                "pgm.learning.Parameter(start)",
+                cpd=cpd,
+            )
+        if cpd.offset.ndim > 1:
+            raise ModelError(
+                f"{cpd!r}: its mean differs by run, and one is learnt of all runs; give it one to "
+                "start with",
+                cpd=cpd,
+            )
+        due = (cpd.child.dimension,)
+        self.free[:, -1] = _mask(cpd, "the mask of the offset", part.free, due)
+
+    def expected(self, beliefs: Sequence[FamilyBelief], known: Known) -> Expected:
+        """The sums over all recordings that M step and gradient need."""
+        cpd: Any = beliefs[0].family.cpd
+        every = [residuals(belief, known) for belief in beliefs]
+        count = sum(each.count for each in every)
+        reference = np.zeros(self.free.shape[1])
+        if isinstance(cpd.cov, Noise):
+            return self._by_row(cpd, every, count, reference)
+        if count and self.free[:, -1].all() and self.free[:, :-1].any():
+            reference = sum(each.regressors.sum(axis=0) for each in every) / count
+            reference[-1] = 0.0
+        sums = zip(*(each.sums(reference) for each in every), strict=True)
+        own, cross, gram = (np.sum(parts, axis=0) for parts in sums)
+        return Expected(cpd, own, cross, gram, count, reference)
+
+    def _by_row(self, cpd: Any, every: list[Residuals], count: int, reference: Array) -> Expected:
+        """Where the noise differs by row, its inverse weighs the rows."""
+        rows, columns = np.nonzero(self.free)
+        normal, said = np.zeros((rows.size, rows.size)), np.zeros(rows.size)
+        moments, ranks = [], 0
+        for each in every:
+            own, cross, gram = each.rows()
+            weight = np.broadcast_to(np.linalg.pinv(each.noise, hermitian=True), own.shape)
+            rank = np.linalg.matrix_rank(each.noise, hermitian=True)
+            ranks += int(np.broadcast_to(rank, len(own)).sum())
+            moments.append((own, cross, gram, weight))
+            for k, (i, a) in enumerate(zip(rows, columns, strict=True)):
+                normal[k] += np.sum(weight[:, i, rows] * gram[:, a, columns], axis=0)
+            said += (weight @ cross).sum(axis=0)[rows, columns]
+        zero = np.zeros((0, 0))
+        weighted = Weighted(normal, said, moments, ranks)
+        return Expected(cpd, zero, zero, zero, count, reference, weighted)
+
+    def maximised(self, sums: Expected) -> ConditionalGaussian:
+        """The CPD with the largest expected log-density, of what is free."""
+        if not sums.count:
+            unchanged: ConditionalGaussian = sums.cpd
+            return unchanged
+        if sums.weighted is not None:
+            return self._weighted(sums.cpd, sums.weighted)
+        change, cov = self._solved(sums)
+        change[:, -1] -= change @ sums.reference
+        return self._changed(sums.cpd, change, cov)
+
+    def _solved(self, sums: Expected) -> tuple[Array, Any]:
+        change, cov = np.zeros(self.free.shape), sums.cpd.cov
+        for _ in range(_ROUNDS):
+            before, was = change, cov
+            if self.free.any():
+                change = self._regressed(sums.cross, sums.gram, cov)
+            if self.noise is None:
+                return change, cov
+            cov = self.noise.likeliest(_left(sums.own, change, sums.cross, sums.gram), sums.count)
+            if self.same or not self.free.any():
+                return change, cov
+            moved = np.abs(cov - was).max() / max(np.abs(cov).max(), _LEAST)
+            largest = max(np.abs(change).max(), _LEAST)
+            if moved < _SETTLED and np.abs(change - before).max() < _SETTLED * largest:
+                break
+        return change, cov
+
+    def _regressed(self, cross: Array, gram: Array, cov: Array) -> Array:
+        """The change of the coefficients."""
+        change = np.zeros(self.free.shape)
+        if self.same:
+            free = self.free[0]
+            change[:, free] = _least(gram[np.ix_(free, free)], cross[:, free].T).T
+            return change
+        if not (cov - np.diag(np.diagonal(cov))).any():
+            for row, free in enumerate(self.free):
+                if free.any():
+                    change[row, free] = _least(gram[np.ix_(free, free)], cross[row, free])
+            return change
+        weight = np.linalg.pinv(cov, hermitian=True)
+        rows, columns = np.nonzero(self.free)
+        normal = weight[np.ix_(rows, rows)] * gram[np.ix_(columns, columns)]
+        change[rows, columns] = _least(normal, (weight @ cross)[rows, columns])
+        return change
+
+    def _weighted(self, cpd: Any, sums: Weighted) -> ConditionalGaussian:
+        change = np.zeros(self.free.shape)
+        if self.free.any():
+            change[self.free] = _least(sums.normal, sums.said)
+        cov = cpd.cov
+        if self.noise is not None and sums.ranks:
+            total = sum(
+                float(np.sum(weight * _left(own, change, cross, gram)))
+                for own, cross, gram, weight in sums.moments
+            )
+            cov = self.noise.scaled(self.noise.factor(cpd) * total / sums.ranks)
+        return self._changed(cpd, change, cov)
+
+    def gradient(self, sums: Expected) -> Array:
+        """The derivatives of the expected log-density by the coordinates."""
+        cpd, weighted = sums.cpd, sums.weighted
+        parts = [np.zeros(0)]
+        if self.free.any() and weighted is not None:
+            parts.append(weighted.said)
+        elif self.free.any():
+            reference = sums.reference.copy()
+            whole = sums.cross + sums.cross[:, -1:] * reference
+            parts.append((np.linalg.pinv(cpd.cov, hermitian=True) @ whole)[self.free])
+        if self.noise is not None and weighted is not None:
+            total = sum(float(np.sum(weight * own)) for own, *_, weight in weighted.moments)
+            parts.append(np.array([(total - weighted.ranks) / np.sqrt(self.noise.factor(cpd))]))
+        elif self.noise is not None:
+            parts.append(self.noise.gradient(cpd, sums.own, sums.count))
+        return np.concatenate(parts)
+
+    def _changed(self, cpd: Any, change: Array, cov: Any) -> ConditionalGaussian:
+        if isinstance(cpd, GaussianCPD):
+            return GaussianCPD(cpd.child, cpd.offset + change[:, -1] * self.free[:, -1], cov)
+        if isinstance(cpd, LinearGaussianCPD):
+            matrices = {p: cpd.matrices[p] + change[:, self.places[p]] for p in cpd.given}
+            offset = cpd.offset + np.where(self.free[:, -1], change[:, -1], 0.0)
+            return LinearGaussianCPD(cpd.child, matrices, cov=cov, offset=offset)
+        changed: ConditionalGaussian = cpd._with_cov(cov)
+        return changed
+
+    def vector(self, cpd: Any) -> Array:
+        """The coordinates of a CPD: its free entries, then those of its covariance."""
+        parts = [np.zeros(0)]
+        if self.free.any():
+            whole = [cpd.matrices[p] for p in self.order]
+            table = np.concatenate([*whole, cpd.offset[:, None]], axis=1)
+            parts.append(table[self.free])
+        if self.noise is not None:
+            parts.append(self.noise.vector(cpd))
+        return np.concatenate(parts)
+
+    def at(self, cpd: Any, vector: Array) -> ConditionalGaussian:
+        """The CPD of some coordinates."""
+        count = int(self.free.sum())
+        change = np.zeros(self.free.shape)
+        if count:
+            change[self.free] = vector[:count] - self.vector(cpd)[:count]
+        cov = cpd.cov if self.noise is None else self.noise.at(vector[count:])
+        return self._changed(cpd, change, cov)
+
+
+def _mask(cpd: Any, what: str, value: Any, due: tuple[int, ...]) -> Mask:
+    mask = np.asarray(value)
+    if mask.dtype != np.bool_ or mask.shape not in ((), due):
+        raise ModelError(
+            f"{cpd!r}: {what} is True or False, or an array of these, {due}; found {value!r}",
+            cpd=cpd,
+        )
+    return np.broadcast_to(mask, due)
+
+
+def _least(normal: Array, said: Array) -> Array:
+    """The shortest solution of normal equations, whose unknowns are scaled to be alike."""
+    scale = np.sqrt(np.maximum(np.diagonal(normal), 0.0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    wide = scale[:, None] if said.ndim > 1 else scale
+    found: Array = np.linalg.lstsq(
+        normal / np.outer(scale, scale), said / wide, rcond=4.0 * len(scale) * 2.0**-52
+    )[0]
+    return found / wide

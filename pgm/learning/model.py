@@ -1,0 +1,330 @@
+"""A model with the parts of it that are learnt: E step, M step, coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pgm.cpds import CPD, ConditionalGaussian, TableCPD
+from pgm.display import titled
+from pgm.errors import EvidenceError, ModelError
+from pgm.evidence import Evidence, constant
+from pgm.factors.scope import listed
+from pgm.inference import Smoothing, smooth
+from pgm.inference.chain.families import family_beliefs
+from pgm.inference.chain.run import bind_chain
+from pgm.inference.markov.counts import expected_counts
+from pgm.kernels.arrays import Array
+from pgm.learning.declared import (
+    PARTS,
+    Coefficients,
+    Covariance,
+    Learn,
+    Offset,
+    Parameter,
+    Table,
+)
+from pgm.learning.gaussian import GaussianStep
+from pgm.learning.parameters import ParameterStep
+from pgm.learning.result import Fit, FitStatus
+from pgm.learning.tables import TableStep
+from pgm.linearisers import Lineariser
+from pgm.networks import DynamicBayesianNetwork
+from pgm.variables import Variable
+
+ROLES = ("prior", "transition", "observation")
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A value of all that is learnt.
+
+    Attributes
+    ----------
+    model : DynamicBayesianNetwork
+    parameters : dict of Variable to ndarray
+        Of parents with a constant value.
+    """
+
+    model: DynamicBayesianNetwork
+    parameters: dict[Variable, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """The posterior of each recording at a point, and the objective there."""
+
+    point: Point
+    posteriors: list[Any]
+    log_evidence: float
+    objective: float
+
+
+class Learner:
+    """The parts of a model that are learnt, and the recordings.
+
+    Parameters
+    ----------
+    model : DynamicBayesianNetwork
+    recordings : sequence of Evidence
+    learn : mapping
+        As of `fit`.
+    lineariser : Lineariser
+    schedule : Smoothing
+    steps : sequence of int or None
+        T of each recording.
+    single : bool
+        Whether the result is of the one recording, rather than of a sequence.
+    """
+
+    def __init__(
+        self,
+        model: DynamicBayesianNetwork,
+        recordings: Sequence[Evidence],
+        learn: Learn,
+        lineariser: Lineariser,
+        schedule: Smoothing,
+        steps: Sequence[int | None],
+        *,
+        single: bool,
+    ) -> None:
+        self.recordings, self.steps, self.single = recordings, steps, single
+        self.lineariser, self.schedule = lineariser, schedule
+        self.places: list[tuple[str, int]] = []
+        self.blocks: list[Any] = []
+        self.parameters: dict[Variable, ParameterStep] = {}
+        for variable, value in learn.items():
+            parts = value if isinstance(value, tuple | list) else (value,)
+            self._declare(model, variable, parts)
+        self.start = Point(model, {v: each.start for v, each in self.parameters.items()})
+        self._require_told()
+
+    def _require_told(self) -> None:
+        """Refuse evidence that does not fit, or tells nothing of a CPD that is learnt."""
+        model, told = self.start.model, set[CPD]()
+        for evidence, steps in zip(self.evidence(self.start), self.steps, strict=True):
+            bound = bind_chain(model, evidence, steps, identities=True)
+            told.update(model.prior)
+            told.update(model.transition if bound.steps else ())
+            for reading in bound.readings:
+                if reading.unknown is not None and reading.cpd.child in self._sensors:
+                    raise EvidenceError(
+                        f"sightings of {reading.cpd.child!r} leave open what was seen, and its CPD "
+                        "is to be learnt; say what was seen, or learn from other sightings",
+                        variable=reading.cpd.child,
+                    )
+                told.update([reading.cpd] if reading.taken.any() else ())
+        for cpd in self._cpds(self.start):
+            if cpd not in told:
+                raise EvidenceError(
+                    f"nothing in the evidence tells of {cpd!r}, which is to be learnt: it has no "
+                    "measurement, or there is no step",
+                    variable=cpd.child,
+                    cpd=cpd,
+                )
+
+    @property
+    def _sensors(self) -> set[Variable]:
+        """The sensors of which something is learnt."""
+        used = {cpd.child for cpd in self._cpds(self.start)}
+        for cpd in self.start.model.observation:
+            used |= {cpd.child} if set(cpd.parents) & set(self.parameters) else set()
+        return used
+
+    def _declare(self, model: DynamicBayesianNetwork, variable: Any, parts: Any) -> None:
+        for part in parts:
+            if not isinstance(part, PARTS):
+                raise ModelError(
+                    f"learn of {variable!r}: takes a part of pgm.learning, "
+                    f"{', '.join(each.__name__ for each in PARTS)}, or a tuple of them; found "
+                    f"{titled(part)}"
+                )
+        kinds = [type(part) for part in parts]
+        if not kinds or len(set(kinds)) < len(kinds):
+            raise ModelError(
+                f"learn of {variable!r}: takes one part or several, each kind once; found "
+                f"{titled(parts)}"
+            )
+        if Parameter in kinds:
+            self._declare_parameter(model, variable, parts)
+            return
+        role, index = _place(model, variable)
+        cpd = getattr(model, role)[index]
+        if (role, index) in self.places:
+            raise ModelError(f"learn names the CPD of {variable!r} twice")
+        if isinstance(cpd, TableCPD):
+            self._require(cpd, kinds, (Table,))
+            block: Any = TableStep(cpd, parts)
+        elif isinstance(cpd, ConditionalGaussian):
+            self._require(cpd, kinds, (Covariance, Coefficients, Offset))
+            if cpd.noise is not None:
+                raise ModelError(
+                    f"{cpd!r} has robust noise, {cpd.noise!r}, of which nothing is learnt; learn "
+                    "it with Gaussian noise, noise=None",
+                    cpd=cpd,
+                )
+            hidden = tuple(p for p in cpd.given if p.template in {*model.states, *model.controls})
+            block = GaussianStep(cpd, hidden, parts)
+        else:
+            raise ModelError(f"{cpd!r} is of a kind of which nothing can be learnt", cpd=cpd)
+        self.places.append((role, index))
+        self.blocks.append(block)
+
+    def _require(self, cpd: CPD, kinds: list[type], fit: tuple[type, ...]) -> None:
+        for kind in kinds:
+            if kind not in fit:
+                raise ModelError(
+                    f"{cpd!r} has no {kind.__name__} to learn; it has "
+                    f"{', '.join(each.__name__ for each in fit)}",
+                    cpd=cpd,
+                )
+
+    def _declare_parameter(self, model: Any, variable: Any, parts: Any) -> None:
+        if len(parts) > 1:
+            raise ModelError(f"learn of {variable!r}: a Parameter has no other parts")
+        if model.discrete or variable not in model.inputs:
+            raise ModelError(
+                f"learn of {variable!r}: a Parameter is an input of Gaussian CPDs, a parent that "
+                f"no CPD explains; those are [{listed(model.inputs)}]",
+                variable=variable if isinstance(variable, Variable) else None,
+            )
+        for cpd in model.cpds:
+            if variable in cpd.noise_given:
+                raise ModelError(
+                    f"{cpd!r}: its noise depends on {variable!r}, and a Parameter is learnt from "
+                    "means alone",
+                    variable=variable,
+                    cpd=cpd,
+                )
+        for evidence in self.recordings:
+            if variable in evidence:
+                raise ModelError(
+                    f"{variable!r} is to be learnt and has evidence; leave it out, its start is "
+                    "pgm.learning.Parameter(start)",
+                    variable=variable,
+                )
+        self.parameters[variable] = ParameterStep(variable, parts[0])
+
+    def evidence(self, point: Point) -> list[dict[Variable, Any]]:
+        """The recordings with the values of parameters put in."""
+        found = {variable: constant(value) for variable, value in point.parameters.items()}
+        return [{**evidence, **found} for evidence in self.recordings]
+
+    def expected(self, point: Point) -> Expected:
+        """The E step: one smoother a recording."""
+        schedule = self.schedule
+        posteriors = []
+        for evidence, steps in zip(self.evidence(point), self.steps, strict=True):
+            more: dict[str, Any] = {}
+            if not point.model.discrete:
+                more = {
+                    "lineariser": self.lineariser,
+                    "iterations": schedule.iterations,
+                    "tolerance": schedule.tolerance,
+                    "damping": schedule.damping,
+                }
+            posteriors.append(smooth(point.model, evidence, steps=steps, **more))
+        total = float(sum(np.sum(each.log_evidence) for each in posteriors))
+        prior = sum(
+            block.log_prior(cpd)
+            for block, cpd in zip(self.blocks, self._cpds(point), strict=True)
+            if isinstance(block, TableStep)
+        )
+        return Expected(point, posteriors, total, total + prior)
+
+    def _cpds(self, point: Point) -> list[Any]:
+        return [getattr(point.model, role)[index] for role, index in self.places]
+
+    def _with(self, point: Point, cpds: list[Any], parameters: dict[Variable, Array]) -> Point:
+        parts = {role: list(getattr(point.model, role)) for role in ROLES}
+        for (role, index), cpd in zip(self.places, cpds, strict=True):
+            parts[role][index] = cpd
+        return Point(point.model.replace(**parts) if cpds else point.model, parameters)
+
+    def improved(self, expected: Expected) -> tuple[Point, Array]:
+        """The M step, and the gradient of the objective by the coordinates."""
+        point, slopes = expected.point, [np.zeros(0)]
+        cpds, new = self._cpds(point), []
+        if point.model.discrete:
+            every = [expected_counts(each, cpds) for each in expected.posteriors]
+            for block, cpd in zip(self.blocks, cpds, strict=True):
+                counts = np.sum([each[cpd] for each in every], axis=0)
+                new.append(block.maximised(cpd, counts))
+                slopes.append(block.gradient(cpd, counts))
+            return self._with(point, new, {}), np.concatenate(slopes)
+        families = [family_beliefs(each) for each in expected.posteriors]
+        known = dict(point.parameters)
+        for variable, step in self.parameters.items():
+            beliefs = [
+                belief for each in families for cpd, belief in each.items() if variable in cpd.given
+            ]
+            known[variable], slope = step.maximised(beliefs, known)
+            slopes.append(slope)
+        for block, cpd in zip(self.blocks, cpds, strict=True):
+            beliefs = [each[cpd] for each in families if cpd in each]
+            sums = block.expected(beliefs, point.parameters)
+            slopes.append(block.gradient(sums))
+            if any(variable in cpd.given for variable in known):
+                sums = block.expected(beliefs, known)
+            new.append(block.maximised(sums))
+        return self._with(point, new, known), np.concatenate(slopes)
+
+    def vector(self, point: Point) -> Array:
+        """The coordinates of a point."""
+        parts = [np.zeros(0), *(point.parameters[v] for v in self.parameters)]
+        pairs = zip(self.blocks, self._cpds(point), strict=True)
+        return np.concatenate([*parts, *(block.vector(cpd) for block, cpd in pairs)])
+
+    def at(self, point: Point, vector: Array) -> Point:
+        """The point of some coordinates."""
+        start, parameters, cpds = 0, {}, []
+        for variable, step in self.parameters.items():
+            parameters[variable] = step.clipped(vector[start : start + variable.dimension])
+            start += variable.dimension
+        for block, cpd in zip(self.blocks, self._cpds(point), strict=True):
+            size = len(block.vector(cpd))
+            part = vector[start : start + size]
+            cpds.append(block.at(part) if point.model.discrete else block.at(cpd, part))
+            start += size
+        return self._with(point, cpds, parameters)
+
+    def fit(self, here: Expected, trace: list[float], status: FitStatus) -> Fit:
+        """The result."""
+        point = here.point
+        evidence: Any = tuple(self.evidence(point))
+        posteriors: Any = tuple(here.posteriors)
+        if self.single:
+            (evidence,), (posteriors,) = evidence, posteriors
+        return Fit(point.model, self._named(point), evidence, trace, posteriors, status)
+
+    def _named(self, point: Point) -> dict[Variable, Any]:
+        """The parameters, and the CPDs that were learnt, by the variables that named them."""
+        named: dict[Variable, Any] = dict(point.parameters)
+        for (role, _), cpd in zip(self.places, self._cpds(point), strict=True):
+            named[cpd.child.at(0) if role == "prior" else cpd.child] = cpd
+        return named
+
+
+def _place(model: DynamicBayesianNetwork, variable: Any) -> tuple[str, int]:
+    """Where the CPD stands that a variable names: x.at(0) its prior, x its transition or sensor."""
+    if isinstance(variable, Variable):
+        first = variable.step == 0 and not variable.lag
+        roles: Mapping[str, Any] = (
+            {"prior": model.prior}
+            if first
+            else {
+                "transition": model.transition,
+                "observation": model.observation,
+            }
+        )
+        for role, cpds in roles.items():
+            for index, cpd in enumerate(cpds):
+                if cpd.child == (variable.template if first else variable):
+                    return role, index
+    raise ModelError(
+        f"learn of {variable!r}: {titled(model)} has no CPD of it; name x.at(0) for the prior of a "
+        "state, x for its transition, z for a sensor"
+    )

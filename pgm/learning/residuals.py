@@ -1,0 +1,234 @@
+r"""Expected second moments of a CPD's residuals, given all measurements.
+
+With w the hidden parents and the child of a family, Gaussian given all measurements with mean m and
+covariance C, the residual r = y − f(p) is a line in them, r = A (w − m) + e + ε, exactly for affine
+CPDs. Others are linearised at the smoothed belief of their parents, by their lineariser, whose
+error ε has the covariance Ω. The sums over rows of
+
+    E[r rᵀ] = e eᵀ + A C Aᵀ + Ω,    E[r gᵀ] = e ḡᵀ + A C G,    E[g gᵀ] = ḡ ḡᵀ + Gᵀ C G,
+
+g being the parents and a one, are all that M steps need. Of a measurement with missing components
+these are expected too, given those that are there.
+
+References
+----------
+Kokkala, Solin & Särkkä, Sigma-point filtering and smoothing based parameter estimation in nonlinear
+dynamic systems, 2015, of whose expectations over the joint these are the equal, where integrals are
+exact, over the parents alone (Stein's lemma).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.cpds import AffineCPD
+from pgm.inference.chain.families import FamilyBelief
+from pgm.inference.family import Family
+from pgm.kernels.angles import nearest_branch
+from pgm.kernels.arrays import Array, Mask, components_last, quiet, symmetric, transpose
+from pgm.variables import Variable
+
+Known = Mapping[Variable, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """The residuals of a CPD at rows and runs that have a measurement, N in all, flattened.
+
+    Attributes
+    ----------
+    mean : ndarray
+        (N, d): e.
+    line : ndarray
+        (1 or N, d, n): A.
+    cov : ndarray
+        (N, n, n): C.
+    error : ndarray
+        (1 or N, d, d): Ω, and what missing components add.
+    regressors : ndarray
+        (N, k): ḡ, hidden parents first.
+    noise : ndarray
+        (1 or N, d, d): the CPD's own.
+    hidden : int
+        Components of the hidden parents, which stand first.
+    """
+
+    mean: Array
+    line: Array
+    cov: Array
+    error: Array
+    regressors: Array
+    noise: Array
+    hidden: int
+
+    @property
+    def count(self) -> int:
+        """The number of rows, N."""
+        return len(self.mean)
+
+    def rows(self) -> tuple[Array, Array, Array]:
+        """The moments E[r rᵀ], E[r gᵀ] and E[g gᵀ] of each row."""
+        hidden = self.hidden
+        across = self.line @ self.cov
+        own = self.mean[:, :, None] * self.mean[:, None, :] + across @ transpose(self.line)
+        cross = self.mean[:, :, None] * self.regressors[:, None, :]
+        cross[..., :hidden] += across[..., :hidden]
+        gram = self.regressors[:, :, None] * self.regressors[:, None, :]
+        gram[:, :hidden, :hidden] += self.cov[:, :hidden, :hidden]
+        return symmetric(own + self.error), cross, gram
+
+    def sums(self, reference: Array | float = 0.0) -> tuple[Array, Array, Array]:
+        """The sums of these over the rows, the regressors counted from a reference point."""
+        hidden, g = self.hidden, self.regressors - reference
+        if len(self.line) == 1:
+            spread = self.cov.sum(axis=0)
+            across = self.line[0] @ spread
+            around = across @ self.line[0].T
+        else:
+            every = self.line @ self.cov
+            across = every.sum(axis=0)
+            around = np.einsum("rin,rjn->ij", every, self.line)
+            spread = self.cov[:, :hidden, :hidden].sum(axis=0)
+        weight = self.count if len(self.error) == 1 else 1
+        own = self.mean.T @ self.mean + around + weight * self.error.sum(axis=0)
+        cross, gram = self.mean.T @ g, g.T @ g
+        cross[:, :hidden] += across[:, :hidden]
+        gram[:hidden, :hidden] += spread[:hidden, :hidden]
+        return symmetric(own), cross, symmetric(gram)
+
+
+def at_values(family: Family, known: Known) -> Family:
+    """A family with other values of some observed parents."""
+    changed = {
+        parent: np.broadcast_to(known[parent], values.shape)
+        for parent, values in family.inputs.items()
+        if parent in known
+    }
+    if not changed:
+        return family
+    other = copy(family)
+    for name in ("_known", "_by_row"):
+        other.__dict__.pop(name, None)
+    other.inputs = {**family.inputs, **changed}
+    return other
+
+
+def lines(belief: FamilyBelief, known: Known) -> tuple[Array, Array, Array | None]:
+    """The CPD at the belief of its hidden parents: values (rows, runs, d), F, and its error."""
+    family = at_values(belief.family, known)
+    size = family.shape[-1]
+    mean, cov = belief.mean[..., :size], belief.cov[..., :size, :size]
+    if isinstance(family.cpd, AffineCPD):
+        matrix, shift = family.affine
+        if family is not belief.family:
+            matrix, shift = family.cpd._affine(family.hidden, family.inputs)
+        return mean @ matrix.T + shift, matrix, None
+    line = family.checked(family.bound(slice(None), 2, mean.shape[:-1]), mean, cov)
+    error = None if line.error is None else components_last(line.error, 2)
+    return components_last(line.value, 1), components_last(line.matrix, 2), error
+
+
+@quiet()
+def residuals(belief: FamilyBelief, known: Known) -> Residuals:
+    """The residuals of a family, at some values of parameters."""
+    family, (value, matrix, error) = belief.family, lines(belief, known)
+    rows, runs, height, hidden = family.shape
+    child = belief.mean[..., hidden:] if belief.values is None else belief.values
+    child = np.broadcast_to(child, (rows, runs, height))
+    mean = nearest_branch(child, value, family.cpd.child.angle_mask) - value
+    width = belief.mean.shape[-1]
+    line = np.zeros((*matrix.shape[:-1], width))
+    line[..., :hidden] = -matrix
+    if belief.values is None:
+        line[..., hidden:] = np.eye(height)
+    inputs = [family.inputs[p] for p in family.cpd.given if p not in family.hidden]
+    seen = [np.broadcast_to(v, (rows, runs, v.shape[-1])) for v in inputs]
+    flat = rows * runs
+    g = np.concatenate([belief.mean[..., :hidden], *seen, np.ones((rows, runs, 1))], axis=-1)
+    zero = np.zeros((1, height, height))
+    found = Residuals(
+        mean.reshape(flat, height),
+        _flat(line, rows, runs),
+        belief.cov.reshape(flat, width, width),
+        zero if error is None else _flat(error, rows, runs),
+        g.reshape(flat, -1),
+        _flat(family.own_noise, rows, runs),
+        hidden,
+    )
+    if belief.taken is None:
+        return found
+    taken = np.broadcast_to(belief.taken, (rows, runs, height)).reshape(flat, height)
+    return _expected(found, taken)
+
+
+def _flat(array: Array, rows: int, runs: int) -> Array:
+    """Matrices (rows or 1, runs or 1, ...) as (rows · runs or 1, ...)."""
+    if array.ndim == 2:
+        return array[None]
+    if array.shape[:2] == (1, 1):
+        single: Array = array[0]
+        return single
+    wide = np.broadcast_to(array, (rows, runs, *array.shape[2:]))
+    found: Array = wide.reshape(-1, *array.shape[2:])
+    return found
+
+
+def _expected(found: Residuals, taken: Mask) -> Residuals:
+    """The residuals of measurements of which some components are missing.
+
+    A missing residual is, given those that are there, K r + n with K = R_mo R_oo⁻¹ and n of
+    covariance R_mm − K R_om.
+    """
+    there: Mask = np.asarray(taken.any(axis=-1))
+    if not there.all():
+        found = _at(found, there)
+        taken = taken[there]
+    if taken.all():
+        return found
+    count, height = found.mean.shape
+    change = np.empty((count, height, height))
+    added = np.zeros((count, height, height))
+    noise = np.broadcast_to(found.noise, (count, height, height))
+    for pattern in np.unique(taken, axis=0):
+        rows, seen = (taken == pattern).all(axis=-1), np.flatnonzero(pattern)
+        lost = np.flatnonzero(~pattern)
+        own = noise[rows]
+        known = np.linalg.pinv(own[:, seen[:, None], seen], hermitian=True)
+        gain = own[:, lost[:, None], seen] @ known
+        keep = np.zeros((len(own), height, height))
+        keep[:, seen, seen] = 1.0
+        keep[:, lost[:, None], seen] = gain
+        change[rows] = keep
+        rest = np.zeros_like(keep)
+        rest[:, lost[:, None], lost] = (
+            own[:, lost[:, None], lost] - gain @ own[:, seen[:, None], lost]
+        )
+        added[rows] = symmetric(rest)
+    return Residuals(
+        (change @ found.mean[..., None])[..., 0],
+        change @ found.line,
+        found.cov,
+        change @ found.error @ transpose(change) + added,
+        found.regressors,
+        found.noise,
+        found.hidden,
+    )
+
+
+def _at(found: Residuals, rows: Mask) -> Residuals:
+    def part(array: Array) -> Array:
+        return array if len(array) == 1 and len(rows) != 1 else array[rows]
+
+    return Residuals(
+        found.mean[rows],
+        part(found.line),
+        found.cov[rows],
+        part(found.error),
+        found.regressors[rows],
+        part(found.noise),
+        found.hidden,
+    )

@@ -1,0 +1,133 @@
+"""The search for the likeliest parameters: plain and accelerated steps, and when it ends."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.errors import PgmError
+from pgm.kernels.arrays import Array
+from pgm.learning.acceleration import QuasiNewton
+from pgm.learning.model import Expected, Learner, Point
+from pgm.learning.result import Fit, FitStatus
+from pgm.progress import counted
+
+# How often a step is halved: a quasi-Newton one, by a quarter, before a plain one is taken.
+_HALVINGS, _QUARTERS = 5, 1
+# The part of an objective that may be rounding, and of a coordinate that is no move.
+_ROUNDING, _STILL = 1e-13, 1e-3
+# The part of what the gradient promises that a quasi-Newton step has to gain.
+_PROMISE = 1e-4
+
+
+class Search:
+    """The working place of `fit`.
+
+    Parameters
+    ----------
+    learner : Learner
+    iterations : int
+    tolerance : float
+    accelerate : bool
+    """
+
+    def __init__(
+        self, learner: Learner, iterations: int, tolerance: float, *, accelerate: bool
+    ) -> None:
+        self.learner, self.iterations, self.tolerance = learner, iterations, tolerance
+        size = learner.vector(learner.start).size
+        self.newton = QuasiNewton(size) if accelerate else None
+        self.e_steps = self.accepted = self.refused = self.halved = 0
+        self.stopped = f"after the {iterations} iterations that were asked for"
+
+    def run(self) -> Fit:
+        """Go up until nothing is gained."""
+        learner, converged = self.learner, False
+        here: Expected | None = None
+        trace: list[float] = []
+        for _ in counted(range(self.iterations + 1), "EM"):
+            if here is None:
+                here = self._expected(learner.start)
+                trace.append(here.log_evidence)
+                continue
+            before = here
+            image, gradient = learner.improved(here)
+            x, y = learner.vector(here.point), learner.vector(image)
+            there = self._accelerated(here, x, gradient, y - x) or self._plain(here, image, x, y)
+            if there is None:
+                converged = self.stopped == _ROUNDED
+                break
+            here = there
+            trace.append(here.log_evidence)
+            moved = np.abs(learner.vector(here.point) - x) / (1.0 + np.abs(x))
+            if (
+                here.objective - before.objective <= self.tolerance
+                and moved.max(initial=0.0) <= _STILL
+            ):
+                converged = True
+                self.stopped = "a step was within the tolerance"
+                break
+        assert here is not None
+        status = FitStatus(
+            len(trace) - 1,
+            self.e_steps,
+            self.accepted,
+            self.refused,
+            self.halved,
+            converged,
+            self.stopped,
+        )
+        return learner.fit(here, trace, status)
+
+    def _expected(self, point: Point) -> Expected:
+        self.e_steps += 1
+        return self.learner.expected(point)
+
+    def _tried(self, here: Expected, vector: Array, least: float = 0.0) -> Expected | None:
+        """A point of some coordinates, if its objective is higher, by more than the least."""
+        try:
+            with np.errstate(all="ignore"):  # what is not finite is refused
+                found = self._expected(self.learner.at(here.point, vector))
+        except PgmError:
+            return None
+        return found if found.objective - here.objective > least else None
+
+    def _accelerated(
+        self, here: Expected, x: Array, gradient: Array, plain: Array
+    ) -> Expected | None:
+        step = None if self.newton is None else self.newton.step(x, gradient, plain)
+        if step is None:
+            return None
+        for k in range(_QUARTERS + 1):
+            part = 0.25**k
+            least = _PROMISE * part * float(gradient @ step)
+            found = self._tried(here, x + part * step, least)
+            if found is not None:
+                self.accepted += 1
+                return found
+            self.refused += 1
+        assert self.newton is not None
+        self.newton.forget()
+        return None
+
+    def _plain(self, here: Expected, image: Point, x: Array, y: Array) -> Expected | None:
+        """The M step, or the longest of its halves that is higher."""
+        rounding = _ROUNDING * max(abs(here.objective), 1.0)
+        try:
+            found = self._expected(image)
+        except PgmError:
+            found = None
+        if found is not None and found.objective > here.objective:
+            return found
+        if found is not None and found.objective >= here.objective - rounding:
+            self.stopped = _ROUNDED
+            return None
+        for k in range(1, _HALVINGS + 1):
+            self.halved += 1
+            half = self._tried(here, x + 0.5**k * (y - x))
+            if half is not None:
+                return half
+        self.stopped = "no part of a plain step raises the log-evidence; it was refused"
+        return None
+
+
+_ROUNDED = "rounding alone was left"

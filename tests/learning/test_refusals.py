@@ -1,0 +1,121 @@
+"""What cannot be learnt is refused before anything is run."""
+
+import numpy as np
+import pytest
+
+import pgm
+from pgm.learning import Coefficients, Covariance, Offset, Parameter, Table
+
+X, Z, K, Q = pgm.variables("x z k q")
+READINGS = {Z: np.ones((3, 1))}
+
+
+def model(x0=1.0, move=1.0, sight=1.0):
+    return pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(X, 0.0, x0)],
+        [pgm.LinearGaussianCPD(X, {X.previous: 1.0}, cov=move)],
+        [
+            pgm.LinearGaussianCPD(Z, {X: 1.0}, cov=sight),
+            pgm.NonlinearGaussianCPD(Q, (X, K), lambda x, k: x * k, cov=1.0),
+        ],
+    )
+
+
+@pytest.mark.parametrize(
+    ("learn", "told"),
+    [
+        ({}, "learn= maps variables"),
+        ({Z: "cov"}, "takes a part of pgm.learning"),
+        ({Z: ()}, "one part or several"),
+        ({Z: (Covariance(), Covariance())}, "each kind once"),
+        ({pgm.Variable("y"): Covariance()}, "has no CPD of it"),
+        ({X.at(3): Covariance()}, "has no CPD of it"),
+        ({Z: Table()}, "has no Table to learn"),
+        ({X.at(0): Coefficients()}, "has no coefficients to learn"),
+        ({Q: Offset()}, "has no offset"),
+        ({Z: Coefficients({K: True})}, "none of its parents"),
+        ({Z: Coefficients({X: [True, False]})}, "an array of these"),
+        ({Z: Offset(1.0)}, "an array of these"),
+        ({X: Parameter(1.0)}, "is an input of Gaussian CPDs"),
+        ({K: (Parameter(1.0), Covariance())}, "has no other parts"),
+        ({K: Parameter([1.0, 2.0])}, "start"),
+    ],
+)
+def test_what_is_not_there(learn, told):
+    with pytest.raises(pgm.ModelError, match=told):
+        pgm.fit(model(), READINGS, learn=learn)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"move": 0.0}, "is zero, and would stay so"),
+        ({"move": pgm.noise(lambda k: k[..., None], given=K)}, "a factor alone"),
+    ],
+)
+def test_noise_that_cannot_be_learnt(given, told):
+    with pytest.raises(pgm.ModelError, match=told):
+        pgm.fit(model(**given), READINGS | {K: np.ones((3, 1))}, learn={X: Covariance()})
+
+
+def test_a_prior_that_differs_by_run_or_is_flat():
+    for cov in (np.ones((2, 1, 1)), np.inf):
+        with pytest.raises(pgm.ModelError, match="differs by run or is infinite"):
+            pgm.fit(model(x0=cov), READINGS, learn={X.at(0): Covariance()})
+
+
+def test_correlations_where_a_diagonal_is_due():
+    x = pgm.Variable("x", ("a", "b"))
+    other = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, [0, 0], 1.0)],
+        [pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=[[2, 1], [1, 2]])],
+    )
+    with pytest.raises(pgm.ModelError, match="has correlations"):
+        pgm.fit(other, {}, steps=3, learn={x: Covariance("diagonal")})
+
+
+def test_evidence_that_tells_nothing():
+    with pytest.raises(pgm.EvidenceError, match="nothing in the evidence tells of"):
+        pgm.fit(model(), READINGS, learn={Q: Covariance()})
+    with pytest.raises(pgm.ModelError, match="is to be learnt and has evidence"):
+        pgm.fit(model(), READINGS | {K: pgm.constant(1.0)}, learn={K: Parameter(1.0)})
+    with pytest.raises(pgm.ModelError, match="holds no recording"):
+        pgm.fit(model(), [], learn={Z: Covariance()})
+    with pytest.raises(pgm.ModelError, match="2 entries for 1 recordings"):
+        pgm.fit(model(), READINGS, steps=[3, 3], learn={Z: Covariance()})
+
+
+@pytest.mark.parametrize("kind", ["full", "diagonal", "scaled"])
+def test_a_start_beyond_the_bounds(kind):
+    with pytest.raises(pgm.ModelError, match="are not within 2 to 3"):
+        pgm.fit(model(), READINGS, learn={Z: Covariance(kind, 2.0, 3.0)})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("iterations", 0), ("tolerance", -1.0), ("accelerate", 1), ("schedule", pgm.Filtering())],
+)
+def test_settings(name, value):
+    with pytest.raises(pgm.ModelError, match=f"{name}="):
+        pgm.fit(model(), READINGS, learn={Z: Covariance()}, **{name: value})
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda: Covariance("round"),
+        lambda: Covariance(lower=2.0, upper=1.0),
+        lambda: Coefficients([True]),
+        lambda: Parameter(2.0, upper=1.0),
+        lambda: Table(prior_counts=-1.0),
+    ],
+)
+def test_parts(made):
+    with pytest.raises(pgm.ModelError):
+        made()
+
+
+def test_robust_noise():
+    sight = pgm.LinearGaussianCPD(Z, {X: 1.0}, cov=1.0, noise=pgm.StudentT(4.0))
+    with pytest.raises(pgm.ModelError, match="has robust noise"):
+        pgm.fit(model().replace(observation=[sight]), READINGS, learn={Z: Covariance()})
