@@ -12,15 +12,12 @@ import pgm
 from experiments.plaza import figures
 from experiments.plaza import log as plaza_log
 from experiments.plaza.log import SETTINGS, Log, Setting
-from experiments.plaza.unknown import BIAS_STD, found, variants
 from experiments.record import Out, Record, Seed, note, progress
 from models import networks
 from models.networks import distance, pose
 from pgm import consistency
 
-QUICK = {"data": "plaza1", "unknown": False}
-# Columns, and the components that stand in them.
-UNKNOWN = {"scale": "scale", "offset [m]": "offset", "bias [rad/s]": "rate"}
+QUICK = {"data": "plaza1"}
 LINEARISERS: dict[str, pgm.Lineariser] = {"Taylor": pgm.Taylor(), "Unscented": pgm.Unscented()}
 
 
@@ -34,9 +31,6 @@ def run(
         Path | None,
         typer.Option(help="The .mat file; that of the gtsam package without.", exists=True),
     ] = None,
-    unknown: Annotated[
-        bool, typer.Option(help="Estimate the range calibration and the gyro's bias, too.")
-    ] = True,
 ) -> None:
     """Filter and smooth a recorded mower that hears its distance to four beacons."""
     if path is not None and data is None:
@@ -51,7 +45,7 @@ def run(
         return
     record = Record("plaza", out, seed=seed, data=chosen, position_rate=plaza_log.POSITION_RATE)
     results: dict[str, Any] = {}
-    rows, estimated = [], []
+    rows = []
     for name, file in files.items():
         assert file is not None
         log = plaza_log.load(file, SETTINGS[name])
@@ -79,9 +73,6 @@ def run(
             (name, label, results[name][label]["filter"], results[name][label]["smoother"])
             for label in LINEARISERS
         ]
-        if unknown:
-            results[name]["unknown"] = told = unknowns(file, SETTINGS[name], name)
-            estimated += [(name, label, *columns(each)) for label, each in told.items()]
     record.table(
         "RMSE of the position over each recording [m]",
         ("data", "lineariser", "filter", "smoother"),
@@ -94,33 +85,7 @@ def run(
         "Ranges were calibrated with the truth and the noise was tuned: these numbers check an "
         "engine, they claim no accuracy."
     )
-    if unknown:
-        record.table(
-            "With less that is fitted to the truth",
-            ("data", "known", "filter", "smoother", "iterated", "log-evidence", *UNKNOWN),
-            estimated,
-            about="Position errors [m]; estimates of the iterated smoother at the end, with their "
-            f"standard deviations. Priors: scale 1 ± 0.2, offset 0 ± 2 m, bias 0 ± {BIAS_STD} "
-            "rad/s. The noise is as tuned above. The log-evidence of calibrated ranges is that of "
-            "other numbers: it compares with no other.",
-        )
     record.summary(**results)
-
-
-def unknowns(file: Path, setting: Setting, name: str) -> dict[str, Any]:
-    """What filter and smoothers find, by what they are told."""
-    return {
-        label: found(log, model)
-        for label, log, model in progress(list(variants(file, setting)), f"{name}, unknown")
-    }
-
-
-def columns(each: dict[str, Any]) -> list[object]:
-    """The cells of a row."""
-    told = (each["iterated"].get(key) for key in UNKNOWN.values())
-    shown = ["" if of is None else f"{of[0]:.4f} ± {of[1]:.4f}" for of in told]
-    errors = [each[kind]["error"] for kind in ("filter", "smoother", "iterated")]
-    return [*errors, each["log_evidence"], *shown]
 
 
 def localise(
