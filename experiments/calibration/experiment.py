@@ -2,15 +2,14 @@
 
 The search begins with ranges as they were recorded and with noise several times too large. The
 truth gives the first pose, and judges. In summary.json ``results.<data>.<way>`` has ``start``,
-``end``, ``std`` and ``log_evidence``; ``results.<data>.fitted`` has the parameters that were fitted
-with the truth and, as ``residual``, how the ranges differ from its distances; ``results.<data>
-.tuned`` has static states at the noise that was tuned with it.
+``end``, ``std`` and ``log_evidence``; beside the ways ``fitted`` has the parameters that were
+fitted with the truth and, as ``residual``, how far ranges are from its distances; ``tuned`` has
+static states at the noise that was tuned with it.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
@@ -19,15 +18,16 @@ from experiments.calibration import figures, static_states
 from experiments.calibration.learnt import (
     NAMES,
     RATES,
-    RECORDINGS,
     SENSOR_STD,
     WAYS,
     fitted,
     learnt,
     recorded,
 )
-from experiments.record import Out, Record, Seed, note, progress
-from experiments.recordings.drives import SETTINGS, Drive
+from experiments.plaza import log as plaza_log
+from experiments.plaza.log import Data, File
+from experiments.record import Out, Record, Seed, progress
+from experiments.recordings.drives import Drive
 
 QUICK: dict[str, Any] = {"data": "plaza2", "iterations": 8, "tuned": False}
 UNITS = ("", "m", "m", "m/√s", "m/√s", "rad/√s")
@@ -36,32 +36,22 @@ UNITS = ("", "m", "m", "m/√s", "m/√s", "rad/√s")
 def run(
     out: Out = None,
     seed: Seed = 0,
-    data: Annotated[
-        Literal["plaza1", "plaza2"] | None, typer.Option(help="Which recording; both without.")
-    ] = None,
-    path: Annotated[
-        Path | None,
-        typer.Option(help="The .mat file; that of the gtsam package without.", exists=True),
-    ] = None,
+    data: Data = None,
+    path: File = None,
     iterations: Annotated[int, typer.Option(min=1, help="Of the search, at the most.")] = 200,
     tuned: Annotated[
         bool, typer.Option(help="Static states at the noise that was tuned with the truth, too.")
     ] = True,
 ) -> None:
     """Learn a mower's range scale, offset and noise from its recordings alone."""
-    if path is not None and data is None:
-        raise pgm.EvidenceError("--path names one file; say which recording it is: --data plaza1")
-    chosen = [data] if data else list(RECORDINGS)
-    files = {name: path or SETTINGS[name].find() for name in chosen}
-    missing = [name for name, file in files.items() if file is None]
-    if missing:
-        note(f"calibration: {', '.join(missing)} is not here; {SETTINGS[missing[0]].needs}")
+    files = plaza_log.chosen("calibration", data, path)
+    if not files:
         return
     record = Record(
         "calibration",
         out,
         seed=seed,
-        data=chosen,
+        data=list(files),
         iterations=iterations,
         sensor_std=SENSOR_STD,
         rates=RATES,
@@ -69,7 +59,6 @@ def run(
     results: dict[str, Any] = {}
     rows: list[tuple[object, ...]] = []
     for name, file in files.items():
-        assert file is not None
         drive = recorded(name, file)
         results[name] = {}
         for way in progress(list(WAYS), name):

@@ -25,7 +25,6 @@ from pgm.learning import Covariance, Parameter
 
 Array = npt.NDArray[np.float64]
 
-RECORDINGS = ("plaza1", "plaza2")
 # The start: ranges as recorded, and noise several times that of the ranges and the motion.
 CALIBRATION = (1.0, 0.0)  # scale, offset [m]
 SENSOR_STD = 2.0  # m

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-import typer
 
 import pgm
 from experiments.plaza import figures
 from experiments.plaza import log as plaza_log
-from experiments.plaza.log import SETTINGS, Log, Setting
-from experiments.record import Out, Record, Seed, note, progress
+from experiments.plaza.log import SETTINGS, Data, File, Log, Setting
+from experiments.record import Out, Record, Seed, progress
 from models import networks
 from models.networks import distance, pose
 from pgm import consistency
@@ -24,30 +22,19 @@ LINEARISERS: dict[str, pgm.Lineariser] = {"Taylor": pgm.Taylor(), "Unscented": p
 def run(
     out: Out = None,
     seed: Seed = 0,
-    data: Annotated[
-        Literal["plaza1", "plaza2"] | None, typer.Option(help="Which recording; both without.")
-    ] = None,
-    path: Annotated[
-        Path | None,
-        typer.Option(help="The .mat file; that of the gtsam package without.", exists=True),
-    ] = None,
+    data: Data = None,
+    path: File = None,
 ) -> None:
     """Filter and smooth a recorded mower that hears its distance to four beacons."""
-    if path is not None and data is None:
-        raise pgm.EvidenceError("--path names one file; say which recording it is: --data plaza1")
-    chosen = [data] if data else list(SETTINGS)
-    files = {name: path or plaza_log.find(name) for name in chosen}
-    if None in files.values():
-        note(
-            "plaza: the package gtsam, which carries the recordings, is not installed; "
-            "`pip install gtsam`, or give the file with --data and --path"
-        )
+    files = plaza_log.chosen("plaza", data, path)
+    if not files:
         return
-    record = Record("plaza", out, seed=seed, data=chosen, position_rate=plaza_log.POSITION_RATE)
+    record = Record(
+        "plaza", out, seed=seed, data=list(files), position_rate=plaza_log.POSITION_RATE
+    )
     results: dict[str, Any] = {}
     rows = []
     for name, file in files.items():
-        assert file is not None
         log = plaza_log.load(file, SETTINGS[name])
         record.note(f"{name}: {log.recording!r}")
         record.note(f"{name}: {log.timeline!r}")
