@@ -1,5 +1,7 @@
 """What the Plaza recordings tell of their own sensors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -76,6 +78,24 @@ def test_the_likeliest_noise_is_that_of_the_residuals(name, way):
     # The prior of a state costs a few nats.
     assert result["end"]["total"] > reference["total"] - (0.0 if way == "parameter" else 10.0)
     assert result["end"]["smoother"] < 1.02 * reference["smoother"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sensor_std", "rates"), [(0.1, (0.01, 0.01, 0.002)), (8.0, (0.8, 0.8, 0.2))]
+)
+def test_other_starts_end_as_high(sensor_std, rates):
+    """A fifth to a tenth of the tuned noise, and ten to sixteen times it."""
+    drive = recorded("plaza2", file("plaza2"))
+    way = WAYS["parameter"]
+    one, _ = learnt(drive, way, 200)
+    start = replace(way, model=lambda of: parametric(of, sensor_std, rates))
+    other, _ = learnt(drive, start, 200)
+    assert other["start"]["range"] == pytest.approx(sensor_std)
+    assert other["end"]["total"] == pytest.approx(one["end"]["total"], abs=2.0)
+    assert other["end"]["scale"] == pytest.approx(one["end"]["scale"], abs=1e-3)
+    assert other["end"]["offset"] == pytest.approx(one["end"]["offset"], abs=0.02)
+    assert other["end"]["range"] == pytest.approx(one["end"]["range"], rel=0.01)
 
 
 def test_noise_of_a_step_is_that_of_its_duration():
