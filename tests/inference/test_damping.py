@@ -67,9 +67,7 @@ def test_costs_never_rise(grown):
 
 def test_plain_iteration_raises_them(grown):
     """Else the test above would say nothing."""
-    found = np.array(
-        [costs(pgm.smooth(growing(), grown, iterations=n), grown) for n in TIMES]
-    )
+    found = np.array([costs(pgm.smooth(growing(), grown, iterations=n), grown) for n in TIMES])
     assert (np.diff(found, axis=0) > found[:-1]).any()
 
 
