@@ -190,7 +190,7 @@ def test_variances_of_wheels_are_refused():
 
 
 def test_paths_with_a_nul_are_refused():
-    with pytest.raises(FileError, match="cannot be read .ValueError: embedded null"):
+    with pytest.raises(FileError, match=r"cannot be read .ValueError: embedded null"):
         read_pose_graph("a\0b")
 
 
