@@ -33,13 +33,8 @@ class Rejections(Shown, Immutable):
     Examples
     --------
     >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> found = pgm.filter(model, {z: [[1.0], [30.0]]}, gate=0.99).rejected[z]
+    >>> from pgm.examples import walk, z
+    >>> found = pgm.filter(walk, {z: [[1.0], [30.0]]}, gate=0.99).rejected[z]
     >>> found.rejected
     array([False,  True])
     >>> print(found)

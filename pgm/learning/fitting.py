@@ -93,21 +93,13 @@ def fit(
 
     Examples
     --------
-    >>> import numpy as np
     >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 0.9}, cov=1.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=1.0)],
-    ... )
-    >>> recording = model.sample(steps=2000, rng=1).evidence
+    >>> from pgm.examples import walk, x, z
     >>> from pgm.learning import Coefficients, Covariance
-    >>> found = pgm.fit(
-    ...     model, recording, learn={x: (Coefficients(), Covariance()), z: Covariance()}
-    ... )
+    >>> recording = walk.sample(steps=500, rng=1).evidence
+    >>> found = pgm.fit(walk, recording, learn={x: (Coefficients(), Covariance())})
     >>> found.model.transition[0].matrices[x.previous].round(1)
-    array([[0.9]])
+    array([[1.]])
     """
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")
