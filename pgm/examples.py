@@ -1,9 +1,11 @@
 """The networks of docstrings' examples, each with its variables.
 
 ``walk`` is a random walk of x, from N(0, 1) by steps of variance 1, seen as z with variance 2, and
-``drive`` one of p in the plane, seen as q likewise. In ``pair`` a is N(0, 1) and b is a with noise
-of variance 1; in ``square`` x is N(3, 1) and y is x² with noise of variance 1. ``rainy`` has tables
-of rain and wet, ``coin`` that of side, and ``chain`` one hundred variables of two states in a row.
+``drive`` one of p in the plane, seen as q likewise; ``squares`` is one from N(1, 1), of which x² is
+seen with variance 10⁻⁶. In ``pair`` a is N(0, 1) and b is a with noise of variance 1; in ``square``
+x is N(3, 1) and y is x² with noise of variance 1. ``rainy`` has tables of rain and wet, ``still``
+those over time, with rain that never changes, ``coin`` that of side, and ``chain`` one hundred
+variables of two states in a row.
 """
 
 from itertools import pairwise
@@ -31,11 +33,18 @@ pair = BayesianNetwork([GaussianCPD(a, 0.0, 1.0), LinearGaussianCPD(b, given={a:
 square = BayesianNetwork(
     [GaussianCPD(x, 3.0, 1.0), NonlinearGaussianCPD(y, given=x, function=lambda x: x**2, cov=1.0)]
 )
-rainy = BayesianNetwork(
-    [
-        TableCPD(rain, table=[0.5, 0.5]),
-        TableCPD(wet, given=rain, table=[[0.75, 0.25], [0.25, 0.75]]),
-    ]
+squares = DynamicBayesianNetwork(
+    prior=[GaussianCPD(x, 1.0, 1.0)],
+    transition=walk.transition,
+    observation=[NonlinearGaussianCPD(z, given=x, function=lambda x: x**2, cov=1e-6)],
+)
+_rain, _wet = (
+    TableCPD(rain, table=[0.5, 0.5]),
+    TableCPD(wet, given=rain, table=[[0.75, 0.25], [0.25, 0.75]]),
+)
+rainy = BayesianNetwork([_rain, _wet])
+still = DynamicBayesianNetwork(
+    [_rain], [TableCPD(rain, given=rain.previous, table=[[1.0, 0.0], [0.0, 1.0]])], [_wet]
 )
 coin = BayesianNetwork([TableCPD(side, table=[0.25, 0.75])])
 _row = [Discrete(f"x{i}", 2) for i in range(100)]

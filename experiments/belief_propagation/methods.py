@@ -11,7 +11,7 @@ import numpy as np
 import pgm
 from experiments.belief_propagation.loops import Numbers
 from experiments.kinds import as_gaussian, as_table
-from pgm.clustergraph.size import size
+from pgm.clustergraph.cluster import size
 from pgm.compile import Method
 
 Beliefs = Mapping[pgm.Variable, Any]

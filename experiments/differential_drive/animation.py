@@ -15,7 +15,7 @@ from experiments.differential_drive.figures import MOTION, READING
 from experiments.differential_drive.problems import DT, LANDMARK, MOTIONS
 from experiments.differential_drive.results import Drive
 from pgm.plot.colours import INK, MUTED
-from pgm.plot.moving.gif import GifWriter
+from pgm.plot.moving.movies import GifWriter
 
 # Motions from a picture to the next. Odd numbers of half seconds: pictures are by turns of a motion
 # halfway between readings and of a reading. The longest drive skips more, for the size of its file.

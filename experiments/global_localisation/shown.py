@@ -16,7 +16,7 @@ from experiments.global_localisation.ways import BOUNDS
 from experiments.global_localisation.world import Array, Drives, World
 from models.networks import pose
 from pgm.plot.colours import PALETTE
-from pgm.plot.moving.gif import GifWriter
+from pgm.plot.moving.movies import GifWriter
 
 _RATE = 2  # pictures a second
 WALLS = 0.75  # how dark they are, below beliefs

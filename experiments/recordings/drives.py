@@ -17,6 +17,7 @@ from models import motion, networks
 from models.networks import distance, landmark, pose, sighting
 from models.networks.covariances import diagonal
 from pgm import recordings
+from pgm.cpds.robust import RobustNoise
 from pgm.recordings import Recording
 
 Array = npt.NDArray[np.float64]
@@ -200,7 +201,7 @@ class Drive:
         *,
         start: npt.ArrayLike | None = None,
         start_std: npt.ArrayLike | None = None,
-        noise: pgm.RobustNoise | None = None,
+        noise: RobustNoise | None = None,
     ) -> pgm.DynamicBayesianNetwork:
         """The network of the drive, from its own start or another, with noise of its sensor."""
         setting = self.setting

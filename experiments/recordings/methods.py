@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import pgm
 from experiments.recordings.drives import Drive
+from pgm.cpds.robust import RobustNoise
 
 LINEARISERS: dict[str, pgm.Lineariser] = {
     "Taylor": pgm.Taylor(),
@@ -34,18 +36,18 @@ class Method:
 
     about: str
     run: Callable[..., pgm.ChainPosterior]
-    noise: pgm.RobustNoise | None = None
+    noise: RobustNoise | None = None
 
     def __call__(self, drive: Drive, lineariser: pgm.Lineariser) -> pgm.ChainPosterior:
         """The posterior of a drive."""
         return self.run(drive.network(noise=self.noise), drive.evidence, lineariser=lineariser)
 
 
-def _smooth(**settings: object) -> Callable[..., pgm.ChainPosterior]:
+def _smooth(**settings: Any) -> Callable[..., pgm.ChainPosterior]:
     return lambda model, evidence, **more: pgm.smooth(model, evidence, **settings, **more)
 
 
-def _filter(**settings: object) -> Callable[..., pgm.ChainPosterior]:
+def _filter(**settings: Any) -> Callable[..., pgm.ChainPosterior]:
     return lambda model, evidence, **more: pgm.filter(model, evidence, **settings, **more)
 
 

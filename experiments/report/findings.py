@@ -116,6 +116,19 @@ FINDINGS = {
         "Kalman, extended and unscented filters and smoothers differ from textbook "
         "implementations by {largest_difference:.0e} at most.",
     ),
+    "recordings": Finding(
+        "What do gates and robust noise gain on a real recording?",
+        "On {settings/data/0} the filter is off by {results/*/filter/Taylor/rmse:.3f} m, gated by "
+        "{results/*/gated filter/Taylor/rmse:.3f} m; the smoother by "
+        "{results/*/smoother/Taylor/rmse:.3f} m, with robust noise by "
+        "{results/*/robust smoother/Taylor/rmse:.3f} m.",
+    ),
+    "wide_start": Finding(
+        "Which lineariser bears a start that is hardly known?",
+        "Begun within {settings/data/0}'s wide prior, nine in ten starts have a mean NEES below "
+        "{results/*/Taylor/nees_90:.3g} with Taylor and below {results/*/unscented/nees_90:.2g} "
+        "with unscented points; 1 is right.",
+    ),
     "learning": Finding(
         "Can noise be learnt from the readings alone?",
         "From five times the true variances, over {settings/runs} recordings of {settings/steps} "

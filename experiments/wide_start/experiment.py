@@ -8,9 +8,11 @@ In summary.json ``results.<data>.<lineariser>`` has them.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Any
 
 import numpy as np
+import numpy.typing as npt
 import typer
 
 import pgm
@@ -20,6 +22,8 @@ from experiments.wide_start import figures
 from experiments.wide_start.cases import CASES, load, starts
 from models.networks import pose
 from pgm import consistency
+
+Array = npt.NDArray[np.float64]
 
 QUICK: dict[str, Any] = {"data": "plaza2", "runs": 3}
 PLANE = ("east", "north")
@@ -61,28 +65,37 @@ def run(
     record.summary(results=results)
 
 
-def _drawn(
-    record: Record, drive: Drive, runs: int, rng: np.random.Generator, results: dict[str, Any]
-) -> None:
-    """The NEES over time of every start, with every lineariser."""
-    case = CASES[drive.name]
-    means = starts(drive, runs, rng)
-    over_time: dict[str, Any] = {}
+def judged(
+    drive: Drive, means: Array, of: Iterable[str] = LINEARISERS
+) -> dict[str, tuple[Array, Array]]:
+    """By lineariser: NEES of the position, a component's, (starts, T+1), and RMSE [m] (starts,)."""
     assert drive.truth is not None
-    for label in progress(list(LINEARISERS), drive.name):
-        errors, squares = [], []
+    found = {}
+    for label in progress(list(of), drive.name):
+        squares, errors = [], []
         for mean in means:
             model = drive.network(start=mean)
             belief = pgm.filter(model, drive.evidence, lineariser=LINEARISERS[label])[pose]
             squares.append(consistency.nees(belief, drive.truth, PLANE) / len(PLANE))
             errors.append(consistency.rmse(belief, drive.truth, PLANE))
-        known = ~np.isnan(squares[0])
-        over_time[label] = np.array(squares)
-        each = over_time[label][:, known].mean(axis=1)
+        found[label] = np.array(squares), np.array(errors)
+    return found
+
+
+def _drawn(
+    record: Record, drive: Drive, runs: int, rng: np.random.Generator, results: dict[str, Any]
+) -> None:
+    """The NEES over time of every start, with every lineariser."""
+    case = CASES[drive.name]
+    over_time = {}
+    for label, (squares, errors) in judged(drive, starts(drive, runs, rng)).items():
+        over_time[label] = squares
+        each = np.nanmean(squares, axis=1)
+        known = squares[:, ~np.isnan(squares[0])]
         results[label] |= {
             "nees_90": float(np.percentile(each, 90)),
             "nees_median": float(np.median(each)),
-            "nees_end": float(np.percentile(over_time[label][:, known][:, -1], 90)),
+            "nees_end": float(np.percentile(known[:, -1], 90)),
             "rmse_90": float(np.percentile(errors, 90)),
         }
     record.table(

@@ -1,13 +1,19 @@
-"""Clusters: what the nodes of a cluster graph are."""
+"""Clusters, the nodes of a cluster graph: their sizes, and the work they make."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from pgm.clustergraph.size import size
 from pgm.cpds import CPD
-from pgm.display import Shown, Summary
-from pgm.factors.scope import MOST, Scope, listed
+from pgm.display import Listing, Shown, Summary, few
+from pgm.factors.scope import MOST, Scope, dimension, listed
+from pgm.variables import Discrete, Variable
+
+if TYPE_CHECKING:
+    from pgm.clustergraph.structure import ClusterGraph
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,3 +68,50 @@ class Cluster(Shown):
 
     def __repr__(self) -> str:
         return self._title
+
+
+def extent(variable: Variable) -> int:
+    """Number of states of a discrete variable, of components of a continuous one."""
+    return variable.size if isinstance(variable, Discrete) else variable.dimension
+
+
+def size(scope: Scope) -> int:
+    """Entries of a table over discrete variables, or components of continuous ones."""
+    if is_discrete(scope):
+        return math.prod(map(extent, scope))
+    return dimension(scope)
+
+
+def work(scope: Scope) -> int:
+    """Entries of a table, or the cube of the components, as of a Cholesky factor."""
+    return size(scope) if is_discrete(scope) else size(scope) ** 3
+
+
+def is_discrete(scope: Iterable[Variable]) -> bool:
+    """Whether a factor over these variables is a table."""
+    return any(isinstance(variable, Discrete) for variable in scope)
+
+
+def amount(number: int) -> str:
+    """A number for messages: a power of ten, where its digits would not be read."""
+    return str(number) if number < 10**9 else f"10^{math.log10(number):.1f}"
+
+
+# Sepsets of a cluster, and variables of a sepset, that are shown.
+FEW = 3
+
+
+def neighbourhoods(graph: ClusterGraph) -> Listing:
+    """The first and last clusters, each with its variables and its neighbours."""
+    rows: list[Sequence[str] | None] = []
+    for k in few(len(graph)):
+        if k is None:
+            rows.append(None)
+            continue
+        joined = graph.neighbours(k)
+        each = [f"{j} by {listed(graph.sepsets[min(k, j), max(k, j)], FEW)}" for j in joined[:FEW]]
+        more = [f"... {len(joined)} in all"] * (len(joined) > FEW)
+        scope = listed(graph.clusters[k].scope)
+        rows.append([str(k), scope, "; ".join(each + more)])
+    heads = ("cluster", "variables", "joined to")
+    return Listing(heads, rows, names=3)

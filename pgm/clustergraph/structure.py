@@ -18,9 +18,7 @@ from pgm.clustergraph.checks import (
     check_running_intersection,
     is_forest,
 )
-from pgm.clustergraph.cluster import Cluster
-from pgm.clustergraph.listing import neighbourhoods
-from pgm.clustergraph.size import amount, extent, is_discrete, work
+from pgm.clustergraph.cluster import Cluster, amount, extent, is_discrete, neighbourhoods, work
 from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed
@@ -63,10 +61,8 @@ class ClusterGraph(Drawn, Immutable):
 
     Examples
     --------
-    >>> a, b = pgm.variables("a b")
-    >>> prior = pgm.GaussianCPD(a, 0.0, 1.0)
-    >>> net = pgm.BayesianNetwork([prior, pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0)])
-    >>> graph = pgm.ClusterGraph(net, [{a}, {a, b}], sepsets={(0, 1): {a}})
+    >>> from pgm.examples import a, b, pair
+    >>> graph = pgm.ClusterGraph(pair, [{a}, {a, b}], sepsets={(0, 1): {a}})
     >>> pgm.infer(graph, {b: [2.0]})[a].mean
     array([1.])
     """

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from pgm.boundary import as_tuple, is_unordered, is_whole
-from pgm.clustergraph.size import extent
+from pgm.clustergraph.cluster import extent
 from pgm.compile.elimination import Adjacency, min_fill, moral
 from pgm.compile.search import cheapest
 from pgm.display import InCode

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from pgm.consistency.checks import check_count, check_innovations
-from pgm.consistency.quantiles import chi_squared, normal
+from pgm.consistency.regions import chi_squared, normal
 from pgm.display import Shown, Summary, count, number, table
 from pgm.errors import ModelError
 from pgm.inference import Innovations
@@ -70,7 +70,7 @@ class Whiteness(Shown):
 
     @property
     def probability(self) -> float:
-        """That white innovations have a larger statistic."""
+        """The probability that white innovations have a larger statistic."""
         return float(gammaincc(0.5 * self.dof, 0.5 * self.statistic))
 
 

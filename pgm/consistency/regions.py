@@ -1,4 +1,4 @@
-"""Whether confidence regions hold the truth as often as they say."""
+"""Quantiles of statistics, and whether confidence regions hold the truth as often as they say."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import betaincinv, gammaincinv, ndtri
 
 from pgm.consistency.checks import check_confidence
 from pgm.consistency.errors import nees_and_dof, nothing_known
-from pgm.consistency.quantiles import chi_squared, clopper_pearson
 from pgm.display import Shown, Summary, table
 from pgm.display import count as counted
+from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.kernels.arrays import Array, Mask
 
@@ -141,3 +142,33 @@ def coverage(
     actual = held / count
     runs = int((known if belief.steps is None else known.any(axis=-1)).sum())
     return Coverage(nominal, actual, *clopper_pearson(actual, runs, band), runs, count)
+
+
+def tails(confidence: float) -> tuple[float, float]:
+    """The probabilities below the lower and below the upper end of a two-sided band."""
+    value = check_confidence(confidence)
+    if value.ndim:
+        raise ModelError(f"a band has one confidence, not {value.size} of them; ask for each")
+    return 0.5 * float(1.0 - value), 0.5 * float(1.0 + value)
+
+
+def chi_squared(probability: npt.ArrayLike, dof: npt.ArrayLike) -> Array:
+    """The value that a χ² with so many degrees of freedom stays below with a probability."""
+    half = 0.5 * np.asarray(dof, dtype=float)
+    return np.asarray(2.0 * gammaincinv(half, np.asarray(probability, dtype=float)))
+
+
+def normal(confidence: float) -> float:
+    """The z with P(|n| ≤ z) = confidence for a standard normal n."""
+    return float(ndtri(tails(confidence)[1]))
+
+
+def clopper_pearson(share: Array, count: int, confidence: float) -> tuple[Array, Array]:
+    """The exact two-sided interval of a probability, from the share of `count` trials it won."""
+    low, high = tails(confidence)
+    won = share * count
+    lost = count - won
+    # The incomplete beta function has no inverse at zero trials won or lost.
+    below = np.where(won > 0.0, betaincinv(np.maximum(won, 1e-9), lost + 1.0, low), 0.0)
+    above = np.where(lost > 0.0, betaincinv(won + 1.0, np.maximum(lost, 1e-9), high), 1.0)
+    return below, above

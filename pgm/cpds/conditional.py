@@ -17,7 +17,7 @@ from pgm.cpds.robust import RobustNoise
 from pgm.cpds.values import Known, Values
 from pgm.display import Listing, called, named_matrix
 from pgm.errors import LinearisationError, ModelError, NumericalError
-from pgm.factors.covariance import as_covariance
+from pgm.factors.arrays import as_covariance
 from pgm.factors.runs import flat, unflat
 from pgm.factors.scope import Scope, components, listed
 from pgm.kernels import normal, roots

@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.display import InCode, called
 from pgm.errors import ModelError
-from pgm.factors.covariance import diagonal as on_diagonal
+from pgm.factors.arrays import diagonal as on_diagonal
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.checks import covariance_fault, symmetrised

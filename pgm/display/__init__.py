@@ -1,13 +1,19 @@
 """Summaries of values: a few lines, as text and in HTML."""
 
-from pgm.display.brief import as_numbers, brief, called, table, vector
-from pgm.display.drawn import Drawn
-from pgm.display.matrices import named_matrix
-from pgm.display.moments import axes, by_component, stacked, whereabouts
-from pgm.display.numbers import beside, column, count, number
-from pgm.display.places import ENDS, few, places
-from pgm.display.shown import InCode, NoArray, Shown, titled
-from pgm.display.summary import LEFT_OUT, TITLE, Listing, Summary
+from pgm.display.brief import (
+    as_numbers,
+    beside,
+    brief,
+    called,
+    column,
+    count,
+    number,
+    table,
+    vector,
+)
+from pgm.display.moments import axes, by_component, named_matrix, stacked, whereabouts
+from pgm.display.shown import Drawn, InCode, NoArray, Shown, titled
+from pgm.display.summary import ENDS, LEFT_OUT, TITLE, Listing, Summary, few, places
 
 __all__ = [
     "ENDS",

@@ -1,4 +1,4 @@
-"""Means and deviations by component: of one belief, and of many over runs and steps."""
+"""Means, deviations and matrices by component: of one belief, and of many over runs and steps."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.display.numbers import beside, count
-from pgm.display.places import ALL, Place, few, places
-from pgm.display.summary import LEFT_OUT, Listing
+from pgm.display.brief import beside, column, count, number
+from pgm.display.summary import ALL, LEFT_OUT, Listing, Place, few, places
 
 Array = npt.NDArray[np.float64]
 # The most components beside each other, and of how many correlations are shown.
@@ -125,3 +124,42 @@ def correlations(cov: Array, std: Array) -> Array | None:
 
 def _correlation(value: float) -> str:
     return "" if np.isnan(value) else f"{round(value, 2) + 0.0:.2f}"
+
+
+# The most rows and columns of which all are shown.
+ROWS, COLUMNS = 7, 7
+
+
+def named_matrix(
+    rows: Sequence[str],
+    columns: Sequence[str],
+    values: npt.NDArray[Any],
+    symbol: str,
+    before: Sequence[tuple[str, npt.NDArray[Any]]] = (),
+) -> Listing:
+    """A matrix with the names of its rows and columns.
+
+    Parameters
+    ----------
+    rows, columns : sequence of str
+    values : ndarray
+        (rows, columns).
+    symbol : str
+        The matrix's own, at the head of its first column.
+    before : sequence of (str, ndarray)
+        Columns of numbers beside it, with their symbols.
+    """
+    shown = few(len(rows), ROWS)
+    kept = [k for k in shown if k is not None]
+    heads, cells = [""], [[rows[k] for k in kept]]
+    for name, vector in before:
+        heads.append(name)
+        cells.append([number(value) for value in vector[kept]])
+    for k, name in enumerate(columns[:COLUMNS]):
+        heads.append(name if k else f"{symbol}: {name}")
+        cells.append(column(values[kept, k]))
+    if len(columns) > COLUMNS:
+        heads.append(LEFT_OUT)
+        cells.append([LEFT_OUT] * len(kept))
+    found = dict(zip(kept, zip(*cells, strict=True), strict=True))
+    return Listing(heads, [None if k is None else found[k] for k in shown])

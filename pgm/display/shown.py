@@ -1,8 +1,9 @@
-"""Values that show themselves: in a terminal, in a notebook, and not as arrays."""
+"""Values that show themselves: in a terminal, in a notebook, as a picture, and not as arrays."""
 
 from __future__ import annotations
 
 from html import escape
+from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
@@ -67,3 +68,26 @@ class NoArray:
             held[()] = self
             return held
         raise ArrayError(f"a {type(self).__name__} is no array; take its {self._arrays}")
+
+
+class Drawn(Shown):
+    """A network or graph: text in a terminal, a picture above that text in a notebook."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html(picture(self))
+
+
+def picture(value: Any) -> str:
+    """The drawing of a network or graph, as markup of SVG; empty where there is none."""
+    try:
+        # By name: drawing lies layers above the values drawn, and loads matplotlib, which is
+        # wanted by notebooks alone.
+        pictures = import_module("pgm.plot.diagrams.notebook")
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] != "matplotlib":
+            raise
+        return ""
+    found: str = pictures.svg(value)
+    return found

@@ -1,11 +1,13 @@
-"""Summaries of values: a title, lines and listings, printed as text and as HTML."""
+"""Summaries of values: a title, lines and listings, printed as text and as HTML, cut where long."""
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import product
 
 # What is printed at most: lines, columns of letters, letters of one cell and of a title.
 LINES, WIDTH, CELL, TITLE = 20, 100, 40, 300
@@ -141,3 +143,41 @@ def _total(wide: Sequence[int], cut: bool) -> int:
     """The width of some columns, and of the dots that stand for others."""
     every = [*wide, *[len(LEFT_OUT)] * cut]
     return sum(every) + len(GAP) * (len(every) - 1)
+
+
+# Rows of which all are shown, and the most that are shown of more.
+ALL = 12
+# Rows of the ends of one run: its first and last step, and what is between.
+ENDS = 3
+
+Place = tuple[int, ...]
+
+
+def few(count: int, most: int = ALL) -> list[int | None]:
+    """The places along one axis, the middle of a long one left out; None stands for it."""
+    if count <= most:
+        return list(range(count))
+    first = (most + 1) // 2
+    return [*range(first), None, *range(count - (most - first), count)]
+
+
+def places(shape: Sequence[int], most: int = ALL) -> list[Place | None]:
+    """The places along several axes, those in the middle left out; None stands for them."""
+    if math.prod(shape) <= most:
+        return list(product(*map(range, shape)))
+    *outer, inner = shape
+    runs, first = math.prod(outer), (0,) * len(outer)
+    if runs == 1:
+        return [None if step is None else (*first, step) for step in few(inner, max(most - 1, 1))]
+    # The first and the last run, with both ends of their steps; or of the first alone.
+    ends: list[Place | None] = [first, None]
+    if most >= 2 * ENDS:
+        ends = [first, *[None] * (runs > 2), tuple(size - 1 for size in outer)]
+    steps = few(inner, 4 if most >= ALL else 2)
+    found: list[Place | None] = []
+    for run in ends:
+        if run is None:
+            found.append(None)
+        else:
+            found += [None if step is None else (*run, step) for step in steps]
+    return found

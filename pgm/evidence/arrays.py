@@ -10,8 +10,7 @@ import numpy as np
 from pgm.boundary import as_floats, as_wholes
 from pgm.errors import EvidenceError
 from pgm.evidence.values import Soft
-from pgm.factors.scope import listed
-from pgm.factors.unknown_names import unknown_name
+from pgm.factors.scope import listed, unknown_name
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 

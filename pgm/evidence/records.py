@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pgm.boundary import as_floats, as_tuple, is_number, masked_whole
 from pgm.display import titled
 from pgm.errors import EvidenceError
-from pgm.factors.indices import MISSING, STRANGER
+from pgm.factors.axes import MISSING, STRANGER
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete, Variable

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.errors import EvidenceError
-from pgm.evidence.discrete import as_weights
+from pgm.evidence.static import as_weights
 from pgm.evidence.values import Soft
-from pgm.factors.indices import MISSING, as_indices
+from pgm.factors.axes import MISSING, as_indices
 from pgm.factors.runs import in_row, in_run
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers, Mask

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from pgm.boundary import as_floats
 from pgm.display import NoArray, Shown, Summary, axes, named_matrix
 from pgm.errors import ModelError, NumericalError
+from pgm.factors.arrays import matrices
 from pgm.factors.canonical import CanonicalForm
-from pgm.factors.covariance import matrices
 from pgm.factors.gaussian import Gaussian, as_gaussian
 from pgm.factors.scope import as_scope, dimension, names, one_name_each
 from pgm.immutable import Immutable, set_writeable

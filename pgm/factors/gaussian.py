@@ -23,10 +23,10 @@ from pgm.display import (
     stacked,
 )
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import as_points, as_steps, as_vector
-from pgm.factors.covariance import as_covariance
+from pgm.factors.arrays import as_covariance, as_points, as_steps, as_vector
 from pgm.factors.ellipse import Ellipse, confidence_ellipse
 from pgm.factors.frames import Framed
+from pgm.factors.runs import lead_index
 from pgm.factors.scope import (
     Scope,
     angle_mask,
@@ -38,7 +38,6 @@ from pgm.factors.scope import (
     names,
     positions,
 )
-from pgm.factors.stacking import lead_index
 from pgm.immutable import Immutable
 from pgm.kernels import moments, normal, roots
 from pgm.kernels.angles import difference, wrap

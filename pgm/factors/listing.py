@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from pgm.display import Listing, Summary, column, few, named_matrix, number, places
-from pgm.display.places import Place
-from pgm.display.summary import LEFT_OUT
+from pgm.display.summary import LEFT_OUT, Place
 from pgm.factors.axes import States, sizes
 from pgm.factors.scope import MOST, Scope, components, listed
 from pgm.kernels.arrays import Array

@@ -23,8 +23,7 @@ from pgm.inference.online.filter import OnlineFilter
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cells import CellProposal
 from pgm.inference.particles.injection import Injection
-from pgm.inference.particles.likely import LikelihoodSampling
-from pgm.inference.particles.number import KLDSampling
+from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
 from pgm.inference.particles.online import OnlineParticleBelief, OnlineParticles
 from pgm.inference.particles.posterior import ParticlePosterior
 from pgm.inference.particles.status import ParticleStatus

@@ -57,14 +57,9 @@ class LevenbergMarquardt(InCode):
 
     Examples
     --------
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 1.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.NonlinearGaussianCPD(z, given=x, function=lambda x: x**2, cov=1e-6)],
-    ... )
+    >>> from pgm.examples import squares, x, z
     >>> control = pgm.LevenbergMarquardt()
-    >>> posterior = pgm.smooth(model, {z: [[9.0]]}, iterations=20, damping=control)
+    >>> posterior = pgm.smooth(squares, {z: [[9.0]]}, iterations=20, damping=control)
     >>> posterior[x].mean.ravel().round(2), bool(posterior.status.converged)
     (array([2., 3.]), True)
     """

@@ -48,14 +48,10 @@ class Labelled:
 
         Examples
         --------
-        >>> x = pgm.Variable("x", components=("east", "north"))
-        >>> model = pgm.DynamicBayesianNetwork(
-        ...     prior=[pgm.GaussianCPD(x, mean=[0, 0], cov=1.0)],
-        ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=0.5)],
-        ... )
-        >>> found = pgm.filter(model, {}, steps=4).to_xarray()
+        >>> from pgm.examples import drive
+        >>> found = pgm.filter(drive, {}, steps=4).to_xarray()
         >>> float(found.cov.sel(step=4, component="north", other_component="north"))
-        3.0
+        5.0
         """
         xarray = optional("xarray", f"{type(self).__name__}.to_xarray()", FRAMES)
         runs = run_names(np.ndim(self.log_evidence))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pgm.boundary import is_number
 from pgm.clustergraph import Cluster, ClusterGraph
-from pgm.clustergraph.size import amount
+from pgm.clustergraph.cluster import amount
 from pgm.display import titled
 from pgm.errors import GraphError
 from pgm.factors.axes import AXES

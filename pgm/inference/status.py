@@ -75,13 +75,8 @@ class Status(Shown, Immutable):
 
     Examples
     --------
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 1.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)],
-    ...     observation=[pgm.NonlinearGaussianCPD(z, given=x, function=lambda x: x**2, cov=1e-6)],
-    ... )
-    >>> status = pgm.smooth(model, {z: [[9.0]]}, iterations=20).status
+    >>> from pgm.examples import squares, z
+    >>> status = pgm.smooth(squares, {z: [[9.0]]}, iterations=20).status
     >>> bool(status.converged)
     True
     >>> bool(status.residuals[-1] < 1e-9)

@@ -23,7 +23,7 @@ from pgm.display import (
     stacked,
     whereabouts,
 )
-from pgm.display.places import Place
+from pgm.display.summary import Place
 from pgm.errors import PgmError
 from pgm.factors import Table
 from pgm.factors.listing import DIGITS, STATES, states_of

@@ -1,4 +1,4 @@
-"""Normal densities by the root L of the covariance; a singular one has its density on a subspace.
+"""Normal densities by the root L of the covariance, and squared lengths of innovations.
 
 A component that those before it determine (`roots.determined`) adds nothing to the density, which
 is that of the others. Points stand along the last axis but one, (..., S, d), so that one root
@@ -11,6 +11,7 @@ import numpy as np
 
 from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, transpose
+from pgm.kernels.roots import NEGLIGIBLE
 
 # The part of a point and of the mean by which what users compute may take it off a subspace.
 INEXACT = 1e-9
@@ -81,3 +82,34 @@ def square_within(probability: float, dimension: Integers) -> Array:
     from scipy.special import chdtri  # here, since it is slow to import
 
     return np.asarray(chdtri(dimension, 1.0 - probability), dtype=np.float64)
+
+
+def squares(residual: Array, cov: Array) -> Array:
+    """The value νᵀ S⁻¹ ν of stacked innovations ν (k, d, *batch), S (k, d, d, *batch).
+
+    Components are eliminated one after another, all of the stack at once. One that those before it
+    determine adds nothing.
+    """
+    size = residual.shape[1]
+    if size == 1:
+        return _share(residual[:, 0], cov[:, 0, 0], cov[:, 0, 0])
+    residual, cov = residual.copy(), cov.copy()
+    diagonal = np.einsum("kii...->ki...", cov).copy()
+    total = np.zeros(residual[:, 0].shape)
+    for j in range(size):
+        pivot, left = cov[:, j, j].copy(), residual[:, j].copy()
+        total = total + _share(left, pivot, diagonal[:, j])
+        if j + 1 == size:
+            break
+        proper = pivot > NEGLIGIBLE * diagonal[:, j]
+        factor = cov[:, j + 1 :, j] / np.where(proper, pivot, np.inf)[:, None]
+        residual[:, j + 1 :] -= factor * left[:, None]
+        cov[:, j + 1 :, j + 1 :] -= factor[:, :, None] * cov[:, None, j, j + 1 :]
+    return total
+
+
+def _share(left: Array, pivot: Array, diagonal: Array) -> Array:
+    proper = pivot > NEGLIGIBLE * diagonal
+    if proper.all():
+        return left * left / pivot
+    return np.where(proper, left * left / np.where(proper, pivot, 1.0), 0.0)

@@ -41,13 +41,8 @@ class FitStatus(Shown, Immutable):
     Examples
     --------
     >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=0.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> found = pgm.fit(model, {z: [[4.0], [2.0]]}, learn={z: pgm.learning.Covariance()})
+    >>> from pgm.examples import walk, z
+    >>> found = pgm.fit(walk, {z: [[4.0], [2.0]]}, learn={z: pgm.learning.Covariance("diagonal")})
     >>> found.status.converged
     True
     """
@@ -116,15 +111,10 @@ class Fit(Shown, Immutable):
     Examples
     --------
     >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=0.0)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=2.0)],
-    ... )
-    >>> found = pgm.fit(model, {z: [[4.0], [2.0]]}, learn={z: pgm.learning.Covariance()})
+    >>> from pgm.examples import walk, z
+    >>> found = pgm.fit(walk, {z: [[4.0], [2.0]]}, learn={z: pgm.learning.Covariance("diagonal")})
     >>> found.model.observation[0].cov.round(2)
-    array([[7.35]])
+    array([[5.43]])
     >>> bool(found.log_evidence[-1] > found.log_evidence[0])
     True
     """

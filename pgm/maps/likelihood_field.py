@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from pgm.cpds.values import Known, Values
 from pgm.errors import ModelError
-from pgm.kernels import endpoints, planar
+from pgm.kernels import planar, rays
 from pgm.kernels.arrays import LOG_2PI, Array
 from pgm.maps.given import as_positive, as_share
 from pgm.maps.occupancy import OccupancyMap
@@ -131,7 +131,7 @@ class LikelihoodField(ScanCPD):
         places[:, 2] = poses[:, 2] - self.map.origin[2]
         seen = ranges < self.most  # nor is NaN
         cells = np.where(seen, ranges, 0.0) / self.map.resolution
-        found = endpoints.summed(self._table, places, self._units, cells, seen)
+        found = rays.summed(self._table, places, self._units, cells, seen)
         return self.weight * found.reshape(lead)
 
     def _log_peak(self, child: Values) -> Array:
@@ -145,7 +145,7 @@ class LikelihoodField(ScanCPD):
         return planar.directions(self._angles).T
 
     @cached_property
-    def _table(self) -> endpoints.Single:
+    def _table(self) -> rays.Single:
         """The log-likelihood of a beam that ends in a cell, with one cell around the map."""
         square = (np.minimum(self.map.distances, self.distance) / self.std) ** 2
         normal = np.exp(-0.5 * (square + LOG_2PI)) / self.std

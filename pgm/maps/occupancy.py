@@ -382,7 +382,7 @@ class OccupancyMap(InCode, CellGrid):
 
 def blocks(count: int, beams: int) -> Iterator[slice]:
     """Poses that are worked on together, so that their rays' arrays stay in a core's cache."""
-    size = max(rays.BLOCK // beams, 1)
+    size = max(rays.RAYS // beams, 1)
     for first in range(0, count, size):
         yield slice(first, min(first + size, count))
 

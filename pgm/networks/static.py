@@ -16,8 +16,7 @@ from pgm.cpds.values import Values
 from pgm.display import Drawn, Summary
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
-from pgm.factors.scope import Scope, as_scope, listed, one_name_each
-from pgm.factors.unknown_names import unknown_name
+from pgm.factors.scope import Scope, as_scope, listed, one_name_each, unknown_name
 from pgm.immutable import Immutable
 from pgm.networks import checks, sampling
 from pgm.variables import Variable

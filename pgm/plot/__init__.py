@@ -3,8 +3,7 @@
 from pgm.plot.beliefs.animation import animate_beliefs
 from pgm.plot.beliefs.cells import belief_map
 from pgm.plot.beliefs.cloud import particles
-from pgm.plot.beliefs.grid_map import grid_map
-from pgm.plot.beliefs.occupancy import occupancy_map
+from pgm.plot.beliefs.grid_map import grid_map, occupancy_map
 from pgm.plot.beliefs.plane import ellipses, trajectory
 from pgm.plot.beliefs.stacks import beliefs_over_time
 from pgm.plot.diagrams.clusters import cluster_graph

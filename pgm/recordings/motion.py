@@ -1,4 +1,4 @@
-"""Motion between stamps: what each row of odometry or of velocities drives, and for how long.
+"""Motion between stamps: that of each row of odometry or of velocities, and its duration.
 
 Steady motion is an arc. Rows are divided along it and composed as motions of the plane are, so that
 no sum of increments stands for their composition.
@@ -14,7 +14,7 @@ from pgm.boundary import is_number
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
 from pgm.io.stamped import SAME, clock, rows_text
-from pgm.kernels import twists
+from pgm.kernels import planar
 from pgm.kernels.arrays import Array, Integers
 from pgm.recordings.stream import Stream
 
@@ -58,7 +58,7 @@ class Spans:
         found = np.zeros((len(times) - 1, 3))
         moved, first = np.unique(step, return_index=True)
         if moved.size:
-            found[moved] = twists.composed(self._parts(row, share), first)
+            found[moved] = planar.composed(self._parts(row, share), first)
         return found
 
     def arcs(self, times: Array) -> Array | None:
@@ -99,21 +99,21 @@ class Spans:
         found = self.whole[row]
         cut = np.flatnonzero(share != 1.0)
         if cut.size:
-            found[cut] = twists.motions(self._twists()[row[cut]], share[cut])
+            found[cut] = planar.motions(self._twists()[row[cut]], share[cut])
         return found
 
     def _twists(self) -> Array:
         if self.steady is not None:
             return self.steady
         turn = np.abs(self.whole[:, 2])
-        if (around := turn >= twists.WHOLE).any():
+        if (around := turn >= planar.WHOLE).any():
             row = int(around.argmax())
             raise EvidenceError(
                 f"{self.what}, row {row}: a turn of {self.whole[row, 2]:.4g} rad, a whole one, "
                 "from which no course in between follows; keep to the stamps, or give distance "
                 "and turn"
             )
-        return twists.twists(self.whole)
+        return planar.twists(self.whole)
 
 
 def of_odometry(stream: Stream) -> Spans:
@@ -134,7 +134,7 @@ def of_odometry(stream: Stream) -> Spans:
         )
     else:
         steady = np.insert(values, 1, 0.0, axis=1)
-        whole = twists.motions(steady)
+        whole = planar.motions(steady)
     return Spans("odometry", edges[:-1], edges[1:], whole, steady)
 
 
@@ -145,12 +145,12 @@ def of_velocities(stream: Stream) -> Spans:
         values = np.insert(values, 1, 0.0, axis=1)
     steady = values * np.diff(stream.stamps)[:, None]
     return Spans(
-        "velocities", stream.stamps[:-1], stream.stamps[1:], twists.motions(steady), steady
+        "velocities", stream.stamps[:-1], stream.stamps[1:], planar.motions(steady), steady
     )
 
 
 def of_wheels(left: Array, right: Array, wheelbase: float) -> Array:
-    """What two wheels, so far apart, do together: straight on, and the turn; (n, 2)."""
+    """The motion of two wheels: straight on, and the turn; (n, 2)."""
     if not (is_number(wheelbase) and wheelbase > 0.0):
         raise EvidenceError(f"wheelbase= is a positive number of metres, not {wheelbase!r}")
     return np.column_stack([(left + right) / 2.0, (right - left) / wheelbase])

@@ -18,7 +18,7 @@ from pgm.io.poses import Poses
 from pgm.io.stamped import SAME
 from pgm.io.states import joined
 from pgm.io.timeline import Timeline
-from pgm.kernels import twists
+from pgm.kernels import planar
 from pgm.kernels.arrays import Array
 from pgm.recordings import checks, handing, mending, motion, reference, summaries
 from pgm.recordings.dropped import Dropped
@@ -61,7 +61,7 @@ class Recording(Shown, NoArray, Immutable):
         Where a sensor or laser sits on the robot: (forward [m], left [m], turn [rad]).
     name : str, optional
     dropped : sequence of Dropped, optional
-        What a reader has already left out.
+        Rows that a reader has left out.
 
     Raises
     ------
@@ -268,6 +268,10 @@ class Recording(Shown, NoArray, Immutable):
         spans = self._motion()
         axis = spans.axis if times is None else checks.increasing(times)
         if start is None:
+            if self.truth is None:
+                raise EvidenceError(
+                    f"{self._title} has no truth; give start=(east, north, heading)"
+                )
             truth = self.truth_at(axis[:1])
             if truth.components != POSE:
                 raise EvidenceError("the truth has no headings; give start=(east, north, heading)")
@@ -275,7 +279,7 @@ class Recording(Shown, NoArray, Immutable):
         pose = as_floats(start, "start=", EvidenceError)
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise EvidenceError(f"start= is (east, north, heading), not {start!r}")
-        return Stream(axis, twists.path(pose, spans.between(axis)), POSE)
+        return Stream(axis, planar.path(pose, spans.between(axis)), POSE)
 
     def truth_at(self, times: npt.ArrayLike, *, longest: float | None = None) -> Stream:
         """The truth at given times, between its own on a line; headings are not wrapped.
@@ -368,6 +372,8 @@ class Recording(Shown, NoArray, Immutable):
             leaves these out.
         """
         named = as_mapping(sensors, "sensors=")
+        for variable in named:
+            handing.require_variable(variable, "sensors=")
         if times is None:
             axis = self.stamps(*named.values(), tolerance=tolerance or 0.0)
         else:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pgm.inference import StatePosterior
 from pgm.inference.kind import FILTERED, SMOOTHED
-from pgm.inference.markov.joints import potential
+from pgm.inference.markov.marginals import potential
 from pgm.kernels.arrays import Array
 from pgm.viewer.limits import Limits, Run
 from pgm.viewer.numbers import Numbers

@@ -11,7 +11,7 @@ from hypothesis import given
 
 import pgm
 from pgm.clustergraph import check_families
-from pgm.clustergraph.size import amount, extent, size, work
+from pgm.clustergraph.cluster import amount, extent, size, work
 
 # The square: a, b given a, c given a, d given b and c.
 NET = continuous([[], [0], [0], [1, 2]])

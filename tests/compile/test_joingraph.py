@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pgm
-from pgm.clustergraph.size import size
+from pgm.clustergraph.cluster import size
 
 ORDERS = [pgm.MinFill(), pgm.WeightedMinFill(), lambda network: network.variables[::-1]]
 SCHEDULES = [pgm.Flooding(), pgm.Sequential(), pgm.Residual()]

@@ -192,6 +192,8 @@ def filtered():
         "overall": errors.overall(),
         "over time": consistency.rmse_over_time(many[X], batch[X]),
         "coverage": consistency.coverage(many[X], batch[X], np.linspace(0.1, 0.9, 50)),
+        "ranking": consistency.ranking(one.innovations),
+        "ranked": consistency.ranking(one.innovations)[0],
         "whiteness": consistency.whiteness(many.innovations[Z]),
         "comparison": pgm.compare(model, drawn.evidence, truth={X: drawn[X]}),
         "row": pgm.compare(model, drawn.evidence, truth={X: drawn[X]}).rows[0],

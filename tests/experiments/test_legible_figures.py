@@ -18,6 +18,8 @@ SHORT = (
     "imu_heading",
     "differential_drive",
     "plaza",
+    "recordings",
+    "wide_start",
     "cluster_graph",
     "grid_world",
     "hallway",

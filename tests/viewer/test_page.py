@@ -13,8 +13,8 @@ from viewer import posteriors
 
 import pgm
 from pgm.viewer.numbers import EXACT, SHOWN, Numbers, lower, rounded
-from pgm.viewer.page import embedded
 from pgm.viewer.placing import HEIGHT, place
+from pgm.viewer.view import embedded
 
 
 def written(posterior, tmp_path, **choice):

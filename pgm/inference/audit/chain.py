@@ -10,8 +10,7 @@ from pgm.errors import NumericalError
 from pgm.factors.scope import positions
 from pgm.inference.audit.corrected import Sums
 from pgm.inference.audit.density import Term, has_exact
-from pgm.inference.audit.draws import Draws, Strand
-from pgm.inference.audit.excursions import PREDICTED, Excursions
+from pgm.inference.audit.draws import PREDICTED, Draws, Excursions, Strand
 from pgm.inference.audit.proposal import Proposal
 from pgm.inference.chain import backward
 from pgm.inference.chain.backward import Beliefs, Reverse

@@ -12,7 +12,7 @@ import numpy as np
 from pgm.cpds import RobustNoise
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors.scope import names
-from pgm.inference.audit import tails
+from pgm.inference.audit import proposal
 from pgm.inference.family import Family
 from pgm.kernels import normal, roots
 from pgm.kernels.angles import difference, nearest_branch
@@ -134,7 +134,7 @@ class Term:
         return Drawn(
             proposed,
             self._relative(row, parents, proposed, log_density),
-            log_density + tails.log_ratio(size, squared),
+            log_density + proposal.log_ratio(size, squared),
             lost,
         )
 
@@ -142,7 +142,7 @@ class Term:
         places = afresh.where
         white: Array = np.zeros(proposed.shape)
         white[places] = afresh.rng.standard_normal((int(places.sum()), self.family.shape[2]))
-        tails.stretch(white, places, afresh.rng)
+        proposal.stretch(white, places, afresh.rng)
         return np.where(places[..., None], value + white @ transpose(own), proposed)
 
     def readings(

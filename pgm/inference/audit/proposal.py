@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import lgamma, log, pi
 
 import numpy as np
 
 from pgm.errors import NumericalError
-from pgm.inference.audit import tails
 from pgm.kernels import moments, normal, roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
 from pgm.kernels.moments import Conditional
@@ -62,7 +62,7 @@ class Proposal:
         lower = self.lower[row]
         white = rng.standard_normal((lower.shape[0], count, lower.shape[-1]))
         if away is not None:
-            tails.stretch(white, away, rng)
+            stretch(white, away, rng)
         fixed = self._fixed[row]
         return np.where(fixed[:, None, :], 0.0, white) if fixed.any() else white
 
@@ -95,8 +95,31 @@ class Proposal:
 
     def log_tails(self, row: int, squared: Array) -> Array:
         """The log-density (runs, S) by Student's t, less that by the Gaussian."""
-        return tails.log_ratio(self._constants[0][row][:, None], squared)
+        return log_ratio(self._constants[0][row][:, None], squared)
 
     def _mean(self, row: int, given: Array) -> Array:
         mean: Array = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
         return mean
+
+
+# Degrees of freedom: four moments, and still eight times the mass of a Gaussian beyond three
+# deviations of a plane.
+FREEDOM = 5.0
+
+
+def stretch(white: Array, where: Mask, rng: np.random.Generator) -> None:
+    """Turn Gaussian noise (..., n) into that of a multivariate Student t, in place, where said."""
+    white[where] *= np.sqrt(FREEDOM / rng.chisquare(FREEDOM, (int(where.sum()), 1)))
+
+
+def log_ratio(size: Integers, squared: Array) -> Array:
+    """The log-density of Student's t less the Gaussian's, at |s|² of so many components."""
+    constant = np.array([_log_constant(k) for k in range(int(size.max(initial=0)) + 1)])[size]
+    power = 0.5 * (FREEDOM + size)
+    value: Array = constant - power * np.log1p(squared / FREEDOM) + 0.5 * squared
+    return value
+
+
+def _log_constant(size: int) -> float:
+    gammas = lgamma(0.5 * (FREEDOM + size)) - lgamma(0.5 * FREEDOM)
+    return gammas + 0.5 * size * (LOG_2PI - log(FREEDOM * pi))

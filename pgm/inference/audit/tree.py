@@ -9,8 +9,7 @@ import numpy as np
 from pgm.errors import GraphError
 from pgm.inference.audit.corrected import Sums
 from pgm.inference.audit.density import Term, has_exact
-from pgm.inference.audit.draws import Draws, Strand
-from pgm.inference.audit.excursions import PREDICTED, Excursions
+from pgm.inference.audit.draws import PREDICTED, Draws, Excursions, Strand
 from pgm.inference.audit.proposal import Proposal
 from pgm.inference.gaussian.model import Model
 from pgm.inference.gaussian.posterior import GaussianPosterior

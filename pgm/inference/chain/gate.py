@@ -25,7 +25,7 @@ from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Reading
 from pgm.inference.chain.vector import Measured
 from pgm.inference.gates import gate_of
-from pgm.kernels import innovation, normal
+from pgm.kernels import normal
 from pgm.kernels.arrays import Array, Integers, Mask, within
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -174,10 +174,10 @@ def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array,
     residual = np.broadcast_to(seen.residual(mean), (count * height, *batch))
     residual = residual.reshape(count, height, *batch)
     if taken is None:
-        return innovation.squares(residual, spread), np.full((count, *batch), height)
+        return normal.squares(residual, spread), np.full((count, *batch), height)
     both = taken[:, :, None] & taken[:, None]
     eye = np.eye(height).reshape(1, height, height, *(1 for _ in batch))
-    square = innovation.squares(np.where(taken, residual, 0.0), np.where(both, spread, eye))
+    square = normal.squares(np.where(taken, residual, 0.0), np.where(both, spread, eye))
     return square, np.broadcast_to(taken.sum(axis=1), (count, *batch))
 
 

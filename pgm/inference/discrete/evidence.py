@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.evidence.discrete import BoundStates
+from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States
 from pgm.inference.discrete.place import by_state
 from pgm.inference.discrete.storage import Storage

@@ -9,11 +9,11 @@ import numpy as np
 
 from pgm.clustergraph import Cluster
 from pgm.errors import EvidenceError
-from pgm.evidence.discrete import BoundStates
+from pgm.evidence.static import BoundStates
 from pgm.factors.runs import in_run
 from pgm.factors.scope import names
 from pgm.inference.discrete.evidence import some_runs
-from pgm.inference.discrete.tree_messages import TreeMessages
+from pgm.inference.discrete.tree_passes import TreeMessages
 from pgm.inference.discrete.tree_plan import TreePlan
 from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Discrete

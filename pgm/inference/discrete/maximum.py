@@ -16,7 +16,7 @@ from pgm.compile import DynamicGraph
 from pgm.display import LEFT_OUT, Listing, Shown, Summary, few, titled
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence
-from pgm.evidence.discrete import BoundStates, bind_discrete
+from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
 from pgm.inference.chain.run import bind_chain
@@ -27,7 +27,7 @@ from pgm.inference.discrete.tree_passes import collect, enter
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.inference.executors import Workers
 from pgm.inference.limits import Room, require_runs
-from pgm.inference.markov.kinds import require_chain
+from pgm.inference.markov.chain import require_chain
 from pgm.inference.markov.path import most_probable_path
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.run import require_beliefs
@@ -61,17 +61,12 @@ class MostProbable(Shown, Immutable):
 
     Examples
     --------
-    >>> x, z = (pgm.Discrete(name, ("no", "yes")) for name in "xz")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.TableCPD(x, table=[0.5, 0.5])],
-    ...     transition=[pgm.TableCPD(x, given=x.previous, table=[[1.0, 0.0], [0.0, 1.0]])],
-    ...     observation=[pgm.TableCPD(z, given=x, table=[[0.75, 0.25], [0.25, 0.75]])],
-    ... )
-    >>> graph = pgm.compile(model, steps=2)
-    >>> found = pgm.most_probable(graph, {z: [1, 1]})
-    >>> found.assignment[x]
+    >>> from pgm.examples import rain, still, wet
+    >>> graph = pgm.compile(still, steps=2)
+    >>> found = pgm.most_probable(graph, {wet: [1, 1]})
+    >>> found.assignment[rain]
     array([1, 1, 1])
-    >>> found.states(x).tolist()
+    >>> found.states(rain).tolist()
     ['yes', 'yes', 'yes']
     """
 

@@ -8,8 +8,8 @@ from pgm.clustergraph import ClusterGraph
 from pgm.display import titled
 from pgm.errors import GraphError
 from pgm.evidence import Evidence
-from pgm.evidence.discrete import BoundStates, bind_discrete
-from pgm.inference.discrete.first_beliefs import FirstBeliefs
+from pgm.evidence.static import BoundStates, bind_discrete
+from pgm.inference.discrete.first_question import FirstBeliefs
 from pgm.inference.discrete.loopy_messages import LoopyBeliefs, TableMessages
 from pgm.inference.discrete.posterior import DiscretePosterior
 from pgm.inference.discrete.tree_beliefs import TreeBeliefs

@@ -16,14 +16,20 @@ from operator import or_
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.evidence.discrete import BoundStates
+from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States, discrete, sizes, without
 from pgm.inference.discrete.enumeration import Enumeration
 from pgm.inference.discrete.evidence import at_once
 from pgm.inference.discrete.place import LARGE, Place, positions, steps
-from pgm.inference.discrete.products import BlockProduct, GatheredProduct, Product
 from pgm.inference.discrete.storage import Storage, sepset_between
-from pgm.inference.discrete.sums import Marginals, Sum, summed
+from pgm.inference.discrete.sums import (
+    BlockProduct,
+    GatheredProduct,
+    Marginals,
+    Product,
+    Sum,
+    summed,
+)
 from pgm.inference.forest import Forest
 from pgm.inference.limits import require_size
 from pgm.kernels.arrays import Array, Integers

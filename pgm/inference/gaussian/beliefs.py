@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.inference.gaussian.layout import Layout
-from pgm.inference.gaussian.model import Model
-from pgm.inference.gaussian.prior import Frame
+from pgm.inference.gaussian.model import Frame, Model
 from pgm.inference.gaussian.rounds import Stack
 from pgm.kernels.arrays import Array, Integers, Mask
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.factors.scope import names
-from pgm.inference.gaussian.model import Model
+from pgm.inference.gaussian.model import Model, contradiction
 from pgm.inference.gaussian.potentials import Flat, make_potentials
-from pgm.inference.gaussian.refusals import contradiction
 from pgm.inference.gaussian.rounds import Rounds, Stack
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.rows import Eliminated, Rows, eliminate

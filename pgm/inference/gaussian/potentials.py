@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.inference.gaussian.beliefs import by_run
-from pgm.inference.gaussian.model import Model
-from pgm.inference.gaussian.refusals import indefinite_noise
+from pgm.inference.gaussian.model import Model, indefinite_noise
 from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, independent, transpose
 from pgm.kernels.rows import NEGLIGIBLE, largest_first

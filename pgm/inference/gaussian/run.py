@@ -12,12 +12,12 @@ from pgm.cpds import AffineCPD
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.arrays import as_rows, require_finite
-from pgm.evidence.continuous import BoundValues, bind_values
+from pgm.evidence.static import BoundValues, bind_values
 from pgm.inference.checks import require_gaussian, require_plain
 from pgm.inference.gaussian import careful
 from pgm.inference.gaussian.beliefs import Calibrated, TreePoint, relinearise
 from pgm.inference.gaussian.buffer import Buffer
-from pgm.inference.gaussian.certificate import SAFE_DIGITS, kept_digits
+from pgm.inference.gaussian.careful import SAFE_DIGITS, kept_digits
 from pgm.inference.gaussian.layout import Layout, barren, known_parents
 from pgm.inference.gaussian.messages import RowMessages
 from pgm.inference.gaussian.model import Model

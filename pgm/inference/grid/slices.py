@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, NoReturn
 
@@ -15,15 +16,13 @@ from pgm.factors.scope import listed
 from pgm.inference.checks import require_density
 from pgm.inference.grid.cut import TINY, Cut, Tails, bound, doubtful
 from pgm.inference.grid.densities import EVEN, Uneven
-from pgm.inference.grid.density_sensors import DensitySensor
 from pgm.inference.grid.dependence import Dependence
 from pgm.inference.grid.grouping import Kept, groups
 from pgm.inference.grid.groups import Members
 from pgm.inference.grid.lattice import Lattice, Window, spanned
 from pgm.inference.grid.measured import MeasuredSensor, Shape, Sharpness
 from pgm.inference.grid.motion import Motion
-from pgm.inference.grid.prior import start
-from pgm.inference.grid.sensors import GridSensor, likelihood
+from pgm.inference.grid.sensors import DensitySensor, GridSensor, likelihood
 from pgm.inference.runs import by_run
 from pgm.kernels.arrays import Array
 from pgm.kernels.lattice import Span
@@ -314,3 +313,15 @@ def active(lattice: Lattice, each: list[Array]) -> tuple[Window, list[float]]:
         round_ = axis.angle and span.length == axis.cells
         deviations.append(np.inf if round_ else math.sqrt(max(variance, 0.0)))
     return tuple(window), deviations
+
+
+def start(lattice: Lattice, groups: Sequence[Members], run: int) -> tuple[Array, Array, Uneven]:
+    """The probabilities at step 0; what the bounds leave out is missing from their sum.
+
+    With them the variance that the lattice has added along each axis, in cells, and the density
+    whose sums over centres are the least those of it.
+    """
+    nowhere = (Span(0, 1),) * len(lattice.axes)
+    made = Motion(lattice, list(groups)).at(0, run, nowhere)
+    found, added = made.forward(np.ones((1,) * len(lattice.axes)))
+    return lattice.put(found, made.target), added, made.uneven

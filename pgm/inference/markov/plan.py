@@ -17,8 +17,7 @@ from pgm.evidence import BoundEvidence
 from pgm.factors.axes import discrete, sizes
 from pgm.factors.runs import in_run
 from pgm.inference.markov.contraction import Contraction, Factor, Label, Move
-from pgm.inference.markov.functions import InputTables, smallest_entry
-from pgm.inference.markov.weights import Weights
+from pgm.inference.markov.weights import InputTables, Weights, smallest_entry
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.kernels.stochastic import Dense

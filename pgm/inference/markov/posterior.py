@@ -21,8 +21,7 @@ from pgm.inference.chain.marginals import located
 from pgm.inference.kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.limits import require_runs
 from pgm.inference.markov.chain import TINY, StateChain
-from pgm.inference.markov.joints import joint, pair, potential
-from pgm.inference.markov.marginals import Beliefs, StateMarginals
+from pgm.inference.markov.marginals import Beliefs, StateMarginals, joint, pair, potential
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.posterior import Posterior
 from pgm.inference.status import Status
@@ -51,28 +50,23 @@ class StatePosterior(Posterior):
 
     Examples
     --------
-    >>> x, z = (pgm.Discrete(name, ("no", "yes")) for name in "xz")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.TableCPD(x, table=[0.5, 0.5])],
-    ...     transition=[pgm.TableCPD(x, given=x.previous, table=[[1.0, 0.0], [0.0, 1.0]])],
-    ...     observation=[pgm.TableCPD(z, given=x, table=[[0.75, 0.25], [0.25, 0.75]])],
-    ... )
-    >>> posterior = pgm.filter(model, {z: [1, 1]})
-    >>> posterior[x].probabilities
+    >>> from pgm.examples import rain, still, wet
+    >>> posterior = pgm.filter(still, {wet: [1, 1]})
+    >>> posterior[rain].probabilities
     array([[0.5 , 0.5 ],
            [0.25, 0.75],
            [0.1 , 0.9 ]])
-    >>> posterior[x.at(2)]
-    Table(x[2]: no 0.1, yes 0.9)
-    >>> posterior.joint(x.at(0), x.at(1))
-    Table(x[0], x[1]) of (2, 2) states
-      x[0]  x[1]: no   yes
-      no        0.25     0
-      yes          0  0.75
+    >>> posterior[rain.at(2)]
+    Table(rain[2]: no 0.1, yes 0.9)
+    >>> posterior.joint(rain.at(0), rain.at(1))
+    Table(rain[0], rain[1]) of (2, 2) states
+      rain[0]  rain[1]: no   yes
+      no              0.25     0
+      yes                0  0.75
     >>> posterior.message(0, 1)
-    Table(x[0]: no 0.5, yes 0.5)
-    >>> posterior.belief(2).normalised().marginal(x.at(2))
-    Table(x[2]: no 0.1, yes 0.9)
+    Table(rain[0]: no 0.5, yes 0.5)
+    >>> posterior.belief(2).normalised().marginal(rain.at(2))
+    Table(rain[2]: no 0.1, yes 0.9)
     """
 
     graph: DynamicGraph

@@ -10,9 +10,8 @@ from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import BoundEvidence
 from pgm.inference.kind import FILTERED
-from pgm.inference.markov.chain import TINY, StateChain
+from pgm.inference.markov.chain import TINY, StateChain, kind_of, require_chain
 from pgm.inference.markov.direct import DirectChain
-from pgm.inference.markov.kinds import kind_of, require_chain
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.posterior import StatePosterior
 from pgm.inference.schedule import Schedule

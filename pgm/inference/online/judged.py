@@ -1,4 +1,4 @@
-"""What gates decided at an update of an online filter, and the test whether its belief is lost."""
+"""Decisions of gates at an update of an online filter; the test whether its belief is lost."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pgm.inference.chain.innovations import by_step
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.vector import vector
 from pgm.inference.lost import PageTest, Read
-from pgm.kernels import innovation
+from pgm.kernels import normal
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
 
@@ -62,7 +62,7 @@ def of_update(
     else:
         spread = np.einsum("ijr,jkr,lkr->ilr", matrix, cov, matrix, optimize=_PATH) + noise
         residual = np.broadcast_to(residual, (len(residual), *mean.shape[1:]))
-    nis = innovation.squares(residual[None], spread[None]).reshape(-1)
+    nis = normal.squares(residual[None], spread[None]).reshape(-1)
     dof = np.full(nis.shape, len(residual), dtype=np.intp)
     if missing is not None:
         dof -= np.asarray(missing, dtype=np.intp)

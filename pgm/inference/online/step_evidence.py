@@ -16,10 +16,10 @@ from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
 from pgm.evidence.arrays import as_rows
-from pgm.evidence.discrete import as_weights
 from pgm.evidence.rows import rows_of
+from pgm.evidence.static import as_weights
 from pgm.evidence.values import Soft, soft
-from pgm.factors.indices import as_indices
+from pgm.factors.axes import as_indices
 from pgm.immutable import set_writeable
 from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan

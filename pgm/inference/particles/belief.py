@@ -18,7 +18,7 @@ from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.inference.components import places_of, whole_variables
 from pgm.inference.particles.cloud import Cloud
-from pgm.inference.particles.parts import Part
+from pgm.inference.particles.model import Part
 from pgm.inference.summaries import moments_of, spread
 from pgm.kernels.angles import TURN, wrap
 from pgm.kernels.arrays import Array, Integers

@@ -1,4 +1,4 @@
-"""The particles of all runs at one step."""
+"""The particles of all runs at one step, and the streams of random numbers that draw them."""
 
 from __future__ import annotations
 
@@ -141,3 +141,13 @@ def blocks(starts: Integers) -> Iterator[Block]:
 def uniform(counts: Integers) -> Array:
     """The log-weights of particles that all weigh the same in their run."""
     return np.repeat(-np.log(counts), counts)
+
+
+# The purposes of streams, which are independent of each other.
+FORWARD, RESTARTED, BACKWARD, STARTED, INJECTED = range(5)
+
+
+def stream(seed: int, run: int, step: int, purpose: int = FORWARD) -> np.random.Generator:
+    """The generator of a run's draws at a step."""
+    key = np.random.SeedSequence(seed, spawn_key=(run, step, purpose))
+    return np.random.Generator(np.random.SFC64(key))

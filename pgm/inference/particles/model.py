@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,9 +14,9 @@ from pgm.cpds.unidentified import UnidentifiedCPD
 from pgm.cpds.values import Known
 from pgm.errors import EvidenceError, LinearisationError
 from pgm.evidence import BoundEvidence, Reading
+from pgm.factors.scope import distinct_labels
 from pgm.inference.particles.laws import GaussianLaw, Law, Some, by_pattern
 from pgm.inference.particles.mixed import law
-from pgm.inference.particles.parts import Part, parts
 from pgm.inference.runs import by_run
 from pgm.kernels.arrays import Array, Mask
 from pgm.networks import DynamicBayesianNetwork
@@ -210,3 +210,38 @@ class Sensor:
             step=some.step,
             run=run,
         )
+
+
+class Part(NamedTuple):
+    """One component of a belief.
+
+    Attributes
+    ----------
+    variable : Variable
+    component : int
+        Its place in the variable.
+    label : str
+        The name of the component, with that of the variable where they share it.
+    row : int
+        Of the states of a cloud.
+    """
+
+    variable: Variable
+    component: int
+    label: str
+    row: int
+
+    @property
+    def angle(self) -> bool:
+        """Whether it is an angle."""
+        return bool(self.variable.angle_mask[self.component])
+
+
+def parts(places: Sequence[tuple[Variable, int]]) -> list[Part]:
+    """The components of variables whose first rows are given, with a name for each."""
+    label = iter(distinct_labels(variable for variable, _ in places))
+    return [
+        Part(variable, k, next(label), first + k)
+        for variable, first in places
+        for k in range(variable.dimension)
+    ]

@@ -22,8 +22,7 @@ from pgm.inference.labelled import Labelled
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.laws import Some
-from pgm.inference.particles.model import ParticleModel, Sensor
-from pgm.inference.particles.parts import parts
+from pgm.inference.particles.model import ParticleModel, Sensor, parts
 from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.particles.value import Particles
 from pgm.inference.posterior import Viewed, require_variable

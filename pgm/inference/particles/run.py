@@ -9,14 +9,14 @@ from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference import sweep
 from pgm.inference.kind import FILTERED, Kind
-from pgm.inference.markov.kinds import kind_of, require_chain
+from pgm.inference.markov.chain import kind_of, require_chain
 from pgm.inference.particles.backward import Backward
 from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
 from pgm.inference.particles.guided import require_guidable
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.posterior import ParticlePosterior
-from pgm.inference.particles.record import Record
+from pgm.inference.particles.status import Record
 from pgm.inference.particles.value import Particles
 from pgm.inference.schedule import Schedule
 from pgm.networks import DynamicBayesianNetwork

@@ -13,8 +13,7 @@ from pgm.immutable import Immutable
 from pgm.inference.checks import require_lineariser
 from pgm.inference.particles.cells import CellProposal
 from pgm.inference.particles.injection import Injection
-from pgm.inference.particles.likely import LikelihoodSampling
-from pgm.inference.particles.number import KLDSampling
+from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
 from pgm.kernels.resampling import RESAMPLERS
 from pgm.linearisers import Lineariser
 

@@ -4,8 +4,8 @@ The files, in the order of the computation:
 
 - ``requisite``: the CPDs and the evidence that bear on what is asked;
 - ``plan``: in which order the other variables are summed out, and what it costs;
-- ``elimination``: products and sums of tables in that order;
-- ``impossible``: evidence of probability zero, and where it contradicts the tables;
+- ``elimination``: products and sums of tables in that order; evidence of probability zero, and
+  where it contradicts the tables;
 - ``question``: `pgm.query`.
 """
 

@@ -1,4 +1,4 @@
-"""Summing the variables of a query out, for many runs at once."""
+"""Summing the variables of a query out, for many runs at once; impossible evidence is refused."""
 
 from __future__ import annotations
 
@@ -7,8 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from pgm.cpds import TableCPD
-from pgm.evidence.discrete import BoundStates
-from pgm.inference.discrete.evidence import one_hot
+from pgm.errors import EvidenceError
+from pgm.evidence.static import BoundStates
+from pgm.factors.axes import States
+from pgm.factors.runs import in_run
+from pgm.factors.scope import listed, names
+from pgm.inference.discrete.evidence import one_hot, some_runs
+from pgm.inference.discrete.impossible import ADVICE
 from pgm.inference.query.plan import EliminationPlan, Step
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
@@ -129,3 +134,47 @@ class Tables:
         members = set(own)
         shape = [self._sizes[k] if k in members else 1 for k in scope]
         return table.reshape((*shape, table.shape[-1]))
+
+
+def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
+    """Refuse evidence of probability zero, where probabilities (sizes..., runs or 1) are NaN.
+
+    Raises
+    ------
+    EvidenceError
+        Naming the first run, and the variables whose evidence has no common states.
+    """
+    lost = np.isnan(probabilities).any(axis=tuple(range(probabilities.ndim - 1)))
+    if not lost.any():
+        return
+    first = int(lost.argmax())
+    involved, scope = _contradiction(plan, first)
+    where = in_run(lost.reshape(plan.requisite.evidence.lead))
+    raise EvidenceError(
+        f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
+        f"for all states of ({listed(scope)}) are impossible given it. {ADVICE}",
+        variable=involved[0],
+    )
+
+
+def _contradiction(plan: EliminationPlan, run: int) -> tuple[list[Discrete], States]:
+    """The evidence that the first product of zeros is made of, and that product's variables."""
+    evidence = some_runs(plan.requisite.evidence, slice(run, run + 1))
+    tables = Tables(plan, evidence, LOG_SUM_PRODUCT)
+    first, cpds = len(plan.scopes), plan.requisite.cpds
+    for lost, step in enumerate(plan.steps, first):  # noqa: B007, used after the loop
+        tables.do(step)
+        if (tables.last == -np.inf).all():
+            break
+    waiting, members = [lost], set[Discrete]()
+    while waiting:
+        factor = waiting.pop()
+        if factor >= first:
+            waiting += plan.steps[factor - first].factors
+        elif factor < len(cpds):
+            members.update((*cpds[factor].given, cpds[factor].child))
+        else:
+            members.add(plan.weighted[factor - len(cpds)])
+    shown = [v for v, s in evidence.states.items() if np.min(s) >= 0 and v in members]
+    soft = [v for v in evidence.weights if v in members]
+    return shown + soft, tuple(plan.order[k] for k in step.scope)

@@ -16,16 +16,14 @@ from pgm.compile import DynamicGraph
 from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
-from pgm.evidence.discrete import BoundStates, bind_discrete
+from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors import Table
 from pgm.factors.axes import States, as_states, sizes
-from pgm.factors.scope import names
-from pgm.factors.unknown_names import unknown_name
+from pgm.factors.scope import names, unknown_name
 from pgm.inference import limits
 from pgm.inference.discrete.evidence import pieces
 from pgm.inference.discrete.run import of_tree
-from pgm.inference.query.elimination import eliminate
-from pgm.inference.query.impossible import require_possible
+from pgm.inference.query.elimination import eliminate, require_possible
 from pgm.inference.query.plan import EliminationPlan
 from pgm.inference.query.requisite import Requisite, certain
 from pgm.kernels.arrays import Array

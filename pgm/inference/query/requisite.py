@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 from pgm.cpds import TableCPD
-from pgm.evidence.discrete import BoundStates
+from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States, discrete
 from pgm.networks import BayesianNetwork
 from pgm.variables import Discrete, Variable

@@ -12,9 +12,8 @@ import numpy as np
 
 from pgm.clustergraph.checks import Edge
 from pgm.plot.diagrams.canvas import Size
-from pgm.plot.diagrams.folding import folded, gaps
 from pgm.plot.diagrams.layered import layered, rooted
-from pgm.plot.diagrams.layout import GAP, PAGE, Layout, Node, best, packed
+from pgm.plot.diagrams.layout import GAP, PAGE, Layout, Node, best, folded, gaps, packed
 
 # Another way to draw a graph must be better by this factor to be taken.
 _BETTER = 1.1

@@ -32,8 +32,7 @@ from pgm.plot.diagrams.canvas import (
     text_size,
 )
 from pgm.plot.diagrams.contents import contents, joined, links, shown
-from pgm.plot.diagrams.layout import GAP, Layout, Node
-from pgm.plot.diagrams.segments import distances
+from pgm.plot.diagrams.layout import GAP, Layout, Node, distances
 from pgm.plot.diagrams.shading import Shading, by_residual, by_size
 
 _MOST = 1000

@@ -10,14 +10,14 @@ import numpy as np
 from pgm.boundary import is_whole
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.checks import Edge
-from pgm.clustergraph.size import amount, is_discrete, size
+from pgm.clustergraph.cluster import amount, is_discrete, size
 from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence, bind
 from pgm.factors.scope import Scope
-from pgm.plot.diagrams.graphs import last
 from pgm.plot.diagrams.labels import cluster_label, scope_label
 from pgm.plot.diagrams.layout import Node
+from pgm.plot.diagrams.networks import last
 from pgm.variables import Variable
 
 # How many variables a cluster names, in graphs of up to so many clusters.

@@ -1,20 +1,20 @@
-"""The places of the nodes of a directed acyclic graph: in layers, parents before children."""
+"""The places of the nodes of a directed acyclic graph, in layers, and the lines of its arrows."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import networkx as nx
 import numpy as np
 
 from pgm.kernels.arrays import Array
 from pgm.plot.diagrams.canvas import Size
-from pgm.plot.diagrams.curves import lines
-from pgm.plot.diagrams.folding import folded, gaps
 from pgm.plot.diagrams.layering import Layers, along, layers, ordered, ranks
-from pgm.plot.diagrams.layout import GAP, Layout, Node, best, packed
+from pgm.plot.diagrams.layout import GAP, Layout, Node, best, folded, gaps, packed
 
 # Between layers that shallow lines join there is more room, up to this.
 _STEEPNESS = 0.14
@@ -143,3 +143,122 @@ def _place(
         {arrow: turned(curve) for arrow, curve in zip(parts.routes, curves, strict=True)},
         crossings,
     )
+
+
+# How near a line may come to a node, in points, and how far from its places in other layers.
+_CLEAR = 4.5
+_STRAY = 12.0
+_STEP = 3.0
+# How far from the middle of a node's border a bent line may leave it, as a part of its half-axis.
+_PORT = 0.7
+_MANY = 8
+# How far from a corner a rounded line leaves its straight pieces.
+_CORNER = 7.0
+
+
+def lines(
+    routes: Sequence[Sequence[int]], nodes: int, at: Array, half: Array, band: Array
+) -> list[Array]:
+    """The lines (P, 2) of arrows, from border to border, none of which runs over a node.
+
+    An arrow is straight if that is clear and passes the layers near its places there; else it
+    leaves a layer and enters the next square to them, so that it keeps to the gaps between. At
+    a node with many arrows all are bent if one is: they then do not cross.
+
+    Parameters
+    ----------
+    routes : sequence of sequence of int
+        The numbers of parent, places, and child of each.
+    nodes : int
+        Numbers below are nodes.
+    at, half : ndarray
+        (n, 2): centres and half-axes, along the layers and down.
+    band : ndarray
+        (n,): half the depth of the layer of each.
+    """
+    straight = [_straight(route, at[:nodes], half[:nodes], at) for route in routes]
+    count = Counter(end for route in routes for end in (route[0], route[-1]))
+    bent = {
+        end
+        for route, curve in zip(routes, straight, strict=True)
+        for end in (route[0], route[-1])
+        if curve is None and count[end] > _MANY
+    }
+    result = []
+    for route, curve in zip(routes, straight, strict=True):
+        ends = [route[0], route[-1]]
+        if curve is None or not bent.isdisjoint(ends):
+            curve = _bent(route, at, half, band)
+        result.append(clipped(curve, at[ends], half[ends]))
+    return result
+
+
+def _straight(route: Sequence[int], nodes: Array, half: Array, at: Array) -> Array | None:
+    start, end = route[0], route[-1]
+    whole = at[end] - at[start]
+    part = (at[list(route), 1] - at[start, 1]) / whole[1]
+    if np.abs(at[list(route), 0] - at[start, 0] - part * whole[0]).max() > _STRAY:
+        return None
+    t = np.linspace(0.0, 1.0, 3 + int(np.linalg.norm(whole) / _STEP))[:, None]
+    curve: Array = at[start] + t * whole
+    return curve if clear(curve, nodes, half, (start, end)) else None
+
+
+def clear(curve: Array, at: Array, half: Array, ends: tuple[int, int]) -> bool:
+    """Whether a line (P, 2) keeps its distance from all nodes (n, 2) but its ends."""
+    reach = half + _CLEAR
+    near = ((at + reach > curve.min(axis=0)) & (at - reach < curve.max(axis=0))).all(axis=-1)
+    near[list(ends)] = False
+    # The third power bulges towards the corners, since some nodes are rectangles.
+    offset = (curve[:, None] - at[near]) / reach[near]
+    return bool(((np.abs(offset) ** 3).sum(axis=-1) > 1.0).all())
+
+
+def rounded(corners: Array) -> Array:
+    """A line (P, 2) along straight pieces, its corners rounded."""
+    pieces = [corners[:1]]
+    t = np.linspace(0.0, 1.0, 6)[:, None]
+    for before, here, after in zip(corners, corners[1:], corners[2:], strict=False):
+        legs = np.array([before, after]) - here
+        lengths = np.linalg.norm(legs, axis=-1, keepdims=True)
+        start, end = here + legs * np.minimum(_CORNER / np.maximum(lengths, 1e-9), 0.5)
+        pieces.append((1.0 - t) ** 2 * start + 2.0 * t * (1.0 - t) * here + t * t * end)
+    return np.concatenate([*pieces, corners[-1:]])
+
+
+def _bent(route: Sequence[int], at: Array, half: Array, band: Array) -> Array:
+    """Square to the layers inside them, and Bézier's cubic from one to the next."""
+    pieces: list[Array] = []
+    for i, j in pairwise(route):
+        begin = at[i] + _exit(at[j, 0] - at[i, 0], half[i])
+        end = at[j] + _exit(at[i, 0] - at[j, 0], half[j]) * (1.0, -1.0)
+        leave, enter = np.array([begin[0], at[i, 1] + band[i]]), [end[0], at[j, 1] - band[j]]
+        t = np.linspace(0.0, 1.0, 3 + int(np.abs(enter - leave).sum() / _STEP))
+        ease = np.stack([t * t * (3.0 - 2.0 * t), 1.5 * t * (1.0 - t) + t**3], axis=-1)
+        pieces += [begin[None], leave + ease * (enter - leave), end[None]]
+    return np.concatenate(pieces)
+
+
+def _exit(sideways: float, half: Array) -> Array:
+    """From the centre of a node, or of a place in a layer, to its border below, a bit sideways."""
+    if not half[1]:
+        return half
+    x = float(np.clip(0.15 * sideways, -_PORT * half[0], _PORT * half[0]))
+    return np.array([x, half[1] * np.sqrt(1.0 - (x / half[0]) ** 2)])
+
+
+def clipped(curve: Array, at: Array, half: Array) -> Array:
+    """The part of a line (P, 2) between two ellipses, (2, 2) each, from border to border."""
+    for centre, axes in zip(at, half, strict=True):
+        scaled = (curve - centre) / axes
+        outside = np.flatnonzero((scaled * scaled).sum(axis=-1) > 1.0 + 1e-9)
+        if outside.size and outside[0] > 0:
+            k = int(outside[0])
+            a, b = scaled[k - 1], scaled[k] - scaled[k - 1]
+            # |a + t b| = 1 on the piece that leaves.
+            aa, ab, bb = a @ a - 1.0, a @ b, b @ b
+            t = (-ab + np.sqrt(max(ab * ab - aa * bb, 0.0))) / bb
+            border = curve[k - 1] + np.clip(t, 0.0, 1.0) * (curve[k] - curve[k - 1])
+            curve = np.concatenate([border[None], curve[k:]])
+        curve = curve[::-1]
+    return curve

@@ -14,8 +14,7 @@ from pgm.errors import ModelError
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.plot.diagrams.canvas import Canvas
-from pgm.plot.diagrams.graphs import directed, in_slices, named
-from pgm.plot.diagrams.networks import Edge, draw_graph
+from pgm.plot.diagrams.networks import Edge, directed, draw_graph, in_slices, named
 from pgm.variables import Variable
 
 _DASHES = (0.0, (4.0, 3.0))

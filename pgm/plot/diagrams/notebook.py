@@ -18,8 +18,7 @@ from pgm.compile import DynamicGraph
 from pgm.errors import PgmError
 from pgm.networks import BayesianNetwork
 from pgm.plot.diagrams.clusters import cluster_graph
-from pgm.plot.diagrams.graphs import Network
-from pgm.plot.diagrams.networks import network
+from pgm.plot.diagrams.networks import Network, network
 
 # The most variables, and clusters, of a picture that is legible on a page.
 VARIABLES, CLUSTERS = 60, 40

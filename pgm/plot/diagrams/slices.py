@@ -11,10 +11,8 @@ import numpy as np
 
 from pgm.kernels.arrays import Array
 from pgm.plot.diagrams.canvas import Box, Size
-from pgm.plot.diagrams.curves import clear, clipped, rounded
-from pgm.plot.diagrams.folding import folded
-from pgm.plot.diagrams.layered import in_layers
-from pgm.plot.diagrams.layout import Layout, Node
+from pgm.plot.diagrams.layered import clear, clipped, in_layers, rounded
+from pgm.plot.diagrams.layout import Layout, Node, folded
 from pgm.variables import Variable
 
 # A row of more nodes than this, or than makes a slice about square, goes on in the next.

@@ -1,20 +1,134 @@
-"""Moving pictures as files, written whole or not at all."""
+"""Moving pictures as files, written whole or not at all; GIFs with one palette for all pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter
+from matplotlib.artist import Artist
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from PIL import Image
 
 from pgm.boundary import is_number
 from pgm.errors import ModelError
 from pgm.io.whole import whole
-from pgm.plot.moving.gif import GifWriter
+from pgm.plot.colours import INK, MUTED
+from pgm.plot.colours import PALETTE as COLOURS
+
+_COLOURS = 256
+# Colours chosen for the first picture; the others are free for colours that later pictures bring.
+_FIRST = 128
+# A new colour of so many pixels, so far from all of the palette in one channel, enters it while
+# there is room; those of fewer are the blurred borders of shapes.
+_OFTEN, _FAR = 8, 5
+# The colours of lines are kept as they are, however thin the first lines are.
+_LINES = np.array([to_rgb(c) for c in ("white", "black", INK, MUTED, *COLOURS)]) * 255.0
+# Red, green and blue of a pixel that is read as one number.
+_SHIFTS = np.array([0, 8, 16], dtype=np.uint32)
+_OPAQUE = 0xFFFFFF
+
+
+class Palette:
+    """Up to 256 colours, and which of them is nearest to each colour that was met.
+
+    Parameters
+    ----------
+    first : PIL.Image.Image
+        The picture, in RGB, for which the first colours are chosen.
+    """
+
+    def __init__(self, first: Image.Image) -> None:
+        cut = first.quantize(_FIRST, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+        chosen = np.array(cut.getpalette(), dtype=np.int16).reshape(-1, 3)[:_FIRST]
+        self._colours = np.concatenate([np.rint(_LINES).astype(np.int16), chosen])
+        self._nearest = np.full(1 << 24, -1, dtype=np.int16)
+
+    @property
+    def flat(self) -> list[int]:
+        """All channels after one another."""
+        values: list[int] = self._colours.reshape(-1).tolist()
+        return values
+
+    def indices(self, pixels: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint8]:
+        """The index of the colour of each pixel, which is a number of four bytes, RGBA."""
+        codes = pixels & _OPAQUE
+        found = self._nearest[codes]
+        if (unmet := found < 0).any():
+            self._meet(*np.unique(codes[unmet], return_counts=True))
+            found = self._nearest[codes]
+        indices: npt.NDArray[np.uint8] = found.astype(np.uint8)
+        return indices
+
+    def _meet(self, codes: npt.NDArray[np.uint32], counts: npt.NDArray[np.intp]) -> None:
+        """Take in the colours of some codes, which are met for the first time."""
+        new = (codes[:, None] >> _SHIFTS & 255).astype(np.int16)
+        often = new[counts >= _OFTEN]
+        while len(often) and len(self._colours) < _COLOURS:
+            away = _apart(often, self._colours).min(axis=1)
+            if away.max() < _FAR:
+                break
+            self._colours = np.concatenate([self._colours, often[away.argmax()][None]])
+        self._nearest[codes] = _apart(new, self._colours).argmin(axis=1)
+
+
+def _apart(a: npt.NDArray[np.int16], b: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:
+    """The distances of colours, that of the channel in which they differ most."""
+    found: npt.NDArray[np.int16] = np.abs(a[:, None] - b).max(axis=-1)
+    return found
+
+
+class GifWriter(AbstractMovieWriter):
+    """A GIF that keeps an index a pixel, of a palette that all pictures share.
+
+    A part that stays as it is from picture to picture is then written once. Matplotlib's own writer
+    keeps four channels of all pictures until the end, and chooses the colours of each apart.
+    """
+
+    @classmethod
+    def isAvailable(cls) -> bool:
+        """Whether it can write: always."""
+        return True
+
+    def setup(self, fig: Figure, outfile: str | PathLike[str], dpi: float | None = None) -> None:
+        """Begin a file."""
+        super().setup(fig, Path(outfile), dpi)
+        self._palette: Palette | None = None
+        self._pictures: list[Image.Image] = []
+
+    def grab_frame(self, **savefig_kwargs: Any) -> None:
+        """Take the figure as it is now."""
+        drawn = BytesIO()
+        self.fig.savefig(drawn, **savefig_kwargs, format="rgba", dpi=self.dpi)
+        width, height = self.frame_size
+        pixels = np.frombuffer(drawn.getbuffer(), "<u4").reshape(height, width)
+        if self._palette is None:
+            whole = Image.frombytes("RGBA", (width, height), drawn.getvalue())
+            self._palette = Palette(whole.convert("RGB"))
+        self._pictures.append(Image.fromarray(self._palette.indices(pixels)))
+
+    def finish(self) -> None:
+        """Write the pictures; the film begins again at its end."""
+        if self._palette is None:
+            return
+        for picture in self._pictures:
+            picture.putpalette(self._palette.flat)
+        first, *others = self._pictures
+        first.save(
+            self.outfile,
+            save_all=True,
+            append_images=others,
+            duration=round(1000 / self.fps),
+            loop=0,
+        )
+
 
 _WRITERS: dict[str, Any] = {".gif": GifWriter, ".mp4": FFMpegWriter}
 
@@ -82,3 +196,48 @@ def write_movie(
             draw(k)
             writer.grab_frame()
     return target
+
+
+class BlittedCanvas(FigureCanvasAgg):
+    """The canvas of a figure most of which stays as it is from picture to picture.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    changing : sequence of Artist
+        Drawn in each picture, in this order; the rest is drawn once.
+    """
+
+    def __init__(self, figure: Figure, changing: Sequence[Artist] = ()) -> None:
+        super().__init__(figure)
+        self._changing = changing
+        self._kept: Any = None
+        self._size = (0, 0)
+
+    def draw(self) -> None:
+        """Draw the picture: the first time all of it, later what changes."""
+        size = self.get_width_height()  # which a writer may change to even numbers
+        if self._kept is None or self._size != size:
+            self._keep_rest()
+            self._size = size
+        canvas: Any = self  # whose methods have no types in matplotlib
+        canvas.restore_region(self._kept)
+        for artist in self._changing:
+            axes: Any = artist.axes
+            axes.draw_artist(artist)
+
+    def _keep_rest(self) -> None:
+        visible = [artist.get_visible() for artist in self._changing]
+        for artist in self._changing:
+            artist.set_visible(False)
+        canvas: Any = super()
+        canvas.draw()
+        self._kept = canvas.copy_from_bbox(self.figure.bbox)
+        for artist, shown in zip(self._changing, visible, strict=True):
+            artist.set_visible(shown)
+
+    def print_rgba(self, filename_or_obj: Any, **_: Any) -> None:
+        """Write the picture as writers of movies read it."""
+        canvas: Any = self
+        canvas.draw()
+        filename_or_obj.write(canvas.buffer_rgba())

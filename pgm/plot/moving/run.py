@@ -23,12 +23,10 @@ from pgm.inference import ChainPosterior, ParticlePosterior
 from pgm.inference.kind import SMOOTHED
 from pgm.kernels.arrays import Array
 from pgm.plot.axes import Unit
-from pgm.plot.beliefs.plane import name_plane
-from pgm.plot.beliefs.point_plane import as_landmarks
+from pgm.plot.beliefs.plane import as_landmarks, name_plane
 from pgm.plot.components import as_gaussian, component_places, one_run, truth_columns
-from pgm.plot.moving.blitting import BlittedCanvas
 from pgm.plot.moving.chain import Chain
-from pgm.plot.moving.movies import movie_writer, write_movie
+from pgm.plot.moving.movies import BlittedCanvas, movie_writer, write_movie
 from pgm.plot.moving.passes import frames
 from pgm.plot.moving.paths import FILTERED, REVISED, Paths
 from pgm.variables import Variable

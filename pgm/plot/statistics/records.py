@@ -59,12 +59,8 @@ def convergence(
 
     Examples
     --------
-    >>> x, z = pgm.variables("x z")
-    >>> prior = [pgm.GaussianCPD(x, 0.0, 1.0)]
-    >>> walk = [pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1.0)]
-    >>> seen = [pgm.NonlinearGaussianCPD(z, given=x, function=np.sin, cov=2.0)]
-    >>> model = pgm.DynamicBayesianNetwork(prior, walk, seen)
-    >>> smoothed = pgm.smooth(model, {z: [[0.5], [0.2]]}, iterations=3)
+    >>> from pgm.examples import squares, z
+    >>> smoothed = pgm.smooth(squares, {z: [[9.0]]}, iterations=5)
     >>> ax = pgm.plot.convergence(smoothed.status, tolerance=1e-6)
     """
     if not isinstance(status, Status):

@@ -9,7 +9,7 @@ import numpy as np
 
 from pgm.errors import EvidenceError
 from pgm.io.sources import Origin
-from pgm.kernels import quaternions, twists
+from pgm.kernels import planar, quaternions
 from pgm.kernels.arrays import Array
 from pgm.recordings import mending
 from pgm.recordings.dropped import Dropped
@@ -55,7 +55,7 @@ def _increments(stamps: Array, poses: Array) -> Read:
     if not len(stamps):
         return None, []
     stream, told = mending.ordered("odometry", Stream(stamps, poses, POSE))
-    found = twists.between(stream.values)
+    found = planar.between(stream.values)
     return Stream(stream.stamps[1:], found, PLANAR, begin=stream.stamps[0]), told
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import pgm
-from pgm.inference.audit import excursions, tails
+from pgm.inference.audit import proposal
 from pgm.inference.audit.chain import ChainDraws
-from pgm.inference.audit.excursions import AFTER, BEFORE, PREDICTION, TAILS, Excursions
+from pgm.inference.audit.draws import AFTER, BEFORE, END, PREDICTION, TAILS, Excursions
 
 a, z = pgm.variables("a z")
 
@@ -19,9 +19,9 @@ def every(slices, predicted):
             begin = 0.5 if first == 0 else 0.5 / (slices - 1)
         for last in range(first, slices):
             length = last - first
-            chance = begin * (1 - excursions.END) ** length
+            chance = begin * (1 - END) ** length
             if last < slices - 1:
-                chance *= excursions.END
+                chance *= END
             for kind, part in ((PREDICTION, predicted), (TAILS, 1 - predicted)):
                 stages = [BEFORE] * first + [kind] * (length + 1)
                 yield chance * part, tuple(stages + [AFTER] * (slices - last - 1))
@@ -66,7 +66,7 @@ def test_what_is_far_away_keeps_its_logarithm():
     for k in range(2):
         gaussian, model = np.full((1, 1), -1e8), np.full((1, 1), -3.0)
         density = law.extend(k, density, gaussian, model, np.full((1, 1), 10.0))
-    staying = 0.5 * law.predicted * (1 - excursions.END)
+    staying = 0.5 * law.predicted * (1 - END)
     np.testing.assert_allclose(density.log(), np.log(staying) - 6.0)
 
 
@@ -75,9 +75,9 @@ def test_students_tails_are_those_of_scipy():
 
     white = np.random.default_rng(0).normal(size=(1, 50, 3)) * 4.0
     squared = (white**2).sum(-1)
-    due = multivariate_t(shape=np.eye(3), df=tails.FREEDOM).logpdf(white[0])
+    due = multivariate_t(shape=np.eye(3), df=proposal.FREEDOM).logpdf(white[0])
     due = due - multivariate_normal(np.zeros(3)).logpdf(white[0])
-    np.testing.assert_allclose(tails.log_ratio(np.array([[3]]), squared)[0], due, rtol=1e-10)
+    np.testing.assert_allclose(proposal.log_ratio(np.array([[3]]), squared)[0], due, rtol=1e-10)
 
 
 def chain(steps):

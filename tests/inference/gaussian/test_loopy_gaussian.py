@@ -21,7 +21,7 @@ from gaussian.loops import (
 )
 
 import pgm
-from pgm.evidence.continuous import bind_values
+from pgm.evidence.static import bind_values
 from pgm.inference.gaussian.layout import Layout
 from pgm.inference.gaussian.model import Model
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pgm
-from pgm.evidence.discrete import bind_discrete
+from pgm.evidence.static import bind_discrete
 from pgm.inference.query.plan import EliminationPlan
 from pgm.inference.query.requisite import Requisite
 

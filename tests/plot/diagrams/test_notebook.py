@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 import pgm
-from pgm.display import drawn
+from pgm.display import shown as showing
 from pgm.plot.diagrams import notebook
 
 NAMESPACE = "{http://www.w3.org/2000/svg}"
@@ -77,7 +77,7 @@ def test_without_matplotlib_there_is_text(monkeypatch):
     def missing(name):
         raise ImportError(name, name="matplotlib.pyplot")
 
-    monkeypatch.setattr(drawn, "import_module", missing)
+    monkeypatch.setattr(showing, "import_module", missing)
     html = static()._repr_html_()
     assert "<svg" not in html
     assert "BayesianNetwork(p(v0)" in html

@@ -17,8 +17,8 @@ import pgm.plot
 from pgm import ModelError
 from pgm.inference import Kind
 from pgm.plot.diagrams.canvas import LEGIBLE
-from pgm.plot.moving.blitting import BlittedCanvas
 from pgm.plot.moving.chain import Chain
+from pgm.plot.moving.movies import BlittedCanvas
 from pgm.plot.moving.passes import Frame, frames
 from pgm.plot.moving.paths import FILTERED, REVISED, Paths
 from tests.plot.diagrams.zoo import hub

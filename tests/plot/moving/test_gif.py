@@ -5,8 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pgm.plot.moving.gif import GifWriter, Palette
-from pgm.plot.moving.movies import movie_writer, write_movie
+from pgm.plot.moving.movies import GifWriter, Palette, movie_writer, write_movie
 
 
 def pixels(colours):
