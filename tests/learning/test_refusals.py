@@ -119,3 +119,12 @@ def test_robust_noise():
     sight = pgm.LinearGaussianCPD(Z, {X: 1.0}, cov=1.0, noise=pgm.StudentT(4.0))
     with pytest.raises(pgm.ModelError, match="has robust noise"):
         pgm.fit(model().replace(observation=[sight]), READINGS, learn={Z: Covariance()})
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_evidence_that_is_no_mapping(many):
+    log = pgm.timeline(sensors={Z: pgm.stamped([0.0, 1.0], [1.0, 2.0])})
+    with pytest.raises(
+        pgm.EvidenceError, match=r"found Timeline, which is none; its \.evidence is"
+    ):
+        pgm.fit(model(), [READINGS, log] if many else log, learn={Z: Covariance()})
