@@ -131,12 +131,11 @@ FINDINGS = {
     ),
     "calibration": Finding(
         "Does a recording tell how its own sensor is off?",
-        "From ranges as {settings/data/0} has them and a noise of {settings/sensor_std:g} m, both "
-        "learnt without the truth, their scale comes to {results/*/parameter/end/scale:.4f} "
-        "(fitted with the truth {results/*/fitted/scale:.4f}), their offset to "
-        "{results/*/parameter/end/offset:.3f} m ({results/*/fitted/offset:.3f} m), their noise to "
-        "{results/*/parameter/end/range:.3f} m (about the truth {results/*/fitted/residual:.3f} "
-        "m); the smoother's error goes from {results/*/parameter/start/smoother:.2f} m to "
+        "Learnt from {settings/data/0} without the truth, the scale of its ranges comes to "
+        "{results/*/parameter/end/scale:.4f} (fitted with the truth {results/*/fitted/scale:.4f}), "
+        "their offset to {results/*/parameter/end/offset:.3f} m ({results/*/fitted/offset:.3f} m), "
+        "their noise to {results/*/parameter/end/range:.3f} m (about the truth "
+        "{results/*/fitted/residual:.3f} m); the smoother's error goes from {results/*/parameter/start/smoother:.2f} m to "
         "{results/*/parameter/end/smoother:.3f} m.",
     ),
     "learning": Finding(
