@@ -135,8 +135,8 @@ FINDINGS = {
         "{results/*/parameter/end/scale:.4f} (fitted with the truth {results/*/fitted/scale:.4f}), "
         "their offset to {results/*/parameter/end/offset:.3f} m ({results/*/fitted/offset:.3f} m), "
         "their noise to {results/*/parameter/end/range:.3f} m (about the truth "
-        "{results/*/fitted/residual:.3f} m); the smoother's error goes from {results/*/parameter/start/smoother:.2f} m to "
-        "{results/*/parameter/end/smoother:.3f} m.",
+        "{results/*/fitted/residual:.3f} m); the smoother's error goes from "
+        "{results/*/parameter/start/smoother:.2f} m to {results/*/parameter/end/smoother:.3f} m.",
     ),
     "learning": Finding(
         "Can noise be learnt from the readings alone?",
