@@ -50,12 +50,8 @@ _EXERCISE = replace(
 )
 CASES = {
     "plaza2": Case(_wide("plaza2", 15.0, 15.0, 0.05), 10.0, None, "15 m"),
-    "labyrinth": Case(
-        _wide("labyrinth", 1.0, 1.0, 1.0),
-        10.0,
-        pgm.Grid({"east": (-4.0, 7.0, 220), "north": (-4.0, 7.0, 220), "heading": 72}),
-        "1 m and 1 rad",
-    ),
+    # Its motion turns by hundredths of a radian, for which a grid of all headings has no cells.
+    "labyrinth": Case(_wide("labyrinth", 1.0, 1.0, 1.0), 10.0, None, "1 m and 1 rad"),
     "freiburg": Case(
         _EXERCISE,
         330.0,

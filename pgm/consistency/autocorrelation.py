@@ -70,7 +70,7 @@ class Whiteness(Shown):
 
     @property
     def probability(self) -> float:
-        """That white innovations have a larger statistic."""
+        """The probability that white innovations have a larger statistic."""
         return float(gammaincc(0.5 * self.dof, 0.5 * self.statistic))
 
 

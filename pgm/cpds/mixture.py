@@ -182,7 +182,7 @@ def _of(part: CPD, known: Known) -> Known:
 
 
 def chosen(weights: Array, shape: tuple[int, ...], rng: np.random.Generator) -> Integers:
-    """Which CPD of a mixture holds, for each of some draws."""
+    """The CPD of a mixture that holds, for each of some draws."""
     found: Integers = np.searchsorted(np.cumsum(weights)[:-1], rng.random(shape), side="right")
     return found
 

@@ -35,7 +35,7 @@ class RobustNoise(InCode, ABC):
 
     graduated: ClassVar[bool] = False
 
-    def _require_positive(self) -> None:
+    def __post_init__(self) -> None:
         for field in fields(self):  # type: ignore[arg-type]
             value = getattr(self, field.name)
             if not is_number(value) or not 0.0 < value < inf:
@@ -151,9 +151,6 @@ class StudentT(RobustNoise):
 
     dof: float
 
-    def __post_init__(self) -> None:
-        self._require_positive()
-
     def loss(self, square: Array, count: npt.ArrayLike) -> Array:
         """The loss ρ(s)."""
         return 0.5 * (self.dof + np.asarray(count)) * np.log1p(square / self.dof)
@@ -209,9 +206,6 @@ class Cauchy(RobustNoise):
 
     scale: float
 
-    def __post_init__(self) -> None:
-        self._require_positive()
-
     def loss(self, square: Array, count: npt.ArrayLike) -> Array:
         """The loss ρ(s)."""
         return 0.5 * self.scale**2 * np.log1p(square / self.scale**2)
@@ -221,7 +215,7 @@ class Cauchy(RobustNoise):
         return 1.0 / (1.0 + square / self.scale**2)
 
     def is_proper(self, size: int) -> bool:
-        """Where the tails fall fast enough."""
+        """Whether the tails fall fast enough, k² > d."""
         return self.scale**2 > size
 
     def _instead(self) -> str:
@@ -271,9 +265,6 @@ class Huber(RobustNoise):
     """
 
     threshold: float
-
-    def __post_init__(self) -> None:
-        self._require_positive()
 
     def loss(self, square: Array, count: npt.ArrayLike) -> Array:
         """The loss ρ(s)."""
@@ -367,9 +358,6 @@ class TruncatedLeastSquares(RobustNoise):
 
     threshold: float
     graduated: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        self._require_positive()
 
     def loss(self, square: Array, count: npt.ArrayLike) -> Array:
         """The loss ρ(s)."""

@@ -17,19 +17,19 @@ Value = TypeVar("Value")
 class EachSensor(Shown, Mapping[Variable, Value]):
     """The results of each sensor that was read."""
 
-    _what: ClassVar[str]
+    _what: ClassVar[str] = "results"
 
     def __init__(self, found: Mapping[Variable, Value]) -> None:
         self._found = dict(found)
 
     def __getitem__(self, variable: Variable) -> Value:
         if require_variable(variable) not in self._found:
-            raise EvidenceError(
-                f"there are no {self._what} of {variable!r}; measurements were given of "
-                f"{list(self)}",
-                variable=variable,
-            )
+            raise EvidenceError(self._absent(variable), variable=variable)
         return self._found[variable]
+
+    def _absent(self, variable: Variable) -> str:
+        """The message for a variable without results."""
+        return f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
 
     def __contains__(self, variable: object) -> bool:
         return variable in self._found

@@ -81,7 +81,7 @@ class Anchor(NamedTuple):
     weight: Array
 
     def at(self, step: int) -> Anchor:
-        """That of a step alone."""
+        """The anchor of one step."""
         one = slice(step, step + 1)
         return Anchor(self.mean[one], self.std[one], self.weight)
 

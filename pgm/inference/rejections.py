@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from pgm.display import Listing, Shown, Summary, number, places, whereabouts
-from pgm.errors import EvidenceError
-from pgm.factors.scope import listed
 from pgm.immutable import Immutable
+from pgm.inference.by_sensor import EachSensor
 from pgm.inference.chain.gate_record import GateRecord
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
@@ -86,33 +85,12 @@ class Rejections(Shown, Immutable):
         return Summary(self._title, [Listing(heads, rows, names=len(heads) - 1)] if rows else [])
 
 
-class RejectionsBySensor(Shown, Mapping[Variable, Rejections]):
+class RejectionsBySensor(EachSensor[Rejections]):
     """The decisions of each sensor that has a gate, and was read."""
 
-    def __init__(self, found: Iterable[tuple[Variable, Rejections]] = ()) -> None:
-        self._found = dict(found)
-
-    def __getitem__(self, variable: Variable) -> Rejections:
-        if variable not in self._found:
-            raise EvidenceError(
-                f"no gate has decided about {variable!r}; "
-                + (f"gates were those of {list(self)}" if self._found else "give gate=0.99 or so"),
-                variable=variable if isinstance(variable, Variable) else None,
-            )
-        return self._found[variable]
-
-    def __contains__(self, variable: object) -> bool:
-        return variable in self._found
-
-    def __iter__(self) -> Iterator[Variable]:
-        return iter(self._found)
-
-    def __len__(self) -> int:
-        return len(self._found)
-
-    @property
-    def _title(self) -> str:
-        return f"RejectionsBySensor({listed(self._found)})"
+    def _absent(self, variable: Variable) -> str:
+        told = f"gates were those of {list(self)}" if self else "give gate=0.99 or so"
+        return f"no gate has decided about {variable!r}; {told}"
 
     def _summary(self) -> Summary:
-        return Summary(self._title, [f"{v!r}: {found._title}" for v, found in self._found.items()])
+        return Summary(self._title, [f"{v!r}: {found._title}" for v, found in self.items()])

@@ -35,9 +35,9 @@ class Timeline(Shown, Immutable):
     evidence : mapping of Variable
         Controls (T, d) and sightings, ready for `filter` and `smooth`.
     controls : mapping of Variable to ControlReport
-        What became of each control's rows.
+        The fate of each control's rows.
     readings : mapping of Variable to ReadingReport
-        What became of each sensor's measurements.
+        The fate of each sensor's measurements.
 
     Examples
     --------

@@ -7,7 +7,7 @@ from typing import Any
 
 from pgm.boundary import is_number, is_whole
 from pgm.display import titled
-from pgm.errors import ModelError
+from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence
 from pgm.inference import Smoothing
 from pgm.inference.checks import require_lineariser
@@ -55,7 +55,7 @@ def fit(
     evidence : mapping of Variable, or sequence of them
         Of one or several recordings, as for `smooth`; runs on leading axes share the parameters.
     learn : mapping of Variable
-        What is learnt, everything else being fixed: by ``x.at(0)`` of the prior of a state, by
+        The parts that are learnt, all else being fixed: by ``x.at(0)`` of the prior of a state, by
         ``x`` of its transition, by ``z`` of a sensor, a part of `pgm.learning` or a tuple of them,
         ``{x: (Coefficients(), Covariance("diagonal")), z: Covariance()}``; by an input its
         `Parameter`.
@@ -82,7 +82,7 @@ def fit(
     ModelError
         If something is to be learnt that is not there, or cannot be from its start.
     EvidenceError
-        If nothing in the evidence tells of a CPD that is to be learnt.
+        If evidence is no mapping, or nothing in it tells of a CPD that is to be learnt.
     PgmError
         As `smooth`, at the start.
 
@@ -104,7 +104,8 @@ def fit(
     """
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")
-    recordings = [evidence] if isinstance(evidence, Mapping) else list(evidence)
+    single = isinstance(evidence, Mapping)
+    recordings = _recordings(evidence)
     every = _lengths(steps, len(recordings))
     if not isinstance(learn, Mapping) or not learn:
         raise ModelError(
@@ -126,10 +127,22 @@ def fit(
             "NaN where posterior.innovations[z].rejected"
         )
     require_lineariser(lineariser)
-    single = isinstance(evidence, Mapping)
     learner = Learner(model, recordings, learn, lineariser, schedule, every, single=single)
     with reporting(progress):
         return Search(learner, int(iterations), float(tolerance), accelerate=accelerate).run()
+
+
+def _recordings(evidence: Any) -> list[Any]:
+    """Evidence of several recordings."""
+    every = list(evidence) if isinstance(evidence, list | tuple) else [evidence]
+    for each in every:
+        if not isinstance(each, Mapping):
+            own = "; its .evidence is" if hasattr(each, "evidence") else ""
+            raise EvidenceError(
+                "evidence maps variables to values, or is a list of such mappings, one a "
+                f"recording; found {type(each).__name__}, which is none{own}"
+            )
+    return every
 
 
 def _lengths(steps: Any, count: int) -> list[int | None]:

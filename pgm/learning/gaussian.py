@@ -45,7 +45,7 @@ class Weighted:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What is expected of a CPD's residuals.
+    """Expected second moments of a CPD's residuals.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ class GaussianStep:
         return Expected(cpd, own, cross, gram, count, reference)
 
     def _by_row(self, cpd: Any, every: list[Residuals], count: int, reference: Array) -> Expected:
-        """Where the noise differs by row, its inverse weighs the rows."""
+        """The sums of rows, each weighed by the inverse of its own noise."""
         rows, columns = np.nonzero(self.free)
         normal, said = np.zeros((rows.size, rows.size)), np.zeros(rows.size)
         moments, ranks = [], 0

@@ -317,7 +317,7 @@ class Learner:
 
 
 def _place(model: DynamicBayesianNetwork, variable: Any) -> tuple[str, int]:
-    """Where the CPD stands that a variable names: x.at(0) its prior, x its transition or sensor."""
+    """The role and index of a variable's CPD: x.at(0) names a prior, x a transition or sensor."""
     if isinstance(variable, Variable):
         first = variable.step == 0 and not variable.lag
         roles: Mapping[str, Any] = (

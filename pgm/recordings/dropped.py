@@ -1,4 +1,4 @@
-"""What a recording has dropped of its rows, or mended, or found odd."""
+"""Rows that a recording has dropped, mended, or found odd."""
 
 from __future__ import annotations
 

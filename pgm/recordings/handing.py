@@ -37,7 +37,7 @@ def timeline(
     driven: dict[Variable, Stamped] = {}
     held: dict[Variable, Stamped] = {}
     if odometry is not None:
-        _require(odometry, "odometry=")
+        require_variable(odometry, "odometry=")
         if tuple(name for name in odometry.components if name != DT) == motion.PLANAR:
             exact = recording.resampled(times).odometry
             assert exact is not None
@@ -45,7 +45,7 @@ def timeline(
         else:
             driven[odometry] = _increments(recording, odometry, times)
     if velocities is not None:
-        _require(velocities, "velocities=")
+        require_variable(velocities, "velocities=")
         if recording.velocities is None:
             raise EvidenceError(f"{recording._title} has no velocities", variable=velocities)
         stream = recording.velocities
@@ -59,7 +59,6 @@ def timeline(
             variable=landmark,
         )
     for variable, stream in named.items():
-        _require(variable, "sensors=")
         given = None
         if landmark is not None and stream.subject is not None:
             given = {landmark: places(recording, sensors[variable], stream, landmark)}
@@ -149,6 +148,7 @@ def without_place(stream: Stream, landmarks: Mapping[Hashable, Array]) -> Mask:
     return np.array([key not in landmarks for key in stream.subject.tolist()], dtype=bool)
 
 
-def _require(variable: Any, what: str) -> None:
+def require_variable(variable: Any, what: str) -> None:
+    """Refuse a key or value that is no variable."""
     if not isinstance(variable, Variable):
         raise EvidenceError(f"{what} names a variable, not {variable!r}")

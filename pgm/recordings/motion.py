@@ -1,4 +1,4 @@
-"""Motion between stamps: what each row of odometry or of velocities drives, and for how long.
+"""Motion between stamps: that of each row of odometry or of velocities, and its duration.
 
 Steady motion is an arc. Rows are divided along it and composed as motions of the plane are, so that
 no sum of increments stands for their composition.
@@ -150,7 +150,7 @@ def of_velocities(stream: Stream) -> Spans:
 
 
 def of_wheels(left: Array, right: Array, wheelbase: float) -> Array:
-    """What two wheels, so far apart, do together: straight on, and the turn; (n, 2)."""
+    """The motion of two wheels: straight on, and the turn; (n, 2)."""
     if not (is_number(wheelbase) and wheelbase > 0.0):
         raise EvidenceError(f"wheelbase= is a positive number of metres, not {wheelbase!r}")
     return np.column_stack([(left + right) / 2.0, (right - left) / wheelbase])

@@ -63,7 +63,7 @@ class Recording(Shown, NoArray, Immutable):
         Where a sensor or laser sits on the robot: (forward [m], left [m], turn [rad]).
     name : str, optional
     dropped : sequence of Dropped, optional
-        What a reader has already left out.
+        Rows that a reader has left out.
 
     Raises
     ------
@@ -281,6 +281,10 @@ class Recording(Shown, NoArray, Immutable):
         spans = self._motion()
         axis = spans.axis if times is None else checks.increasing(times)
         if start is None:
+            if self.truth is None:
+                raise EvidenceError(
+                    f"{self._title} has no truth; give start=(east, north, heading)"
+                )
             truth = self.truth_at(axis[:1])
             if truth.components != POSE:
                 raise EvidenceError("the truth has no headings; give start=(east, north, heading)")
@@ -381,6 +385,8 @@ class Recording(Shown, NoArray, Immutable):
             leaves these out.
         """
         named = as_mapping(sensors, "sensors=")
+        for variable in named:
+            handing.require_variable(variable, "sensors=")
         if times is None:
             axis = self.stamps(*named.values(), tolerance=tolerance or 0.0)
         else:

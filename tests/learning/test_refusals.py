@@ -133,3 +133,12 @@ def test_variances_too_far_apart(kind):
     far = model().replace(observation=[sight])
     with pytest.raises(pgm.ModelError, match="too far apart to be learnt together"):
         pgm.fit(far, {pair: [[1.0, 2.0]]}, learn={pair: Covariance(kind)})
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_evidence_that_is_no_mapping(many):
+    log = pgm.timeline(sensors={Z: pgm.stamped([0.0, 1.0], [1.0, 2.0])})
+    with pytest.raises(
+        pgm.EvidenceError, match=r"found Timeline, which is none; its \.evidence is"
+    ):
+        pgm.fit(model(), [READINGS, log] if many else log, learn={Z: Covariance()})

@@ -244,7 +244,7 @@ PART = Stream([0.0, 1.0], [[1.0], [2.0]], ("range",), subject=[1, 2])
         (lambda: Recording(mounts={"laser": (0, 0, 0)}), "mounts has 'laser'"),
         (lambda: Recording(scans={"laser": 1}), "the scans 'laser' are given as Scans"),
         (lambda: Recording().dead_reckoning([0, 0, 0]), "neither odometry nor velocities"),
-        (lambda: Recording(odometry=odometry()).dead_reckoning(), "has no truth"),
+        (lambda: Recording(odometry=odometry()).dead_reckoning(), "no truth; give start="),
         (lambda: Recording(odometry=odometry()).dead_reckoning([0, 0]), "start= is"),
         (lambda: Recording(odometry=odometry()).resampled(), "times or period="),
         (lambda: Recording(odometry=odometry()).resampled(period=0.0), "period= is a positive"),
@@ -257,6 +257,7 @@ PART = Stream([0.0, 1.0], [[1.0], [2.0]], ("range",), subject=[1, 2])
         (lambda: Recording(odometry=odometry()).timeline(velocities=speed), "has no velocities"),
         (lambda: Recording(odometry=odometry()).timeline(odometry=speed), "they go by name"),
         (lambda: Recording(odometry=odometry()).timeline(odometry="u"), "names a variable"),
+        (lambda: Recording(odometry=odometry()).timeline(sensors={"a": u}), "sensors= names a var"),
         (
             lambda: Recording(odometry=odometry(), sightings={"a": PART}).timeline(
                 odometry=u, sensors={pgm.Variable("z", components=("range",)): "a"}, landmark=m

@@ -44,9 +44,11 @@ class Innovated(ABC):
         """The decisions of the schedule's gates, by sensor."""
         plan = self._planned
         return RejectionsBySensor(
-            (s.variable, Rejections.of(s.gated, s.family.step, s.order, plan.lead))
-            for s in plan.sensors
-            if s.gated is not None
+            {
+                s.variable: Rejections.of(s.gated, s.family.step, s.order, plan.lead)
+                for s in plan.sensors
+                if s.gated is not None
+            }
         )
 
     @cached_property

@@ -225,7 +225,7 @@ class Whitened:
 
 
 def _surplus(sensor: Sensor) -> Array:
-    """What the log-density of robust measurements has more than the Gaussians', (T+1, runs)."""
+    """The log-density of robust measurements beyond that of the Gaussians, (T+1, runs)."""
     each = sensor.weights.surplus()
     return _by_step(sensor, lambda rows, counts: (_added(each[rows], counts),))[0]
 

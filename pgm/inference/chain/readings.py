@@ -272,7 +272,7 @@ class Reading:
 
     @property
     def surplus(self) -> Array | float:
-        """What the log-density has more than that of the Gaussian, (*batch)."""
+        """The log-density beyond that of the Gaussian, (*batch)."""
         if not self.sensor.robust:
             return 0.0
         if self.weights is None:

@@ -51,7 +51,7 @@ def settled(plan: ChainPlan) -> Mask | bool:
 
 
 def surplus(plan: ChainPlan, step: int) -> Array | float:
-    """What the log-density of a step's measurements has more than the Gaussians', (runs,)."""
+    """The log-density of a step's measurements beyond that of the Gaussians, (runs,)."""
     found: Array | float = 0.0
     for sensor in plan.robust:
         found = found + sensor.weights.surplus(sensor.rows(step)).sum(axis=0)

@@ -134,7 +134,7 @@ class Weights:
         return found, stage
 
     def surplus(self, rows: slice = slice(None)) -> Array:
-        """What the log-densities of sightings have more than those of N(0, R / w), (k, runs)."""
+        """The log-densities of sightings beyond those of N(0, R / w), (k, runs)."""
         count = self.count if self.taken is None else self.count[rows]
         return self.noise.surplus(self.square[rows], count, self.weight[rows])
 
@@ -157,7 +157,7 @@ class Weights:
         return own / self.weight[..., None, None]
 
     def rows(self, rows: slice) -> Weights:
-        """Those of some sightings, which are taken anew."""
+        """The weights of some sightings, whose stages begin anew."""
         white = self.white[rows] if len(self.white) > 1 else self.white
         taken = None if self.taken is None else self.taken[rows]
         stage = np.full(self.stage.shape, np.nan if self.noise.graduated else np.inf)

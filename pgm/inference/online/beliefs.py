@@ -152,8 +152,10 @@ class OnlineBelief(Shown, NoArray, Immutable):
     def rejected(self) -> Mapping[Variable, Rejections]:
         """The decisions of the gates at the last update, by sensor."""
         return RejectionsBySensor(
-            (variable, Rejections.of(record, np.full(len(order), self.step), order, self.lead))
-            for variable, record, order in self._gated
+            {
+                variable: Rejections.of(record, np.full(len(order), self.step), order, self.lead)
+                for variable, record, order in self._gated
+            }
         )
 
     @property

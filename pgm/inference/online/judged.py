@@ -1,4 +1,4 @@
-"""What gates decided at an update of an online filter, and the test whether its belief is lost."""
+"""Decisions of gates at an update of an online filter; the test whether its belief is lost."""
 
 from __future__ import annotations
 
