@@ -128,8 +128,8 @@ def _tables(record: Record, name: str, results: dict[str, Any]) -> None:
         f"{name}: position against the truth",
         ("method", "lineariser", "RMSE [m]", "NEES", "log-evidence", "steps lost"),
         rows,
-        about="NEES is a component's, 1 of a right belief. The robust noise has no density, so that its "
-        f"log-evidence compares with no other. {about}.",
+        about="NEES is a component's, 1 of a right belief. The robust noise has no density, so "
+        f"that its log-evidence compares with no other. {about}.",
         best={"RMSE [m]": -np.inf, "NEES": 1.0},
     )
 
