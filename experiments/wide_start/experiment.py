@@ -17,6 +17,7 @@ import numpy.typing as npt
 import typer
 
 import pgm
+from experiments.freiburg import exercise
 from experiments.record import Out, Record, Seed, note, progress
 from experiments.recordings.drives import Drive
 from experiments.wide_start import figures
@@ -29,11 +30,8 @@ Array = npt.NDArray[np.float64]
 QUICK: dict[str, Any] = {"data": "plaza2", "runs": 3}
 PLANE = ("east", "north")
 LINEARISERS: dict[str, pgm.Lineariser] = {
-    "Taylor": pgm.Taylor(),
-    "unscented": pgm.Unscented(),
-    "cubature": pgm.Cubature(),
+    **exercise.LINEARISERS,
     "Gauss–Hermite 3": pgm.GaussHermite(3),
-    "Gauss–Hermite 7": pgm.GaussHermite(7),
 }
 
 

@@ -28,5 +28,5 @@ def over_time(drive: Drive, found: dict[str, Array]) -> Figure:
     ax.axhline(1.0, color=INK, lw=0.8, ls=":")
     ax.set(xlabel="time [s]", ylabel="NEES a component, 90 % of starts")
     ax.margins(x=0.01)
-    figure.legend(loc="outside upper center", ncols=5)
+    figure.legend(loc="outside upper center", ncols=3)
     return figure

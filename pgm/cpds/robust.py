@@ -21,8 +21,11 @@ from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.kernels.arrays import LOG_2PI, Array, inner
 
-# A weight is no smaller, so that the covariance R / w exists.
-_LEAST = 1e-12
+# A weight is no smaller, so that the covariance R / w exists; and one that stands for none, of a
+# square up to 1.
+_LEAST, _NONE = 1e-150, 1e-12
+# Parameters are within these bounds, so that their squares and the loss's ratios are numbers.
+_SMALLEST, _LARGEST = 1e-50, 1e50
 # The convex end of a graduated loss, its growth, and the end from which on it is as good as hard.
 _GROWTH, _HARD = 1.4, 1e7
 
@@ -38,6 +41,11 @@ class RobustNoise(InCode, ABC):
             if not is_number(value) or not 0.0 < value < inf:
                 raise ModelError(
                     f"{type(self).__name__}: {field.name} is a positive number, not {value!r}"
+                )
+            if not _SMALLEST <= value <= _LARGEST:
+                raise ModelError(
+                    f"{type(self).__name__}: {field.name} is between {_SMALLEST:g} and "
+                    f"{_LARGEST:g}, not {value!r}; for a Gaussian leave noise= out"
                 )
 
     @abstractmethod
@@ -102,6 +110,13 @@ def _log_scale(noise: RobustNoise, size: int) -> float:
     return noise._log_scale(size) if noise.is_proper(size) else -0.5 * size * LOG_2PI
 
 
+def _log_rise(a: float, b: float) -> float:
+    """The value ln Γ(a + b) − ln Γ(a), of any a, however large."""
+    from scipy.special import betaln, gammaln  # here, since it is slow to import
+
+    return float(gammaln(b) - betaln(a, b))
+
+
 @dataclass(frozen=True)
 class StudentT(RobustNoise):
     r"""Multivariate Student-t noise, whose scale matrix is the CPD's `cov`.
@@ -149,10 +164,7 @@ class StudentT(RobustNoise):
         return True
 
     def _log_scale(self, size: int) -> float:
-        from scipy.special import gammaln  # here, since it is slow to import
-
-        half = 0.5 * self.dof
-        return float(gammaln(half + 0.5 * size) - gammaln(half) - 0.5 * size * log(pi * self.dof))
+        return _log_rise(0.5 * self.dof, 0.5 * size) - 0.5 * size * log(pi * self.dof)
 
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
         """Draws of unit scale."""
@@ -210,10 +222,8 @@ class Cauchy(RobustNoise):
         return "give it a scale above the root of that number, or take pgm.StudentT(dof)"
 
     def _log_scale(self, size: int) -> float:
-        from scipy.special import gammaln  # here, since it is slow to import
-
-        half, whole = 0.5 * (self.scale**2 - size), 0.5 * self.scale**2
-        return float(gammaln(whole) - gammaln(half) - 0.5 * size * log(pi * self.scale**2))
+        half = 0.5 * (self.scale**2 - size)
+        return _log_rise(half, 0.5 * size) - 0.5 * size * log(pi * self.scale**2)
 
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
         """Draws of unit scale."""
@@ -319,8 +329,8 @@ class TruncatedLeastSquares(RobustNoise):
        \tfrac{μ + 1}{μ} c^2, \quad \tfrac{c}{\sqrt s} \sqrt{μ (μ + 1)} - μ \text{ else.}
 
     A run has converged no earlier than all its weights are 0 or 1, as a smoother's are after
-    some dozens of ``iterations``. A weight of 0 is 10⁻¹² in numbers. The density is improper:
-    there are weights, but neither draws nor a log-density.
+    some dozens of ``iterations``. A weight of 0 is 10⁻¹² / max(1, s) in numbers. The density is
+    improper: there are weights, but neither draws nor a log-density.
 
     Parameters
     ----------
@@ -356,6 +366,10 @@ class TruncatedLeastSquares(RobustNoise):
     def slope(self, square: Array, count: npt.ArrayLike) -> Array:
         """The weight 2 ρ′(s)."""
         return np.where(square <= self.threshold**2, 1.0, 0.0)
+
+    def weight(self, square: Array, count: npt.ArrayLike) -> Array:
+        """The weights of squares, above zero; 1 of none."""
+        return np.where(np.asarray(count) > 0, _some(self.slope(square, count), square), 1.0)
 
     def is_proper(self, size: int) -> bool:
         """Never."""
@@ -402,5 +416,10 @@ class TruncatedLeastSquares(RobustNoise):
         between = self.threshold * np.sqrt(mu * (mu + 1.0) / np.maximum(square, 1e-300)) - mu
         soft = np.where(square <= mu / (mu + 1.0) * limit, 1.0, between)
         soft = np.where(square >= (mu + 1.0) / mu * limit, 0.0, soft)
-        found: Array = np.maximum(np.where(hard, self.slope(square, 1), soft), _LEAST)
-        return found
+        return _some(np.where(hard, self.slope(square, 1), soft), square)
+
+
+def _some(weight: Array, square: Array) -> Array:
+    """Weights above zero, so small that a residual of any size pulls on nothing."""
+    found: Array = np.maximum(weight, np.maximum(_NONE / np.maximum(square, 1.0), _LEAST))
+    return found

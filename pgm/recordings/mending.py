@@ -14,6 +14,7 @@ BACKWARDS = "stamped before the row above, put in order"
 EMPTY = "NaN, not taken"
 DOUBLE = "equal to an earlier row"
 REPEATED = "other values for a stamp and subject seen before"
+TOO_EARLY = "motion at the first moment, before which there is no pose"
 OTHER_TRUTH = "other values for a stamp seen before"
 
 
@@ -24,6 +25,18 @@ def ordered(name: str, stream: Stream) -> tuple[Stream, list[Dropped]]:
         return stream, []
     found = stream.take(np.argsort(stream.stamps, kind="stable"))
     return found, [Dropped(name, BACKWARDS, back, kept=True)]
+
+
+def increments(name: str, stream: Stream) -> tuple[Stream, list[Dropped]]:
+    """Odometry in order, without increments that take no time at its very beginning."""
+    found, fates = ordered(name, stream)
+    early = found.stamps <= (found.stamps[:1] if found.begin is None else found.begin)
+    early[: 1 if found.begin is None else 0] = False  # which says when the second begins
+    if early.any():
+        rows = np.argsort(stream.stamps, kind="stable")[early]
+        fates.append(Dropped(name, TOO_EARLY, np.sort(rows)))
+        found = found.take(~early)
+    return found, fates
 
 
 def sightings(name: str, stream: Stream) -> tuple[Stream, list[Dropped]]:

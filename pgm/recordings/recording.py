@@ -28,6 +28,8 @@ from pgm.variables import Variable
 
 POSE, PLACE = ("east", "north", "heading"), ("east", "north")
 NO_PLACE = "of a subject without a place"
+# Steps of a period, at the most.
+_MOST = 1e8
 _PARTS = ("name", "odometry", "velocities", "sightings", "landmarks", "landmark_cov", "truth")
 _MORE = ("imu", "fixes", "scans", "mounts", "dropped")
 
@@ -123,7 +125,7 @@ class Recording(Shown, NoArray, Immutable):
             truth = Stream(truth.times, truth.planar, POSE)
         streams: dict[str, Stream | None] = {}
         for key, given, mend in (
-            ("odometry", odometry, mending.ordered),
+            ("odometry", odometry, mending.increments),
             ("velocities", velocities, mending.ordered),
             ("truth", truth, mending.reference),
             ("imu", imu, mending.sightings),
@@ -179,7 +181,10 @@ class Recording(Shown, NoArray, Immutable):
         return joined(axis, others[inside], tolerance)
 
     def between(self, first: float, last: float) -> Recording:
-        """The part from one time to another, both included; motion is cut there, along its arc."""
+        """The part from one time to another, both included; motion is cut there, along its arc.
+
+        Odometry that is cut has no variances.
+        """
         if not (is_number(first) and is_number(last) and first < last):
             raise EvidenceError(f"between takes two times, the later one last; not {first}, {last}")
 
@@ -215,8 +220,8 @@ class Recording(Shown, NoArray, Immutable):
         -------
         Recording
             Its odometry is (forward, left, turn) from time to time, of the odometry or else of the
-            velocities, which are held. Sightings keep their stamps. Truth is `truth_at`, left out
-            where it does not reach over all times.
+            velocities, which are held; motion has no variances. Sightings keep their stamps. Truth
+            is `truth_at`, left out where it does not reach over all times.
 
         Raises
         ------
@@ -229,8 +234,16 @@ class Recording(Shown, NoArray, Immutable):
         if period is not None:
             if not (is_number(period) and period > 0.0):
                 raise EvidenceError(f"period= is a positive number of seconds, not {period!r}")
+            if not len(spans.axis):
+                raise EvidenceError(f"the {spans.what} cover no time; two stamps or more were due")
             first, last = spans.axis[[0, -1]]
-            times = first + period * np.arange(int((last - first) / period + SAME) + 1)
+            number = (last - first) / period
+            if not 1.0 - SAME <= number <= _MOST:
+                raise EvidenceError(
+                    f"period={float(period)!r} divides {last - first:.4g} s into {number:.4g} "
+                    f"steps; 1 to {_MOST:.0g} were due"
+                )
+            times = first + period * np.arange(int(number + SAME) + 1)
         axis = checks.increasing(times)
         changes: dict[str, Any] = {
             "odometry": Stream(axis[1:], spans.between(axis), motion.PLANAR, begin=axis[0])

@@ -1,5 +1,6 @@
 """Robust noise: densities against quadrature and SciPy, weights, refusals."""
 
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given
@@ -44,6 +45,23 @@ def test_densities_of_student_and_cauchy_are_those_of_scipy():
     ]:
         expected = stats.multivariate_t([1.0, 2.0], scale * COV, df=dof).logpdf(z)
         np.testing.assert_allclose(sensor(noise).log_density(z, {X: 1.0}), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1, 2, 5])
+def test_densities_of_many_degrees_of_freedom_go_over_into_the_gaussian(size):
+    """Differences of logarithms of Γ lose all digits there."""
+    gaussian = -0.5 * size * np.log(2.0 * np.pi)
+    for noise, far in [(pgm.StudentT(1e4), 1e-3), (pgm.Cauchy(1e3), 1e-5)]:
+        assert noise.log_scale(size) == pytest.approx(gaussian, abs=far)
+    for large in (1e12, 1e16, 1e25, 1e50):
+        assert pgm.StudentT(large).log_scale(size) == pytest.approx(gaussian, abs=1e-10)
+        assert pgm.Cauchy(large).log_scale(size) == pytest.approx(gaussian, abs=1e-10)
+    with mpmath.workdps(40):
+        half = mpmath.mpf(size) / 2
+        for dof in (1e-3, 7.0, 1e6, 1e9):
+            exact = mpmath.loggamma(dof / 2 + half) - mpmath.loggamma(mpmath.mpf(dof) / 2)
+            exact -= half * mpmath.log(mpmath.pi * dof)
+            assert pgm.StudentT(dof).log_scale(size) == pytest.approx(float(exact), abs=1e-8)
 
 
 @pytest.mark.parametrize("noise", PROPER, ids=repr)
@@ -111,3 +129,10 @@ def test_improper_densities_are_neither_drawn_nor_evaluated(noise):
 
 def test_a_cpd_shows_its_noise():
     assert "noise: StudentT(dof=3.0)" in str(sensor(pgm.StudentT(3.0)))
+
+
+@pytest.mark.parametrize("kind", [pgm.StudentT, pgm.Huber, pgm.Cauchy, pgm.TruncatedLeastSquares])
+@pytest.mark.parametrize("value", [1e-200, 1e200])
+def test_parameters_whose_squares_are_no_numbers_are_refused(kind, value):
+    with pytest.raises(pgm.ModelError, match=f"{kind.__name__}.* between 1e-50 and 1e.50"):
+        kind(value)

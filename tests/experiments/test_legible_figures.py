@@ -10,27 +10,14 @@ from experiments.record import Record
 
 legible = pytest.importorskip("tests.plot.legible")
 
-# Experiments that take a few seconds at most.
-SHORT = (
-    "localisation",
-    "smoothing",
-    "kalman",
-    "imu_heading",
-    "differential_drive",
-    "plaza",
-    "recordings",
-    "wide_start",
-    "cluster_graph",
-    "grid_world",
-    "hallway",
-    "maze",
-    "topological",
-    "grid_localisation",
-)
 # Drawn over each other on purpose: a robot's axes on its body, factors on their clusters' edges.
 OVERLAID = {("basics", "pose"), ("basics", "two_poses"), ("seven_nodes", "boundaries")}
 # Its empty panel holds the legend's handles, which are lines without points.
 EMPTY = {("nonlinear_measurement", "kl_against_cost")}
+
+
+# No other test runs these at their quick settings.
+RUN_HERE = ("plaza", "recordings", "wide_start")
 
 
 def faults(name: str, out: Path, patch: pytest.MonkeyPatch) -> list[str]:
@@ -48,12 +35,16 @@ def faults(name: str, out: Path, patch: pytest.MonkeyPatch) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("name", SHORT)
+@pytest.mark.parametrize(
+    "name",
+    # Of the others, tests that run them look at the figures (conftest.py), whatever the settings.
+    [
+        *RUN_HERE,
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in sorted(EXPERIMENTS.keys() - set(RUN_HERE))
+        ),
+    ],
+)
 def test_figures_are_legible(name, tmp_path, monkeypatch):
-    assert faults(name, tmp_path, monkeypatch) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(set(EXPERIMENTS) - set(SHORT)))
-def test_the_other_figures_are_legible_too(name, tmp_path, monkeypatch):
     assert faults(name, tmp_path, monkeypatch) == []

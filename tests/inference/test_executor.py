@@ -379,8 +379,9 @@ def dying(x, m):
     return SIGHT.function(x, m)
 
 
-@pytest.mark.parametrize("asked", [{}, {"keep": [x]}])
-@pytest.mark.parametrize("start", ["fork", "spawn"])
+@pytest.mark.parametrize(
+    ("start", "asked"), [("fork", {}), ("fork", {"keep": [x]}), ("spawn", {"keep": [x]})]
+)
 def test_a_worker_that_dies(start, asked):
     model = network(SIGHT.cpd(function=dying), prior=starting({12: 900.0}))
     with ProcessPoolExecutor(2, get_context(start)) as pool:

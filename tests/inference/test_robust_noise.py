@@ -370,6 +370,20 @@ def test_sightings_of_nobody_knows_what_are_associated_and_weighed():
     assert guessed.weights[Z].min() < 0.2
 
 
+@pytest.mark.parametrize("noise", EVERY, ids=repr)
+@pytest.mark.parametrize("wrong", [1e9, -3.4e38])
+def test_a_reading_however_far_out_says_no_more_than_one_less_far(noise, wrong):
+    """As files write what they do not know."""
+    far, outer = VALUES[:, None].copy(), VALUES[:, None].copy()
+    far[5], outer[5] = 1e6 * np.sign(wrong), wrong
+    for run in (pgm.filter, pgm.smooth):
+        options = {} if run is pgm.filter else {"iterations": 700}
+        one, other = (run(model(noise), {Z: value}, **options) for value in (far, outer))
+        np.testing.assert_allclose(other[X].mean, one[X].mean, atol=1e-4)
+        if noise is TLS:  # of the limit of both
+            assert other.log_evidence == pytest.approx(one.log_evidence, abs=1e-6)
+
+
 def test_runs_worked_through_in_parts_keep_their_weights():
     values = np.stack([VALUES, -VALUES, VALUES[::-1], 0.5 * VALUES])[..., None]
     whole = pgm.smooth(model(HUBER, function=bent), {Z: values}, iterations=5)

@@ -220,7 +220,7 @@ def test_hidden_controls_and_missing_exact_readings_are_projected_too():
         return place[:, 0] ** 2 / 4.0 + left + (np.arctan(place[:, 1:]) ** 2).sum(axis=1) / 1e-3
 
     asked = {"start": start, "damping": LM}
-    costs = [cost(pgm.smooth(model, seen, iterations=k, **asked)) for k in range(1, 8)]
+    costs = [cost(pgm.smooth(model, seen, iterations=k, **asked)) for k in (1, 2, 3, 5)]
     assert (np.diff(costs, axis=0) <= 1e-9 * np.array(costs[:-1])).all()
     assert abs(pgm.smooth(model, seen, iterations=1, **asked)[s].mean[1, 2] - 2.5) > 0.1
 
@@ -247,7 +247,8 @@ def test_a_relation_between_components_needs_both():
         taken = np.nanmean(left[:3], axis=1) ** 2 / 0.5
         return (mean**2).sum(1) / 4.0 + np.arctan(mean[:, 0]) ** 2 / 1e-3 + np.append(taken, 0.0)
 
-    means = [pgm.smooth(model, seen, iterations=k, **asked)[pair].mean[:, 0] for k in range(1, 30)]
+    iterations = (1, 2, 3, 4, 6, 9, 30)
+    means = [pgm.smooth(model, seen, iterations=k, **asked)[pair].mean[:, 0] for k in iterations]
     costs = np.array([cost(mean) for mean in means])
     assert (np.diff(costs, axis=0) <= 1e-9 * costs[:-1]).all()
     for run in range(4):  # no step from the end is better, along the relation where there is one

@@ -177,6 +177,23 @@ def test_a_table_of_wheels():
         read_csv(io.StringIO(text), {"odometry": wheels}, wheelbase=-1.0)
 
 
+def test_names_of_landmarks_that_python_takes_for_numbers():
+    text = "t,id,r\n0,1_0,1\n1,10,1\n2,٣,1\n3,007,1\n4,,1\n"
+    drive = read_csv(io.StringIO(text), {"radio": {"t": "t", "subject": "id", "range": "r"}})
+    assert drive.sightings["radio"].subject.tolist() == ["1_0", 10, "٣", 7, None]
+
+
+def test_variances_of_wheels_are_refused():
+    wheels = {"t": "t", "left": "l", "right": "r", "variance of left": "s"}
+    with pytest.raises(EvidenceError, match="variances of two wheels"):
+        read_csv(io.StringIO("t,l,r,s\n0,1,1,2\n"), {"velocities": wheels}, wheelbase=0.5)
+
+
+def test_paths_with_a_nul_are_refused():
+    with pytest.raises(FileError, match=r"cannot be read .ValueError: embedded null"):
+        read_pose_graph("a\0b")
+
+
 @pytest.mark.parametrize(
     ("text", "columns", "error", "told"),
     [

@@ -1,10 +1,12 @@
 """A recording: motion against composition one by one, no row lost or moved without a word."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
+import pgm
 from pgm.recordings import Recording, Stream
 
 seeds = st.integers(0, 10**6)
@@ -91,3 +93,23 @@ def test_a_recording_driven_in_pieces_ends_where_it_did(seed, components):
     assert first.odometry.components == (ARC if components == ARC else first.odometry.components)
     pose = first.dead_reckoning(start).values[-1]
     assert_allclose(second.dead_reckoning(pose).values[-1], whole.values[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize("begin", [None, 1.0])
+def test_motion_at_the_first_moment_is_told_of_when_it_is_left_out(begin):
+    """It ends where the first pose begins: no pose would come before it."""
+    stamps, rows = [1.0, 2.0, 1.0, 2.0], [[1.0, 0.0], [1.0, 0.5], [3.0, 0.0], [2.0, 0.0]]
+    drive = Recording(odometry=Stream(stamps, rows, ARC, begin=begin))
+    (early,) = (each for each in drive.dropped if not each.kept)
+    assert early.rows.tolist() == ([2] if begin is None else [0, 2])
+    assert "before which there is no pose" in repr(drive)
+    pose = matrix(np.sin(0.5) / 0.5, (1.0 - np.cos(0.5)) / 0.5, 0.5) @ matrix(2.0, 0.0, 0.0)
+    assert_allclose(drive.dead_reckoning([0.0, 0.0, 0.0]).values[-1, :2], pose[:2, 2], atol=1e-12)
+    assert drive.replace(name="again").odometry.values.shape == drive.odometry.values.shape
+
+
+@pytest.mark.parametrize("period", [1e-12, 5.0])
+def test_periods_of_no_step_and_of_countless_ones_are_refused(period):
+    drive = Recording(odometry=Stream([0.0, 1.0], [[0.0, 0.0], [1.0, 0.0]], ARC))
+    with pytest.raises(pgm.EvidenceError, match=r"period=.*1 to 1e.08 were due"):
+        drive.resampled(period=period)

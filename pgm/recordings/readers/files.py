@@ -25,11 +25,13 @@ def content(source: Source) -> Content:
     """All of a file, which is there and can be read."""
     try:
         return sources.read(source, LIMIT)
-    except OSError as error:
+    except FileError:
+        raise
+    except (OSError, ValueError) as error:  # a NUL in a path, or a file that was closed
         name = os.fspath(source) if isinstance(source, str | os.PathLike) else "the file"
+        why = getattr(error, "strerror", None) or error
         raise FileError(
-            f"{name} cannot be read ({type(error).__name__}: {error.strerror or error})",
-            path=str(name),
+            f"{name} cannot be read ({type(error).__name__}: {why})", path=str(name)
         ) from error
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -47,6 +48,8 @@ UNITS = {
     "deg/s": math.pi / 180.0,
     "rpm": math.pi / 30.0,
 }
+# A landmark's number; 1_0 is a name, of which Python would make 10.
+_WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 STAMP, SUBJECT, VARIANCE = "t", "subject", "variance of "
 _STREAMS = ("odometry", "velocities", "truth", "imu", "fixes")
 _MOTION = ("odometry", "velocities")
@@ -190,6 +193,11 @@ def _stream(
 
 def _driven(part: str, stream: Stream, wheelbase: float) -> Stream:
     """The motion of two wheels."""
+    if stream.variances is not None:
+        raise EvidenceError(
+            f"columns[{part!r}]: variances of two wheels are none of the motion that they make; "
+            "leave them out"
+        )
     left, right = (stream[name] for name in motion.WHEELS)
     names = motion.ARC if part == "odometry" else motion.SPEEDS
     values = motion.of_wheels(left, right, wheelbase)
@@ -211,10 +219,7 @@ def _cell(word: str, scale: float, line: int, origin: Origin, missing: bool) -> 
 
 def _identity(word: str) -> int | str | None:
     """A landmark's number or name; None where there is none."""
-    try:
-        return int(word)
-    except ValueError:
-        return word or None
+    return int(word) if _WHOLE.fullmatch(word) else word or None
 
 
 def _rows(text: str, origin: Origin, delimiter: str) -> Iterator[tuple[int, Sequence[str]]]:

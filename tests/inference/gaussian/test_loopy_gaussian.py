@@ -77,7 +77,7 @@ MOST = {pgm.Flooding: 150, pgm.Sequential: 150, pgm.Residual: 40}
 def test_means_are_exact_wherever_messages_converge(kind, damping):
     """Each sweep is over graphs of its own; longer ones are below."""
     first = 1000 * KINDS.index(kind) + int(100 * damping)
-    exact, open_ = sweep(range(first, first + 4), kind, damping, MOST[kind])
+    exact, open_ = sweep(range(first, first + 3), kind, damping, MOST[kind])
     assert exact, "a sweep in which nothing converges tests nothing"
     assert max(exact) <= 1e-6
     for status in open_:
@@ -97,8 +97,8 @@ def test_means_are_exact_wherever_messages_converge_at_length(kind, damping):
 
 
 def test_at_least_half_converge_and_some_do_not():
-    exact, open_ = sweep(range(40), pgm.Flooding, 0.0, 60)
-    assert 20 <= len(exact) < 40
+    exact, open_ = sweep(range(20), pgm.Flooding, 0.0, 60)
+    assert 10 <= len(exact) < 20
     assert max(exact) <= 1e-6
     assert all(status.residuals[-1] > TOLERANCE for status in open_)
 
@@ -317,7 +317,7 @@ def bent_case(seed):
 def test_relinearised_means_are_a_map(kind, damping):
     """At them the cost is level, and a junction tree iterated from there stays."""
     converged = 0
-    for seed in range(7):
+    for seed in range(5):
         net, graph, evidence = bent_case(seed)
         found = pgm.infer(graph, evidence, schedule=kind(damping=damping, max_iterations=300))
         assert bool(found.status.converged) == (found.status.residuals[-1] <= TOLERANCE)
@@ -334,7 +334,7 @@ def test_relinearised_means_are_a_map(kind, damping):
         )
         for v in hidden:
             np.testing.assert_allclose(found[v].mean, tree[v].mean, atol=1e-6 * tree[v].std.min())
-    assert converged >= 4
+    assert converged >= 3
 
 
 def test_nothing_is_linearised_before_messages_have_settled():

@@ -20,8 +20,8 @@ def test_filters_are_exact_within_monte_carlo_errors(resampling):
     given = evidence()
     exact = pgm.filter(cart(), given)
     found = [
-        pgm.filter(cart(), given, belief=pgm.Particles(5000, seed=k, resampling=resampling))
-        for k in range(60)
+        pgm.filter(cart(), given, belief=pgm.Particles(2000, seed=k, resampling=resampling))
+        for k in range(30)
     ]
     for name in ("mean", "cov"):
         each = np.array([getattr(f[x], name) for f in found])
@@ -48,8 +48,8 @@ def test_smoothers_are_exact_within_monte_carlo_errors(smoothing):
     given = evidence()
     exact = pgm.smooth(cart(), given)
     found = [
-        pgm.smooth(cart(), given, belief=pgm.Particles(400, seed=k, smoothing=smoothing))
-        for k in range(40)
+        pgm.smooth(cart(), given, belief=pgm.Particles(300, seed=k, smoothing=smoothing))
+        for k in range(20)
     ]
     for name in ("mean", "cov"):
         each = np.array([getattr(f[x], name) for f in found])
@@ -98,7 +98,7 @@ def test_moves_leave_the_deviations_of_the_full_smoother():
 def test_fixed_lags_know_what_is_measured_a_lag_later(lag):
     given = evidence()
     exact = pgm.smooth(cart(), given, lag=lag)
-    found = pgm.smooth(cart(), given, lag=lag, belief=pgm.Particles(20_000, seed=2))
+    found = pgm.smooth(cart(), given, lag=lag, belief=pgm.Particles(10_000, seed=2))
     assert (np.abs(found[x].mean - exact[x].mean) < 0.08 * exact[x].std).all()
     np.testing.assert_allclose(found[x].std, exact[x].std, rtol=0.06)
     assert str(found.kind) == f"fixed-lag ({lag})"
