@@ -37,8 +37,9 @@ _MORE = ("imu", "fixes", "scans", "mounts", "dropped")
 class Recording(Shown, NoArray, Immutable):
     """A recorded drive in the plane: streams of rows, each with its own stamps.
 
-    Rows are put in order of time. Measurements that are NaN, and rows that repeat another in all
-    that they hold, are left out; `dropped` and the printed summary tell of each.
+    Rows are put in order of time. Measurements that are NaN, and measurements that repeat another
+    in all that they hold, are left out; increments that do are driven. `dropped` and the printed
+    summary tell of each.
 
     Parameters
     ----------
@@ -134,7 +135,7 @@ class Recording(Shown, NoArray, Immutable):
             streams[key] = None
             if given is not None:
                 streams[key], fates = mend(key, checks.stream(key, given))
-                told += fates
+                told += [fate for fate in fates if not mending.known(fate, dropped)]
         for key, known in (("odometry", motion.ODOMETRY), ("velocities", motion.VELOCITIES)):
             if (found := streams[key]) is not None:
                 motion.require_motion(key, found, known)
