@@ -162,6 +162,12 @@ def test_velocities_are_held():
     assert_allclose(laid.evidence[speed], [[1.5, 0.25]])
 
 
+def test_a_part_without_truth_is_resampled():
+    known = Stream([2.0, 3.0], [[0.0, 0.0], [1.0, 1.0]], ("east", "north"))
+    part = Recording(odometry=odometry(), truth=known).between(0.0, 1.5)
+    assert part.resampled(period=0.5).truth is None
+
+
 def test_a_changed_recording_tells_of_each_row_once():
     fixes = Stream([1.0, 1.0], [[0.0, 0.0], [1.0, 1.0]], ("east", "north"))
     drive = Recording(fixes=fixes)
