@@ -231,15 +231,9 @@ class Lost(Shown, Immutable):
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=0.1)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=1.0)],
-    ... )
+    >>> from pgm.examples import walk, z
     >>> readings = [[0.0]] * 20 + [[30.0]] * 20
-    >>> print(pgm.filter(model, {z: readings}, gate=0.99).lost)
+    >>> print(pgm.filter(walk, {z: readings}, gate=0.99).lost)
     Lost(1 stretch, at 12 of 41 steps)
       steps 21..40 (said at 29): rejections, 1 of the sightings rejected
     """
