@@ -54,7 +54,11 @@ class Unknown(InCode, Immutable):
         if values.ndim != 2 or not len(values) or not np.isfinite(values).all():
             raise EvidenceError(
                 "unknown: candidates are one or more rows of finite numbers, (k, d); found "
-                f"{'some that are not finite' if values.ndim == 2 else f'shape {values.shape}'}"
+                + (
+                    "some that are not finite"
+                    if values.ndim == 2 and len(values)
+                    else f"shape {values.shape}"
+                )
             )
         shares = np.ones(len(values))
         if weights is not None:

@@ -56,9 +56,10 @@ def as_gate(owner: str, gate: object) -> float | Gates | None:
 
 def _probability(owner: str, value: object, of: str) -> float:
     if not is_number(value) or not 0.0 < value < 1.0:
+        none = "left out for no gate" if of else "or None for no gate"
         raise ModelError(
-            f"{owner}: a gate{of} is a probability between 0 and 1, such as 0.99, or None for no "
-            f"gate; found {value!r}"
+            f"{owner}: a gate{of} is a probability between 0 and 1, such as 0.99, {none}; found "
+            f"{value!r}"
         )
     return float(value)
 

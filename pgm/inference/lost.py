@@ -223,7 +223,8 @@ class Lost(Shown, Immutable):
     outliers. Lost is where a C reaches h = ln 10⁶, in a consistent filter once in 10⁶ steps on
     average at the most often; recovered where both have fallen by ln 100. One step counts for h/3
     at the most. A sighting that is taken for none of its candidates, `pgm.unknown`, is rejected,
-    too, and more of them are expected where more are declared spurious or new.
+    too, and more of them are expected where more are declared spurious or new; so is one that
+    truncated least squares leave out.
 
     Page, Continuous inspection schemes, 1954; Lorden, Procedures for reacting to a change in
     distribution, 1971.

@@ -315,3 +315,8 @@ def test_what_cannot_be_left_open():
 def pgm_steps(evidence):
     """The evidence without its values, to be drawn."""
     return {z: pgm.sightings(step=STEP, given=evidence[z].given)}
+
+
+def test_no_candidates_are_refused_by_their_shape():
+    with pytest.raises(pgm.EvidenceError, match=r"found shape \(0, 2\)"):
+        pgm.unknown(np.zeros((0, 2)))

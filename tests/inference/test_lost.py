@@ -219,3 +219,26 @@ def test_clutter_that_was_declared_makes_no_belief_lost():
     given = {SPOT: pgm.unknown(SPOTS, spurious=0.6, volume=1.44e4)}
     found = pgm.filter(wanderer(), {SEEN: pgm.sightings(values, step=step, given=given)}, steps=200)
     assert found.lost.at[-1]
+
+
+@pytest.mark.parametrize("gate", [None, 0.9999])
+def test_truncated_noise_that_leaves_everything_out_is_lost(gate):
+    """Its weights of zero leave innovations of none."""
+    rng = np.random.default_rng(0)
+    values = rng.normal(scale=0.3, size=(2, 80, 1))
+    values[0, 40:] += 50.0
+    sensor = pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.1, noise=pgm.TruncatedLeastSquares(3.0))
+    model = MODEL.replace(observation=[sensor])
+    found = pgm.filter(model, {z: values}, gate=gate).lost
+    (stretch,) = found.stretches
+    assert (stretch.run, stretch.first, stretch.last) == ((0,), 41, 80)
+    assert stretch.why == "rejections"
+    smoothed = pgm.smooth(model, {z: values}, gate=gate, iterations=60).lost
+    assert smoothed.at[0, 60:].all()
+    for schedule in (pgm.Filtering(gate=gate), pgm.FixedLag(3, gate=gate)):
+        due = pgm.infer(pgm.compile(model, 80), {z: values[0]}, schedule=schedule).lost
+        robot = pgm.OnlineFilter(model, schedule=schedule, watch=True)
+        belief = robot.initial()
+        for k in range(1, 81):
+            belief = robot.update(robot.predict(belief), {z: values[0, k - 1]})
+            assert belief.lost == due.at[k]

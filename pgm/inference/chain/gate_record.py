@@ -47,6 +47,11 @@ class GateRecord:
             self.gate, cut(self.given, runs), cut(self.rejected, runs), cut(self.square, runs)
         )
 
+    @property
+    def judged(self) -> tuple[Mask, Mask]:
+        """Sightings that were rejected, and those about which was decided, (M, runs)."""
+        return self.rejected, ~np.isnan(self.square)
+
     @classmethod
     def joined(cls, parts: Sequence[GateRecord]) -> GateRecord:
         """The record of all runs, from those of parts of them."""

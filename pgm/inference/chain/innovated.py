@@ -61,16 +61,18 @@ class Innovated(ABC):
         nis, dof = by_step(plan, plan.read, self._forward)
         rejected, judged = np.zeros_like(dof), np.zeros_like(dof)
         for sensor in plan.read:
-            if sensor.gated is not None:
-                np.add.at(rejected, sensor.family.step, sensor.gated.rejected)
-                np.add.at(judged, sensor.family.step, ~np.isnan(sensor.gated.square))
+            found = None if sensor.gated is None else sensor.gated.judged
+            found = sensor.weights.judged(found) if sensor.robust else found
+            if found is not None:
+                np.add.at(rejected, sensor.family.step, found[0])
+                np.add.at(judged, sensor.family.step, found[1])
         read = Read(np.nan_to_num(nis), dof, rejected, judged)
         gated = {sensor.variable for sensor in plan.read if sensor.gated is not None}
         for variable, each in self.associations.items():
             strange, opened = np.zeros_like(dof), np.zeros_like(dof)
-            for found, rows in zip(
+            for total, rows in zip(
                 (strange, opened), each.judged(gated=variable in gated), strict=True
             ):
-                np.add.at(found, each.step, rows)
+                np.add.at(total, each.step, rows)
             read = read.and_(Read.of_open(strange, opened, each.outliers))
         return Lost.of(read, plan.lead)

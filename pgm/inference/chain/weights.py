@@ -23,6 +23,8 @@ from pgm.kernels.arrays import Array, Integers, Kind, Mask, independent, inner
 
 # Weights that move by no more than this have settled.
 SETTLED = 1e-10
+# Those of a truncated loss are about 0 or 1.
+_HALF = 0.5
 
 
 @dataclass(eq=False)
@@ -132,6 +134,21 @@ class Weights:
         # Weights that are those of the hard loss already need no further stage.
         stage = np.where((found == hard).all(axis=0), np.inf, stage)
         return found, stage
+
+    def judged(
+        self, gated: tuple[Mask, Mask] | None, rows: slice = slice(None)
+    ) -> tuple[Mask, Mask] | None:
+        """Sightings that were rejected, of those that were judged, (k, runs), by a gate and this.
+
+        A truncated loss rejects what it leaves out; others go on counting everything.
+        """
+        if not self.noise.graduated:
+            return gated
+        weight = self.weight[rows]
+        count = self.count if self.taken is None else self.count[rows]
+        seen = np.broadcast_to(count > 0, weight.shape)
+        left: Mask = (weight < _HALF) & seen
+        return (left, seen) if gated is None else (gated[0] | left, gated[1] | seen)
 
     def surplus(self, rows: slice = slice(None)) -> Array:
         """The log-densities of sightings beyond those of N(0, R / w), (k, runs)."""

@@ -18,7 +18,7 @@ from pgm.inference.chain.vector import vector
 from pgm.inference.gates import gate_of
 from pgm.inference.lost import PageTest, Read
 from pgm.kernels import normal
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 # A sensor, the decisions of its gate, and the order of its sightings.
@@ -84,7 +84,13 @@ def of_update(
     dof = np.full(nis.shape, len(residual), dtype=np.intp)
     if missing is not None:
         dof -= np.asarray(missing, dtype=np.intp)
-    return gated, watch.and_(_read(nis, dof, gated))
+    records = iter(gated)
+    each = [None if part.gated is None else next(records)[1].judged for part in parts]
+    judged = [
+        found if part.weights is None else part.weights.judged(found)
+        for part, found in zip(parts, each, strict=True)
+    ]
+    return gated, watch.and_(_read(nis, dof, judged))
 
 
 # First along the covariance, then along the rows.
@@ -93,24 +99,30 @@ _PATH = ["einsum_path", (0, 1), (0, 1)]
 
 def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...], Watch | None]:
     """The decisions at the newest step of a window, with all of its measurements."""
-    plan, found = window.plan, list[Decided]()
+    plan, found, judged = window.plan, list[Decided](), list[tuple[Mask, Mask] | None]()
     for sensor in plan.sensors:
         rows = sensor.rows(plan.steps)
-        if sensor.gated is not None and rows.stop > rows.start:
+        if rows.stop <= rows.start:
+            continue
+        own = None
+        if sensor.gated is not None:
             order = np.argsort(np.argsort(sensor.order[rows]))
             found.append((sensor.variable, sensor.gated.window(rows), order))
+            own = found[-1][1].judged
+        judged.append(sensor.weights.judged(own, rows) if sensor.robust else own)
     gated = tuple(found)
     if watch is None:
         return gated, None
     nis, dof = by_step(plan, plan.read, window.ahead)
-    return gated, watch._replace(read=_read(np.nan_to_num(nis[-1]), dof[-1], gated))
+    return gated, watch._replace(read=_read(np.nan_to_num(nis[-1]), dof[-1], judged))
 
 
-def _read(nis: Array, dof: Integers, gated: tuple[Decided, ...]) -> Read:
+def _read(nis: Array, dof: Integers, each: Sequence[tuple[Mask, Mask] | None]) -> Read:
     rejected, judged = np.zeros_like(dof), np.zeros_like(dof)
-    for _, record, _ in gated:
-        rejected += record.rejected.sum(axis=0)
-        judged += (~np.isnan(record.square)).sum(axis=0)
+    for found in each:
+        if found is not None:
+            rejected += found[0].sum(axis=0)
+            judged += found[1].sum(axis=0)
     return Read(nis, dof, rejected, judged)
 
 
