@@ -54,12 +54,16 @@ class Spans:
         """The times at which rows begin and end."""
         return np.unique(np.concatenate([self.starts[:1], self.ends]))
 
+    def require_time(self) -> None:
+        """Refuse motion without rows."""
+        if not len(self.whole):
+            raise EvidenceError(f"the {self.what} cover no time; two stamps or more were due")
+
     def every(self, period: float) -> Array:
         """The times a period apart, from the first on."""
         if not (is_number(period) and period > 0.0):
             raise EvidenceError(f"period= is a positive number of seconds, not {period!r}")
-        if not len(self.axis):
-            raise EvidenceError(f"the {self.what} cover no time; two stamps or more were due")
+        self.require_time()
         first, last = self.axis[[0, -1]]
         number = (last - first) / period
         if not 1.0 - SAME <= number <= _MOST:
@@ -90,8 +94,7 @@ class Spans:
 
     def _pieces(self, times: Array) -> tuple[Integers, Array, Integers]:
         """Pieces of time, each within one row: the row, the share of it, and the step of times."""
-        if not len(self.whole):
-            raise EvidenceError(f"the {self.what} cover no time; two stamps or more were due")
+        self.require_time()
         first, last = self.starts[0], self.ends[-1]
         for time in (times[0], times[-1]):
             if not first - SAME <= time <= last + SAME:

@@ -173,7 +173,9 @@ class Recording(Shown, NoArray, Immutable):
         With a state at each of them `timeline` moves no measurement, or none by more than a
         tolerance [s]. Without names the sensors are all that have sightings, and the fixes.
         """
-        axis = self.times
+        spans = self._motion()
+        spans.require_time()
+        axis = spans.axis
         names = sensors or (*self.sightings, *(["fixes"] if self.fixes is not None else []))
         others = np.sort(np.concatenate([[], *(handing.sensor(self, n).stamps for n in names)]))
         inside = (others >= axis[0]) & (others <= axis[-1])

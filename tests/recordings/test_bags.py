@@ -247,6 +247,9 @@ def test_messages_that_are_no_measurements(tmp_path):
     bad.pose.pose.orientation.w = 0.5
     with pytest.raises(FileError, match=r"/odom, message 1: .* is no unit quaternion"):
         read_bag(write(tmp_path / "a", 2, [("/odom", make.odometry(0.5, 0, 0, 0)), ("/odom", bad)]))
+    bare = [make.odometry(-BEGIN, x, 0, 0) for x in (0, 1)]
+    with pytest.raises(FileError, match=r"/odom: headers of messages have no stamps"):
+        read_bag(write(tmp_path / "c", 2, [("/odom", each) for each in bare]))
     late = [make.scan(1.0, [1, 1, 1]), make.scan(0.5, [2, 2, 2])]
     found = read_bag(write(tmp_path / "b", 2, [("/scan", each) for each in late]))
     assert_array_equal(found.scans["/scan"].ranges[:, 0], [2.0, 1.0])

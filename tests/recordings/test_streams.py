@@ -266,6 +266,7 @@ PART = Stream([0.0, 1.0], [[1.0], [2.0]], ("range",), subject=[1, 2])
         (lambda: Recording(odometry=odometry()).resampled(period=0.0), "period= is a positive"),
         (lambda: Recording(odometry=odometry()).resampled([1.0, 1.0]), "times increase"),
         (lambda: Recording(odometry=odometry()).resampled([0.0, 9.0]), "0 s to 3 s, and not 9 s"),
+        (lambda: Recording(odometry=odometry()).between(8.0, 9.0).stamps(), "cover no time"),
         (lambda: Recording(odometry=odometry()).between(2.0, 1.0), "between takes two times"),
         (lambda: Recording(odometry=WHOLE).resampled([0.0, 0.5]), "row 0: a turn of 6.283 rad"),
         (lambda: Recording(sightings={"a": PART}).calibrated("b"), "no sensor 'b'; it has 'a'"),

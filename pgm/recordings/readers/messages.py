@@ -30,7 +30,7 @@ def _odometry(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Rea
     """Messages of nav_msgs/Odometry."""
     if part != "velocities":
         return _poses(topic, part, rows, origin)
-    return _speeds(rows, [m.twist.twist for m in rows])
+    return _speeds(topic, rows, [m.twist.twist for m in rows])
 
 
 def _poses(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
@@ -39,7 +39,7 @@ def _poses(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     turns = _table([(q.x, q.y, q.z, q.w) for q in (pose.orientation for pose in each)], 4)
     places = _table([(pose.position.x, pose.position.y) for pose in each], 2)
     poses = np.column_stack([places, _yaw(topic, turns)])
-    stamps = _stamps(rows)
+    stamps = _stamps(topic, rows)
     if part == "odometry":
         return _increments(stamps, poses)
     spread = None
@@ -61,12 +61,12 @@ def _increments(stamps: Array, poses: Array) -> Read:
 
 def _twists(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     """Messages of geometry_msgs/TwistStamped."""
-    return _speeds(rows, [m.twist for m in rows])
+    return _speeds(topic, rows, [m.twist for m in rows])
 
 
-def _speeds(rows: Sequence[Any], each: Sequence[Any]) -> Read:
+def _speeds(topic: str, rows: Sequence[Any], each: Sequence[Any]) -> Read:
     values = _table([(twist.linear.x, twist.linear.y, twist.angular.z) for twist in each], 3)
-    return Stream(_stamps(rows), values, PLANAR_SPEEDS), []
+    return Stream(_stamps(topic, rows), values, PLANAR_SPEEDS), []
 
 
 def _imu(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
@@ -88,7 +88,7 @@ def _imu(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     spread = np.concatenate(spreads, axis=1)
     values = np.column_stack([*columns, yaw])
     variances = spread if spread.any() else None
-    return Stream(_stamps(rows), values, (*names, "heading"), variances=variances), []
+    return Stream(_stamps(topic, rows), values, (*names, "heading"), variances=variances), []
 
 
 def _fixes(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
@@ -104,7 +104,7 @@ def _fixes(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     values[~known[fixed], 2] = np.nan
     cov = _table([m.position_covariance for m in rows], 9)[fixed]
     spread = cov[:, [0, 4, 8]] if all(m.position_covariance_type for m in rows) else None
-    stream = Stream(_stamps(rows)[fixed], values, ("east", "north", "up"), variances=spread)
+    stream = Stream(_stamps(topic, rows)[fixed], values, ("east", "north", "up"), variances=spread)
     return stream, told
 
 
@@ -125,7 +125,7 @@ def _scans(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     # By REP 117 infinity is nothing in reach, and what is too near or no reading is NaN.
     with np.errstate(invalid="ignore"):
         ranges[ranges < least] = np.nan
-    stamps = _stamps(rows)
+    stamps = _stamps(topic, rows)
     told = []
     if (back := np.flatnonzero(np.diff(stamps) < 0.0) + 1).size:
         told.append(Dropped(topic, mending.BACKWARDS, back, kept=True))
@@ -133,10 +133,13 @@ def _scans(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     return Scans(stamps[order], ranges[order], start + step * np.arange(count), most), told
 
 
-def _stamps(rows: Sequence[Any]) -> Array:
+def _stamps(topic: str, rows: Sequence[Any]) -> Array:
     """The stamps of headers, seconds."""
     if any(m.header.stamp.sec == 0 and m.header.stamp.nanosec == 0 for m in rows[1:]):
-        raise EvidenceError("headers of messages have no stamps; the bag's times are not used")
+        raise EvidenceError(
+            f"{topic}: headers of messages have no stamps, and the bag's times, when they came, "
+            "are not used; stamp them, or leave the topic out of topics="
+        )
     return np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in rows], dtype=float)
 
 
