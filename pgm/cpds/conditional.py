@@ -42,12 +42,7 @@ from pgm.variables import Variable
 class ConditionalGaussian(CPD):
     """A CPD that is a function of the parents plus Gaussian noise.
 
-    Attributes
-    ----------
-    cov : ndarray or Noise
-        Covariance of the noise.
-    noise : RobustNoise or None
-        Of what kind it is, if not Gaussian; then `cov` is its scale matrix.
+    Where `noise` is robust, `cov` is its scale matrix.
     """
 
     cov: Array | Noise
@@ -94,13 +89,7 @@ class ConditionalGaussian(CPD):
             self.require_regular(roots.root(self.cov))
 
     def require_regular(self, lower: Array) -> None:
-        """Refuse the roots of covariances of which one is singular, for robust noise.
-
-        Raises
-        ------
-        ModelError
-            If one is.
-        """
+        """Refuse, for robust noise, the roots of covariances of which one is singular."""
         if not (np.diagonal(lower, axis1=-2, axis2=-1) > 0.0).all():
             raise ModelError(
                 f"{self!r}: {self.noise!r} weighs a residual by its Mahalanobis square, which a "
@@ -129,18 +118,7 @@ class ConditionalGaussian(CPD):
         return [*kind, named_matrix(heads, heads, cov, "cov")]
 
     def require_proper(self, what: str) -> None:
-        """Refuse an infinite variance where there is no use for it.
-
-        Parameters
-        ----------
-        what : str
-            The reason, for the message.
-
-        Raises
-        ------
-        ModelError
-            If a variance is infinite.
-        """
+        """Refuse an infinite variance where there is no use for it, for the reason given."""
         if not isinstance(self.cov, Noise) and np.isinf(self.cov).any():
             raise ModelError(
                 f"{self!r} has an infinite variance: {what}; give it a finite one",

@@ -91,20 +91,8 @@ def as_covariance(
     """A copy of a covariance over a scope as matrices, (..., n, n), checked.
 
     The number of axes says what is given, never their length: none is one variance for every
-    component, one holds the variance of each, two or more end in matrices.
-
-    Parameters
-    ----------
-    scope : tuple of Variable
-        n components.
-    value : array_like
-        (), (n,) or (..., n, n).
-    what : str
-        The covariance, for messages.
-    runs : bool
-        Whether matrices may have leading axes.
-    flat : bool
-        Whether variances may be infinite, of components that are independent of all others.
+    component, one holds the variance of each, two or more end in matrices; these have axes of runs
+    only with `runs`. With `flat` independent components may have infinite variance.
     """
     # A series of variances is taken by its names, as a series of means is.
     named = labels(scope) if getattr(value, "ndim", 0) == 1 else ()

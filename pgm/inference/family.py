@@ -48,14 +48,8 @@ Some = int | slice
 class Family(Rows):
     """A CPD at its rows, and its linearisation there.
 
-    A family is a child with its parents here; families of beliefs are in `chain.sweep`.
-
-    Attributes
-    ----------
-    noise : ndarray
-        (rows, runs, d, d): the CPD's own and the lineariser's error.
-    approximate : bool
-        Whether `noise` holds errors of linearisations, and is an array of its own.
+    `noise` (rows, runs, d, d) is the CPD's own and the lineariser's error; an array of its own
+    where it is `approximate`.
     """
 
     noise: Array = field(init=False, repr=False)

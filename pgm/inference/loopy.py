@@ -25,15 +25,7 @@ Round = TypeVar("Round")
 
 @dataclass(frozen=True, eq=False)
 class Directed:
-    """The messages of a cluster graph: two for each sepset.
-
-    Attributes
-    ----------
-    source, target : ndarray of int
-        (messages,): the clusters between which each goes.
-    clusters : int
-        Number of clusters.
-    """
+    """The messages of a cluster graph, two for each sepset: from which cluster to which."""
 
     source: Integers
     target: Integers
@@ -80,10 +72,7 @@ class Messages(Protocol[Round]):
         """Lay out the computation of some messages, in batches of one shape."""
 
     def propose(self, round: Round) -> Array:
-        """Compute them from the messages kept; how much each would change, (messages, runs).
-
-        In the order in which they were asked for.
-        """
+        """How much each message asked for would change, (messages, runs)."""
 
     def accept(self, round: Round, active: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active, (runs,)."""

@@ -45,16 +45,9 @@ _WHY = ("innovations", "rejections")
 
 
 class Read(NamedTuple):
-    """The readings of steps, in numbers: (..., runs) each.
+    """The readings of steps in numbers, (..., runs): NIS, its components, and what gates did.
 
-    Attributes
-    ----------
-    nis : ndarray
-        The squared length of all innovations that were taken in together; 0 without any.
-    dof : ndarray of int
-        Their components.
-    rejected, judged : ndarray of int
-        Sightings that gates rejected, of those about which they decided.
+    `rejected` are the sightings that gates rejected, of those `judged`.
     """
 
     nis: Array
@@ -81,17 +74,9 @@ class Read(NamedTuple):
 class PageTest(NamedTuple):
     """The state of the tests of runs after a step.
 
-    Attributes
-    ----------
-    level : ndarray
-        (2, runs): C of each test.
-    onset : ndarray of int
-        (2, runs): the step from which on it has been above zero.
-    lost : ndarray of bool
-        (runs,).
-    first, declared, why : ndarray of int
-        (runs,): of the stretch that goes on, or the last one: since when, from when on it was said,
-        and which of the tests said so.
+    `level` (2, runs) is C of each test, `onset` the step from which on it has been above zero. Of
+    the stretch that goes on, or the last one, (runs,): since when (`first`), from when on it was
+    said (`declared`), and which of the tests said so (`why`).
     """
 
     level: Array

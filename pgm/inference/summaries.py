@@ -106,17 +106,7 @@ def at_a_step(
 def of_network(
     title: str, posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...]
 ) -> Summary:
-    """The summary of a posterior of a network without time.
-
-    Parameters
-    ----------
-    title : str
-    posterior : object
-        ``posterior[x]``, with leading axes `runs`, and its `log_evidence` and `status`.
-    variables : sequence of Variable
-        Those without evidence, which are asked for in this order.
-    runs : tuple of int
-    """
+    """The summary of a posterior of a network without time, its variables in order."""
     return Summary(title, [*figures(posterior), *by_variable(posterior, variables, runs)])
 
 

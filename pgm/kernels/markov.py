@@ -34,18 +34,8 @@ def forward(
 ) -> Masses:
     """Fill rows with forward messages; their masses, and those of the rows each was made from.
 
-    Parameters
-    ----------
-    applies : iterable of callable
-        The transition into each step.
-    weights : ndarray
-        (steps, states, [runs]): p(z_t | x_t), up to a factor.
-    belief : ndarray
-        (states, [runs]): at the step before, of sum one.
-    rows : ndarray
-        (steps, states, [runs]), to be filled.
-    every : int
-        Steps from one scaling to the next.
+    `weights` are p(z_t | x_t) up to a factor, like `rows` (steps, states, [runs]); `belief` is that
+    at the step before, of sum one. Messages are scaled `every` so many steps.
     """
     before = np.ones((len(rows), *belief.shape[1:]))
     for k, (apply, weight, row) in enumerate(zip(applies, weights, rows, strict=False)):
@@ -63,16 +53,8 @@ def forward(
 def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int = EVERY) -> None:
     """Fill rows, last to first, with the messages to each step; the last row is given.
 
-    Parameters
-    ----------
-    applies : iterable of callable
-        The transposed transition into each step but the first, last to first.
-    weights : ndarray
-        (steps - 1, states, [runs]), of the same steps.
-    rows : ndarray
-        (steps, states, [runs]).
-    every : int
-        Steps from one scaling to the next.
+    `applies` are the transposed transitions into each step but the first, last to first; `weights`
+    (steps − 1, states, [runs]) of the same steps.
     """
     message = rows[-1]
     product = np.empty_like(message)
@@ -92,13 +74,6 @@ class Blocks:
     Each row of a block's transfer matrix, the product of p(x_t | x_{t−1}) p(z_t | x_t) over its
     steps, has a logarithm of its own as its scale: with one for the whole matrix the row of a
     likely state would be lost beside that of an unlikely one whose measurements are likelier.
-
-    Parameters
-    ----------
-    matrix : ndarray
-        (states, states), p(x_t | x_{t−1}), rows before.
-    weights : ndarray
-        (steps, states).
     """
 
     def __init__(self, matrix: Array, weights: Array) -> None:

@@ -27,19 +27,9 @@ ROUNDING = 1e-14
 
 
 class Update(NamedTuple):
-    """A belief given a measurement.
+    """A belief given a measurement, and the log-density of this; `left` is as of `gaussian.Update`.
 
-    Attributes
-    ----------
-    mean, cov : ndarray
-        The belief given the measurement.
-    log_density : ndarray
-        Of the measurement; a component that an exact model determines adds nothing.
-    lower : ndarray
-        The root of the measurement's predictive covariance; NaN where that is indefinite.
-    left : ndarray or None
-        (..., D): how far each determined component is from what the model says it is; None
-        where nothing is determined.
+    `lower` is the root of the measurement's predictive covariance; NaN where that is indefinite.
     """
 
     mean: Array
@@ -54,9 +44,7 @@ def update(
 ) -> Update:
     """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), residual z − H mean.
 
-    The covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of semidefinite terms, with the
-    gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise. `exact` says whether the noise is singular, so that
-    zeros have to be told from their rounding.
+    As `gaussian.update`, with the batch first.
     """
     size = residual.shape[-1]
     cross = times_symmetric(matrix, cov)

@@ -43,16 +43,9 @@ def clearances(stops: Mask) -> Cells:
 
 
 def cast(clear: Cells, points: Array, units: Array, most: float) -> Array:
-    """The distances at which rays enter a stop, (n,); infinite where they enter none.
+    """The distances, up to `most`, at which rays enter a stop; infinite where they enter none.
 
-    Parameters
-    ----------
-    clear : ndarray of int
-        As of `clearances`.
-    points, units : ndarray
-        (2, n): x and y of the beginning, in cells, and of the direction, of length one.
-    most : float
-        From there on rays are not followed.
+    Points and unit directions are (2, n), x and y in cells.
     """
     found = np.full(points.shape[1], np.inf)
     for first in range(0, points.shape[1], RAYS):
@@ -119,14 +112,8 @@ def entered(points: Array, ends: Array, width: int) -> Integers:
     """The cells that segments enter, those of their beginnings too, as flat indices.
 
     Each line of the grid that a segment crosses leads into one cell, whatever the others do: all
-    crossings of all segments are found at once.
-
-    Parameters
-    ----------
-    points, ends : ndarray
-        (2, n): x and y of both, in cells, none negative.
-    width : int
-        Of the grid, in cells.
+    crossings of all segments are found at once. Points and ends are (2, n), x and y in cells, none
+    negative, of a grid so wide.
     """
     first, last = np.floor(points).astype(np.intp), np.floor(ends).astype(np.intp)
     count = np.abs(last - first)
@@ -169,18 +156,9 @@ _MANY = 2**31
 def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask) -> Array:
     """The sums over the beams of each pose, (m,).
 
-    Parameters
-    ----------
-    table : ndarray
-        (rows, columns), contiguous. Ends beyond its edge count as in the cell on the edge.
-    poses : ndarray
-        (m, 3): column, row and heading.
-    units : ndarray
-        (2, beams): the directions of beams in the frame of their pose.
-    ranges : ndarray
-        (m, beams) in cells, or (1, beams) where all poses share one scan.
-    seen : ndarray of bool
-        As the ranges: which beams count.
+    The table (rows, columns) is contiguous; ends beyond its edge count as in the cell on the edge.
+    Poses (m, 3) are column, row and heading; units (2, beams) directions in their frame; ranges (m,
+    beams), or (1, beams) where all poses share one scan, are in cells.
     """
     shared = len(ranges) == 1
     if shared:

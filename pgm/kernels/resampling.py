@@ -33,22 +33,9 @@ Resampler = Callable[[Array, int, np.random.Generator], Integers]
 def systematic(weights: Array, count: int, rng: np.random.Generator) -> Integers:
     """One random number for a comb of equal distances; counts are ⌊·⌋ or ⌈·⌉ of count · w.
 
-    Parameters
-    ----------
-    weights : ndarray
-        (n,), not negative and not all zero; their sum is taken for one.
-    count : int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    ndarray of int
-        (n,), of sum `count`; zero where the weight is.
-
-    References
-    ----------
-    Madow, On the theory of systematic sampling, 1949; the low variance sampler of Thrun, Burgard &
-    Fox, Probabilistic Robotics, 2005, table 4.4.
+    Zero where the weight is; weights need not sum to one. Madow, On the theory of systematic
+    sampling, 1949; the low variance sampler of Thrun, Burgard & Fox, Probabilistic Robotics, 2005,
+    table 4.4.
     """
     edges = _edges(weights, count)
     edges -= rng.random()
@@ -65,10 +52,7 @@ def stratified(weights: Array, count: int, rng: np.random.Generator) -> Integers
 
 
 def residual(weights: Array, count: int, rng: np.random.Generator) -> Integers:
-    """⌊count · w⌋ of each, the rest drawn from what is left, independently (Liu & Chen 1998).
-
-    Parameters and returns are those of `systematic`.
-    """
+    """⌊count · w⌋ of each, the rest drawn from what is left, independently (Liu & Chen 1998)."""
     expected = count * (weights / weights.sum(dtype=np.float64))
     # Whole numbers that rounding left a little short are whole: else equal weights, which are to be
     # drawn once each, would all be left to chance.
@@ -131,16 +115,9 @@ _MEAN, _VARIANCE = 1.1605, 2.406
 
 
 def draws_needed(bins: int, epsilon: float, delta: float) -> int:
-    """The number of draws that a distribution over so many bins needs; 1 of a single bin.
+    """The number of draws that a distribution over so many occupied bins needs; 1 of a single bin.
 
-    Parameters
-    ----------
-    bins : int
-        k, those that are occupied.
-    epsilon : float
-        The divergence, in nats.
-    delta : float
-        The probability of a larger one.
+    Its divergence is then at most `epsilon` nats but for a probability `delta`.
     """
     if bins <= 1:
         return 1

@@ -30,15 +30,7 @@ CONTRADICTION = 1e-7
 
 
 class Rows(NamedTuple):
-    """A stack of factors.
-
-    Attributes
-    ----------
-    matrix, right : ndarray
-        A (..., k, n) and r (..., k, N).
-    exact, exact_right : ndarray or None
-        C (..., m, n) and c (..., m, N); None where there are no exact relations at all.
-    """
+    """A stack of factors: A (..., k, n), r (..., k, N); exact relations C x = c, or None."""
 
     matrix: Array
     right: Array
@@ -49,19 +41,11 @@ class Rows(NamedTuple):
 class Eliminated(NamedTuple):
     """A factor over (x, s) as a conditional of x given s, times a factor over s.
 
-    Attributes
-    ----------
-    gain, offset, noise : ndarray
-        x = gain s + offset + n, n ~ N(0, noise): (..., r, s), (..., r, N) and (..., r, r).
-    rest : Rows
-        Over s: s rows, triangular.
-    log_scale : ndarray
-        (..., N): g of what is over s, less that of the factor.
-    contradiction : ndarray of bool or None
-        (..., N): where exact relations contradict one another.
-    largest : float
-        Of the entries of rows after exact relations were put into them, and of reciprocals of what
-        these were divided by; infinite where it is not certain which of them are independent.
+    x = gain s + offset + n, n ~ N(0, noise). `rest`, over s, has s rows, triangular; `log_scale`
+    (..., N) is g of it, less that of the factor; `contradiction` tells where exact relations
+    contradict one another. `largest` is of the entries of rows after exact relations were put into
+    them, and of reciprocals of what these were divided by; infinite where it is not certain which
+    of them are independent.
     """
 
     gain: Array
@@ -213,18 +197,9 @@ def _independent(
 def _solved(matrix: Array, right: Array) -> tuple[Array, Array, Array, Array, float]:
     """Relations solved for directions: matrix x = right is rows x = solved, and left = 0.
 
-    Returns
-    -------
-    ndarray
-        Orthonormal rows, and rows of zeros.
-    ndarray
-        The right sides of these.
-    ndarray
-        What is left of the others.
-    ndarray
-        Of the values divided by, the sum of logarithms, (...).
-    float
-        The reciprocal of the least value used; infinite where one left out may be no rounding.
+    Returns orthonormal rows, and rows of zeros; `solved`; `left`; the sum of logarithms of the
+    values divided by, (...); and the reciprocal of the least used, infinite where one left out may
+    be no rounding.
     """
     u, values, vt = _svd(matrix)
     count = values.shape[-1]

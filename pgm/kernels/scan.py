@@ -81,16 +81,9 @@ def levels(segments: Segments, compose: Callable[[Segments, Segments], Segments]
 def prefixes(
     start: Beliefs, tree: Sequence[Segments], push: Callable[[Beliefs, Segments], Beliefs]
 ) -> Beliefs:
-    """Down the tree: the beliefs at the right ends of all segments, (T, R, ...).
+    """Down the tree of `levels`: the beliefs at the right ends of all segments, (T, R, ...).
 
-    Parameters
-    ----------
-    start : tuple of ndarray
-        The belief at the left end of the first segment, (1, R, ...).
-    tree : sequence of tuple of ndarray
-        As `levels` makes it.
-    push : callable
-        The belief at a segment's right end, from that at its left.
+    `start` (1, R, ...) is that at the left end of the first; `push` takes one across a segment.
     """
     found = in_chunks(push, start, tree[-1])
     for segments in reversed(tree[:-1]):

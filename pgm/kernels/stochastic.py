@@ -23,13 +23,7 @@ _CHUNK = 2**22
 
 
 class Transition(ABC):
-    """The matrix of p(child | parent), as a map along an axis.
-
-    Attributes
-    ----------
-    shape : tuple of int
-        Parents, children.
-    """
+    """The matrix of p(child | parent), of shape (parents, children), as a map along an axis."""
 
     shape: tuple[int, int]
 

@@ -121,21 +121,9 @@ def eliminated(
 ) -> tuple[Twofold, Twofold]:
     """The factors of symmetric A = U D Uᵀ, U lower with 1 on its diagonal, D diagonal.
 
-    Parameters
-    ----------
-    matrix : ndarray or Twofold
-        (..., n, n).
-    negligible : float
-        The share of its diagonal entry below which a pivot is rounding: D and what is below it in U
-        are zero there.
-    rounding : ndarray, optional
-        (..., n): what rounding may have changed diagonal entries by. Then shares are of it, and of
-        what elimination makes of it.
-
-    Returns
-    -------
-    unit, pivots : Twofold
-        (..., n, n), (..., n).
+    A pivot below the `negligible` share of its diagonal entry is rounding: D and what is below it
+    in U are zero there. With `rounding` (..., n), what it may have changed diagonal entries by,
+    shares are of that, and of what elimination makes of it.
     """
     left = _twofold(matrix).copy()
     size = left.shape[-1]

@@ -135,16 +135,9 @@ class FunctionTemplate:
 
 
 class Source(NamedTuple):
-    """Whose function it is, for messages.
+    """Whose function it is, for messages and for programs that handle an error.
 
-    Attributes
-    ----------
-    cpd : CPD
-        For programs that handle an error.
-    timed : bool
-        Whether the step is one in time.
-    first_run : int or None
-        The number of the first run; None in a trial call.
+    `timed` says whether the step is one in time; `first_run` is None in a trial call.
     """
 
     cpd: Any = None

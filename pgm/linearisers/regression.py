@@ -296,21 +296,9 @@ def _clear_rounding(
 ) -> None:
     """Make the error of a line zero in components in which it may be rounding of the values.
 
-    Of values that lie on their line the slope and one of them tell the size. A value has summands
-    of |F| |μ| besides, of which it may be the difference. Rounding that is far below a component's
-    own noise may stay.
-
-    Parameters
-    ----------
-    function : BoundFunction
-    noise, slope, reference : ndarray
-        The error (d, d, *batch), the slope J (d, n, *batch) and a value (d, *batch).
-    raw : ndarray
-        (d, N, *batch): values less that one.
-    matrix, mean : ndarray
-        F (d, n, *batch), and μ (n, *batch).
-    share : float
-        As `Points.rounding`.
+    Of values that lie on their line the slope J and one of them, the reference, tell the size;
+    `raw` (d, N, *batch) are the others less that one. A value has summands of |F| |μ| besides, of
+    which it may be the difference. Rounding that is far below a component's own noise may stay.
     """
     own = function.template.variances * (function.group or 1)
     if noise.ndim == 2:

@@ -29,19 +29,7 @@ _BITS = 53
 
 
 def uniform(seed: int, name: str, step: int | Integers, size: int, fresh: bool) -> Array:
-    """Numbers in [0, 1), (*axes of step, size).
-
-    Parameters
-    ----------
-    seed : int
-    name : str
-        Of the CPD's child.
-    step : int or ndarray of int
-    size : int
-        How many to a step.
-    fresh : bool
-        Whether entries of equal step get numbers of their own, or the same.
-    """
+    """Numbers in [0, 1), (*axes of step, size); equal steps share theirs unless `fresh`."""
     key = [int(seed), zlib.crc32(name.encode())]
     stretch = -(-size // 4)  # Philox makes four numbers a count
 
@@ -77,18 +65,9 @@ def scrambled_net(uniforms: Array, samples: int, dimension: int) -> Array:
     """Scrambled Sobol points in [0, 1)ⁿ, (..., N, n).
 
     Each coordinate's binary digits are multiplied by a random lower triangular matrix with ones on
-    its diagonal, then shifted by random digits. Every point is uniform, and the points together
-    keep the balance of the net.
-
-    Parameters
-    ----------
-    uniforms : ndarray
-        (..., `scrambling_size`), numbers in [0, 1).
-    samples, dimension : int
-
-    References
-    ----------
-    Matoušek, On the L2-discrepancy for anchored boxes, 1998.
+    its diagonal, then shifted by random digits, of `scrambling_size` uniforms. Every point is
+    uniform, and the points together keep the balance of the net (Matoušek, On the L2-discrepancy
+    for anchored boxes, 1998).
     """
     net = _sobol(samples, dimension)
     words = (uniforms * 2.0**_BITS).astype(np.uint64)
@@ -123,19 +102,7 @@ def _sobol(samples: int, dimension: int) -> Words:
 class SampledRule(StatisticalRegression):
     """Random points for N(0, I), all of one weight, keyed by seed, CPD and step.
 
-    A subclass gives `_sample`.
-
-    Parameters
-    ----------
-    samples : int
-        N, at least 2n + 2.
-    seed : int
-        A whole number, not negative.
-
-    Raises
-    ------
-    LinearisationError
-        If one of them is no such number.
+    At least 2n + 2 of them; a subclass gives `_sample`.
     """
 
     samples: int

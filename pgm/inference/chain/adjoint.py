@@ -51,16 +51,11 @@ _CLOSE = 1e-12
 
 
 class Later(NamedTuple):
-    """The message of later measurements to a slice.
+    """The message of later measurements to a slice: r as a function of δ, (runs, n, 1 + q), and N.
 
-    Attributes
-    ----------
-    vector, matrix : Twofold
-        r as a function of δ, (runs, n, 1 + q), and N, (runs, n, n).
-    rounding, drift : ndarray
-        (runs, n, n): bounds of what rounding has changed N and r by so far, as those of a `Belief`.
-    blurred : ndarray
-        (runs,): the largest part of an innovation's variance that rounding may have changed.
+    `rounding` and `drift` (runs, n, n) bound the changes of N and r by rounding, as those of a
+    `Belief`; `blurred` (runs,) is the largest part of an innovation's variance that it may have
+    changed.
     """
 
     vector: Twofold
@@ -104,15 +99,9 @@ class Back(NamedTuple):
 class Smooth(NamedTuple):
     """A slice given the measurements up to a last step.
 
-    Attributes
-    ----------
-    belief : Belief
-    here : Later
-        The message of all that is read from its step on.
-    back : Back or None
-        Where in some run the belief was found from that of the slice after it.
-    parts : ndarray
-        (runs, n): the parts of variances that rounding may have changed.
+    `here` is the message of all that is read from its step on; `back` is where in some run the
+    belief was found from that of the slice after it; `parts` (runs, n) are those of variances that
+    rounding may have changed.
     """
 
     belief: Belief
@@ -125,15 +114,8 @@ class Smooth(NamedTuple):
 class CarefulSmoothed:
     """Both passes in twice the digits.
 
-    Attributes
-    ----------
-    careful : Careful
-        The forward pass.
-    slices : list of Smooth
-        Of each step, given all measurements, or those up to a lag after it.
-    beliefs : Beliefs
-        Their moments, rounded.
-    layout : SliceLayout
+    `slices` are given all measurements, or those up to a lag after each; `beliefs` their moments,
+    rounded.
     """
 
     careful: Careful
@@ -224,15 +206,10 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
 
 @quiet()
 def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Array, Array]:
-    """Moments of the slices of some steps, ascending, given the measurements up to the last slice.
+    """Moments (runs, k n) of slices at k ascending steps, given the measurements up to the last.
 
     With Φ the product of A (1 − G h) from one step to another, the errors of two predictions have
     the covariance P Φᵀ, of which the measurements from the second step on leave P Φᵀ (1 − N P).
-
-    Returns
-    -------
-    mean, cov : ndarray
-        (runs, k n) and (runs, k n, k n).
     """
     known = careful.steps[len(slices) - 1].taken.unknown
     runs, size = careful.forward.mean.shape[1:]

@@ -37,14 +37,7 @@ from pgm.variables import Variable
 
 
 class Associated(NamedTuple):
-    """Evidence whose sightings are all known, and what the open ones were taken for.
-
-    Attributes
-    ----------
-    bound : BoundEvidence
-    found : dict of Variable to Associations
-        By sensor.
-    """
+    """Evidence whose sightings are all known, and by sensor what the open ones were taken for."""
 
     bound: BoundEvidence
     found: dict[Variable, Associations]
@@ -259,16 +252,9 @@ def _taken(
 
 
 class _Pairs(NamedTuple):
-    """Each sighting with each candidate, (rows, runs, candidates, ...).
+    """Each sighting with each candidate, (rows, runs, candidates, ...): H, ν and R.
 
-    Attributes
-    ----------
-    density, square : ndarray
-        The log-density of the innovation, and its squared length.
-    size : ndarray of int
-        Components that were measured.
-    matrix, residual, noise : ndarray
-        H (..., d, n), ν (..., d) and R (..., d, d).
+    `density` and `square` are of the innovation; `size` counts the components measured.
     """
 
     density: Array

@@ -105,12 +105,8 @@ class Ahead(Protocol):
 class Reverse:
     """The chain from its end: the model of the past given the future, for the same evidence.
 
-    Attributes
-    ----------
-    states : Conditional
-        The states of step t given the slice of step t + 1 and the measurements up to t, at row t.
-    slices : Conditional or None
-        The slice given its states, at each step; None where there are no controls.
+    At row t `states` gives the states of step t from the slice of step t + 1 and the measurements
+    up to t; `slices` a slice from its states, None where there are no controls.
     """
 
     states: Conditional

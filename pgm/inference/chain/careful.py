@@ -95,19 +95,10 @@ def sweep(
     begin: Begin | None = None,
     gated: gate.Asked | None = None,
 ) -> tuple[Careful, Status]:
-    """The forward pass.
+    """The forward pass: linearised at incoming beliefs as the schedule says, or as it was before.
 
-    Parameters
-    ----------
-    plan : ChainPlan
-    schedule : Filtering, optional
-        The linearisations at incoming beliefs; without, CPDs stay as they were linearised.
-    anchor : Anchor, optional
-        Measurements that hold the beliefs near a point.
-    begin : Begin, optional
-        Where a window begins; without, the prior.
-    gated : float or mapping, optional
-        The gates, where no schedule tells.
+    `begin` is where a window begins, in place of the prior; `gated` the gates where no schedule
+    tells.
     """
     out = Forward.empty(plan)
     steps: list[Step] = []
@@ -171,18 +162,10 @@ def update(
 
 @dataclass(frozen=True, eq=False)
 class CarefulUpdate:
-    """The belief that an update leaves, and the log-density of its measurements.
+    """The belief that an update leaves, mean (runs, n), and the log-density of its measurements.
 
-    Attributes
-    ----------
-    mean, cov, log_density : ndarray
-        (runs, n), (runs, n, n) and (runs,).
-    belief : Belief
-    components : list of Component
-        In the order in which they were taken in.
-    information : Twofold
-        (runs, 1 + q, 1 + q): Σ [v V]ᵀ[v V] / S of all components so far.
-    unknown : Solved
+    `components` are in the order in which they were taken in; `information` (runs, 1 + q, 1 + q) is
+    Σ [v V]ᵀ[v V] / S of all so far.
     """
 
     mean: Array

@@ -191,17 +191,7 @@ def _expected(family: Family, rows: slice, mean: Array, cov: Array) -> Array:
 
 
 class Relation(NamedTuple):
-    """Relations of one CPD at some steps.
-
-    Attributes
-    ----------
-    step : ndarray of int
-        (k,).
-    own, before : ndarray
-        C, (k, runs, d, n) over the slice at each step, and B, over that before.
-    value : ndarray
-        c, (k, runs, d).
-    """
+    """Relations C x[t] + B x[t − 1] = c of a CPD at steps (k,), (k, runs, d, n)."""
 
     step: Integers
     own: Array
@@ -217,22 +207,11 @@ class Relation(NamedTuple):
 
 
 def projected(plan: ChainPlan, mean: Array, std: Array) -> tuple[Array, Mask]:
-    """The trajectories nearest to given ones that obey all exact relations.
+    """The trajectories nearest to means (T+1, runs, n) that obey all exact relations.
 
-    Parameters
-    ----------
-    plan : ChainPlan
-    mean : ndarray
-        (T+1, runs, n); those that obey stay as they are.
-    std : ndarray
-        (T+1, runs, n): distances are in each component's largest deviation, or, where that is
-        rounding, in the size of its numbers.
-
-    Returns
-    -------
-    mean : ndarray
-    obeyed : ndarray of bool
-        (runs,): false where rounding has left them astray.
+    Means that obey stay. Distances are in each component's largest deviation `std`, or, where that
+    is rounding, in the size of its numbers. The mask (runs,) is false where rounding has left them
+    astray.
     """
     relations = list(_relations(plan))
     obeyed = _obeyed(relations, mean)

@@ -36,16 +36,9 @@ from pgm.progress import counted
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """The results of the windows of a chain, each at its newest step.
+    """The results of the windows of a chain, each at its newest step, (T+1, runs, ...).
 
-    Attributes
-    ----------
-    newest : Beliefs
-        Given the measurements up to the step: (T+1, runs, n) and (T+1, runs, n, n).
-    log_evidence : ndarray
-        (T+1, runs): of the measurements up to the step.
-    plain : bool
-        Whether float64 had digits enough for all of them.
+    `plain` says whether float64 had digits enough for all of them.
     """
 
     newest: Beliefs
@@ -57,19 +50,9 @@ class Windows:
 class Lagged:
     """Beliefs given the measurements up to a lag after each step.
 
-    Attributes
-    ----------
-    forward : Forward
-        The forward pass of the last linearisations.
-    beliefs : Beliefs
-    reverse : Reverse or None
-        What reverses it, if it was needed.
-    windows : Windows or None
-        None where everything was linearised once.
-    careful : Careful or None
-        The forward pass in twice the digits, if everything was linearised once.
-    error : ndarray or None
-        (runs,): of the means, where anything was solved in twice the digits; see `Belief.error`.
+    `forward` is the pass of the last linearisations, `reverse` its reverse, if needed. `windows` is
+    None, and `careful` may be there, where everything was linearised once. `error` (runs,) is of
+    the means, where anything was solved in twice the digits; see `Belief.error`.
     """
 
     forward: Forward
@@ -168,15 +151,10 @@ class _Record:
 
 
 class Beginning(NamedTuple):
-    """The belief at a window's first step, given the measurements up to there.
+    """The belief (runs, n) at a window's first step, given the measurements up to there.
 
-    Attributes
-    ----------
-    mean, cov : ndarray
-        (runs, n) and (runs, n, n).
-    careful : Begin or None
-        The same in twice the digits, where they found it: rounded to float64 it may be ordinary,
-        and too little for a later window to be solved in twice the digits.
+    `careful` is the same where twice the digits found it: rounded to float64 it may be ordinary,
+    and too little for a later window to be solved in twice the digits.
     """
 
     mean: Array
@@ -211,22 +189,8 @@ class Beginning(NamedTuple):
 class Window:
     """A window after its last iteration.
 
-    Attributes
-    ----------
-    plan : ChainPlan
-        With its last linearisations.
-    ahead : Forward
-        The forward pass.
-    beliefs : Beliefs
-        Smoothed; their means, where they were held back, are those that the step control kept.
-    moved : ndarray
-        (steps, runs, n): how far it held them back.
-    residuals : list of ndarray
-        (runs,) for each relinearisation.
-    converged : ndarray of bool
-        (runs,).
-    careful : CarefulSmoothed or None
-        The solution in twice the digits, where float64 had too few.
+    The step control held `beliefs.mean` back by `moved` (steps, runs, n); `careful` is the solution
+    in twice the digits, where float64 had too few.
     """
 
     plan: ChainPlan
@@ -253,12 +217,7 @@ class Window:
 class SingleStep(NamedTuple):
     """The newest step of a window, its CPDs linearised as a filter does.
 
-    Attributes
-    ----------
-    plan : ChainPlan
-    ahead : Forward
-    error : ndarray or None
-        (runs,): of the means, where it took twice the digits.
+    `error` (runs,) is of the means, where it took twice the digits.
     """
 
     plan: ChainPlan

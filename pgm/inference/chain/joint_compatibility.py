@@ -28,19 +28,11 @@ NOTHING = -1
 
 
 class Pairs(NamedTuple):
-    """The pairs of each sighting of a step with each candidate, linearised at the belief.
+    """The pairs of sightings of a step with candidates, (k, runs, candidates), as linearised.
 
-    Attributes
-    ----------
-    matrix, residual, noise : ndarray
-        H, ν and R over the slice: (k, runs, candidates, d, n), (..., d) and (..., d, d). A missing
-        component has unit variance and says nothing.
-    size : ndarray of int
-        (k, runs): components that were measured.
-    compatible : ndarray of bool
-        (k, runs, candidates): pairs that are within the gate by themselves.
-    log_weight : ndarray
-        (candidates,).
+    `matrix`, `residual`, `noise` are H (..., d, n) over the slice, ν and R; a missing component has
+    unit variance and says nothing. `size` (k, runs) are the components measured; `compatible` pairs
+    are within the gate by themselves.
     """
 
     matrix: Array
@@ -58,10 +50,7 @@ class TooManyError(Exception):
 def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
     """The candidate of each sighting, (k, runs), or `NOTHING`; P is (runs, n, n).
 
-    Raises
-    ------
-    TooManyError
-        If a run has more hypotheses than may be looked at; its number is the argument.
+    TooManyError with the number of a run that has more hypotheses than may be looked at.
     """
     every = int(pairs.size.sum(axis=0).max(initial=0))
     limits = np.concatenate([[0.0], normal.square_within(gate, np.arange(1, every + 1))])

@@ -26,15 +26,7 @@ def joint_moments(
 
         cov(x_s, x_t) = A_s cov(x_{s+1}, x_t),    t > s,
 
-    so that going back once gives all rows, each in one product.
-
-    Parameters
-    ----------
-    reverse : Reverse
-    beliefs : Beliefs
-        Moments of the slices; the latest step wanted is where the way back starts.
-    layout : SliceLayout
-    variables : sequence of Variable
+    so that going back once, from the latest step wanted, gives all rows, each in one product.
     """
     steps = [variable.step for variable in variables if variable.step is not None]
     order = sorted(range(len(variables)), key=steps.__getitem__)

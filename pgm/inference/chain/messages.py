@@ -24,16 +24,10 @@ from pgm.kernels.scan import levels, prefixes, take
 
 
 def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
-    """The likelihood of the measurements after each step, as a function of the states at it.
+    """The likelihood of the measurements after each step, over its states; NaN if none exists.
 
     Messages are carried about the filtered mean, so that large coordinates cost no digits, and
-    moved to the origin at the end: by a scan, or step by step where that is faster. NaN in runs
-    where the message does not exist.
-
-    Returns
-    -------
-    Canonical
-        (T+1, runs, ...).
+    moved to the origin at the end: by a scan, or step by step where that is faster.
     """
     states, size = plan.layout.state_places, plan.layout.state_size
     message: Canonical = (

@@ -27,26 +27,10 @@ _HALF_TURN = 0.5 * TURN
 class MomentChain:
     """The Gaussian family forward: predicts a slice, and takes in the measurements of its step.
 
-    Parameters
-    ----------
-    plan : ChainPlan
-    schedule : Filtering or None
-        How often measurements are linearised; None leaves all CPDs as they were linearised before.
-    keep : bool
-        Whether the plan keeps the linearisations.
-    anchor : Anchor, optional
-        Measurements of all components that hold the beliefs near a point, for step control.
-    room : callable, optional
-        Gives arrays that the moments of a step may be written to, in a sweep of many runs.
-    check : bool
-        Whether all numbers are looked at, and refused where they are not finite.
-    gated : float or mapping, optional
-        The gates, where no schedule tells.
-
-    Attributes
-    ----------
-    residuals : list of ndarray
-        (runs,) for each relinearisation, the largest of all steps.
+    Without a schedule all CPDs stay as they were linearised. `keep` has the plan keep
+    linearisations; `anchor` holds the beliefs near a point; `room` gives arrays for the moments of
+    a sweep of many runs; `check` refuses numbers that are not finite; `gated` are the gates where
+    no schedule tells. `residuals` (runs,) are the largest of all steps.
     """
 
     def __init__(

@@ -24,18 +24,10 @@ from pgm.kernels.scan import in_chunks
 
 @dataclass(frozen=True, eq=False)
 class Means:
-    """The means of a solution, and the variance of each component given all others.
+    """Means (T+1, runs, n), and the variance of each component given all others.
 
-    These are no larger than its marginal variance.
-
-    Attributes
-    ----------
-    means, variance : ndarray
-        (T+1, runs, n).
-    readings : Readings
-        The measurements that they were found from.
-    pair : int
-        Components of a pair, of whose covariances there are none.
+    This is no larger than its marginal variance. Of a pair, of so many components, there are no
+    covariances.
     """
 
     means: Array

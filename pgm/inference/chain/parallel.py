@@ -73,17 +73,9 @@ def filtered(
 ) -> Ahead:
     """The forward pass with every CPD as it was linearised, as `forward.stored` gives it.
 
-    Where composing segments costs digits, `forward.stored` makes it.
-
-    Parameters
-    ----------
-    plan : ChainPlan
-    reference : ndarray
-        (T+1, runs, n): a trajectory near the beliefs, such as that at which the plan was
-        linearised. Elements are about it, so that large coordinates cost no digits.
-    anchor : Anchor, optional
-    readings : Readings, optional
-        The measurements of the plan about the reference, where they are known.
+    `forward.stored` makes it where composing segments costs digits. Elements are about the
+    `reference` (T+1, runs, n), a trajectory near the beliefs, so that large coordinates cost no
+    digits; `readings` are the measurements about it, where known.
     """
     readings = Readings.of(plan, reference) if readings is None else readings
     found = _solve(plan, between_slices(plan), _first(plan, anchor), readings, anchor)
@@ -254,17 +246,8 @@ def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[S
     """The element of every step, in deviations from a reference: (T, runs, ...).
 
     It begins with the measurements at the step before, and ends before those of its own step; but
-    for those of a singular noise, which it has with it, since they can only be absorbed by the
-    transition that leads to them. Step 0 is left to the belief from which all begins.
-
-    Parameters
-    ----------
-    moves : Conditional
-        As `about` makes them.
-    likelihood : Likelihood
-        Of the measurements with a regular noise, (T+1, runs, ...).
-    stacks : list of Stack
-        Those of a singular one.
+    for those of a singular noise, the `stacks`, which only the transition that leads to them can
+    absorb. Step 0 is left to the belief from which all begins. `moves` are as of `about`.
     """
     precision = room(moves.matrix.shape[:2], moves.matrix.shape[2:])
     h = room(moves.offset.shape[:2], moves.offset.shape[2:])

@@ -145,17 +145,8 @@ def _absorb(
 class Reading:
     """The sightings of one sensor at a step, to be linearised at any belief.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    at : At
-        The sensor's CPD at the sightings.
-    values : ndarray
-        (D, *batch), as given; one for all may have a batch of one.
-    taken : ndarray of bool or None
-        As of `Measured`.
-    fixed : bool
-        Whether angles are on their branch already.
+    `values` (D, *batch) are as given, with a batch of one for all; `taken` as of `Measured`; angles
+    may be `fixed` on their branch already.
     """
 
     __slots__ = (

@@ -33,16 +33,10 @@ from pgm.variables import Variable
 
 
 class Seen(NamedTuple):
-    """Some measurements of a sensor as it is linearised, z = F x + b + n.
+    """Some measurements of a sensor as linearised: z = F x + b + n, angles moved, (k, runs, ...).
 
-    A missing component is one of unit variance that says nothing: zero in F, b and z.
-
-    Attributes
-    ----------
-    matrix, offset, value, noise : ndarray
-        F, b, z with angles moved, and the noise: (k, runs, ...).
-    taken : ndarray of bool or None
-        (k, runs or 1, d): which components are there; None where none is missing.
+    A missing component is one of unit variance that says nothing: zero in F, b and z. `taken` (k,
+    runs or 1, d) is None where none is missing.
     """
 
     matrix: Array
@@ -60,25 +54,12 @@ class Seen(NamedTuple):
 
 @dataclass(eq=False)
 class Sensor:
-    """A sensor's family in place, with its measurements sorted by step.
+    """A sensor's family in place, with its measurements (M, runs or 1, d) sorted by step.
 
-    Attributes
-    ----------
-    parents : Index
-        Where its hidden parents stand in the slice vector.
-    taken : ndarray of bool or None
-        (M, runs or 1, d): which components were; None where none is missing.
-    values : ndarray
-        (M, runs or 1, d), as given.
-    bounds : list of int
-        The measurements of step t are the rows bounds[t] to bounds[t + 1].
-    cross : dict of int to ndarray
-        By step, the covariances between different sightings' approximation errors, (runs, D, D),
-        of a grouped sensor.
-    whole : bool
-        Whether its hidden parents are all of the slice.
-    gated : GateRecord or None
-        The decisions of its gate, where it has one; `taken` is then all its own, to be written to.
+    The rows bounds[t] to bounds[t + 1] are of step t; `taken` is None where no component is
+    missing, and all its own, to be written to, where there is a gate. `cross` are by step the
+    covariances (runs, D, D) between different sightings' approximation errors, of a grouped sensor;
+    `whole` says whether the hidden parents are all of the slice.
     """
 
     family: Family
@@ -293,15 +274,7 @@ def linearise_grouped(
 ) -> None:
     """Linearise the sightings of steps that have equally many, at beliefs over the slices.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    steps : ndarray of int
-        (G,), with k sightings each.
-    mean, cov : ndarray
-        (G, runs, n) and (G, runs, n, n).
-    active : ndarray of bool, optional
-        The runs that take the new linearisation.
+    Steps (G,) have k sightings each; beliefs are (G, runs, n) and (G, runs, n, n).
     """
     family, parents = sensor.family, sensor.parents
     template = family.template

@@ -27,19 +27,11 @@ SETTLED = 1e-10
 
 @dataclass(eq=False)
 class Weights:
-    """The weights of some sightings of a sensor, for each run.
+    """The weights w of some sightings of a sensor, (k, runs), and the squares s that they are of.
 
-    Attributes
-    ----------
-    noise : RobustNoise
-    white : ndarray
-        (k or 1, runs or 1, d, d): L⁻¹ of the noise L Lᵀ of the components taken.
-    taken : ndarray of bool or None
-        (k, runs or 1, d): which were; None for all.
-    weight, square : ndarray
-        (k, runs): w, and the square s that it is of.
-    stage : ndarray
-        (runs,): the μ of a graduated loss; infinite once it is that loss, NaN before the first.
+    `white` (k or 1, runs or 1, d, d) is L⁻¹ of the noise L Lᵀ of the components `taken`, None for
+    all; `stage` (runs,) the μ of a graduated loss: infinite once it is that loss, NaN before the
+    first.
     """
 
     noise: RobustNoise
@@ -80,14 +72,8 @@ class Weights:
     ) -> Array:
         """The squares of residuals, (k, runs); expected ones where a belief is given.
 
-        Parameters
-        ----------
-        residual : ndarray
-            (k, runs, d).
-        matrix, cov : ndarray, optional
-            H (k, runs, d, m), and the covariance of the parents, (k or 1, runs, m, m).
-        error : ndarray, optional
-            Ω, (k, runs, d, d).
+        H (k, runs, d, m) and the parents' covariance are the belief's, `error` is Ω (k, runs, d,
+        d).
         """
         if self.taken is not None:
             residual = np.where(self.taken, residual, 0.0)

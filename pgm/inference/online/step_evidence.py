@@ -205,17 +205,7 @@ Values = Mapping[Variable, Any]
 
 
 class _Local:
-    """A CPD, and which of the rows given at a step are its inputs.
-
-    Parameters
-    ----------
-    family : Family
-    inputs : list of (int, bool)
-        The place of each input among the rows, and whether it is shared by several sightings.
-    sightings : int
-    reading : int
-        The place of the measurements.
-    """
+    """A CPD, and which of the rows given at a step are its inputs, (place, shared by sightings)."""
 
     def __init__(
         self, family: Family, inputs: list[tuple[int, bool]], sightings: int, reading: int
@@ -253,15 +243,7 @@ class _Layout(NamedTuple):
 
 
 class Layouts:
-    """Layouts of a step, by the kind of input.
-
-    Parameters
-    ----------
-    make : callable
-        Makes a plan, or refuses what is given.
-    schedule : Filtering
-        How often measurements are linearised.
-    """
+    """Layouts of a step, by the kind of input; `make` makes a plan, or refuses what is given."""
 
     def __init__(
         self, make: Callable[[OnlineBelief, Values], ChainPlan], schedule: Filtering
