@@ -66,14 +66,12 @@ class ConditionalGaussian(CPD):
         self._set(cov=cov)
 
     def _with_cov(self, cov: npt.ArrayLike | Noise) -> Self:
-        """The same density with another noise covariance."""
         found = copy.copy(self)
         found.__dict__.pop("_variances", None)  # of a nonlinear CPD, computed from the noise
         found._set_family(self.child, self.given, cov)
         return found
 
     def _set_noise(self, noise: RobustNoise | None) -> None:
-        """Take a robust noise, whose constant covariance has to be regular."""
         if noise is None:
             return
         if not isinstance(noise, RobustNoise):
@@ -107,7 +105,6 @@ class ConditionalGaussian(CPD):
         return deviation(self.cov[(0,) * (self.cov.ndim - 2)])
 
     def _noise_shown(self) -> list[str | Listing]:
-        """The noise that is more than deviations: robust, of parents, or with correlations."""
         kind: list[str | Listing] = [] if self.noise is None else [f"noise: {self.noise!r}"]
         if isinstance(self.cov, Noise):
             return [*kind, f"noise: {called(self.cov.function)} of ({listed(self.cov.given)})"]
@@ -154,7 +151,6 @@ class ConditionalGaussian(CPD):
     def _marginal(
         self, child: Values, known: Known, seen: Mask, centre: Array, lower: Array
     ) -> Array:
-        """The log-densities of the components that are seen, the others being integrated out."""
         lead = np.broadcast_shapes(child.shape[:-1], known.lead)
         pattern = seen.reshape(-1, seen.shape[-1])
         if (pattern == pattern[0]).all():
@@ -171,7 +167,6 @@ class ConditionalGaussian(CPD):
         return found
 
     def _robust(self, lower: Array, residual: Array, count: npt.ArrayLike) -> Array:
-        """The log-densities of residuals of robust noise, of so many components each."""
         assert self.noise is not None
         self.noise.require_proper(self.child.dimension, self)
         white = roots.whiten(lower, residual)
@@ -220,7 +215,6 @@ class ConditionalGaussian(CPD):
 
     @cached_property
     def _lower(self) -> Array:
-        """The root of a constant covariance."""
         self.require_proper("it has neither a density nor draws")
         assert not isinstance(self.cov, Noise)
         lower = roots.root(self.cov)

@@ -106,7 +106,6 @@ class GaussianCPD(AffineCPD):
             ) from None
 
     def _lead(self) -> tuple[int, ...]:
-        """The axes of runs."""
         covs = self.cov.shape[:-2] if isinstance(self.cov, np.ndarray) else ()
         return np.broadcast_shapes(self.offset.shape[:-1], covs)
 

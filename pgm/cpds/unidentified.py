@@ -102,7 +102,6 @@ class UnidentifiedCPD(CPD):
         return found
 
     def _gated(self, density: Array, child: Values, known: Known, gate: float) -> Array:
-        """The log-densities, −∞ where the residual is too many deviations long."""
         assert isinstance(self.sensor, ConditionalGaussian)
         mean, _ = self.sensor._law(known)
         seen = ~np.isnan(child)

@@ -123,7 +123,6 @@ def diagonal(variances: Array) -> Array:
 
 
 def _due(scope: Scope, axes: int, runs: bool) -> str:
-    """The shapes that a covariance may have, in words."""
     size = dimension(scope)
     due = (
         f"its {size} components ({listed(labels(scope))}) need ({size}, {size}), the "

@@ -99,7 +99,6 @@ def require_positive(scope: States, largest: Array) -> None:
 
 
 def _is_within(own: tuple[int, ...], lead: tuple[int, ...]) -> bool:
-    """Whether axes broadcast to others."""
     try:
         return np.broadcast_shapes(own, lead) == lead
     except ValueError:
@@ -217,7 +216,6 @@ def _whole(variable: Discrete, value: Any) -> int:
 
 
 def _refuse(variable: Discrete, array: Any, bad: Mask, where: Place) -> None:
-    """Raise if any entry is bad, naming the first."""
     if bad.any():
         first = array[bad].ravel()[0]
         shown = repr(str(first) if isinstance(first, str) else int(first))

@@ -372,11 +372,9 @@ class Family(Rows):
 
 
 def _unplaced(function: BoundFunction) -> At:
-    """A function to be linearised, without rows or noise."""
     return At(function, None, None, np.zeros(0), 0, 0)
 
 
 def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    """The value of a function without hidden parents."""
     value = components_first(function(components_last(mean, 1)), 1)
     return Line(np.zeros((len(value), 0, *mean.shape[1:])), value, None)

@@ -58,7 +58,6 @@ class Forest:
 
 
 def _edges(neighbours: list[tuple[int, ...]], root: int) -> list[tuple[int, int]]:
-    """The edges of a tree, away from a root, nearest first."""
     found, queue = [], deque([(root, -1)])
     while queue:
         at, before = queue.popleft()

@@ -75,7 +75,6 @@ Arrays = dict[str, tuple[list[str], Any]]
 def _tables(
     marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
 ) -> tuple[Arrays, dict[str, Any]]:
-    """The probabilities of discrete variables, and the names of their states."""
     data: Arrays = {}
     states: dict[str, Any] = {}
     for variable, table in marginals.items():
@@ -88,7 +87,6 @@ def _tables(
 def _moments(
     marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
 ) -> tuple[Arrays, dict[str, Any]]:
-    """The moments of continuous variables, and the names of their components."""
     each = [_at_all_steps(belief.mean, -2, steps) for belief in marginals.values()]
     lead = each[0].shape[:-1] if each else (0,) * len(dims)
     size = dimension(marginals)

@@ -138,7 +138,6 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
 
 
 def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array]:
-    """The change left in the messages along each edge, the larger of both ways."""
     directed = messages.directed
     change = messages.propose(messages.round(range(len(directed))))
     edges = zip(directed.source[::2].tolist(), directed.target[::2].tolist(), strict=True)
@@ -163,7 +162,6 @@ def _sequential(messages: Messages[Any]) -> Callable[[Mask], Array]:
 
 
 def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Callable[[Mask], Array]:
-    """A step of rounds one after the other, and the change of each message in it."""
     rounds = [(list(turn), messages.round(turn)) for turn in turns]
 
     def step(active: Mask) -> Array:

@@ -167,7 +167,6 @@ class Rows:
 
     @cached_property
     def _by_row(self) -> list[tuple[Array | None, ...]]:
-        """These values, row by row."""
         nothing = [None] * self.step.size
         every = (nothing if values is None else list(values) for values in self._known)
         return list(zip(*every, strict=True))
@@ -178,7 +177,6 @@ class Rows:
         return found
 
     def _own(self, first: int, last: int) -> Array:
-        """The CPD's own noise at some rows, as one."""
         if len(self.own_noise) > 1:
             return self._noise_of(self.own_noise, first, last)
         count = last - first

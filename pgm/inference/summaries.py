@@ -171,7 +171,6 @@ def spread(values: Array, digits: int = 6) -> str:
 def _ends(
     beliefs: Any, variable: Variable, first: int, runs: tuple[int, ...], last: int, most: int
 ) -> Listing:
-    """The first and last beliefs of a variable."""
     steps = range(first, last + 1)
     lead = (*runs, len(steps))
     kept: dict[int, Any] = {}
@@ -203,7 +202,6 @@ def _states(
     chances: Callable[[Place], Array],
     most: int,
 ) -> Listing:
-    """The probabilities of a variable's first and last states, a column each."""
     shown, across = places(lead, most), few(variable.size, STATES)
     found = [place for place in shown if place is not None]
     each = np.array([chances(place) for place in found]).reshape(len(found), variable.size)
@@ -217,7 +215,6 @@ def _states(
 
 
 def _of_variable(variable: Variable, found: Any, picked: Sequence[Place]) -> list[list[str]]:
-    """The rows of a variable: one, or one a component."""
     if isinstance(found, Table):
         return [[repr(variable), *(states_of(found, place) for place in picked)]]
     each = [

@@ -153,7 +153,6 @@ def _eliminate(matrix: Array, right: Array | None = None) -> Array:
 
 
 def _lower(unit: Array, root: Array) -> Array:
-    """U diag(root), with what is above the diagonal zero."""
     lower = np.zeros_like(unit)
     for j in range(len(unit)):
         lower[j, j] = root[j]
@@ -198,6 +197,5 @@ def divide(matrix: Array, lower: Array) -> Array:
 
 
 def _mirror(matrix: Array) -> None:
-    """Make the lower triangle what the upper one is."""
     for i in range(1, len(matrix)):
         matrix[i, :i] = matrix[:i, i]

@@ -164,7 +164,6 @@ def distinct(matrix: Array) -> Array:
 
 
 def _times_one(many: Array, one: Array) -> Array:
-    """A Bᵀ for one B of all runs: a few products of large matrices."""
     product: Array = one @ many.transpose(1, 2, 0)
     return product.transpose(2, 0, 1)
 

@@ -60,7 +60,6 @@ def covariance_fault(cov: Array) -> str | None:
 
 
 def _scaled(matrix: Array) -> Array:
-    """The matrices in units of their components, one where a diagonal entry is zero."""
     size = np.abs(np.diagonal(matrix, axis1=-2, axis2=-1))
     unit = np.sqrt(np.where(size > 0.0, size, 1.0))
     return matrix / unit[..., None] / unit[..., None, :]

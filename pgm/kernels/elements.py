@@ -90,7 +90,6 @@ def _meet(cov: Array, precision: Array) -> tuple[Array, Array]:
 
 
 def _gram(a: Array) -> Array:
-    """AᵀA."""
     return multiply(transpose(a), a)
 
 

@@ -148,11 +148,9 @@ class Blocks:
         rows[-1] = 1.0 / self.size
 
     def _in_order(self, found: Array) -> Array:
-        """Values by step within a block and by block, (length, blocks, ...), as those of steps."""
         return found.swapaxes(0, 1).reshape(-1, *found.shape[2:])[: self.steps]
 
     def _starts(self, belief: Array) -> Array:
-        """The belief before each block."""
         found = np.empty(self.scale.shape)
         for k, (own, logs) in enumerate(zip(self.transfer, self.scale, strict=True)):
             found[k] = belief
@@ -167,7 +165,6 @@ class Blocks:
         return found
 
     def _ends(self) -> Array:
-        """The message to the last step of each block."""
         found = np.empty(self.scale.shape)
         message = np.full(self.size, 1.0 / self.size)
         for k in range(self.count - 1, -1, -1):

@@ -101,7 +101,6 @@ def _advance(rays: Array, step: Array) -> None:
 
 
 def _between(low: Array, place: Array, edge: Array) -> Array:
-    """The cells of places, from one to before another."""
     cells = np.floor(place, out=place)
     np.maximum(cells, low, out=cells)
     np.minimum(cells, edge - 1.0, out=cells)
@@ -141,7 +140,6 @@ def entered(points: Array, ends: Array, width: int) -> Integers:
 
 
 def _counted(times: Integers) -> npt.NDArray[Any]:
-    """One to n for each n, one after the other."""
     before = np.cumsum(times) - times
     return np.arange(1, times.sum() + 1) - np.repeat(before, times)
 

@@ -101,7 +101,6 @@ def _edges(weights: Array, count: int) -> Array:
 
 
 def _between(below: Array | Integers) -> Integers:
-    """Counts from the numbers of draws below each edge; all are below the last."""
     ends, counts = below.astype(np.intp), np.empty(len(below), dtype=np.intp)
     counts[:1] = ends[:1]
     np.subtract(ends[1:], ends[:-1], out=counts[1:])

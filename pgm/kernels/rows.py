@@ -308,7 +308,6 @@ def choose(active: Mask, new: Rows, old: Rows) -> Rows:
 
 
 def _relations(old: Rows, new: Rows) -> tuple[Array, Array, Array, Array] | None:
-    """The exact relations of old rows, as many as of new ones, and of these; None without."""
     exact, sides, new_exact, new_sides = *old[2:], *new[2:]
     if exact is None or sides is None or new_exact is None or new_sides is None:
         return None

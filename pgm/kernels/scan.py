@@ -102,7 +102,6 @@ def _rows(parts: Any, steps: slice) -> Any:
 
 
 def _merge(first: Any, second: Any, steps: int, here: slice, there: slice) -> Any:
-    """Two stacks of beliefs as one, each in its place."""
     merged = []
     for a, b in zip(first, second, strict=True):
         both = None

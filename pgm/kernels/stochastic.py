@@ -298,7 +298,6 @@ class Product(Transition):
 
 
 def _along(matrix: Any, values: Array, axis: int) -> Array:
-    """A matrix times an array along one of its axes."""
     if values.ndim == 1:
         product: Array = matrix.dot(values)
         return product

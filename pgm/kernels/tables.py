@@ -80,7 +80,6 @@ def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
 
 
 def _instead(plain: Array, held: Mask, values: Array, log_scale: Array) -> tuple[Array, Array]:
-    """The plain tables where they hold, and others in place of the rest."""
     kept = _per_table(held, plain.ndim - held.ndim)
     return np.where(kept, plain, values), np.where(held, 0.0, log_scale)
 
@@ -125,7 +124,6 @@ def _span(axes: int) -> tuple[int, ...]:
 
 
 def _per_table(stacked: Stacked, axes: int) -> Stacked:
-    """One number for each table, to be combined with all of its entries."""
     return stacked.reshape(stacked.shape + (1,) * axes)
 
 
@@ -136,7 +134,6 @@ def _exponents(values: Array) -> tuple[Array, Array]:
 
 
 def _assemble(mantissa: Array, power: Array, axes: int) -> tuple[Array, Array]:
-    """Tables of mantissas and powers of two, with their largest power in the log-scale."""
     top = power.max(axis=_span(axes))
     values: Array = np.ldexp(mantissa, power - _per_table(top, axes))
     return values, np.where(top > NOWHERE // 2, top * LOG_2, 0.0)

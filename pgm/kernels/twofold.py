@@ -209,7 +209,6 @@ def _halves(a: Array) -> tuple[Array, Array]:
 
 
 def _product(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
-    """A product and its error, element by element."""
     product = a * b
     a_head, a_tail = _halves(a)
     b_head, b_tail = _halves(b)

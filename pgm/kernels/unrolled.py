@@ -149,7 +149,6 @@ def _check(size: int) -> list[str]:
 
 
 def _white(name: str, rows: range, column: str = "") -> list[str]:
-    """Lines for w = L⁻¹ of a column."""
     return [
         f"w{i} = ({name}{i}{column}{_less(f'l{i}{k} * w{k}' for k in range(i))}) / l{i}{i}"
         for i in rows

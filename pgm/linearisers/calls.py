@@ -80,7 +80,6 @@ class Call:
     def _first(
         self, function: Callable[..., Any], arguments: Sequence[Array]
     ) -> tuple[int, ...] | None:
-        """The index of a row to blame; None where none is, or in a trial call."""
         if self.first_run is None:
             return None
         return _first_failure(function, arguments, self.lead)
@@ -129,7 +128,6 @@ def _first_failure(
 
 
 def _fails(function: Callable[..., Any], arguments: Sequence[Array]) -> bool:
-    """Whether a function raises, or returns no numbers."""
     try:
         as_floats(function(*arguments), "it")
     except Exception:

@@ -382,7 +382,6 @@ def _along_runs(array: Array, own: int) -> Array:
 
 
 def _expanded(value: Array, lead: int, extra: tuple[int, ...]) -> Array:
-    """Values (*lead, ..., d), for each point of further axes."""
     shape = value.shape
     wide = value.reshape(*shape[:lead], *(1 for _ in extra), *shape[lead:])
     if len(extra) == 1 and value.size * extra[0] <= _FEW:

@@ -252,7 +252,6 @@ class Wrapped:
 
 
 def _over(batch: tuple[int, ...], array: Array, own: int) -> Array:
-    """An array (*batch or nothing, own axes) as (own axes, *batch)."""
     if array.ndim != own + len(batch) or array.shape[:-own] != batch:
         array = np.broadcast_to(array, (*batch, *array.shape[-own:]))
     return components_first(array, own)

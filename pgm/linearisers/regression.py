@@ -153,7 +153,6 @@ class _Regression:
         return line._replace(error=_within(line.error, function.group))
 
     def _generally(self, function: BoundFunction, mean: Array, cov: Array, points: Points) -> Line:
-        """The regression on any points, at any covariance."""
         rule, s = self.rule, points.points
         at, spread = components_last(mean, 1), components_last(cov, 2)
         lower = roots.root(spread)
@@ -194,7 +193,6 @@ class _Regression:
 def _fitted_one(
     function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array
 ) -> Line:
-    """The regression on few points, prepared once, at one belief of a regular covariance."""
     turning = function.turning
     extra = int(bool(turning) and not points.centred)
     x = (points.with_centre if extra else points.points).dot(lower.T)
@@ -218,7 +216,6 @@ def _fitted_one(
 
 
 def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array) -> Line:
-    """The regression on few points, which many beliefs of regular covariances share."""
     batch = mean.shape[1:]
     if len(batch) > 1:
         mean, lower = mean.reshape(len(mean), -1), lower.reshape(*lower.shape[:2], -1)
@@ -250,7 +247,6 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
 
 
 def _values(function: BoundFunction, x: Array, batch: tuple[int, ...]) -> Array:
-    """The values (d, N, batch as one axis) at points (n, N, batch as one axis)."""
     if len(batch) < 2:
         return function(x.T).T
     points = x.reshape(*x.shape[:2], *batch)

@@ -230,7 +230,6 @@ def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Arr
 
 
 def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> Twofold:
-    """The covariance given δ of a slice with a later one."""
     across = careful.steps[first].taken.belief.cov
     for step in range(first + 1, second + 1):
         move, predicted, taken = careful.steps[step]
@@ -250,7 +249,6 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
 
 
 def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
-    """A belief with what is read after it, and the parts of variances that may be rounding."""
     columns, cov, own, drift, largest = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
     before = variances(cov.hi)
@@ -305,7 +303,6 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
 
 
 def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
-    """A belief in the runs of a mask, (runs, 1, 1), another one in all others."""
     return b._replace(
         columns=twofold.where(mask, a.columns, b.columns),
         cov=twofold.where(mask, a.cov, b.cov),

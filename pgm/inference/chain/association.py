@@ -90,7 +90,6 @@ def associated_at(
 
 
 def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
-    """The evidence, its open sightings as they were associated."""
     closed = {each.reading.cpd.child: each.closed for each in pending}
     readings = tuple(closed.get(r.cpd.child, r) for r in bound.readings)
     found = dict(
@@ -244,7 +243,6 @@ def _taken(
     belief: Moments,
     gate: Asked | None,
 ) -> Moments:
-    """The belief given some measurements of its step, which they count from zero."""
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
     chain = MomentChain(plan, Filtering(gate=gate), keep=False)
@@ -274,7 +272,6 @@ def _innovations(
     belief: Moments,
     rows: int,
 ) -> _Pairs:
-    """The innovations of each sighting with each candidate."""
     every = reading.values.shape[1]
     one = BoundEvidence(0, (every,), (), (reading,))
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)

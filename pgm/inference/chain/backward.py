@@ -171,7 +171,6 @@ def _reverse(step: _Step) -> Conditional:
 
 
 def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
-    """The slice given its states and the measurements up to it; the states are given exactly."""
     layout = plan.layout
     states, controls = layout.state_places, layout.control_places
     known = block(forward.cov, states, states)

@@ -354,5 +354,4 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
 
 
 def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """An array (own axes, *batch) with an axis of runs first."""
     return array[None] if array.ndim == own else components_last(array, own)

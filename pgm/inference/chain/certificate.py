@@ -102,7 +102,6 @@ def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
 
 
 def _is_regular(cov: Array, limit: float) -> bool:
-    """Whether beliefs (T+1, runs, n, n) are regular."""
     size = cov.shape[-1]
     last = np.moveaxis(cov, (-2, -1), (0, 1)).reshape(size, size, -1)
     if np.shares_memory(last, cov):

@@ -106,7 +106,6 @@ def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
 
 
 def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
-    """The same with the covariances between the sightings of a step."""
     runs, height = left.shape[1:]
     first, last, _ = rows.indices(len(sensor.values))
     total = np.zeros(runs)
@@ -143,7 +142,6 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
 
 
 def _squares(residual: Array, cov: Array) -> Array | None:
-    """`weighted`; None where a covariance is indefinite."""
     flat = np.isinf(np.einsum("...ii->...i", cov))
     if flat.any():
         residual = np.where(flat, 0.0, residual)
@@ -299,7 +297,6 @@ def _left_open(family: Family, noise: Array) -> Array | None:
 
 
 def _row(link: Link, free: Array, width: int) -> tuple[Array, Array]:
-    """A link's relation over the vector its parents and child stand in."""
     family = link.family
     row = np.zeros((*family.shape[:3], width))
     row[..., link.child] = np.eye(family.shape[2])

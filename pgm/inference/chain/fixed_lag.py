@@ -271,14 +271,12 @@ def iterate_window(
 def _cut(
     plan: ChainPlan, first: int, last: int, begin: Beginning | None
 ) -> tuple[ChainPlan, Beginning | None]:
-    """The plan of a window of steps, and where it begins, or None for the prior."""
     if begin is None:
         return plan.window(first, last), None
     return begin.cut(plan, first, last), begin.over(plan.runs)
 
 
 def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
-    """Whether float64 may have digits enough."""
     return not certificate.is_flat(plan) and (begin is None or begin.plain)
 
 

@@ -181,7 +181,6 @@ class _Record:
 
 
 def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
-    """An array (T+1, runs, ...) in a sweep's layout, (T+1, ..., *batch)."""
     if not plan.batch:
         return array[:, 0]
     return array.transpose(0, *range(2, 2 + own), 1)

@@ -187,7 +187,6 @@ _PATH = ["einsum_path", (0, 1), (0, 1)]
 
 @lru_cache(maxsize=64)
 def _limits(gate: float, height: int) -> Array:
-    """The squared length within the gate by the number of components; of none, no limit."""
     limits = np.full(height + 1, np.inf)
     limits[1:] = normal.square_within(gate, np.arange(1, height + 1))
     return limits

@@ -168,7 +168,6 @@ class UpdateProblem(ABC, Generic[U]):
         return _as_point(readings.update(exact, self.step, Moments(first, self.cov))[0].mean, 1)
 
     def _moments(self, at: Point) -> tuple[Array, Array]:
-        """The moments of a point with the batch last, as a sweep has them."""
         if self.mean.ndim == 1:
             return at.mean[0, 0], at.cov[0, 0]
         return components_first(at.mean[0], 1), components_first(at.cov[0], 2)
@@ -188,7 +187,6 @@ class MomentUpdate(UpdateProblem[Updated]):
 
 
 def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """An array (own axes, *batch) as that of one step, (1, runs, own axes)."""
     if array.ndim == own:
         return array[None, None]
     return components_last(array, own)[None]

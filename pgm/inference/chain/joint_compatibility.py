@@ -66,7 +66,6 @@ def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
 
 
 def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Integers) -> Mask:
-    """Whether the hypotheses of some runs are within the gate."""
     spread, shift = cov[runs], np.zeros((runs.size, cov.shape[-1]))
     square, dof = np.zeros(runs.size), np.zeros(runs.size, dtype=np.intp)
     for k, own in enumerate(chosen[:, runs]):

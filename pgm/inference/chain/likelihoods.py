@@ -193,7 +193,6 @@ class Whitened:
         return self.white if len(self.white) == 1 else self.white[rows]
 
     def _residual(self, rows: slice, mean: Array) -> Array:
-        """The residuals at given means, in units of their noise; zero where one is missing."""
         sensor, family = self.sensor, self.sensor.family
         at = gather(mean, family.step[rows])[..., sensor.parents]
         left = sensor.moved[rows] - family.offset[rows] - apply(family.matrix[rows], at)
@@ -243,7 +242,6 @@ def _by_step(
 
 
 def _added(parts: Array, counts: Integers) -> Array:
-    """Sums of so many rows each."""
     memory = np.moveaxis(parts, (0, 1), (-2, -1))
     out = np.zeros((*memory.shape[:-2], counts.size, memory.shape[-1]))
     some = np.flatnonzero(counts)

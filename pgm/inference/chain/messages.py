@@ -76,7 +76,6 @@ class _Message(NamedTuple):
 
 
 def _passed(message: _Message, segment: Element) -> _Message:
-    """A message from the right end of a segment to its left end."""
     K, h, g = canonical.backward(*segment[:3], *message)
     assert segment.g is not None
     return _Message(K + segment.K, h + segment.h, g + segment.g)

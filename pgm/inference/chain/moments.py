@@ -184,7 +184,6 @@ class MomentChain:
         return link.family.stored_at(row, row + 1)
 
     def _extend(self, link: Link, at: At, step: int, mean: Array, cov: Array) -> None:
-        """Write the child of a CPD into the joint that its parents stand in."""
         parents = mean[link.parents]
         matrix, value, noise, bare = self._linearised(
             link, at, mean, parents, within(cov, link.parents)

@@ -64,7 +64,6 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
 
 
 def _equations(plan: ChainPlan, readings: Readings) -> System | None:
-    """The normal equations, in deviations from the measurements' reference."""
     layout = plan.layout
     states = layout.state_places
     mean, cov = MomentChain(plan, None).start().by_run
@@ -126,6 +125,5 @@ def _terms(move: _Move, precision: _Precision) -> _Terms:
 
 
 def _inverse(lower: Array) -> Array:
-    """(L Lᵀ)⁻¹."""
     white = roots.solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape))
     return multiply(transpose(white), white)

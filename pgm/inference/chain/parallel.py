@@ -188,7 +188,6 @@ def _solve(
 
 
 def _read(predicted: Moments, readings: Readings) -> Moments:
-    """Predictions after the measurements of their steps."""
     mean, cov, _ = in_chunks(
         know, Belief(*predicted, np.zeros(predicted.mean.shape[:2])), readings.likelihood
     )
@@ -209,7 +208,6 @@ def _agree(found: Moments, due: Moments) -> bool:
 
 
 def _from(belief: Belief, reference: Array, steps: int) -> Moments:
-    """Arrays for the moments at all steps, with those of the first as deviations."""
     runs, size = belief.mean.shape
     out = Moments(room((steps + 1, runs), (size,)), room((steps + 1, runs), (size, size)))
     out.mean[0], out.cov[0] = belief.mean - reference, belief.cov
@@ -217,7 +215,6 @@ def _from(belief: Belief, reference: Array, steps: int) -> Moments:
 
 
 def _predicted(moves: Conditional, start: Array) -> Array:
-    """The prior's means as the transition moves them, without any measurement, (T+1, runs, n)."""
     out = room((moves.offset.shape[0] + 1, start.shape[0]), start.shape[1:])
     out[0] = start
     if len(out) > 1:
@@ -263,7 +260,6 @@ def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[S
 
 
 def _absorb_exact(moves: Element, stack: Stack) -> None:
-    """Bring measurements into the transitions to their steps, in place."""
     later = np.flatnonzero(stack.steps)
     if not later.size:
         return

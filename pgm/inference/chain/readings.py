@@ -217,7 +217,6 @@ class Reading:
         return seen
 
     def _weighed(self, weights: Weights) -> Array:
-        """The noise of the sightings, each over its weight."""
         each = scale(weights.weight, self.sensor.height, self.sensor.family.batch)
         found: Array = self.at.noise * each[:, None] * each[None]
         return found
@@ -306,7 +305,6 @@ class Reading:
 
 
 def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
-    """Measurements, their angles moved by whole turns to the branch nearest to values."""
     moved = reading
     for k in turning:
         if reading.ndim == 1:

@@ -166,11 +166,9 @@ class Sensor:
 
     @cached_property
     def _by_row(self) -> list[Array]:
-        """The values of each row, (d,), of one run."""
         return list(self.values[:, 0])
 
     def _flat(self, rows: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
-        """Some rows (k, runs or 1, d) as one vector, (k d, *batch)."""
         if not self.family.batch:
             return rows.reshape(-1)
         return rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
@@ -263,7 +261,6 @@ class Sensor:
         return np.where(seen[..., None] & seen[..., None, :], cross, 0.0)
 
     def _taken(self, rows: slice | Integers) -> Mask | None:
-        """The mask of components of some rows that were taken, (k, runs or 1, d); None for all."""
         if self.taken is None or (taken := self.taken[rows]).all():
             return None
         return taken

@@ -154,7 +154,6 @@ def _iterated(
 
 
 def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
-    """Whether iterations need no covariances."""
     several = schedule.iterations > 1 and not isinstance(schedule.damping, LevenbergMarquardt)
     if any(sensor.family.expects for sensor in plan.robust):
         return False
@@ -164,7 +163,6 @@ def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
 def _newton(
     chain: Chain[Smoothed], means: Means, schedule: Smoothing, at: Point
 ) -> tuple[Smoothed, Status]:
-    """Iterate on means alone, and solve for everything as it was linearised last."""
     unsettled = np.zeros(chain.plan.runs, dtype=bool)
     result = iterate(_Means(chain), means, schedule, unsettled, at)
     readings = result.solution.readings
@@ -338,7 +336,6 @@ def dead_reckoning(plan: ChainPlan) -> Point:
 
 
 def _without_spread(plan: ChainPlan, mean: Array) -> Point:
-    """A trajectory as a point of linearisation."""
     size = plan.layout.state_size + plan.layout.slice_size
     return Point(
         mean,

@@ -113,7 +113,6 @@ def vector(parts: Sequence[Measured], mean: Array) -> Vector:
 
 
 def _masked(seen: Measured, mean: Array) -> Vector:
-    """A sensor's sightings, over its own parents."""
     residual = seen.residual(mean if seen.sensor.whole else mean[seen.sensor.parents])
     if seen.taken is None:
         return Vector(seen.matrix, residual, seen.noise, None)

@@ -103,7 +103,6 @@ class Weights:
         return np.asarray(np.where(active, moved, 0.0))
 
     def _weights(self, square: Array) -> tuple[Array, Array]:
-        """The weights of squares, and the stage that they are of."""
         noise = self.noise
         hard = noise.weight(square, self.count)
         if not isinstance(noise, TruncatedLeastSquares):

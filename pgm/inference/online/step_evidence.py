@@ -121,7 +121,6 @@ def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> A
 
 
 def _single(variable: Variable, value: Any) -> Any:
-    """One measurement, as the only row of several."""
     if not isinstance(variable, Discrete):
         return as_rows(variable, value, None)[..., None, :]
     if isinstance(value, Soft):
