@@ -342,10 +342,7 @@ class Family(Rows):
         return apply(self.matrix[rows], mean) + self.offset[rows]
 
     def to_chart(self, parents: Array, child: Array) -> None:
-        """Move offsets of angles by whole turns, so that values lie near the child's mean.
-
-        Beliefs live on one unwrapped chart; a function that wraps its angles must not leave it.
-        """
+        """Move offsets of angles by whole turns: beliefs live on one unwrapped chart."""
         angles = self.cpd.child.angle_mask
         if self.template is not None and angles.any():
             value = self.value(slice(None), parents)

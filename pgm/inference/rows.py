@@ -149,7 +149,7 @@ class Rows:
     def _known(self) -> list[Array | None]:
         """Values of each argument with evidence by row, read-only, since users' functions see them.
 
-        Of one run they are (rows, d), of many (rows, runs, d), or (rows, 1, d) of all.
+        (rows, d) of one run, (rows, runs or 1, d) of many.
         """
         assert self.template is not None
         found: list[Array | None] = []

@@ -52,10 +52,10 @@ class Update(NamedTuple):
 def sharpness(noise: Array, least: float = NEGLIGIBLE) -> Array:
     """The value of det S from which on a measurement with this noise is sharp, (runs or 1,).
 
-    S is at least the noise, and below this it is at most a thousand times the noise, in whatever
-    direction. So no variance falls more than a thousand times in an update, and P − K S Kᵀ loses
-    three of its sixteen digits at most; and where the noise is regular by a thousand times what is
-    asked, S is regular. Where it is not, or its determinant too small a number, this is 0.
+    Below, S is at most a thousand times the noise in whatever direction: no variance falls more
+    than that, P − K S Kᵀ loses three of sixteen digits at most, and S is regular where the noise is
+    by a thousand times what is asked. Where it is not, or its determinant too small a number, this
+    is 0.
     """
     pivots = _eliminate(noise.copy())
     regular = (pivots > _MILD * least * np.einsum("iir->ir", noise)).all(axis=0)

@@ -17,10 +17,7 @@ IMPROPER = (
 
 
 def symmetrised(matrix: Array) -> Array:
-    """The symmetric part of stacked matrices that are all but symmetric; others as they are.
-
-    Components have units of their own: an entry is judged against √|a_ii a_jj|, or itself.
-    """
+    """The symmetric part of matrices that are all but symmetric, entries against √|a_ii a_jj|."""
     if is_symmetric(matrix) or not np.isfinite(matrix).all():
         return matrix
     with np.errstate(over="ignore", invalid="ignore"):

@@ -74,8 +74,8 @@ def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float
     """Whether a covariance is neither nearly singular nor far below an earlier one.
 
     The components before it leave more than the share `least` of each variance, and no variance is
-    a smaller part of the earlier one. Means are finite, and the square of none is more than `far`
-    variances. A component without a variance does not count, if it had none before.
+    a smaller part of the earlier one; means squared are at most `far` variances. A component
+    without a variance does not count, if it had none before.
     """
     if cov.ndim == 2:
         written = checking(len(cov), least, far)
@@ -222,10 +222,7 @@ def update(
 def update_one(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
 ) -> tuple[Array, Array, float] | None:
-    """The `update` of one Gaussian by a regular measurement: its moments, and the log-density.
-
-    None where a component of the measurement is nearly determined by those before it.
-    """
+    """The `update` of one Gaussian by a regular measurement, and its log-density; else None."""
     written = updating(len(mean), len(residual), NEARLY_SINGULAR)
     if written is not None:
         return written(mean, cov, matrix, residual, noise)

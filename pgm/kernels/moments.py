@@ -134,10 +134,7 @@ def log_density(residual: Array, cov: Array) -> Array:
 
 
 def principal_axes(cov: Array) -> tuple[Array, Array]:
-    """Variances along the axes of (..., 2, 2), the larger first, and the angle of the first.
-
-    An axis has no direction: its angle is in (−π/2, π/2].
-    """
+    """Variances along the axes of (..., 2, 2), the larger first, whose angle is in (−π/2, π/2]."""
     values, vectors = np.linalg.eigh(cov)
     angle = np.arctan2(vectors[..., 1, 1], vectors[..., 0, 1])
     turned = np.where(angle > 0.5 * np.pi, angle - np.pi, angle)

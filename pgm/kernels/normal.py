@@ -26,10 +26,7 @@ def draw(mean: Array, lower: Array, white: Array) -> Array:
 
 
 def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
-    """White residuals, (..., S, d), zero where determined; and what is left there, if anything is.
-
-    For a residual that N(0, L Lᵀ) can give, what is left is zero up to rounding.
-    """
+    """White residuals, (..., S, d), zero where determined; and what is left there."""
     white = transpose(roots.solve_lower(lower, transpose(residual)))
     fixed = roots.determined(lower)
     if not fixed.any():

@@ -129,10 +129,7 @@ def draws_needed(bins: int, epsilon: float, delta: float) -> int:
 
 
 def keys(points: Array, widths: Array, angles: Mask) -> Integers | None:
-    """The bin of each point (d, n) along each axis, (d, n); of angles one of those of a circle.
-
-    None where a point is too far from zero for its bin to have a number.
-    """
+    """The bin of each point (d, n) along each axis, (d, n); None where one is too far from zero."""
     scaled = np.asarray(points, dtype=np.float64) / widths[:, None]
     for k in np.flatnonzero(angles):
         round_ = max(round(TURN / widths[k]), 1)

@@ -65,9 +65,9 @@ def eliminate(factor: Rows, count: int) -> Eliminated:
 
 
 def triangular(matrix: Array, right: Array) -> Array:
-    """The triangular factor of [A | r], with at least as many rows as A has columns.
+    """The triangular factor of [A | r], of at least as many rows as A has columns.
 
-    Rows are sorted by size first: that keeps the digits of small ones beside large ones.
+    Rows are sorted by size: that keeps the digits of small ones beside large ones.
     """
     rows, size = matrix.shape[-2:]
     if rows < size:
@@ -142,7 +142,7 @@ def _eliminate_exact(
 ) -> Eliminated:
     """`eliminate` with exact relations: they determine some directions of x, the rest is proper.
 
-    With C_x = U S Vᵀ, directions V₁ of x are determined by s; directions V₂ are left to the rows.
+    With C_x = U S Vᵀ, directions V₁ are determined by s; V₂ are left to the rows.
     """
     sepset = matrix.shape[-1] - count
     known = np.concatenate([exact[..., count:], exact_right], axis=-1)
@@ -183,9 +183,7 @@ def _independent(
 ) -> tuple[Array, Array, Array, Mask, float]:
     """Relations as orthonormal rows, ln of what that takes off, where they contradict, and doubt.
 
-    Right sides come of numbers of a size, (..., N).
-
-    A relation that the others imply is left out: a certainty that is met adds nothing.
+    A relation that the others imply is left out. Right sides come of numbers of a size, (..., N).
     """
     independent, solved, left, log_size, doubt = _solved(exact, right)
     far = np.abs(left).max(axis=-2, initial=0.0)

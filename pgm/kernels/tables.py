@@ -26,10 +26,7 @@ OUTSIDE = 3000.0
 
 
 def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
-    """The same tables; one becomes the largest entry where that is very small or very large.
-
-    Where all are zero, the log-scale becomes zero.
-    """
+    """The same tables; one becomes the largest entry where that is very small or very large."""
     top = largest(values, axes)
     extreme = (top < SMALL) | (top > LARGE)
     if not extreme.any():

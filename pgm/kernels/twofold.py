@@ -25,8 +25,7 @@ _CUT = 134217729.0
 class Twofold:
     """Stacked numbers hi + lo, with |lo| at most half a unit in the last place of hi.
 
-    `@` is the product of stacked matrices; all else goes element by element and broadcasts. The
-    other operand may be an array of float64.
+    `@` is the product of stacked matrices; operands may be float64.
     """
 
     __array_ufunc__ = None  # so that an array leaves the operation to this class

@@ -28,7 +28,7 @@ Check = Callable[[Array, Array, Array], bool]
 
 @lru_cache(maxsize=64)
 def updating(size: int, height: int, least: float) -> Update | None:
-    """The update of n components by d measurements; None where that is too large.
+    """The update of n components by d measurements; None if too large.
 
     The update is None where S has a pivot below `least` of its diagonal entry.
     """

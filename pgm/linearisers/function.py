@@ -371,11 +371,7 @@ def sealed(array: Array) -> Array:
 
 
 def _along_runs(array: Array, own: int) -> Array:
-    """An array (runs, own axes) of many runs with the runs fastest in memory.
-
-    Functions that stack components along the last axis interleave them, which costs more wherever
-    the array is used next.
-    """
+    """An array (runs, own axes) with the runs fastest in memory, for quicker use after it."""
     if array.ndim == own + 1:
         return components_last(np.ascontiguousarray(components_first(array, own)), own)
     return array

@@ -224,7 +224,6 @@ class Wrapped:
         self.lineariser, self.scope = lineariser, template.hidden
 
     def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
-        """Linearise at beliefs (n, *batch) and (n, n, *batch)."""
         if function.group is not None and not function.joint:
             return apart(self, function, mean, cov)
         at = Gaussian._make(self.scope, components_last(mean, 1), components_last(cov, 2))
@@ -264,7 +263,6 @@ class _Checked:
         self.prepared = prepared
 
     def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
-        """Linearise at beliefs (n, *batch) and (n, n, *batch)."""
         found = self.prepared(function, sealed(mean), sealed(cov))
         if not isinstance(found, Line):
             raise Misfit(

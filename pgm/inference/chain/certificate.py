@@ -82,9 +82,9 @@ def composes(predicted: Array, known: Array, limit: float = _GENTLE) -> bool:
 
 
 def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
-    """Whether means come from numbers so large that their last digits count where they are small.
+    """Whether means come from so large numbers that their last digits count where they are small.
 
-    An error is at most as many deviations at other steps: later ones, or with `both` earlier too.
+    An error is at most as many deviations at later steps, or with `both` at earlier ones.
     """
     mean, left = swept.mean, variances(swept.cov)
     axes = tuple(range(mean.ndim - 1))

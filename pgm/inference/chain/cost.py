@@ -126,10 +126,7 @@ def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
 
 
 def weighted(family: Family, residual: Array, cov: Array) -> Array:
-    """Σ rᵀ Σ⁺ r over the first axis; determined components, which solutions obey, do not count.
-
-    Nor do those of infinite variance, which a flat prior has.
-    """
+    """Σ rᵀ Σ⁺ r over the first axis; determined components and infinite variances do not count."""
     total = _squares(residual, cov)
     if total is None:
         raise NumericalError(
@@ -157,10 +154,7 @@ def _squares(residual: Array, cov: Array) -> Array | None:
 def require_cost(
     schedule: Filtering | Smoothing, families: Iterable[Family], *, first: bool = True
 ) -> None:
-    """Refuse nonlinear CPDs with singular noise where steps are controlled by their cost.
-
-    Only their solutions have a finite one. `first` says whether the first step is left alone.
-    """
+    """Refuse nonlinear CPDs of singular noise, so of infinite cost, where this controls steps."""
     once = first and schedule.iterations == 1
     if once or not isinstance(schedule.damping, LevenbergMarquardt):
         return

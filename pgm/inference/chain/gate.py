@@ -64,11 +64,7 @@ def prepare(plan: ChainPlan, gate: Asked | None) -> None:
 def decide(
     gate: Asked, parts: Sequence[Reading], seen: Sequence[Measured], mean: Array, cov: Array
 ) -> list[Measured]:
-    """Gate the measurements of a step at a belief over the slice, as they are linearised there.
-
-    What is rejected is not taken: in the readings, in the plan, and in the linearised measurements
-    that are returned.
-    """
+    """Gate the measurements of a step; rejected ones are not taken, in the plan too."""
     return [
         part_seen
         if (own := gate_of(gate, part.sensor.variable)) is None
@@ -149,10 +145,9 @@ _WELL = 1e-6
 
 
 def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array, Integers]:
-    """Squared lengths of the innovations of a sensor's sightings, and their components.
+    """Squared lengths (count, *batch) of a sensor's innovations, and their components.
 
-    (count, *batch) each; the belief is over the slice. A component that depends on one of infinite
-    variance does not count.
+    A component that depends on one of infinite variance does not count.
     """
     sensor, height = seen.sensor, len(seen.value) // count
     if not sensor.whole:

@@ -137,8 +137,8 @@ def absorb_readings(
 ) -> tuple[Array, Array, Array, Canonical]:
     """Bring a step's measurements into its transition w = A x + q, both about predicted means.
 
-    Returns the conditional of w given x and the measurements, and their likelihood as a function of
-    x, through S = H Q Hᵀ + noise of the measurement, which has to be regular.
+    Returns w given x and the measurements, and their likelihood over x, by a regular S = H Q Hᵀ +
+    noise.
     """
     cross = h_matrix @ noise
     lower = canonical.strict_root(cross @ transpose(h_matrix) + reading_noise)

@@ -196,10 +196,7 @@ class MomentChain:
     def _linearised(
         self, link: Link, at: At, before: Array, mean: Array, cov: Array
     ) -> tuple[Array, Array, Array, tuple[int, ...]]:
-        """F, F μ + b, the noise, and which components have none, at a belief over the parents.
-
-        `before` is the vector in which the parents stand.
-        """
+        """F, F μ + b, the noise, and which components have none, at a belief over the parents."""
         family, bare = link.family, link.family.bare
         line = family.line(at, mean, cov)
         matrix, value, error = line
@@ -234,10 +231,7 @@ def turns_far(link: Link, before: Array, value: Array) -> bool:
 
 
 def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
-    """The value of a CPD, without the whole turns by which its function wraps angles.
-
-    Beliefs live on one unwrapped chart. `before` is the vector in which the CPD's parents stand.
-    """
+    """The value of a CPD, without the whole turns by which its function wraps angles."""
     assert at.function is not None
     turned = value[link.angles] - before[link.before]
     # A function that wraps gives the same for an angle a whole turn on; another turns too.

@@ -43,9 +43,9 @@ _BEYOND = 1e30
 class Scanned:
     """The forward pass of a scan: a `Forward` whose log-densities are computed when asked for.
 
-    They need the plan as it is linearised, and are to be asked for before it is linearised again.
-    `agrees` says whether each belief follows from the one before it and variances are moderate,
-    which shows that composing segments costs no digits, neither here nor on the way back.
+    That is to be before the plan is linearised again. `agrees` says whether each belief follows
+    from the one before it and variances are moderate: then composing segments costs no digits, nor
+    does the way back.
     """
 
     predicted_mean: Array
@@ -85,9 +85,9 @@ def filtered(
 def run(plan: ChainPlan) -> Ahead:
     """The forward pass of an affine model, as `forward.run` gives it.
 
-    Elements are about a guess of the means. Where that is far from the beliefs, or has led an
-    angle's measurement to another branch than the prediction does, the pass is repeated about the
-    means that it found; and where that does not end soon, it goes step by step.
+    Elements are about a guess of the means. Where that is far from the beliefs, or puts an angle on
+    another branch than the prediction does, the pass is repeated about the means found; where that
+    does not end soon, it goes step by step.
     """
     moves = between_slices(plan)
     reference = _guess(plan, moves)

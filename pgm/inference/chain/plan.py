@@ -135,10 +135,7 @@ class ChainPlan:
         )
 
     def window(self, first: int, last: int, begin: tuple[Array, Array] | None = None) -> ChainPlan:
-        """The plan of a window of steps, with views of these arrays; what is linearised is its own.
-
-        It begins with a belief that knows the measurements of its first step, or with the prior.
-        """
+        """The plan of a window, with views of these arrays; what is linearised is its own."""
 
         def links(every: list[Link], start: int, end: int) -> list[Link]:
             return [replace(link, family=link.family.window(start, end)) for link in every]
@@ -177,10 +174,7 @@ class ChainPlan:
         prior: bool = True,
         probe: bool = True,
     ) -> ChainPlan:
-        """Lay out the families of a graph with evidence, and probe their functions.
-
-        `first` is the number of the first step of the evidence.
-        """
+        """Lay out the families of a graph with evidence, and probe their functions."""
         layout, lead = graph.layout, bound.lead
 
         def family(cpd: Any, place: Place, step: Integers, inputs: Inputs) -> Family:

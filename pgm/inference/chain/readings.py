@@ -42,10 +42,7 @@ Room = tuple[Array, Array]
 
 
 class Moments(NamedTuple):
-    """Mean (n, *batch) and covariance (n, n, *batch) of a slice.
-
-    `mild` says whether no variance is known to have fallen more than a thousand times in an update.
-    """
+    """Mean (n, *batch) and covariance (n, n, *batch) of a slice; `mild` as of `gaussian.Update`."""
 
     mean: Array
     cov: Array
@@ -76,12 +73,10 @@ class Moments(NamedTuple):
 def update(
     parts: Sequence[Measured], step: int, belief: Moments, room: Room | None = None
 ) -> tuple[Moments, Array | float]:
-    """The belief given sightings of a step, and their log-density.
+    """The belief given sightings of a step, and their log-density; `room` may take its moments.
 
-    `room` has arrays for its moments, which are used where that saves a copy.
-
-    Where the joint predictive covariance of several measurements is nearly singular, as with sharp
-    measurements of a wide belief, they are taken in one by one, which is equal but for rounding.
+    Where the joint predictive covariance is nearly singular, as with sharp measurements of a wide
+    belief, they are taken in one by one, which is equal but for rounding.
     """
     if not parts:
         return belief, 0.0
@@ -192,7 +187,7 @@ class Reading:
     def linearise(
         self, mean: Array, cov: Array, active: Mask | None = None, copy: bool = True
     ) -> Measured:
-        """Linearise at a belief over the slice; runs that are not active keep what they have.
+        """Linearise at a belief over the slice, runs that are active.
 
         Without a copy H and the value may be arrays that the user's function uses again.
         """
@@ -273,10 +268,7 @@ class Reading:
         return total if self.sensor.family.batch else total.item()
 
     def expected(self, mean: Array, cov: Array) -> Array:
-        """The values at a belief over the slice, as the lineariser sees them.
-
-        NaN where the function is not defined.
-        """
+        """The values at a belief over the slice as the lineariser sees them, or NaN."""
         sensor = self.sensor
         if not sensor.whole:
             mean, cov = mean[sensor.parents], within(cov, sensor.parents)
@@ -323,10 +315,7 @@ def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
 
 
 def stored(plan: ChainPlan, step: int, mean: Array) -> Vector | None:
-    """The measurements of a step, as they were linearised, as one vector at means (runs, n).
-
-    None where nothing is read.
-    """
+    """The measurements of a step, as linearised, as one vector at means (runs, n); or None."""
     at = components_first(mean, 1) if plan.batch else mean[0]
     nothing = np.zeros((len(at), len(at), *plan.batch))
     due = [(sensor, sensor.at(step, stored=True)) for sensor in plan.sensors]

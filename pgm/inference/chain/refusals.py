@@ -65,10 +65,7 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
 
 
 def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
-    """Refuse a predicted covariance that the error of a lineariser has made indefinite.
-
-    With `finite`, one that is not finite too.
-    """
+    """Refuse a predicted covariance that is indefinite by a lineariser's error, or infinite."""
     family, whole = link.family, bool(np.isfinite(cov).all())
     proper = family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2)))
     if proper and (whole or not finite):

@@ -90,10 +90,7 @@ class Sensor:
 
     @cached_property
     def moved(self) -> Array:
-        """The values, angles moved to the branch nearest the CPD's value where linearised.
-
-        (M, runs, d); a copy where there are angles, to be written to.
-        """
+        """The values (M, runs, d), angles on the branch nearest the CPD's; then a copy."""
         count, runs, height, _ = self.family.shape
         wide = np.broadcast_to(self.values, (count, runs, height))
         return wide.copy("K") if self.variable.angles else wide
@@ -143,8 +140,8 @@ class Sensor:
     def at(self, step: int, *, stored: bool) -> tuple[At, Array, Mask | None] | None:
         """The CPD at a step's measurements, their values, and which components are there.
 
-        The latter two, (D, *batch), one for all with a batch of one; None where nothing is read.
-        Stored measurements are as they were linearised, their angles where they were moved to.
+        The latter (D, *batch), with a batch of one for all; None where nothing is read. Stored
+        measurements are as they were linearised, angles where they were moved to.
         """
         first, last = self.bounds[step], self.bounds[step + 1]
         if first == last:
@@ -190,10 +187,7 @@ class Sensor:
         )
 
     def window(self, first: int, last: int, *, after: bool) -> Sensor:
-        """The measurements of some steps, after the first of them or from it on.
-
-        In views of these arrays; what is linearised is its own.
-        """
+        """The measurements, in views, of some steps, after the first of them or from it on."""
         begin = self.bounds[first + after]
         rows, part = slice(begin, self.bounds[last + 1]), copy(self)
         part.__dict__.pop("_by_row", None)

@@ -34,7 +34,7 @@ from pgm.progress import counted
 class Smoothed:
     """A forward pass, the reversed chain, and the smoothed beliefs.
 
-    `paired` says whether neighbours' covariances are wanted where everything is relinearised.
+    `paired` says whether iterations need the covariances of neighbours.
     """
 
     forward: Ahead
@@ -101,10 +101,9 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
 
 
 def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
-    """Run a smoothing schedule in rounds that are logarithmic in the number of steps.
+    """Smooth in rounds that are logarithmic in the number of steps.
 
-    Without a start, everything is linearised first along a dead-reckoned trajectory, since beliefs
-    are not to be waited for.
+    Without a start, everything is linearised first along dead reckoning, not to wait for beliefs.
     """
     cost.require_cost(schedule, plan.families, first=False)
     chain = Chain(plan, _scanned)
@@ -121,10 +120,10 @@ def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smo
 def carefully(
     plan: ChainPlan, schedule: Smoothing, start: Array | None, *, reckoned: bool
 ) -> tuple[CarefulSmoothed, Status]:
-    """Run a smoothing schedule in twice the digits, going forward step by step.
+    """Smooth in twice the digits, going forward step by step.
 
-    Without a start, everything is linearised first by a filter, or, where it is to be `reckoned`,
-    along dead reckoning.
+    Without a start, everything is linearised first by a filter, or along dead reckoning if
+    `reckoned`.
     """
     reckoned = reckoned and not plan.exact
     cost.require_cost(schedule, plan.families, first=start is None and not reckoned)

@@ -138,8 +138,8 @@ Key = tuple[Any, ...]
 def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
     """The kind of the values given, and their rows: (d,), or (M, d) of sightings, read-only.
 
-    The rows of a sensor come before those of the parents given with it. None where values are
-    missing, of an odd shape, or of many robots.
+    A sensor's rows come before those of its parents. None where values are missing, odd, or of many
+    robots.
     """
     key: list[Any] = []
     rows: list[Array] = []
