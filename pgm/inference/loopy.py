@@ -1,7 +1,7 @@
 """Schedules on graphs of any shape: messages are sent until none changes.
 
-Messages are numbered: 2e goes along edge e of the graph's sepsets, from the lower cluster to the
-higher, and 2e + 1 back. A family of messages, tables or square roots, computes and keeps them.
+Message 2e goes along edge e of the graph's sepsets, from the lower cluster to the higher, 2e + 1
+back. A family of messages, tables or square roots, computes and keeps them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 r"""Whether a belief is lost: a sequential test of its innovations, and of what a gate rejects.
 
-Of a consistent filter the innovations of a step have a squared length NIS ~ χ²(d), independent of
-those of other steps, d components having been taken in. Against innovations of κ times the variance
-a step weighs, in logarithms of odds,
+Against innovations of κ times the variance, a step of NIS ~ χ²(d) weighs, in logarithms of odds,
 
     a = ½ (1 − 1/κ) NIS − ½ d ln κ,
 
@@ -12,14 +10,8 @@ and r rejected sightings of n that a gate judged weigh, for a share q₁ of reje
 
 Each is summed up by Page's test, C ← min(h, max(0, C + x)). The belief is lost where one of the two
 reaches h, and has recovered where both are at h − h' or below, from where they begin again at zero.
-As E[eˣ] ≤ 1 while nothing is wrong, each test cries wrongly once in eʰ steps at the most often, on
-average (Lorden). No step weighs more than h/3, so that one outlier does not make a belief lost.
-
-References
-----------
-Page, Continuous inspection schemes, 1954; Lorden, Procedures for reacting to a change in
-distribution, 1971; Bar-Shalom, Li & Kirubarajan, Estimation with applications to tracking and
-navigation, 2001, section 5.4.
+Each test cries wrongly once in eʰ steps at the most often, on average (Lorden, 1971). No step
+weighs more than h/3, so that one outlier does not make a belief lost.
 """
 
 from __future__ import annotations

@@ -1,16 +1,12 @@
 """Segments of a chain as elements, which compose: the parallel form of a Kalman smoother.
 
-A segment goes from the variables x at its left end to those y at its right end. Its element is
+A segment from the variables x at its left end to those y at its right end has the element
 
     p(y | x, evidence) p(evidence | x) = N(y; F x + b, Σ) exp(−½ xᵀK x + hᵀx + g),
 
 so that a transition has K = 0, a likelihood of x has F = I and Σ = 0, and any Σ, singular or zero,
-will do: with a root Σ = L Lᵀ, (I + ΣK)⁻¹Σ = L (I + LᵀKL)⁻¹ Lᵀ, and no covariance is inverted.
-An indefinite Σ gives NaN; the callers, who know the names, raise.
-
-References
-----------
-Särkkä & García-Fernández, Temporal parallelization of Bayesian smoothers, 2021, section IV.
+will do: with Σ = L Lᵀ, (I + ΣK)⁻¹Σ = L (I + LᵀKL)⁻¹ Lᵀ. An indefinite Σ gives NaN; the callers, who
+know the names, raise (Särkkä & García-Fernández, 2021, section IV).
 """
 
 from __future__ import annotations

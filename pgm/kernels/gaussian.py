@@ -1,9 +1,8 @@
 """Gaussians in moment form, one or a batch: components first, mean (n, *batch).
 
-An empty batch is one Gaussian, whose few numbers take less time than the calls around them: small
-ones go through straight lines of Python, larger ones through LAPACK. One axis is many runs: each
-operation goes along rows of them. Where a pivot is nearly lost, any batch goes through `moments`,
-which tells singular covariances from rounding.
+One Gaussian has an empty batch: small ones go through straight lines of Python, larger ones through
+LAPACK. Operations on many runs go along rows of them. Where a pivot is nearly lost, any batch goes
+through `moments`, which tells singular covariances from rounding.
 """
 
 from __future__ import annotations

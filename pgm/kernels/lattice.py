@@ -2,13 +2,12 @@ r"""Displacements on a lattice: kernels of exact mean and variance, as matrices 
 
 A displacement of μ cells with variance s² (in cells) has the weights, over whole numbers k,
 
-.. math:: w_k \propto e^{a k - b k (k - 1)}, \quad \sum_k w_k k = μ, \quad
-    \sum_k w_k (k - μ)^2 = \max(s^2, f (1 - f)), \quad f = μ - \lfloor μ \rfloor:
+    w_k ∝ exp(a k − b k (k − 1)),  Σ w_k k = μ,  Σ w_k (k − μ)² = max(s², f (1 − f)),  f = μ − ⌊μ⌋:
 
-the normal density of least distortion on a lattice, f(1 − f) being the variance that it needs at
-least, of two points. Means and variances then add up exactly from step to step. About ⌊μ⌋ the
-conditions are E k = f and E k(k − 1) = max(s² − f(1 − f), 0), which Newton's method solves in a, b
-on the truncated tails, so that truncating costs no digit of them.
+the normal density of least distortion on a lattice, f(1 − f) being the least variance, of two
+points. Means and variances then add up exactly from step to step. About ⌊μ⌋ the conditions are E k
+= f and E k(k − 1) = max(s² − f(1 − f), 0), which Newton's method solves in a, b on the truncated
+tails, so that truncating costs no digit of them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Sweeps of a hidden Markov chain over many steps: beliefs that are scaled only now and then.
 
 Rows are (steps, states, [runs]). A forward row is proportional to p(x_t | z up to t), a backward
-one to p(z after t | x_t). Of few states and many steps all blocks of √T steps are worked at
-together.
+one to p(z after t | x_t).
 """
 
 from __future__ import annotations

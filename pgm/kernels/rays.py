@@ -3,15 +3,12 @@ r"""Rays through a grid of cells: how far they get, the cells that they enter, s
 Cell (row, column) is the square [column, column + 1) × [row, row + 1): coordinates are in cells.
 
 A ray from p along the unit vector u leaves an axis-parallel box at the least t of the crossings
-(edge − p) / u of its axes. Going from one cell's box to the next visits all cells of the ray
-(J. Amanatides, A. Woo: A fast voxel traversal algorithm for ray tracing, 1987). Where the next
-stop is c cells away in the maximum norm, all cells less than c away are free and their box is left
-in one step: the same hits, exactly, in fewer steps (as D. Cohen, Z. Sheffer: Proximity clouds, an
-acceleration technique for 3D grid traversal, 1994).
+(edge − p) / u of its axes. From one cell's box to the next, it visits all its cells (Amanatides &
+Woo, 1987). Where the next stop is c cells away in the maximum norm, all cells less than c away are
+free and their box is left in one step: the same hits, exactly (as Cohen & Sheffer, 1994).
 
-Ends of beams are summed over by pose. Their cells are found in float32, to some ten thousandths of
-a cell on maps of some thousand cells a side: an end that near to a cell's edge may count as in the
-next cell.
+The cells of beams' ends are found in float32, to some ten thousandths of a cell on maps of some
+thousand cells a side: an end that near to an edge may count as in the next cell.
 """
 
 from __future__ import annotations

@@ -1,16 +1,15 @@
 r"""Drawing particles anew in proportion to their weights, and how many draws suffice.
 
-All of these are unbiased, E[counts_i] = count · w_i. They differ in variance: that of systematic
-draws is least in most uses, that of independent ones (multinomial) largest (Douc, Cappé & Moulines,
-Comparison of resampling schemes for particle filtering, 2005).
+All of these are unbiased, E[counts_i] = count · w_i; the variance of systematic draws is least in
+most uses, that of multinomial ones largest (Douc, Cappé & Moulines, Comparison of resampling
+schemes for particle filtering, 2005).
 
-Of n draws from k bins the statistic S = 2 n KL(empirical ‖ true) has, where bins have many draws
-each, a χ² distribution of k − 1 degrees of freedom (Wilks 1938): with n = χ²_{k−1, 1−δ} / (2 ε)
-draws the divergence is at most ε with probability 1 − δ (Fox, Adapting the sample size in particle
-filters through KLD-sampling, 2003). Where bins have a few draws each, S is larger: a Poisson count
-X about λ adds 2 (X ln(X / λ) − X + λ), whose mean and variance, 1 and 2 for large λ, are at most
-1.1605 and 2.406, at λ of 1.3 and 3. The quantile taken here is that of a gamma distribution with
-(k − 1) times these, so that the probability holds for any distribution over the bins.
+Of n draws from k bins the statistic S = 2 n KL(empirical ‖ true) is χ² of k − 1 degrees of freedom
+for many draws a bin (Wilks 1938): n = χ²_{k−1, 1−δ} / (2 ε) draws suffice but for a probability δ
+(Fox, Adapting the sample size in particle filters through KLD-sampling, 2003). Where bins have a
+few draws each, S is larger: a Poisson count X about λ adds 2 (X ln(X / λ) − X + λ), of mean and
+variance at most 1.1605 and 2.406. The quantile taken here is that of a gamma distribution with (k −
+1) times these, so that the probability holds for any distribution.
 """
 
 from __future__ import annotations

@@ -1,16 +1,13 @@
 """Gaussian factors as rows: exp(−½ ‖A x − r‖² + g) Π δ(C x − c), on stacked arrays.
 
-A (..., k, n) is a root of the canonical form's information matrix, K = AᵀA and h = Aᵀr, so that
-nothing is ever squared or subtracted: a product stacks rows, and a QR factorisation integrates
-variables out. Several right sides r, (..., k, N), share one A. C (..., m, n) with c (..., m, N) are
-exact relations, which have no K; a row of zeros says nothing. Where a result does not exist it is
-NaN; the callers, who know the names, raise.
+A (..., k, n) is a root of the information matrix, K = AᵀA and h = Aᵀr, so that nothing is ever
+squared or subtracted: a product stacks rows, and a QR factorisation integrates variables out.
+Several right sides r, (..., k, N), share one A. C (..., m, n) with c (..., m, N) are exact
+relations, which have no K; a row of zeros says nothing. Where a result does not exist it is NaN;
+the callers, who know the names, raise (Bierman, 1977; Schoeman, van Daalen & du Preez, 2022).
 
-References: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977; Schoeman, van
-Daalen & du Preez, Degenerate Gaussian factors for probabilistic inference, 2022.
-
-Messages between clusters are stacks (V, B, s, s) with right sides (V, B, s, N): of V runs with a
-matrix each and N = 1, or of N runs that share one, V = 1.
+Messages are stacks (V, B, s, s) with right sides (V, B, s, N): of V runs with a matrix each and N =
+1, or of N runs that share one, V = 1.
 """
 
 from __future__ import annotations

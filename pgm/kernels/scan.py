@@ -1,14 +1,8 @@
 """Prefixes of a chain of segments in logarithmically many rounds, each one batched call.
 
 Up a balanced tree, neighbours are composed; down again, a belief is pushed through every other
-segment: T compositions and T pushes for T segments, in 2 log₂ T rounds.
-
-Stacks have the steps first and the runs second, (T, R, ...). In memory their components come first,
-so that kernels go along rows of steps.
-
-References
-----------
-Blelloch, Prefix sums and their applications, 1990.
+segment, in 2 log₂ T rounds (Blelloch, 1990). Stacks are (T, R, ...), components first in memory, so
+that kernels go along rows of steps.
 """
 
 from __future__ import annotations

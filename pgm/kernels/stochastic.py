@@ -1,8 +1,8 @@
 """Linear maps of probabilities: dense, sparse, and products of maps of single axes.
 
-A map has the matrix p(child | parent), (parents, children). `forward` sums over the parent,
-`backward` over the child, along one axis of an array; both also of logarithms, in a semiring. A map
-never forms the pairs of parent and child that it sums over, unless it works with logarithms.
+A map has the matrix p(child | parent). `forward` sums over the parent, `backward` over the child,
+along one axis of an array; both also of logarithms, in a semiring, the only way that forms the
+pairs of parent and child.
 """
 
 from __future__ import annotations

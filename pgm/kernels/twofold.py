@@ -1,13 +1,7 @@
 """Arithmetic of twice the digits: a number is the unevaluated sum of two float64, some 32 digits.
 
-What sixteen digits lose where variances lie far apart, these keep. One operation is some ten to
-forty of NumPy's, so it is for the few models that need it.
-
-References
-----------
-Dekker, A floating-point technique for extending the available precision, 1971.
-Joldes, Muller & Popescu, Tight and rigorous error bounds for basic building blocks of double-word
-arithmetic, 2017.
+One operation is some ten to forty of NumPy's (Dekker, 1971; Joldes, Muller & Popescu, Tight and
+rigorous error bounds for basic building blocks of double-word arithmetic, 2017).
 """
 
 from __future__ import annotations

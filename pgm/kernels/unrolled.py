@@ -1,8 +1,7 @@
 """A small Gaussian predicted and updated number by number, in straight lines of Python.
 
-Of a pose, and of a range with a bearing, calls of NumPy and LAPACK take several times as long as
-the arithmetic, and so do loops in Python. So the lines are written by this module, once for each
-size. Covariances are exactly symmetric.
+Calls of NumPy and LAPACK, and loops in Python, would take several times as long as the arithmetic:
+this module writes the lines, once for each size. Covariances are exactly symmetric.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Linearisers, and their prepared form, which is ready for many calls.
 
-An engine prepares a lineariser for each function once, and calls the prepared form at one belief
-after another. Its arrays have components first and the batch last: no axis for one run, or an axis
-of runs, or one of steps before that. A plain callable of a user is wrapped; a lineariser that has a
-method ``prepare`` brings its own form.
+An engine prepares a lineariser for each function once. Prepared arrays have components first and
+the batch last: no axis for one run, or an axis of runs, or one of steps before that. A plain
+callable of a user is wrapped.
 """
 
 from __future__ import annotations
@@ -224,6 +223,7 @@ class Wrapped:
         self.lineariser, self.scope = lineariser, template.hidden
 
     def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
+        """Linearise at beliefs (n, *batch) and (n, n, *batch)."""
         if function.group is not None and not function.joint:
             return apart(self, function, mean, cov)
         at = Gaussian._make(self.scope, components_last(mean, 1), components_last(cov, 2))

@@ -1,8 +1,7 @@
 """Rules that draw their points: Monte Carlo and quasi-Monte Carlo, keyed by seed, CPD and step.
 
-Philox is a generator that counts, so that each key has its own stretch of one stream wherever a
-call starts: one call for many steps gives what many calls give. Numbers are drawn for all runs or,
-if asked, for each.
+Philox counts, so that each key has its own stretch of one stream wherever a call starts: one call
+for many steps gives what many calls give.
 """
 
 from __future__ import annotations

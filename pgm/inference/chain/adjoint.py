@@ -5,16 +5,9 @@ and N = 0 behind the last step,
 
     r ← (1 − G h)ᵀ r + hᵀv/S,    N ← (1 − G h)ᵀ N (1 − G h) + hᵀh/S,
 
-and r ← Aᵀ r, N ← Aᵀ N A through a transition with the matrix A. A belief m, P that knows the
-measurements up to a step becomes m + P r, P − P N P with those after it. Where that difference
-would leave too few digits (an unstable motion, a wide prior), it is found from the next belief by
-Bayes' rule instead, as in the smoother of Rauch, Tung and Striebel.
-
-References
-----------
-Bryson & Frazier, Smoothing for linear and nonlinear dynamic systems, 1963.
-de Jong, Smoothing and interpolation with the state-space model, 1989.
-Durbin & Koopman, Time series analysis by state space methods, 2012, sections 4.4 to 4.7.
+and r ← Aᵀ r, N ← Aᵀ N A through a transition A. A belief m, P becomes m + P r, P − P N P; where
+that would leave too few digits (an unstable motion, a wide prior), it is found from the next belief
+by Bayes' rule instead (Bryson & Frazier, 1963; de Jong, 1989; Durbin & Koopman, 2012, 4.4 to 4.7).
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 r"""Associating sightings, for Gaussian beliefs: each with its likeliest candidate.
 
-At the predicted belief of a step, N(μ, P), a candidate m_k of a sighting z has the innovation
-ν_k = z − ẑ_k with covariance S_k = H_k P H_kᵀ + R_k; it is in question where ν_kᵀ S_k⁻¹ ν_k is
-below the gate, and the likeliest by ln w_k + ln N(ν_k; 0, S_k), each sighting by itself; or all of
-a step are decided together (`joint_compatibility.py`). Sensors whose sightings are known are taken
-in first. What comes out is ordinary evidence.
+At the predicted belief of a step, N(μ, P), a candidate m_k of a sighting z has the innovation ν_k =
+z − ẑ_k with covariance S_k = H_k P H_kᵀ + R_k; it is in question where ν_kᵀ S_k⁻¹ ν_k is below the
+gate, and the likeliest by ln w_k + ln N(ν_k; 0, S_k), each sighting by itself or all together
+(`joint_compatibility.py`). Sensors whose sightings are known are taken in first.
 """
 
 from __future__ import annotations

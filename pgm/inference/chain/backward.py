@@ -1,7 +1,7 @@
 """The backward sweep: Bayes' rule reverses every transition, then beliefs flow back.
 
-Marginals and joints come from the reversed chain, which exists where messages in information form
-(`messages.py`) do not: of a static state read exactly.
+The reversed chain exists where messages in information form (`messages.py`) do not: of a static
+state read exactly.
 """
 
 from __future__ import annotations

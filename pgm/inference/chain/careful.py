@@ -1,19 +1,14 @@
 """The forward pass in twice the digits, for models whose deviations lie too far apart for float64.
 
-Measurements are taken in one component after another, their noise decorrelated first, so that each
-component is either read, with S = h P hᵀ + noise above rounding, or determined already:
+Measurements are decorrelated and taken in by component, each read with S = h P hᵀ + noise above
+rounding, or determined already:
 
     G = P hᵀ/S,   v = z − h m,   m ← m + G v,   P ← (1 − G h) P (1 − G h)ᵀ + G noise Gᵀ.
 
-A flat prior is an unknown δ of which all means are functions m + D δ. The columns [m D] go
-through the pass as one mean does, each component read leaves an innovation [v V], and δ has the
-information Σ VᵀV / S of what was read. A flat component is δ and a part of unit variance, whose
-sum is flat, so that covariances given δ are those of an ordinary model.
-
-References
-----------
-de Jong, The diffuse Kalman filter, 1991.
-Durbin & Koopman, Time series analysis by state space methods, 2012, sections 5.7 and 6.4.
+A flat prior is an unknown δ of which all means are functions m + D δ. The columns [m D] go through
+the pass as one mean does, each component read leaves an innovation [v V], and δ has the information
+Σ VᵀV / S. A flat component is δ and a part of unit variance, so that covariances given δ are those
+of an ordinary model (de Jong, 1991; Durbin & Koopman, 2012, 5.7 and 6.4).
 """
 
 from __future__ import annotations

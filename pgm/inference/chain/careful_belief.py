@@ -1,8 +1,4 @@
-"""Beliefs in twice the digits, led through transitions and given components of measurements.
-
-They are functions m + D δ of an unknown δ, which is estimated from what was read, and they bound
-what rounding has made of them.
-"""
+"""Beliefs in twice the digits, functions m + D δ of an unknown δ, with bounds of their rounding."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """The cost of a trajectory: what every CPD leaves unexplained, in its own deviations.
 
 Linear CPDs with singular noise are obeyed exactly by all trajectories of finite cost, onto which
-others are projected. Their relations are C x = c at a step, or C x + B x⁻ = c with the slice
-before: a row for each component of the CPD's child; those that the noise leaves open are zero.
+others are projected. Their relations are C x + B x⁻ = c, a row for each component of the child;
+those that the noise leaves open are zero.
 """
 
 from __future__ import annotations

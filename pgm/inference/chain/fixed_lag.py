@@ -1,11 +1,9 @@
 """Fixed-lag smoothing: each belief knows the measurements of some further steps.
 
 With one linearisation the filter's forward pass is reversed, and beliefs go back by a lag, all
-steps at once. With more, a window slides along the chain: its CPDs are linearised at its smoothed
-beliefs, and it is smoothed again from where it begins, until that settles. A window begins with the
-belief at its first step given the measurements up to there, as the window before has left it, so
-that no measurement counts twice. It is solved in float64, and in twice the digits where that has
-too few.
+steps at once. With more, a window slides along the chain: it is linearised and smoothed until that
+settles, from the belief at its first step that the window before has left, so that no measurement
+counts twice; in twice the digits where float64 has too few.
 """
 
 from __future__ import annotations

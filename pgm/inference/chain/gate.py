@@ -1,14 +1,11 @@
 r"""Gates: sightings too far from their prediction say nothing.
 
 At the predicted belief N(μ, P) of a step, a sighting z that is linearised as ẑ + H (x − μ) + n has
-the innovation ν = z − ẑ with covariance S = H P Hᵀ + noise. It is rejected where νᵀS⁻¹ν exceeds the
-χ² quantile of the gate's probability, with as many degrees of freedom as components were measured.
-A rejected sighting is one that was not taken, in this run, for all that follows: the decisions are
-written to the plan. What an infinite variance predicts is not judged.
-
-References
-----------
-Bar-Shalom, Li & Kirubarajan, Estimation with applications to tracking and navigation, 2001, 5.4.
+the innovation ν = z − ẑ with S = H P Hᵀ + noise. It is rejected where νᵀS⁻¹ν exceeds the χ²
+quantile of the gate's probability, of as many degrees of freedom as components were measured: not
+taken, in this run, for all that follows, which the plan says. What an infinite variance predicts is
+not judged (Bar-Shalom, Li & Kirubarajan, Estimation with applications to tracking and navigation,
+2001, 5.4).
 """
 
 from __future__ import annotations

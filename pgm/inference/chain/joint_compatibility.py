@@ -1,16 +1,12 @@
 r"""Joint compatibility of the sightings of a step: which candidates they are of, taken together.
 
 A hypothesis pairs some sightings with a candidate each, no candidate twice. Its innovations,
-stacked to ν with covariance S = H P Hᵀ + R, which the error of the belief correlates, have to lie
-within the gate: νᵀS⁻¹ν at most the χ² quantile with as many degrees of freedom as components. The
-hypothesis with the most pairings is taken, and of several the likeliest, by
-Σ ln w + ln N(ν; 0, S). The search goes sighting by sighting, each pairing taken into the belief
-before the next, so that squares and densities add up; it leaves a branch that cannot have as many
-pairings as the best so far, or not so likely ones, or whose square is beyond any gate ahead.
-
-References
-----------
-Neira & Tardós, Data association in stochastic mapping using the joint compatibility test, 2001.
+stacked to ν with covariance S = H P Hᵀ + R, have to lie within the gate: νᵀS⁻¹ν at most the χ²
+quantile with as many degrees of freedom as components. The hypothesis with the most pairings is
+taken, and of several the likeliest, by Σ ln w + ln N(ν; 0, S). Each pairing is taken into the
+belief before the next sighting, so that squares and densities add up; a branch is left that cannot
+have as many pairings as the best so far, or not so likely ones, or whose square is beyond any gate
+ahead (Neira & Tardós, 2001).
 """
 
 from __future__ import annotations

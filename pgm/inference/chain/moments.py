@@ -1,7 +1,4 @@
-"""The Gaussian family of a chain: messages in moment form, of one run or of many.
-
-Arrays have components first and the batch last, which has no axis for one run and one for many.
-"""
+"""The Gaussian family of a chain: messages in moment form, components first and the batch last."""
 
 from __future__ import annotations
 

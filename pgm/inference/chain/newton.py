@@ -1,7 +1,7 @@
 """Gauss–Newton steps: the means of a linearised chain, from its normal equations.
 
-They cost a fraction of a smoother's two passes, and give no covariances. Where noises differ much
-they lose digits, which the next step restores, and after the last one the passes of a smoother.
+They cost a fraction of a smoother's two passes. Where noises differ much they lose digits, which
+the next step restores, and after the last one the passes of a smoother.
 """
 
 from __future__ import annotations

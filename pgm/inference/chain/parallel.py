@@ -1,8 +1,4 @@
-"""Both passes over a chain as scans: 2 log₂ T rounds each, every round one batched call.
-
-Steps are elements, each a transition with the measurements at its end, and segments are
-compositions.
-"""
+"""Both passes over a chain as scans: 2 log₂ T rounds each, every round one batched call."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The measurements of a step: linearised at a belief, and taken in.
-
-Arrays have components first and the batch last, which has no axis for one run and one for many.
-"""
+"""The measurements of a step: linearised at a belief, and taken in; the batch is last."""
 
 from __future__ import annotations
 

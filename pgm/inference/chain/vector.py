@@ -1,8 +1,4 @@
-"""The measurements of a step as one vector: of one step as sweeps take them in, or of all at once.
-
-Arrays of a step have components first and the batch last, which has no axis for one run and one for
-many.
-"""
+"""The measurements of a step, or of each of all steps, as one vector; a step's batch is last."""
 
 from __future__ import annotations
 

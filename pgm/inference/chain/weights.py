@@ -1,13 +1,10 @@
 r"""The weights of sightings with robust noise: each counts with the covariance R / w.
 
 w = 2 ρ′(s) is that of the tangent of the loss ρ at the square s of the sighting's residual in
-deviations of its own noise R. With `Taylor`, which sees functions at a mean, s is that of the mean,
-and a fixed point of weights and belief maximises the density (iteratively reweighted least
-squares). With rules that take expectations over the belief, s is the expected square,
-
-.. math:: s = r^T R^{-1} r + \operatorname{tr} R^{-1} (H P H^T + Ω),
-
-and a fixed point maximises the lower bound of the evidence (expectation–maximisation).
+deviations of R. With `Taylor` s is that of the mean, and a fixed point maximises the density
+(iteratively reweighted least squares). With rules that take expectations over the belief it is
+expected, s = rᵀ R⁻¹ r + tr R⁻¹ (H P Hᵀ + Ω), and a fixed point maximises the lower bound of the
+evidence (expectation–maximisation).
 """
 
 from __future__ import annotations

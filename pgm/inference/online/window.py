@@ -1,7 +1,7 @@
 """The steps behind the belief of an online filter with a lag.
 
-With one linearisation a trail of predictions is enough to go back over; with more, windows are
-smoothed, the same as slide along a recorded chain, one at a time.
+With one linearisation a trail of predictions is gone back over; with more, windows are smoothed as
+along a recorded chain.
 """
 
 from __future__ import annotations
