@@ -99,7 +99,6 @@ class ConditionalGaussian(CPD):
 
     @property
     def _deviations(self) -> Array:
-        """Of the noise, (d,), of the first run; NaN where they depend on parents."""
         if isinstance(self.cov, Noise):
             return np.full(self.child.dimension, np.nan)
         return deviation(self.cov[(0,) * (self.cov.ndim - 2)])

@@ -315,7 +315,6 @@ class TableCPD(CPD):
         return found
 
     def _by_map(self, known: Known, places: Any, last: Any, method: str) -> Any:
-        """A method of the matrix that the second parent's state selects, for all states at once."""
         if None in self._maps:
             return getattr(self._maps[None], method)(places[0], last)
         if method == "draw":
@@ -334,7 +333,6 @@ class TableCPD(CPD):
 
     @cached_property
     def _rows(self) -> Dense:
-        """The table as a matrix: a row for each combination of the parents' states."""
         return Dense(self.table.reshape(-1, self.child.size))
 
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Integers:

@@ -134,7 +134,6 @@ def _due(scope: Scope, axes: int, runs: bool) -> str:
 
 
 def _closed(cov: Array, what: str, **about: Any) -> Array:
-    """The covariance with variances of one for the infinite ones, of independent components."""
     size = cov.shape[-1]
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) == np.inf
     infinite = open_[..., None] & np.eye(size, dtype=bool)

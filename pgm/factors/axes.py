@@ -198,7 +198,6 @@ def _indices(variable: Discrete, value: Any, where: Place) -> Integers:
 
 
 def _looked_up(variable: Discrete, array: Any, where: Place) -> Integers:
-    """Indices of an array of names, among which may be Python's whole numbers."""
     place = {state: index for index, state in enumerate(variable.states)}
     found = [
         place.get(name, STRANGER) if isinstance(name, str) else _whole(variable, name)

@@ -169,7 +169,6 @@ class Table(FramedTable, Shown, NoArray, Immutable):
 
     @property
     def _rescaled(self) -> tuple[Array, Array]:
-        """Values whose sums are numbers, and their log-scale."""
         return kernel.rescale(self.values, self.log_scale, len(self.scope))
 
     def _combined(self, scope: States, values: Array, log_scale: Array) -> Table:

@@ -217,7 +217,6 @@ class _Control:
     def _accepted(
         self, rule: LevenbergMarquardt, point: Point, found: Point, active: Mask
     ) -> Array:
-        """Means that do not raise the cost; those of the point where none were found."""
         cost = self.problem.cost(point)
         # A point outside a function's domain, where it has no cost, is worse than any other.
         limit = np.where(np.isnan(cost), np.inf, cost + _NO_WORSE * np.abs(cost))

@@ -112,7 +112,6 @@ def _moments(
 
 
 def _at_all_steps(values: Any, axis: int, steps: int | None) -> Array:
-    """Arrays by step with NaN at step 0, if what they are of begins at step 1."""
     if steps is None or values.shape[axis] == steps + 1:
         return np.asarray(values)
     before = [(0, 0)] * values.ndim

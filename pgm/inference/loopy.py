@@ -150,7 +150,6 @@ def _flooding(messages: Messages[Any]) -> Callable[[Mask], Array]:
 
 
 def _sequential(messages: Messages[Any]) -> Callable[[Mask], Array]:
-    """Forth to later clusters, and back to earlier ones: every message once."""
     target = messages.directed.target
     there, back = [], []
     for cluster, outgoing in enumerate(messages.directed.outgoing):

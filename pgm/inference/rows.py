@@ -190,7 +190,6 @@ class Rows:
         return {}
 
     def _noise_of(self, noise: Array, first: int, last: int) -> Array:
-        """Covariances (rows or 1, runs or 1, d, d) of some rows along one diagonal."""
         blocks = noise[first:last] if len(noise) > 1 else noise
         blocks = blocks.transpose(0, 2, 3, 1) if self.batch else blocks[:, 0]
         if last - first == 1:

@@ -161,7 +161,6 @@ def _lower(unit: Array, root: Array) -> Array:
 
 
 def _is_regular(unit: Array, pivots: Array, least: float) -> bool:
-    """Whether each pivot is more than the least share of the diagonal entry that it is left of."""
     for j, pivot in enumerate(pivots):
         taken = sum(unit[j, k] * unit[k, j] for k in range(j))
         if not (pivot > least * (pivot + taken)).all():
@@ -170,7 +169,6 @@ def _is_regular(unit: Array, pivots: Array, least: float) -> bool:
 
 
 def _sum_of_squares(gain: Array, cov: Array, matrix: Array, noise: Array, out: Array) -> None:
-    """Put (1 − G H) P (1 − G H)ᵀ + G noise Gᵀ into `out`."""
     size, height, runs = gain.shape
     # [1 − G H, G] and [(1 − G H) P, G noise].
     factor, spread = np.empty((2, size, size + height, runs))

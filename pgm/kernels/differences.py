@@ -20,8 +20,7 @@ def steps(x: Array, std: Array) -> Array:
 def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: Mask) -> Array:
     """The Jacobian of a vectorised function at x, (..., n) to (..., d, n), in one call.
 
-    Steps are max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|) a component; differences of values that are angles
-    are wrapped. The std may be zero.
+    Steps are max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|); differences of angles are wrapped.
     """
     lead, size = x.shape[:-1], x.shape[-1]
     step = (x + steps(x, std)) - x  # the step that is taken in floating point

@@ -89,9 +89,9 @@ class Blocks:
         self._transfer()
 
     def _transfer(self) -> None:
-        """Find the transfer matrix of each block, rows of sum one, and the logarithms of scales.
+        """Find each block's transfer matrix, rows of sum one, and the logarithms of scales.
 
-        Rows come first and blocks second, so that a step's weights go along memory.
+        Rows come first, so that a step's weights go along memory.
         """
         count, size = self.count, self.size
         held = np.repeat(np.eye(size)[:, None], count, axis=1)

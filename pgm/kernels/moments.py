@@ -160,10 +160,7 @@ def kl(difference: Array, cov: Array, other_cov: Array) -> Array:
 
 
 def marginal_error(mean: Array, other: Array, std: Array) -> Array:
-    """The largest |mean − other| in standard deviations over the last axis and the first.
-
-    Where the deviation is zero, as a part of the mean's size.
-    """
+    """The largest |mean − other| over the last axis and the first, in deviations or sizes."""
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     largest: Array = (np.abs(mean - other) / unit).max(axis=(0, -1), initial=0.0)
     return largest

@@ -85,7 +85,6 @@ def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array
 
 
 def _advance(rays: Array, step: Array) -> None:
-    """Let rays leave the free boxes of cells less than a step away."""
     x, y, across, along, by_across, by_along, _, _, column, row, _, distance, _ = rays
     edge, other = column + step, row + step
     first, second = (edge - x) * by_across, (other - y) * by_along
@@ -190,8 +189,6 @@ def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask)
 
 
 class _Work:
-    """The arrays of a block, (size, beams) each."""
-
     def __init__(self, table: Single, shape: tuple[int, int]) -> None:
         self.table, self.flat = table, table.ravel()
         self._floats = np.empty((2, *shape), dtype=np.float32)
@@ -200,7 +197,6 @@ class _Work:
         self.cut(shape[0])
 
     def cut(self, size: int) -> None:
-        """Use a first part of the block."""
         self.column, self.row = self._floats[:, :size]
         self._index, self._other = self._indices[:, :size]
 

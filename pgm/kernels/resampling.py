@@ -92,7 +92,6 @@ RESAMPLERS: Mapping[str, Resampler] = MappingProxyType(
 
 
 def _edges(weights: Array, count: int) -> Array:
-    """The cumulative sums of weights, (n,), the last of which are `count`."""
     edges = np.cumsum(weights, dtype=np.float64)
     edges /= edges[-1]
     edges *= count

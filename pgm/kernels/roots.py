@@ -97,7 +97,6 @@ def determined(lower: Array) -> Mask:
 
 
 def _regular(lower: Array, fixed: Mask) -> Array:
-    """The root with 1 in place of zero pivots, so that it can be divided by."""
     if not fixed.any():
         return lower
     return lower + fixed[..., None] * np.eye(lower.shape[-1])

@@ -77,9 +77,9 @@ def triangular(matrix: Array, right: Array) -> Array:
 
 
 def largest_first(correlation: Array) -> Integers:
-    """The order of components, (..., n), in which each varies most of those left, given the former.
+    """The order of components, (..., n), in which each varies most of those left.
 
-    A root in this order tells small pivots from rounding, which grows behind a small one.
+    A root in this order tells small pivots from rounding.
     """
     left = correlation
     order = np.empty(left.shape[:-1], dtype=np.intp)

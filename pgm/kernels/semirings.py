@@ -14,10 +14,9 @@ Axes = int | tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class Semiring:
-    """A product and a sum of entries of tables, with their neutral entries `one` and `zero`.
+    """A product and a sum of entries of tables, and their neutral entries.
 
-    `over` is the quotient, ``total(values, axes, out)`` the sum along axes; `linear` entries are
-    numbers, which may underflow, not logarithms.
+    ``total(values, axes, out)`` sums along axes; `linear` entries are numbers, not logarithms.
     """
 
     zero: float

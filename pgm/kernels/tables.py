@@ -67,7 +67,6 @@ def _combined(
 
 
 def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
-    """The mask of products or quotients that are right as computed with plain numbers."""
     top = largest(result, axes)
     held = (top > SAFE) & (top < np.inf)
     if not held.all():
@@ -125,7 +124,6 @@ def _per_table(stacked: Stacked, axes: int) -> Stacked:
 
 
 def _exponents(values: Array) -> tuple[Array, Array]:
-    """Mantissas and powers of two."""
     mantissa, power = np.frexp(values)
     return mantissa, np.where(values > 0.0, power, NOWHERE)
 

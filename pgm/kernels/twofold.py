@@ -215,7 +215,6 @@ def _add(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
 
 
 def _sum(high: Array, low: Array) -> tuple[Array, Array]:
-    """Sums over the last axis but one, by halves."""
     while (count := high.shape[-2]) > 1:
         half = count // 2
         first, second = (..., slice(half), slice(None)), (..., slice(half, 2 * half), slice(None))

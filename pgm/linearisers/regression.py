@@ -125,8 +125,6 @@ class StatisticalRegression(ArrayLineariser):
 
 
 class _Regression:
-    """A rule, ready for the functions of a template."""
-
     def __init__(self, rule: StatisticalRegression, template: FunctionTemplate) -> None:
         self.rule, self.size, self.name = rule, template.size, template.child.name
         self.fresh, self.prior_moments = rule.fresh_per_run, rule.prior_moments

@@ -85,7 +85,6 @@ def scrambling_size(samples: int, dimension: int) -> int:
 
 
 def _digits(samples: int) -> int:
-    """The number of binary digits of a net's coordinates before scrambling."""
     return (int(samples) - 1).bit_length()
 
 
@@ -208,7 +207,6 @@ class MonteCarlo(SampledRule):
             )
 
     def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
-        """Standard normal points, in antithetic pairs where asked for."""
         count = self.samples // 2 if self.antithetic else self.samples
         drawn = uniform(self.seed, name, step, count * dimension, self.fresh_per_run)
         half = normal(drawn).reshape(*drawn.shape[:-1], count, dimension)
@@ -258,7 +256,6 @@ class QuasiMonteCarlo(SampledRule):
         self._check_switches("fresh_per_run")
 
     def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
-        """Standard normal points, (*axes of step, N, n)."""
         size = scrambling_size(self.samples, dimension)
         drawn = uniform(self.seed, name, step, size, self.fresh_per_run)
         return normal(scrambled_net(drawn, self.samples, dimension))

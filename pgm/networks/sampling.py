@@ -220,6 +220,5 @@ def _states(variable: Variable, rows: Values) -> Values:
 
 
 def _unflat(variable: Variable, rows: Values, lead: tuple[int, ...]) -> Values:
-    """(rows, runs, d) as (*lead, rows, d); of states (rows, runs) as (*lead, rows)."""
     own = () if isinstance(variable, Discrete) else (rows.shape[-1],)
     return rows.swapaxes(0, 1).reshape(*lead, rows.shape[0], *own)

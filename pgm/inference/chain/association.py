@@ -118,7 +118,6 @@ class _Pending:
         self.taken = list[Array]()
 
     def rows(self, step: int) -> range:
-        """The sightings of a step."""
         first, last = np.searchsorted(self.reading.step, [step, step + 1]).tolist()
         return range(first, last)
 
@@ -131,7 +130,6 @@ class _Pending:
         rows: range,
         belief: Moments,
     ) -> Moments:
-        """Decide about some sightings at a belief, and take them in."""
         runs, unknown = bound.runs, self.unknown
         pairs = _innovations(
             graph, bound, lineariser, step, self._expanded(rows, runs), belief, len(rows)
@@ -159,7 +157,6 @@ class _Pending:
         return _taken(graph, bound, lineariser, step, (self.part(rows),), belief, self.gate)
 
     def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int) -> Array:
-        """The logarithms of decisions about all sightings of a step, zero for what is taken."""
         assert self.unknown.gate is not None
         compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
         parts = pairs.matrix, pairs.residual, pairs.noise, pairs.size[..., 0], compatible
@@ -224,7 +221,6 @@ class _Pending:
 
     @property
     def closed(self) -> Reading:
-        """All sightings, as they were associated."""
         whole = self.part(range(len(self.reading.step))) if self.values else self.reading
         inputs = whole.inputs
         if not self.values:

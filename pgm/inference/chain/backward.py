@@ -78,7 +78,7 @@ def about(conditional: Conditional, reference: Array) -> Conditional:
 
 
 class Ahead(Protocol):
-    """The parts of a forward pass that the backward one needs: see `Forward`."""
+    """The parts of a forward pass that the backward one needs."""
 
     @property
     def predicted_mean(self) -> Array:
@@ -156,8 +156,6 @@ class Reverse:
 
 
 class _Step(NamedTuple):
-    """The arguments of `moments.reverse`, for many steps."""
-
     mean: Array
     cov: Array
     matrix: Array

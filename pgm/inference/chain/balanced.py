@@ -25,12 +25,8 @@ class BalancedPosterior(ChainPosterior):
     """The beliefs of a balanced cluster tree after a schedule of messages.
 
     All is as on a chain of slices but the messages and the beliefs of clusters. After smoothing
-    they are those of calibration. After filtering the messages down are those of a prefix scan:
-    they know the measurements up to a segment alone, and nothing is sent back to cluster 0.
-
-    Attributes
-    ----------
-    graph : BalancedGraph
+    they are those of calibration; after filtering messages down know the measurements up to a
+    segment alone, and cluster 0 is sent none.
     """
 
     graph: BalancedGraph
@@ -115,7 +111,6 @@ class BalancedPosterior(ChainPosterior):
         return np.zeros((runs, size, size)), np.zeros((runs, size)), np.zeros(runs)
 
     def _segment(self, first: int, last: int) -> Canonical:
-        """The element of a segment, about the filtered means at its ends, moved to the origin."""
         whole = _composed(self._leaves(first, last))
         precision, h, g = (part[0] for part in canonical.from_affine(*whole[:3]))
         # The right end comes first in the form of a conditional.

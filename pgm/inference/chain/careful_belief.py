@@ -153,7 +153,6 @@ def through(matrix: Array, bound: Array) -> Array:
 
 
 def _summed(matrix: Array, cov: Array) -> Array:
-    """The variances of F P Fᵀ with all summands positive."""
     size = np.abs(matrix)
     found: Array = ((size @ np.abs(cov)) * size).sum(axis=-1)
     return found

@@ -117,7 +117,6 @@ def _hold(before: Array, after: Array, limit: float) -> bool:
 
 
 def _told_apart(plan: ChainPlan, swept: Forward) -> bool:
-    """Whether measurements without noise are told apart by more than rounding."""
     exact = [s for s in plan.sensors if s.exact and s.family.step.size]
     for steps, matrix, _, noise, _ in stacks(plan, exact, swept.predicted_mean) if exact else []:
         cov = swept.predicted_cov[steps]

@@ -78,7 +78,6 @@ def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Arr
 
 
 def _robust(sensor: Sensor, mean: Array, cov: Array) -> Array:
-    """The cost of robust measurements, 2 ρ each, at beliefs over their slices: (runs,)."""
     family, parents, everything = sensor.family, sensor.parents, slice(None)
     if not mean.shape[0]:
         return np.zeros(mean.shape[1])

@@ -61,7 +61,6 @@ def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:
 
 
 def _pairs(posterior: ChainPosterior) -> Beliefs:
-    """The moments of (states of t − 1, slice of t) at steps 1..T."""
     beliefs, careful = posterior._beliefs, posterior._careful
     if careful is None:
         return backward.pairs(beliefs, posterior._reverse, slice(None))

@@ -119,11 +119,9 @@ class _Record:
         self.error: Array | None = None
 
     def leave(self, window: Window) -> None:
-        """Leave the first step of a window behind, and the measurements of the next with it."""
         self.left = self.left + window.ahead.log_density[:2].sum(axis=0)
 
     def keep(self, first: int, window: Window) -> None:
-        """Keep the beliefs of a window that begins at a step."""
         out, ahead, beliefs = self.forward, window.ahead, window.beliefs
         begun, step = int(window.plan.begin is not None), first + window.plan.steps
         known, new = slice(first, step + 1), slice(first + begun, step + 1)
@@ -142,7 +140,6 @@ class _Record:
 
     @property
     def found(self) -> tuple[Lagged, Status]:
-        """The record as a result, and its status."""
         windows = Windows(self.newest, self.log_evidence, self.error is None)
         found = Lagged(self.forward, self.beliefs, windows=windows, error=self.error)
         return found, Status.of(self.residuals, self.converged, self.lead)

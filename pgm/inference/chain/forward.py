@@ -125,14 +125,12 @@ class _Record:
         self._room: Room | None = None
 
     def room(self, step: int) -> Room:
-        """The arrays for the moments of a step, which need not be copied then."""
         self._room = self.mean[step], self.cov[step]
         return self._room
 
     def keep(
         self, step: int, predicted: Moments, known: Moments, log_density: Array | float
     ) -> None:
-        """Keep a step."""
         if self._room is None or known.mean is not self._room[0]:
             self.mean[step], self.cov[step] = known.mean, known.cov
         self.log_density[step] = log_density

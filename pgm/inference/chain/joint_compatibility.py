@@ -85,7 +85,6 @@ class _Step(NamedTuple):
 
 
 def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Step:
-    """Take a pairing into a belief about its mean, (..., d, n), (..., d), (..., n, n), (..., n)."""
     cross = matrix @ cov
     spread = cross @ matrix.mT + noise
     left = residual - np.einsum("...dn,...n->...d", matrix, shift)
@@ -97,8 +96,6 @@ def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Arr
 
 
 class _Search:
-    """The search for the best hypothesis of one run."""
-
     def __init__(self, pairs: Pairs, cov: Array, limits: Array, run: int) -> None:
         self.pairs, self.run, self.limits, self.nodes = pairs, run, limits, 0
         compatible = pairs.compatible[:, run]

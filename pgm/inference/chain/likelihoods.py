@@ -202,7 +202,6 @@ class Whitened:
 
 
 def _surplus(sensor: Sensor) -> Array:
-    """The log-density of robust measurements beyond that of the Gaussians, (T+1, runs)."""
     each = sensor.weights.surplus()
     return _by_step(sensor, lambda rows, counts: (_added(each[rows], counts),))[0]
 
@@ -218,10 +217,7 @@ def shortened(array: Array) -> Array:
 def _by_step(
     sensor: Sensor, part: Callable[[slice, Integers], tuple[Array, ...]]
 ) -> tuple[Array, ...]:
-    """Arrays made of the measurements of each step, (T+1, ...), a chunk of steps at a time.
-
-    `part` takes rows of measurements, and how many are of each step.
-    """
+    """Arrays made of each step's rows of measurements, (T+1, ...), a chunk of steps at a time."""
     bounds = np.asarray(sensor.bounds)
     counts = np.diff(bounds)
     size = max(_CHUNK // sensor.moved.shape[1], 1)

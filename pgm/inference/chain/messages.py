@@ -68,8 +68,6 @@ def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | 
 
 
 class _Message(NamedTuple):
-    """Messages back in canonical form, (steps, runs, ...)."""
-
     K: Array
     h: Array
     g: Array
@@ -108,10 +106,9 @@ def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:
 def absorbed(
     plan: ChainPlan, forward: Forward, conditionals: Conditional, later: int
 ) -> tuple[Conditional, Canonical | None]:
-    """The states at a step given those before it and the step's measurements, and what these say.
+    """The states at a step given those before and its measurements, and what these say.
 
-    Both about the filtered means: of the states at the step, and of those before it, of which the
-    measurements' likelihood is a function.
+    Both are about the filtered means; the latter is a function of the states before.
     """
     layout = plan.layout
     select = np.eye(layout.slice_size)[layout.state_places]

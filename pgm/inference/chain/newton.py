@@ -96,15 +96,11 @@ def _equations(plan: ChainPlan, readings: Readings) -> System | None:
 
 
 class _Move(NamedTuple):
-    """A transition y = A x + b + n."""
-
     matrix: Array
     offset: Array
 
 
 class _Precision(NamedTuple):
-    """The inverse of a transition's noise."""
-
     matrix: Array
 
 

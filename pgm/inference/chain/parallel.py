@@ -125,8 +125,6 @@ def _move(plan: ChainPlan, mean: Array) -> bool:
 
 
 class _First(NamedTuple):
-    """The slice at step 0 before and after its measurements, and their log-density, (runs,)."""
-
     predicted: Belief
     known: Belief
     log_density: Array
@@ -195,7 +193,6 @@ def _read(predicted: Moments, readings: Readings) -> Moments:
 
 
 def _agree(found: Moments, due: Moments) -> bool:
-    """Whether moments are the same but for what rounding may make of them."""
     std = deviation(due.cov)
     off = np.abs(found.mean - due.mean)
     far = off > _CLOSE * np.where(std > 0.0, std, np.abs(due.mean) + off.max(initial=0.0))

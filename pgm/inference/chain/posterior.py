@@ -95,7 +95,6 @@ class ChainPosterior(Innovated, Posterior):
     @property
     @quiet()
     def _forward(self) -> Forward:
-        """The whole forward sweep, made again if only its beliefs were wanted so far."""
         swept = self._swept
         return swept.whole if isinstance(swept, Filtered) else swept
 

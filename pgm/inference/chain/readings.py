@@ -104,10 +104,9 @@ def update(
 def _absorb(
     parts: Sequence[Measured], step: int, belief: Moments, least: float, room: Room | None = None
 ) -> tuple[Moments, Array | float] | None:
-    """Take in sightings as one vector; None where its predictive covariance is nearly singular.
+    """Take in sightings as one vector; None where too little of a component is left open.
 
-    It is where those before a component leave no more than the share `least` of its variance; with
-    a share of zero nothing is.
+    Too little is the share `least` of its variance; with zero nothing is.
     """
     mean, cov, _ = belief
     sharp, first = None, parts[0]

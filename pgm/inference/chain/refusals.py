@@ -84,10 +84,7 @@ def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
 
 
 def belief(plan: ChainPlan, step: int, *beliefs: tuple[Twofold, Twofold]) -> None:
-    """Refuse beliefs in twice the digits, means and covariances, that are none.
-
-    They are not finite, or a lineariser's error has made them indefinite.
-    """
+    """Refuse beliefs in twice the digits that are not finite, or indefinite by linearisation."""
     for belief in beliefs:
         if not all(np.isfinite(part.hi + part.lo).all() for part in belief):
             infinite("the belief", step)

@@ -184,12 +184,10 @@ def _careful(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Carefu
 
 
 def _is_long(plan: ChainPlan) -> bool:
-    """Whether rounds over all steps beat a sweep: many steps of few numbers."""
     return plan.steps >= _MANY_STEPS and plan.runs * plan.layout.slice_size <= _FEW_NUMBERS
 
 
 def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """In rounds, or step by step where rounds do not exist or cost digits."""
     readings = Readings.of(plan, reference)
     if readings.stacks:
         return swept(plan, reference, anchor)
@@ -244,8 +242,6 @@ class Chain(Generic[Either]):
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """A chain as such a problem, solved for its means alone."""
-
     chain: Chain[Smoothed]
 
     def linearise(self, at: Point, active: Mask | None) -> None:

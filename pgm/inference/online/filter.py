@@ -256,7 +256,6 @@ class OnlineFilter(InCode, Immutable):
     def _predicted(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
-        """The belief one step later, in float64; None where that has too few digits."""
         step, behind = belief.step + 1, belief.behind
         laid = None if belief.lead else self._motions.motion(belief, inputs)
         if laid is None:

@@ -170,7 +170,7 @@ def _is_finite(row: Array) -> bool:
 
 
 def _view(value: Any, axes: int) -> Array | None:
-    """A view that functions of users may see, (d,) or (M, d), of an array of floats or the like."""
+    """A view that functions of users may see, (d,) or (M, d)."""
     if type(value) is not _ARRAY or value.dtype is not _FLOAT:
         value = _numbers(value) if isinstance(value, _ARRAY | list | tuple) else None
     if value is None or value.ndim != axes:
