@@ -22,7 +22,8 @@ _HEAVIEST = 1e12
 class Point(NamedTuple):
     """A point of linearisation: mean (steps, runs, n) and cov (steps, runs, n, n).
 
-    `joint` (steps − 1, runs, m, m), the covariances of pairs, where a CPD needs more than `cov`.
+    `joint` (steps − 1, runs, m, m) are the covariances of pairs, where a CPD needs more than those
+    of the states before.
     """
 
     mean: Array

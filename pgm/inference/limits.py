@@ -44,7 +44,7 @@ class Room:
 
     @classmethod
     def of(cls, memory: float | None, graph: ClusterGraph) -> Room:
-        """Limits that fit in so many bytes, `BATCH` and `KEPT` without; refuses too few."""
+        """Limits that fit in so many bytes, else `BATCH` and `KEPT`; refuses too few for a run."""
         if memory is None:
             return cls(BATCH, KEPT)
         if not is_number(memory) or not 0 < memory < math.inf:

@@ -221,7 +221,7 @@ def update(
 def update_one(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
 ) -> tuple[Array, Array, float] | None:
-    """The `update` of one Gaussian by a regular measurement, and its log-density; else None."""
+    """The `update` of one Gaussian: moments and log-density; None if it is not regular."""
     written = updating(len(mean), len(residual), NEARLY_SINGULAR)
     if written is not None:
         return written(mean, cov, matrix, residual, noise)

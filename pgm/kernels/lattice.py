@@ -33,7 +33,7 @@ _ITERATIONS = 60
 class Kernels(NamedTuple):
     """Kernels, one a row: the displacement `first` of the first of the `weights`, in cells.
 
-    The lattice has `added` to the variance asked for, in cells.
+    `added` is the variance that the lattice adds to the one asked for.
     """
 
     first: Integers

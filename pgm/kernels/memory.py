@@ -15,9 +15,10 @@ _UNKNOWN = 64 * 2**30
 def retain() -> None:
     """Have the allocator keep what is freed between steps, rather than fetch it anew each time.
 
-    By default glibc gives freed memory back above a threshold, the largest block freed so far;
-    every page of the next step's arrays, of many runs, would be faulted in again, which costs more
-    than the arithmetic. A block that is made and freed untouched raises the threshold.
+    By default glibc gives freed memory back above a threshold that grows with the largest block
+    freed; every page of the next step's arrays, of many runs, would be faulted in again, which
+    costs more than the arithmetic. A block that is made and freed untouched raises the threshold;
+    on other systems it does nothing.
     """
     np.empty(_SIZE, dtype=np.uint8)
 

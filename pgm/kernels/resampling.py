@@ -1,15 +1,14 @@
 r"""Drawing particles anew in proportion to their weights, and how many draws suffice.
 
 All of these are unbiased, E[counts_i] = count · w_i; the variance of systematic draws is least in
-most uses, that of multinomial ones largest (Douc, Cappé & Moulines, Comparison of resampling
-schemes for particle filtering, 2005).
+most uses, that of multinomial ones largest (Douc, Cappé & Moulines, 2005).
 
 Of n draws from k bins the statistic S = 2 n KL(empirical ‖ true) is χ² of k − 1 degrees of freedom
-for many draws a bin (Wilks 1938): n = χ²_{k−1, 1−δ} / (2 ε) draws suffice but for a probability δ
-(Fox, Adapting the sample size in particle filters through KLD-sampling, 2003). Where bins have a
-few draws each, S is larger: a Poisson count X about λ adds 2 (X ln(X / λ) − X + λ), of mean and
-variance at most 1.1605 and 2.406. The quantile taken here is that of a gamma distribution with (k −
-1) times these, so that the probability holds for any distribution.
+for many draws a bin (Wilks 1938): with n = χ²_{k−1, 1−δ} / (2 ε) the divergence is at most ε with
+probability 1 − δ (Fox, 2003). Where bins have a few draws each, S is larger: a Poisson count X about
+λ adds 2 (X ln(X / λ) − X + λ), of mean and variance at most 1.1605 and 2.406. The quantile taken
+here is that of a gamma distribution with (k − 1) times these, so that the probability holds for any
+distribution.
 """
 
 from __future__ import annotations

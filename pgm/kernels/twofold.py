@@ -1,7 +1,6 @@
 """Arithmetic of twice the digits: a number is the unevaluated sum of two float64, some 32 digits.
 
-One operation is some ten to forty of NumPy's (Dekker, 1971; Joldes, Muller & Popescu, Tight and
-rigorous error bounds for basic building blocks of double-word arithmetic, 2017).
+One operation is some ten to forty of NumPy's (Dekker, 1971; Joldes, Muller & Popescu, 2017).
 """
 
 from __future__ import annotations

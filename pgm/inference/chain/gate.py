@@ -4,8 +4,7 @@ At the predicted belief N(μ, P) of a step, a sighting z that is linearised as �
 the innovation ν = z − ẑ with S = H P Hᵀ + noise. It is rejected where νᵀS⁻¹ν exceeds the χ²
 quantile of the gate's probability, of as many degrees of freedom as components were measured: not
 taken, in this run, for all that follows, which the plan says. What an infinite variance predicts is
-not judged (Bar-Shalom, Li & Kirubarajan, Estimation with applications to tracking and navigation,
-2001, 5.4).
+not judged (Bar-Shalom, Li & Kirubarajan, 2001, 5.4).
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ from pgm.kernels.scan import in_chunks
 class Means:
     """Means (T+1, runs, n), and the variance of each component given all others.
 
-    This is no larger than its marginal variance. Of a pair, of so many components, there are no
-    covariances.
+    This is no larger than its marginal variance. There are no covariances of pairs, of `pair`
+    components.
     """
 
     means: Array

@@ -90,7 +90,7 @@ class Sensor:
 
     @cached_property
     def moved(self) -> Array:
-        """The values (M, runs, d), angles on the branch nearest the CPD's; then a copy."""
+        """The values (M, runs, d), angles on the branch nearest the CPD's, in a copy."""
         count, runs, height, _ = self.family.shape
         wide = np.broadcast_to(self.values, (count, runs, height))
         return wide.copy("K") if self.variable.angles else wide
