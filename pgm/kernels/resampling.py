@@ -5,10 +5,10 @@ most uses, that of multinomial ones largest (Douc, Cappé & Moulines, 2005).
 
 Of n draws from k bins the statistic S = 2 n KL(empirical ‖ true) is χ² of k − 1 degrees of freedom
 for many draws a bin (Wilks 1938): with n = χ²_{k−1, 1−δ} / (2 ε) the divergence is at most ε with
-probability 1 − δ (Fox, 2003). Where bins have a few draws each, S is larger: a Poisson count X about
-λ adds 2 (X ln(X / λ) − X + λ), of mean and variance at most 1.1605 and 2.406. The quantile taken
-here is that of a gamma distribution with (k − 1) times these, so that the probability holds for any
-distribution.
+probability 1 − δ (Fox, 2003). Where bins have a few draws each, S is larger: a Poisson count X
+about λ adds 2 (X ln(X / λ) − X + λ), of mean and variance at most 1.1605 and 2.406. The quantile
+taken here is that of a gamma distribution with (k − 1) times these, so that the probability holds
+for any distribution.
 """
 
 from __future__ import annotations
