@@ -54,8 +54,8 @@ class Read(NamedTuple):
     """The readings of steps in numbers, (..., runs): NIS, its components, and what gates did.
 
     `rejected` are the sightings that gates rejected, of those `judged`; `strange` those that were
-        taken for none of their candidates, of the `open` ones, which had some (of a sensor with a gate
-        those alone, as it judges the others); `odds` is the weight of these.
+    taken for none of their candidates, of the `open` ones, which had some (of a sensor with a gate
+    those alone, as it judges the others); `odds` is the weight of these.
     """
 
     nis: Array
