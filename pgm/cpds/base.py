@@ -281,7 +281,6 @@ class CPD(Shown, Immutable):
         return Summary(self._title, self._parts())
 
     def _parts(self) -> Sequence[str | Listing]:
-        """The lines and listings below the title."""
         return ()
 
     def __repr__(self) -> str:

@@ -42,12 +42,7 @@ from pgm.variables import Variable
 class ConditionalGaussian(CPD):
     """A CPD that is a function of the parents plus Gaussian noise.
 
-    Attributes
-    ----------
-    cov : ndarray or Noise
-        Covariance of the noise.
-    noise : RobustNoise or None
-        Of what kind it is, if not Gaussian; then `cov` is its scale matrix.
+    Where `noise` is robust, `cov` is its scale matrix.
     """
 
     cov: Array | Noise
@@ -71,14 +66,12 @@ class ConditionalGaussian(CPD):
         self._set(cov=cov)
 
     def _with_cov(self, cov: npt.ArrayLike | Noise) -> Self:
-        """The same density with another noise covariance."""
         found = copy.copy(self)
         found.__dict__.pop("_variances", None)  # of a nonlinear CPD, computed from the noise
         found._set_family(self.child, self.given, cov)
         return found
 
     def _set_noise(self, noise: RobustNoise | None) -> None:
-        """Take a robust noise, whose constant covariance has to be regular."""
         if noise is None:
             return
         if not isinstance(noise, RobustNoise):
@@ -94,13 +87,7 @@ class ConditionalGaussian(CPD):
             self.require_regular(roots.root(self.cov))
 
     def require_regular(self, lower: Array) -> None:
-        """Refuse the roots of covariances of which one is singular, for robust noise.
-
-        Raises
-        ------
-        ModelError
-            If one is.
-        """
+        """Refuse, for robust noise, the roots of covariances of which one is singular."""
         if not (np.diagonal(lower, axis1=-2, axis2=-1) > 0.0).all():
             raise ModelError(
                 f"{self!r}: {self.noise!r} weighs a residual by its Mahalanobis square, which a "
@@ -112,13 +99,11 @@ class ConditionalGaussian(CPD):
 
     @property
     def _deviations(self) -> Array:
-        """Of the noise, (d,), of the first run; NaN where they depend on parents."""
         if isinstance(self.cov, Noise):
             return np.full(self.child.dimension, np.nan)
         return deviation(self.cov[(0,) * (self.cov.ndim - 2)])
 
     def _noise_shown(self) -> list[str | Listing]:
-        """The noise that is more than deviations: robust, of parents, or with correlations."""
         kind: list[str | Listing] = [] if self.noise is None else [f"noise: {self.noise!r}"]
         if isinstance(self.cov, Noise):
             return [*kind, f"noise: {called(self.cov.function)} of ({listed(self.cov.given)})"]
@@ -129,18 +114,7 @@ class ConditionalGaussian(CPD):
         return [*kind, named_matrix(heads, heads, cov, "cov")]
 
     def require_proper(self, what: str) -> None:
-        """Refuse an infinite variance where there is no use for it.
-
-        Parameters
-        ----------
-        what : str
-            The reason, for the message.
-
-        Raises
-        ------
-        ModelError
-            If a variance is infinite.
-        """
+        """Refuse an infinite variance where there is no use for it, for the reason given."""
         if not isinstance(self.cov, Noise) and np.isinf(self.cov).any():
             raise ModelError(
                 f"{self!r} has an infinite variance: {what}; give it a finite one",
@@ -176,7 +150,6 @@ class ConditionalGaussian(CPD):
     def _marginal(
         self, child: Values, known: Known, seen: Mask, centre: Array, lower: Array
     ) -> Array:
-        """The log-densities of the components that are seen, the others being integrated out."""
         lead = np.broadcast_shapes(child.shape[:-1], known.lead)
         pattern = seen.reshape(-1, seen.shape[-1])
         if (pattern == pattern[0]).all():
@@ -193,7 +166,6 @@ class ConditionalGaussian(CPD):
         return found
 
     def _robust(self, lower: Array, residual: Array, count: npt.ArrayLike) -> Array:
-        """The log-densities of residuals of robust noise, of so many components each."""
         assert self.noise is not None
         self.noise.require_proper(self.child.dimension, self)
         white = roots.whiten(lower, residual)
@@ -242,7 +214,6 @@ class ConditionalGaussian(CPD):
 
     @cached_property
     def _lower(self) -> Array:
-        """The root of a constant covariance."""
         self.require_proper("it has neither a density nor draws")
         assert not isinstance(self.cov, Noise)
         lower = roots.root(self.cov)

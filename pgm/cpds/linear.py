@@ -23,15 +23,7 @@ from pgm.variables import Variable
 
 
 class AffineCPD(ConditionalGaussian):
-    """A CPD with mean Σ F_p p + offset over its parents p: exact without a lineariser.
-
-    Attributes
-    ----------
-    matrices : mapping of Variable to ndarray
-        F_p, (d, dimension of p), for each parent.
-    offset : ndarray
-        (d,).
-    """
+    """A CPD with mean Σ F_p p + offset over its parents p: exact without a lineariser."""
 
     matrices: Mapping[Variable, Array]
     offset: Array
@@ -114,7 +106,6 @@ class GaussianCPD(AffineCPD):
             ) from None
 
     def _lead(self) -> tuple[int, ...]:
-        """The axes of runs."""
         covs = self.cov.shape[:-2] if isinstance(self.cov, np.ndarray) else ()
         return np.broadcast_shapes(self.offset.shape[:-1], covs)
 

@@ -96,7 +96,6 @@ class MixtureCPD(CPD):
         self._lead()
 
     def _checked(self, weights: npt.ArrayLike, count: int) -> Array:
-        """The weights, one for each of some CPDs."""
         found = as_floats(weights, "the weights of a mixture", cpd=self)
         if found.shape != (count,):
             raise ModelError(
@@ -130,7 +129,6 @@ class MixtureCPD(CPD):
         """Refuse an infinite variance, of which a mixture has none."""
 
     def _with(self, parts: tuple[CPD, ...]) -> Self:
-        """The same mixture of other forms of its CPDs."""
         found = copy.copy(self)
         found._set(parts=parts)
         return found
@@ -177,7 +175,6 @@ class MixtureCPD(CPD):
 
 
 def _of(part: CPD, known: Known) -> Known:
-    """The values of the parents of one CPD of a mixture."""
     return Known({v: known.values[v] for v in part.parents}, known.lead, known.shape, known.step)
 
 

@@ -97,18 +97,8 @@ def evaluate(
 ) -> Array:
     """The covariance for given values of the parents, (*shape, n, n), checked.
 
-    Parameters
-    ----------
-    cpd : CPD
-        Of such noise.
-    known : mapping of Variable to ndarray
-        Values of the parents, which broadcast to (*shape, d).
-    shape : tuple of int
-        The leading axes, runs last.
-    step : int, ndarray of int or None
-        The step of each, which broadcasts to the shape, for messages; None where there is no time.
-    first_run : int
-        The number of the first run, for messages.
+    Values of the parents broadcast to (*shape, d), steps to the shape, whose last axis is of runs;
+    step and `first_run` are for messages.
     """
     cov, child = cpd.cov, cpd.child
     assert isinstance(cov, Noise)

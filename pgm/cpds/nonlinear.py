@@ -148,7 +148,6 @@ class NonlinearGaussianCPD(ConditionalGaussian):
 
     @cached_property
     def _variances(self) -> tuple[float, ...]:
-        """The least variance of each component's own noise; zero where evidence sets it."""
         if isinstance(self.cov, Noise):
             return (0.0,) * self.child.dimension
         each = np.diagonal(self.cov, axis1=-2, axis2=-1).reshape(-1, self.child.dimension)

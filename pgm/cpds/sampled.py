@@ -125,7 +125,6 @@ class SampledCPD(CPD):
     def _wide(
         self, known: Known, shape: tuple[int, ...], lead: tuple[int, ...] | None = None
     ) -> list[Values]:
-        """Values of the parents at all of a shape, read-only."""
         found = []
         for parent in self.given:
             value = known.values[parent]

@@ -118,7 +118,6 @@ class TableCPD(CPD):
             )
 
     def _structured(self, table: Any) -> dict[int | None, Transition]:
-        """The matrices of a structured table, checked."""
         what = f"{self!r}: the table"
         if is_structured(table):  # a sparse matrix that is a dictionary of its entries too
             if len(self.given) != 1:
@@ -179,7 +178,6 @@ class TableCPD(CPD):
             )
 
     def _require_probabilities(self, array: Array, step: int | None = None) -> None:
-        """Refuse a table, with leading axes maybe, that is none of probabilities."""
         if not np.isfinite(array).all() or (array < 0.0).any():
             raise ModelError(
                 f"{self!r}: the table{_at(step)} has entries that are negative, NaN or infinite",
@@ -292,7 +290,6 @@ class TableCPD(CPD):
             return np.asarray(np.log(self._entries(child, known)))
 
     def _entries(self, child: Values, known: Known) -> Array:
-        """The entries of the table at states."""
         lead = known.lead
         places = [known.values[v].reshape(self._spread(known.values[v], lead)) for v in self.given]
         if self.function is not None:
@@ -311,7 +308,6 @@ class TableCPD(CPD):
         return lead if values.size > 1 or not lead else (1,) * len(lead)
 
     def _inputs_of(self, known: Known) -> dict[Variable, Any]:
-        """The values of the inputs, with all leading axes."""
         found = {}
         for v in self.inputs:
             own = known.values[v].shape[-1:] if not isinstance(v, Discrete) else ()
@@ -319,7 +315,6 @@ class TableCPD(CPD):
         return found
 
     def _by_map(self, known: Known, places: Any, last: Any, method: str) -> Any:
-        """A method of the matrix that the second parent's state selects, for all states at once."""
         if None in self._maps:
             return getattr(self._maps[None], method)(places[0], last)
         if method == "draw":
@@ -338,7 +333,6 @@ class TableCPD(CPD):
 
     @cached_property
     def _rows(self) -> Dense:
-        """The table as a matrix: a row for each combination of the parents' states."""
         return Dense(self.table.reshape(-1, self.child.size))
 
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Integers:
@@ -363,5 +357,4 @@ class TableCPD(CPD):
 
 
 def _at(step: int | None) -> str:
-    """A step, for messages."""
     return "" if step is None else f" at step {step}"

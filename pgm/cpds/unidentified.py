@@ -19,19 +19,9 @@ from pgm.variables import Variable
 class UnidentifiedCPD(CPD):
     """A sensor's CPD without one of its parents, which is one of some candidates, or none.
 
-    Attributes
-    ----------
-    sensor : CPD
-    parent : Variable
-    candidates : ndarray
-        (k, d).
-    log_shares : ndarray
-        (k,): the logarithms of their prior probabilities.
-    log_outliers : ndarray
-        (2,): the log-densities of spurious and of new sightings, with their probabilities.
-    gate : float or None
-    summed : bool
-        Whether candidates are summed out; else the likeliest term counts.
+    `candidates` are (k, d), `log_shares` (k,) their log-probabilities; `log_outliers` (2,) the
+    log-densities of spurious and of new sightings, with their probabilities. Without `summed` the
+    likeliest term alone counts.
     """
 
     sensor: CPD
@@ -112,7 +102,6 @@ class UnidentifiedCPD(CPD):
         return found
 
     def _gated(self, density: Array, child: Values, known: Known, gate: float) -> Array:
-        """The log-densities, −∞ where the residual is too many deviations long."""
         assert isinstance(self.sensor, ConditionalGaussian)
         mean, _ = self.sensor._law(known)
         seen = ~np.isnan(child)

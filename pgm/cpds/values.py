@@ -27,19 +27,10 @@ Values = npt.NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """Values of all parents of a CPD.
+    """Values (*shape, d) of all parents of a CPD, or indices of states; they broadcast to it.
 
-    Attributes
-    ----------
-    values : mapping of Variable to ndarray
-        (*shape, d), or indices of states (*shape); they broadcast to it.
-    lead : tuple of int
-        The axes of runs before they were flattened: those that the values and the CPD's own
-        broadcast to.
-    shape : tuple of int
-        The leading axes, the last of which are the runs, flattened.
-    step : array_like of int or None
-        The step of each, which broadcasts to the shape; for messages.
+    `lead` are the axes of runs, those of the CPD itself too, that are flattened to the last of
+    `shape`; `step` is for messages.
     """
 
     values: Mapping[Variable, Values]

@@ -91,20 +91,8 @@ def as_covariance(
     """A copy of a covariance over a scope as matrices, (..., n, n), checked.
 
     The number of axes says what is given, never their length: none is one variance for every
-    component, one holds the variance of each, two or more end in matrices.
-
-    Parameters
-    ----------
-    scope : tuple of Variable
-        n components.
-    value : array_like
-        (), (n,) or (..., n, n).
-    what : str
-        The covariance, for messages.
-    runs : bool
-        Whether matrices may have leading axes.
-    flat : bool
-        Whether variances may be infinite, of components that are independent of all others.
+    component, one holds the variance of each, two or more end in matrices; these have axes of runs
+    only with `runs`. With `flat` independent components may have infinite variance.
     """
     # A series of variances is taken by its names, as a series of means is.
     named = labels(scope) if getattr(value, "ndim", 0) == 1 else ()
@@ -135,7 +123,6 @@ def diagonal(variances: Array) -> Array:
 
 
 def _due(scope: Scope, axes: int, runs: bool) -> str:
-    """The shapes that a covariance may have, in words."""
     size = dimension(scope)
     due = (
         f"its {size} components ({listed(labels(scope))}) need ({size}, {size}), the "
@@ -147,7 +134,6 @@ def _due(scope: Scope, axes: int, runs: bool) -> str:
 
 
 def _closed(cov: Array, what: str, **about: Any) -> Array:
-    """The covariance with variances of one for the infinite ones, of independent components."""
     size = cov.shape[-1]
     open_ = np.diagonal(cov, axis1=-2, axis2=-1) == np.inf
     infinite = open_[..., None] & np.eye(size, dtype=bool)

@@ -99,7 +99,6 @@ def require_positive(scope: States, largest: Array) -> None:
 
 
 def _is_within(own: tuple[int, ...], lead: tuple[int, ...]) -> bool:
-    """Whether axes broadcast to others."""
     try:
         return np.broadcast_shapes(own, lead) == lead
     except ValueError:
@@ -199,7 +198,6 @@ def _indices(variable: Discrete, value: Any, where: Place) -> Integers:
 
 
 def _looked_up(variable: Discrete, array: Any, where: Place) -> Integers:
-    """Indices of an array of names, among which may be Python's whole numbers."""
     place = {state: index for index, state in enumerate(variable.states)}
     found = [
         place.get(name, STRANGER) if isinstance(name, str) else _whole(variable, name)
@@ -217,7 +215,6 @@ def _whole(variable: Discrete, value: Any) -> int:
 
 
 def _refuse(variable: Discrete, array: Any, bad: Mask, where: Place) -> None:
-    """Raise if any entry is bad, naming the first."""
     if bad.any():
         first = array[bad].ravel()[0]
         shown = repr(str(first) if isinstance(first, str) else int(first))

@@ -101,7 +101,6 @@ class CanonicalForm(Shown, NoArray, Immutable):
 
     @classmethod
     def _make(cls, scope: Scope, K: Array, h: Array, g: Array) -> CanonicalForm:
-        """A form of arrays that are known to be right."""
         form = object.__new__(cls)
         form._put(scope, K, h, np.asarray(g))
         return form

@@ -98,9 +98,7 @@ class Entries(Protocol):
     log_scale: Array
 
     @property
-    def _title(self) -> str:
-        """A line that says which."""
-        ...
+    def _title(self) -> str: ...
 
 
 class FramedTable:
@@ -164,7 +162,6 @@ class FramedTable:
 
 
 def _index(pandas: Any, levels: Sequence[Any], titles: Sequence[str]) -> Any:
-    """The index of all combinations of some levels; of none, that of a single row."""
     if len(levels) > 1:
         return pandas.MultiIndex.from_product(levels, names=titles)
     return pandas.Index(levels[0], name=titles[0]) if levels else pandas.RangeIndex(1)

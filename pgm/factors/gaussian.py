@@ -139,7 +139,6 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
     def _make(
         cls, scope: Scope, mean: Array, cov: Array, steps: Integers | None = None
     ) -> Gaussian:
-        """A Gaussian of arrays that are known to be right."""
         gaussian = object.__new__(cls)
         gaussian._put(scope, mean, cov, steps)
         return gaussian

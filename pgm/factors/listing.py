@@ -70,7 +70,6 @@ def shown(scope: States, values: Array) -> Sequence[str | Listing]:
 
 
 def _numbers(log_scale: Array, values: Array) -> Summary:
-    """A table over no variables, which is a number, or several."""
     lead = log_scale.shape
     found = [at for at in places(lead, STATES) if at is not None]
     each = (_entries(values[at], log_scale[at]) for at in found)
@@ -79,7 +78,6 @@ def _numbers(log_scale: Array, values: Array) -> Summary:
 
 
 def _entries(values: Array, log_scale: Array) -> tuple[Array, str]:
-    """Entries, and the factor that is not part of them since it is too large or small."""
     if abs(log_scale) < SCALE:
         return entries(values, log_scale), ""
     return values, f"exp({log_scale:.6g})"
@@ -91,7 +89,6 @@ def states_of(table: Any, run: tuple[int, ...] = ()) -> str:
 
 
 def _row(scope: States, values: Array, log_scale: Array) -> str:
-    """The first states of the only variable with their entries."""
     values, factor = _entries(values, log_scale)
     states = scope[-1].states
     shown = [f"{s} {p:.3g}" for s, p in zip(states[:STATES], values, strict=False)]

@@ -20,13 +20,7 @@ Place = Callable[[Mask | np.bool_], str]
 
 
 def common_runs(shapes: Iterable[tuple[object, Shape]]) -> Shape:
-    """The axes of runs that all evidence broadcasts to, from whose axes each are.
-
-    Raises
-    ------
-    EvidenceError
-        If they do not broadcast, or there is no run.
-    """
+    """The axes of runs that all evidence broadcasts to; refuses axes that do not, and no runs."""
     found = tuple(shapes)
     try:
         lead = np.broadcast_shapes(*(shape for _, shape in found))
@@ -56,10 +50,7 @@ def _fit(one: Shape, other: Shape) -> bool:
 
 
 def flat(array: npt.NDArray[Any], lead: Shape, own: int) -> npt.NDArray[Any]:
-    """An array (..., own axes) with the axes of runs as one, (runs or 1, own axes).
-
-    Read-only, since functions of users see it.
-    """
+    """An array with the axes of runs as one; read-only, since users' functions see it."""
     cut = array.ndim - own
     rest = array.shape[cut:]
     runs = math.prod(array.shape[:cut])
@@ -95,21 +86,7 @@ Item = int | slice | npt.NDArray[Any]
 
 
 def lead_index(index: Any, lead: tuple[int, ...], what: Shown) -> Sequence[Item]:
-    """An index of leading axes, one item an axis.
-
-    Parameters
-    ----------
-    index : int, slice, row of places or booleans, Ellipsis, or tuple of them
-    lead : tuple of int
-        The axes.
-    what : Shown
-        Whose they are, for errors.
-
-    Raises
-    ------
-    ModelError
-        If the index is of another kind, of more axes, or out of range.
-    """
+    """An index of leading axes, one item an axis; `what` they are of is named in refusals."""
     parts = index if isinstance(index, tuple) else (index,)
     gaps = [k for k, part in enumerate(parts) if part is Ellipsis]
     missing = len(lead) - len(parts) + len(gaps)

@@ -195,5 +195,4 @@ def unknown_name(key: object, known: Collection[Variable], where: str = "the net
 
 
 def _in_order(variables: Iterable[Variable]) -> list[Variable]:
-    """By name, and copies by step."""
     return sorted(variables, key=lambda v: (v.name, -1 if v.step is None else v.step, v.lag))

@@ -124,14 +124,12 @@ class Table(FramedTable, Shown, NoArray, Immutable):
 
     @classmethod
     def _make(cls, scope: States, values: Array, log_scale: Array | float = 0.0) -> Table:
-        """A table of arrays that are known to be right; axes of length one are expanded."""
         table = object.__new__(cls)
         table._put(scope, values, np.asarray(log_scale, dtype=float))
         return table
 
     @classmethod
     def _plain(cls, scope: States, values: Array) -> Table:
-        """A table of read-only numbers that has all its axes; its log-scale is zero."""
         lead = values.shape[: values.ndim - len(scope)]
         table = object.__new__(cls)
         # One by one, since posteriors make many tables of a few numbers.
@@ -171,7 +169,6 @@ class Table(FramedTable, Shown, NoArray, Immutable):
 
     @property
     def _rescaled(self) -> tuple[Array, Array]:
-        """Values whose sums are numbers, and their log-scale."""
         return kernel.rescale(self.values, self.log_scale, len(self.scope))
 
     def _combined(self, scope: States, values: Array, log_scale: Array) -> Table:
@@ -207,7 +204,6 @@ class Table(FramedTable, Shown, NoArray, Immutable):
     rearrange = extend
 
     def _aligned(self, other: Table) -> tuple[States, Array, Array]:
-        """The common scope, and over it the values of both."""
         scope = as_states((*self.scope, *without(other.scope, self.scope)))
         try:
             np.broadcast_shapes(self.log_scale.shape, other.log_scale.shape)
@@ -358,7 +354,6 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         return {v: v.states[k] for v, k in zip(self.scope, index, strict=True)}
 
     def _positive(self) -> Array:
-        """Rescaled values, of which none may be all zero."""
         values, _ = self._rescaled
         require_positive(self.scope, kernel.largest(values, len(self.scope)))
         return values

@@ -28,7 +28,6 @@ class EachSensor(Shown, Mapping[Variable, Value]):
         return self._found[variable]
 
     def _absent(self, variable: Variable) -> str:
-        """The message for a variable without results."""
         return f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
 
     def __contains__(self, variable: object) -> bool:

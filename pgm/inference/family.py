@@ -48,14 +48,8 @@ Some = int | slice
 class Family(Rows):
     """A CPD at its rows, and its linearisation there.
 
-    A family is a child with its parents here; families of beliefs are in `chain.sweep`.
-
-    Attributes
-    ----------
-    noise : ndarray
-        (rows, runs, d, d): the CPD's own and the lineariser's error.
-    approximate : bool
-        Whether `noise` holds errors of linearisations, and is an array of its own.
+    `noise` (rows, runs, d, d) is the CPD's own and the lineariser's error; an array of its own
+    where it is `approximate`.
     """
 
     noise: Array = field(init=False, repr=False)
@@ -348,10 +342,7 @@ class Family(Rows):
         return apply(self.matrix[rows], mean) + self.offset[rows]
 
     def to_chart(self, parents: Array, child: Array) -> None:
-        """Move offsets of angles by whole turns, so that values lie near the child's mean.
-
-        Beliefs live on one unwrapped chart; a function that wraps its angles must not leave it.
-        """
+        """Move offsets of angles by whole turns: beliefs live on one unwrapped chart."""
         angles = self.cpd.child.angle_mask
         if self.template is not None and angles.any():
             value = self.value(slice(None), parents)
@@ -378,11 +369,9 @@ class Family(Rows):
 
 
 def _unplaced(function: BoundFunction) -> At:
-    """A function to be linearised, without rows or noise."""
     return At(function, None, None, np.zeros(0), 0, 0)
 
 
 def _value(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    """The value of a function without hidden parents."""
     value = components_first(function(components_last(mean, 1)), 1)
     return Line(np.zeros((len(value), 0, *mean.shape[1:])), value, None)

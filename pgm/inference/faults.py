@@ -35,7 +35,6 @@ def _fault(
     more: str,
     kind: type[PgmError] = LinearisationError,
 ) -> PgmError:
-    """The error of a lineariser, whose one call may be for many runs."""
     step = function.step if rows.timed and isinstance(function.step, int) else None
     first = rows.first_run
     last = first + (mean.shape[-1] if mean.ndim > 1 else 1) - 1

@@ -16,14 +16,7 @@ from pgm.kernels.arrays import Integers
 class Forest:
     """The trees of a cluster graph, each hung at its centre, so that few rounds reach all.
 
-    Attributes
-    ----------
-    parent : ndarray of int
-        (clusters,): −1 at a root.
-    depth : ndarray of int
-        (clusters,): 0 at a root.
-    levels : list of ndarray of int
-        The clusters at each depth, the roots first.
+    `parent` (clusters,) is −1 at a root; `levels` are the clusters at each depth, the roots first.
     """
 
     parent: Integers
@@ -65,7 +58,6 @@ class Forest:
 
 
 def _edges(neighbours: list[tuple[int, ...]], root: int) -> list[tuple[int, int]]:
-    """The edges of a tree, away from a root, nearest first."""
     found, queue = [], deque([(root, -1)])
     while queue:
         at, before = queue.popleft()

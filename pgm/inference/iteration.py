@@ -20,17 +20,10 @@ _HEAVIEST = 1e12
 
 
 class Point(NamedTuple):
-    """A point of linearisation: moments with the runs as second axis.
+    """A point of linearisation: mean (steps, runs, n) and cov (steps, runs, n, n).
 
-    Attributes
-    ----------
-    mean : ndarray
-        (steps, runs, n).
-    cov : ndarray
-        (steps, runs, n, n).
-    joint : ndarray or None
-        (steps − 1, runs, m, m): the covariances of pairs, where a CPD needs more than those of the
-        states before.
+    `joint` (steps − 1, runs, m, m) are the covariances of pairs, where a CPD needs more than those
+    of the states before.
     """
 
     mean: Array
@@ -66,14 +59,9 @@ class Point(NamedTuple):
 
 
 class Anchor(NamedTuple):
-    """A measurement of all components that holds a solution near a point.
+    """A measurement (steps, runs, n) of all components that holds a solution near a point.
 
-    Attributes
-    ----------
-    mean, std : ndarray
-        (steps, runs, n): the point, and the deviation of the measurement at a weight of one.
-    weight : ndarray
-        (runs,): λ; nothing is held where it is zero, or where the deviation is.
+    `weight` (runs,) is λ, `std` that of λ = 1; nothing is held where one of them is zero.
     """
 
     mean: Array
@@ -152,18 +140,10 @@ class Controlled(Problem[Found], Protocol[Found]):
 
 @dataclass(frozen=True, eq=False)
 class Iterated(Generic[S]):
-    """The result of an iteration.
+    """The result of an iteration, of the last linearisation.
 
-    Attributes
-    ----------
-    solution : Solution
-        Of the last linearisation.
-    mean : ndarray
-        (steps, runs, n): its means, or those that the step control kept.
-    residuals : list of ndarray
-        (runs,) for each relinearisation: how far the solution is from where it was linearised.
-    converged : ndarray of bool
-        (runs,).
+    `mean` (steps, runs, n) is the solution's, or that which the step control kept; `residuals`
+    (runs,) of each relinearisation tell how far the solution is from where it was linearised.
     """
 
     solution: S
@@ -181,16 +161,8 @@ def iterate(
 ) -> Iterated[S]:
     """Relinearise from the first solution on, at most so often as the schedule says.
 
-    Parameters
-    ----------
-    problem : Problem
-        As it was linearised for the first solution.
-    solution : Solution
-    schedule : Filtering or Smoothing
-    converged : ndarray of bool
-        (runs,): those that have nothing to iterate.
-    first : Point, optional
-        Where the first solution was linearised, if it was at one point.
+    `problem` is as it was linearised for `solution`, at `first` if at one point; runs that have
+    `converged` stay.
     """
     control = _Control(problem, schedule.damping, converged.size)
     residuals: list[Array] = []
@@ -246,7 +218,6 @@ class _Control:
     def _accepted(
         self, rule: LevenbergMarquardt, point: Point, found: Point, active: Mask
     ) -> Array:
-        """Means that do not raise the cost; those of the point where none were found."""
         cost = self.problem.cost(point)
         # A point outside a function's domain, where it has no cost, is worse than any other.
         limit = np.where(np.isnan(cost), np.inf, cost + _NO_WORSE * np.abs(cost))

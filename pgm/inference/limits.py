@@ -36,10 +36,7 @@ LISTED = 8
 class Room:
     """The share of many runs that is held at a time.
 
-    Attributes
-    ----------
-    batch, kept : int
-        Entries of tables, times runs, that are computed at once, and that a posterior keeps.
+    `batch` and `kept` are entries of tables, times runs: computed at once, and kept by a posterior.
     """
 
     batch: int
@@ -47,13 +44,7 @@ class Room:
 
     @classmethod
     def of(cls, memory: float | None, graph: ClusterGraph) -> Room:
-        """Limits that fit in so many bytes; without, `BATCH` and `KEPT`.
-
-        Raises
-        ------
-        GraphError
-            If it is no number of bytes, or a single run of the graph takes more.
-        """
+        """Limits that fit in so many bytes, else `BATCH` and `KEPT`; refuses too few for a run."""
         if memory is None:
             return cls(BATCH, KEPT)
         if not is_number(memory) or not 0 < memory < math.inf:
@@ -72,19 +63,8 @@ class Room:
 def require_size(graph: ClusterGraph, entries: Sequence[int], what: str) -> None:
     """Refuse a graph whose tables or covariances would not fit, before any is made.
 
-    Parameters
-    ----------
-    graph : ClusterGraph
-    entries : sequence of int
-        Of each cluster.
-    what : str
-        What they are entries of.
-
-    Raises
-    ------
-    GraphError
-        Naming the size of all, and the largest cluster with its own; or a table of more variables
-        than an array has axes for.
+    `entries` are those of each cluster, `what` they are of. A table of more variables than an array
+    has axes for is refused too.
     """
     total = sum(entries)
     if total <= LIMIT:
@@ -131,21 +111,7 @@ def _require_axes(graph: ClusterGraph) -> None:
 
 
 def require_runs(entries: int, runs: int, what: str) -> None:
-    """Refuse an answer that would not fit over all runs, before it is made.
-
-    Parameters
-    ----------
-    entries : int
-        Of each run.
-    runs : int
-    what : str
-        What they are entries of.
-
-    Raises
-    ------
-    GraphError
-        Naming the size, and how many runs would fit.
-    """
+    """Refuse an answer of so many entries a run that would not fit, before it is made."""
     if entries * runs > LIMIT:
         many = f" for {runs} runs" if runs > 1 else ""
         advice = "ask with fewer runs at once" if runs > 1 else "ask for less at once"

@@ -1,7 +1,7 @@
 """Schedules on graphs of any shape: messages are sent until none changes.
 
-Messages are numbered: 2e goes along edge e of the graph's sepsets, from the lower cluster to the
-higher, and 2e + 1 back. A family of messages, tables or square roots, computes and keeps them.
+Message 2e goes along edge e of the graph's sepsets, from the lower cluster to the higher, 2e + 1
+back. A family of messages, tables or square roots, computes and keeps them.
 """
 
 from __future__ import annotations
@@ -25,15 +25,7 @@ Round = TypeVar("Round")
 
 @dataclass(frozen=True, eq=False)
 class Directed:
-    """The messages of a cluster graph: two for each sepset.
-
-    Attributes
-    ----------
-    source, target : ndarray of int
-        (messages,): the clusters between which each goes.
-    clusters : int
-        Number of clusters.
-    """
+    """The messages of a cluster graph, two for each sepset: from which cluster to which."""
 
     source: Integers
     target: Integers
@@ -80,10 +72,7 @@ class Messages(Protocol[Round]):
         """Lay out the computation of some messages, in batches of one shape."""
 
     def propose(self, round: Round) -> Array:
-        """Compute them from the messages kept; how much each would change, (messages, runs).
-
-        In the order in which they were asked for.
-        """
+        """How much each message asked for would change, (messages, runs)."""
 
     def accept(self, round: Round, active: Mask) -> None:
         """Keep what was proposed, damped, for the runs that are active, (runs,)."""
@@ -149,7 +138,6 @@ def run_loopy(messages: Messages[Any], schedule: Loopy, lead: tuple[int, ...]) -
 
 
 def _by_edge(messages: Messages[Any], lead: tuple[int, ...]) -> dict[Edge, Array]:
-    """The change left in the messages along each edge, the larger of both ways."""
     directed = messages.directed
     change = messages.propose(messages.round(range(len(directed))))
     edges = zip(directed.source[::2].tolist(), directed.target[::2].tolist(), strict=True)
@@ -162,7 +150,6 @@ def _flooding(messages: Messages[Any]) -> Callable[[Mask], Array]:
 
 
 def _sequential(messages: Messages[Any]) -> Callable[[Mask], Array]:
-    """Forth to later clusters, and back to earlier ones: every message once."""
     target = messages.directed.target
     there, back = [], []
     for cluster, outgoing in enumerate(messages.directed.outgoing):
@@ -174,7 +161,6 @@ def _sequential(messages: Messages[Any]) -> Callable[[Mask], Array]:
 
 
 def _in_turn(messages: Messages[Round], turns: Sequence[Sequence[int]]) -> Callable[[Mask], Array]:
-    """A step of rounds one after the other, and the change of each message in it."""
     rounds = [(list(turn), messages.round(turn)) for turn in turns]
 
     def step(active: Mask) -> Array:

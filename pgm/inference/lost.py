@@ -1,8 +1,6 @@
 r"""Whether a belief is lost: a sequential test of its innovations, and of what a gate rejects.
 
-Of a consistent filter the innovations of a step have a squared length NIS ~ χ²(d), independent of
-those of other steps, d components having been taken in. Against innovations of κ times the variance
-a step weighs, in logarithms of odds,
+Against innovations of κ times the variance, a step of NIS ~ χ²(d) weighs, in logarithms of odds,
 
     a = ½ (1 − 1/κ) NIS − ½ d ln κ,
 
@@ -16,14 +14,8 @@ a tenth and 1.
 
 Each is summed up by Page's test, C ← min(h, max(0, C + x)). The belief is lost where one of the two
 reaches h, and has recovered where both are at h − h' or below, from where they begin again at zero.
-As E[eˣ] ≤ 1 while nothing is wrong, each test cries wrongly once in eʰ steps at the most often, on
-average (Lorden). No step weighs more than h/3, so that one outlier does not make a belief lost.
-
-References
-----------
-Page, Continuous inspection schemes, 1954; Lorden, Procedures for reacting to a change in
-distribution, 1971; Bar-Shalom, Li & Kirubarajan, Estimation with applications to tracking and
-navigation, 2001, section 5.4.
+Each test cries wrongly once in eʰ steps at the most often, on average (Lorden, 1971). No step
+weighs more than h/3, so that one outlier does not make a belief lost.
 """
 
 from __future__ import annotations
@@ -59,21 +51,11 @@ def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
 
 
 class Read(NamedTuple):
-    """The readings of steps, in numbers: (..., runs) each.
+    """The readings of steps in numbers, (..., runs): NIS, its components, and what gates did.
 
-    Attributes
-    ----------
-    nis : ndarray
-        The squared length of all innovations that were taken in together; 0 without any.
-    dof : ndarray of int
-        Their components.
-    rejected, judged : ndarray of int
-        Sightings that gates rejected, of those about which they decided.
-    strange, open : ndarray of int
-        Sightings that were taken for none of their candidates, of all that had some; of a sensor
-        with a gate those alone, as it judges the others.
-    odds : ndarray
-        What these weigh.
+    `rejected` are the sightings that gates rejected, of those `judged`; `strange` those that were
+    taken for none of their candidates, of the `open` ones, which had some (of a sensor with a gate
+    those alone, as it judges the others); `odds` is the weight of these.
     """
 
     nis: Array
@@ -115,17 +97,9 @@ class Read(NamedTuple):
 class PageTest(NamedTuple):
     """The state of the tests of runs after a step.
 
-    Attributes
-    ----------
-    level : ndarray
-        (2, runs): C of each test.
-    onset : ndarray of int
-        (2, runs): the step from which on it has been above zero.
-    lost : ndarray of bool
-        (runs,).
-    first, declared, why : ndarray of int
-        (runs,): of the stretch that goes on, or the last one: since when, from when on it was said,
-        and which of the tests said so.
+    `level` (2, runs) is C of each test, `onset` the step from which on it has been above zero. Of
+    the stretch that goes on, or the last one, (runs,): since when (`first`), from when on it was
+    said (`declared`), and which of the tests said so (`why`).
     """
 
     level: Array

@@ -22,16 +22,9 @@ from pgm.variables import Variable
 class At(NamedTuple):
     """A CPD at one step, its evidence bound: components first, and a batch of one run or of many.
 
-    Attributes
-    ----------
-    function : BoundFunction or None
-        To be linearised; None where it is affine, or as it was linearised before.
-    matrix, offset : ndarray or None
-        F (d, n, *batch) and b (d, *batch) then; one for all runs may have a batch of one.
-    noise : ndarray
-        (d, d, *batch): the CPD's own covariance, with that of the error where it was linearised.
-    first, last : int
-        Its rows.
+    `function` is to be linearised; None where the CPD is affine, or as it was linearised before:
+    then `matrix` is F (d, n, *batch) and `offset` b (d, *batch), with a batch of one for all runs.
+    `noise` (d, d, *batch) is the CPD's own, with the error where it was linearised.
     """
 
     function: BoundFunction | None
@@ -54,29 +47,11 @@ class At(NamedTuple):
 class Rows:
     """A CPD at its rows: steps for a transition, sightings for a sensor.
 
-    Attributes
-    ----------
-    cpd : CPD
-    hidden : tuple of Variable
-        The parents without evidence, stacked.
-    step : ndarray of int
-        (rows,): the step of each row; zeros where there is no time.
-    inputs : mapping of Variable to ndarray
-        Values of the parents with evidence, (rows, runs or 1, d).
-    lineariser : Lineariser
-        The CPD's own, or the one given to `infer`.
-    template : FunctionTemplate or None
-        None where the CPD is affine, so that there is nothing to linearise.
-    own_noise : ndarray
-        (rows or 1, runs or 1, d, d): the CPD's own covariance.
-    timed : bool
-        Whether there is time.
-    first_run : int
-        The number of the first run in messages.
-    batch : tuple of int
-        The axes of runs in `at`: none of one run.
-    affine : (ndarray, ndarray)
-        F (d, n) and b (rows or 1, runs or 1, d) of an affine CPD.
+    `hidden` are the parents without evidence, stacked; `step` (rows,) is zeros where there is no
+    time; `inputs` (rows, runs or 1, d) are the values of the other parents; `template` is None of
+    an affine CPD, whose F (d, n) and b (rows or 1, runs or 1, d) are `affine`; `own_noise` is (rows
+    or 1, runs or 1, d, d); `first_run` is for messages; `batch` are the axes of runs in `at`, none
+    of one run.
     """
 
     cpd: ConditionalGaussian
@@ -174,7 +149,7 @@ class Rows:
     def _known(self) -> list[Array | None]:
         """Values of each argument with evidence by row, read-only, since users' functions see them.
 
-        Of one run they are (rows, d), of many (rows, runs, d), or (rows, 1, d) of all.
+        (rows, d) of one run, (rows, runs or 1, d) of many.
         """
         assert self.template is not None
         found: list[Array | None] = []
@@ -192,7 +167,6 @@ class Rows:
 
     @cached_property
     def _by_row(self) -> list[tuple[Array | None, ...]]:
-        """These values, row by row."""
         nothing = [None] * self.step.size
         every = (nothing if values is None else list(values) for values in self._known)
         return list(zip(*every, strict=True))
@@ -203,7 +177,6 @@ class Rows:
         return found
 
     def _own(self, first: int, last: int) -> Array:
-        """The CPD's own noise at some rows, as one."""
         if len(self.own_noise) > 1:
             return self._noise_of(self.own_noise, first, last)
         count = last - first
@@ -217,7 +190,6 @@ class Rows:
         return {}
 
     def _noise_of(self, noise: Array, first: int, last: int) -> Array:
-        """Covariances (rows or 1, runs or 1, d, d) of some rows along one diagonal."""
         blocks = noise[first:last] if len(noise) > 1 else noise
         blocks = blocks.transpose(0, 2, 3, 1) if self.batch else blocks[:, 0]
         if last - first == 1:

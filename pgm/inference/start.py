@@ -31,14 +31,7 @@ def require_hidden(start: Start, hidden: Collection[Variable]) -> None:
 def over_runs(variable: Variable, means: Array, lead: tuple[int, ...], axes: int) -> Array:
     """The means of a variable for all runs, whose axes become one: (runs, ...).
 
-    Parameters
-    ----------
-    variable : Variable
-    means : ndarray
-    lead : tuple of int
-        The axes of runs of the evidence.
-    axes : int
-        How many of the last axes of the means are none of runs.
+    `lead` are the evidence's axes of runs; the last `axes` of the means are none of runs.
     """
     own, rest = means.shape[: means.ndim - axes], means.shape[means.ndim - axes :]
     try:

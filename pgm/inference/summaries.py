@@ -106,17 +106,7 @@ def at_a_step(
 def of_network(
     title: str, posterior: Any, variables: Sequence[Variable], runs: tuple[int, ...]
 ) -> Summary:
-    """The summary of a posterior of a network without time.
-
-    Parameters
-    ----------
-    title : str
-    posterior : object
-        ``posterior[x]``, with leading axes `runs`, and its `log_evidence` and `status`.
-    variables : sequence of Variable
-        Those without evidence, which are asked for in this order.
-    runs : tuple of int
-    """
+    """The summary of a posterior of a network without time, its variables in order."""
     return Summary(title, [*figures(posterior), *by_variable(posterior, variables, runs)])
 
 
@@ -181,7 +171,6 @@ def spread(values: Array, digits: int = 6) -> str:
 def _ends(
     beliefs: Any, variable: Variable, first: int, runs: tuple[int, ...], last: int, most: int
 ) -> Listing:
-    """The first and last beliefs of a variable."""
     steps = range(first, last + 1)
     lead = (*runs, len(steps))
     kept: dict[int, Any] = {}
@@ -213,7 +202,6 @@ def _states(
     chances: Callable[[Place], Array],
     most: int,
 ) -> Listing:
-    """The probabilities of a variable's first and last states, a column each."""
     shown, across = places(lead, most), few(variable.size, STATES)
     found = [place for place in shown if place is not None]
     each = np.array([chances(place) for place in found]).reshape(len(found), variable.size)
@@ -227,7 +215,6 @@ def _states(
 
 
 def _of_variable(variable: Variable, found: Any, picked: Sequence[Place]) -> list[list[str]]:
-    """The rows of a variable: one, or one a component."""
     if isinstance(found, Table):
         return [[repr(variable), *(states_of(found, place) for place in picked)]]
     each = [

@@ -1,8 +1,7 @@
 """Sweeps along a chain of slices, and the chain families that they carry.
 
-A family is a kind of belief. It says how a belief starts, is predicted, takes the measurements of a
-step, and flows back; a sweep knows nothing else. Moments of Gaussians are one family, tables are
-another.
+A family is a kind of belief, moments or tables. It says how a belief starts, is predicted, takes
+the measurements of a step, and flows back; a sweep knows nothing else.
 """
 
 from __future__ import annotations

@@ -30,19 +30,10 @@ def push(cov: Array, matrix: Array, noise: Array, out: Array) -> None:
 
 
 class Update(NamedTuple):
-    """Many beliefs, each given a measurement.
+    """N(mean, cov), (n, runs), given a measurement, and ln N(r; 0, S).
 
-    Attributes
-    ----------
-    mean, cov : ndarray
-        (n, runs), (n, n, runs): the belief given the measurement.
-    log_density : ndarray
-        (runs,): ln N(r; 0, S).
-    unit, pivots : ndarray
-        (d, d, runs), (d, runs): S = U diag(pivots) Uᵀ with 1 on the diagonal of a lower U, of
-        which only what is below the diagonal is there.
-    mild : bool
-        Whether no variance has fallen more than a thousand times.
+    S = U diag(pivots) Uᵀ, of whose unit lower U only what is below the diagonal is there; `mild`
+    says whether no variance has fallen more than a thousand times.
     """
 
     mean: Array
@@ -61,10 +52,10 @@ class Update(NamedTuple):
 def sharpness(noise: Array, least: float = NEGLIGIBLE) -> Array:
     """The value of det S from which on a measurement with this noise is sharp, (runs or 1,).
 
-    S is at least the noise, and below this it is at most a thousand times the noise, in whatever
-    direction. So no variance falls more than a thousand times in an update, and P − K S Kᵀ loses
-    three of its sixteen digits at most; and where the noise is regular by a thousand times what is
-    asked, S is regular. Where it is not, or its determinant too small a number, this is 0.
+    Below, S is at most a thousand times the noise in whatever direction: no variance falls more
+    than that, P − K S Kᵀ loses three of sixteen digits at most, and S is regular where the noise is
+    by a thousand times what is asked. Where it is not, or its determinant too small a number, this
+    is 0.
     """
     pivots = _eliminate(noise.copy())
     regular = (pivots > _MILD * least * np.einsum("iir->ir", noise)).all(axis=0)
@@ -86,18 +77,10 @@ def update(
 ) -> Update | None:
     """A regular `moments.update` with S = H P Hᵀ + noise; None if that is singular.
 
-    Parameters
-    ----------
-    mean, cov : ndarray
-        (n, runs), (n, n, runs), the covariance exactly symmetric.
-    matrix, residual, noise : ndarray
-        H (d, n, runs), r = z − H mean (d, runs), and (d, d, runs or 1).
-    out : tuple of ndarray, optional
-        Where the mean and the covariance go.
-    sharp : ndarray, optional
-        The `sharpness` of the noise, where it is at hand.
-    least : float
-        S is singular where a component has no larger share open, given those before it.
+    Shapes are (n, runs), (n, n, runs), H (d, n, runs), r = z − H mean (d, runs) and noise (d, d,
+    runs or 1); the covariance is exactly symmetric, `out` is where the moments go, `sharp` the
+    `sharpness` of the noise, where at hand. S is singular where a component has no larger share
+    than `least` open, given those before it.
     """
     size, runs, height = len(cov), cov.shape[-1], len(residual)
     new_mean, new_cov = (np.empty((size, runs)), np.empty_like(cov)) if out is None else out
@@ -136,9 +119,9 @@ def update(
 
 
 def open_share(cov: Array) -> float:
-    """The smallest share of a variance that the components before it leave open.
+    """The smallest share of a variance, of (n, n, runs), that the components before it leave open.
 
-    Of covariances (n, n, runs), which are overwritten; components without a variance do not count.
+    Overwrites; components without a variance do not count.
     """
     variances = np.einsum("iir->ir", cov)
     variances[variances == 0.0] = 1.0
@@ -147,10 +130,7 @@ def open_share(cov: Array) -> float:
 
 
 def least_left(before: Array, after: Array) -> float:
-    """The smallest share that is left of a variance, of covariances (n, n, runs).
-
-    Variances of zero, which are known, do not count.
-    """
+    """The smallest share that is left of a variance, (n, n, runs); those of zero do not count."""
     was, left = (np.einsum("iir->ir", cov) for cov in (before, after))
     counts = (left != 0.0) & (was > 0.0)
     return float((left[counts] / was[counts]).min(initial=1.0))
@@ -173,7 +153,6 @@ def _eliminate(matrix: Array, right: Array | None = None) -> Array:
 
 
 def _lower(unit: Array, root: Array) -> Array:
-    """U diag(root), with what is above the diagonal zero."""
     lower = np.zeros_like(unit)
     for j in range(len(unit)):
         lower[j, j] = root[j]
@@ -182,7 +161,6 @@ def _lower(unit: Array, root: Array) -> Array:
 
 
 def _is_regular(unit: Array, pivots: Array, least: float) -> bool:
-    """Whether each pivot is more than the least share of the diagonal entry that it is left of."""
     for j, pivot in enumerate(pivots):
         taken = sum(unit[j, k] * unit[k, j] for k in range(j))
         if not (pivot > least * (pivot + taken)).all():
@@ -191,7 +169,6 @@ def _is_regular(unit: Array, pivots: Array, least: float) -> bool:
 
 
 def _sum_of_squares(gain: Array, cov: Array, matrix: Array, noise: Array, out: Array) -> None:
-    """Put (1 − G H) P (1 − G H)ᵀ + G noise Gᵀ into `out`."""
     size, height, runs = gain.shape
     # [1 − G H, G] and [(1 − G H) P, G noise].
     factor, spread = np.empty((2, size, size + height, runs))
@@ -218,6 +195,5 @@ def divide(matrix: Array, lower: Array) -> Array:
 
 
 def _mirror(matrix: Array) -> None:
-    """Make the lower triangle what the upper one is."""
     for i in range(1, len(matrix)):
         matrix[i, :i] = matrix[:i, i]

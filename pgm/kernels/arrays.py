@@ -25,8 +25,7 @@ _FAR = _MANY * np.dtype(np.float64).itemsize
 def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     """Zeros (*lead, *shape) in memory with the last leading axis, of runs, fastest.
 
-    Kernels then go along contiguous rows of runs, one component at a time; results of element-wise
-    operations and of `multiply` keep that layout.
+    Kernels go along contiguous rows of runs; element-wise results and `multiply` keep that layout.
     """
     *before, runs = lead
     return _last_to(np.zeros((*before, *shape, runs)), len(before))
@@ -95,10 +94,7 @@ def transpose(matrix: Array) -> Array:
 
 
 def by_runs(matrix: Array) -> bool:
-    """Whether the entries of stacked matrices stand far apart in memory, as in `stacked`.
-
-    `matrix[..., i, j]` is then a row of many runs, or of steps and runs.
-    """
+    """Whether ``matrix[..., i, j]`` are many runs, or steps and runs, as of `stacked`."""
     if matrix.size < _MANY:
         return False
     (height, width), (down, across) = matrix.shape[-2:], matrix.strides[-2:]
@@ -164,7 +160,6 @@ def distinct(matrix: Array) -> Array:
 
 
 def _times_one(many: Array, one: Array) -> Array:
-    """A Bᵀ for one B of all runs: a few products of large matrices."""
     product: Array = one @ many.transpose(1, 2, 0)
     return product.transpose(2, 0, 1)
 
@@ -240,10 +235,7 @@ def block(matrix: Array, rows: Index, columns: Index) -> Array:
 
 
 def independent(cov: Array, seen: Mask) -> Array:
-    """Covariances whose components that are not seen have unit variance and no correlations.
-
-    Seen ones are (..., d); the others drop out of what the covariance is divided by.
-    """
+    """Covariances whose components that are not seen have unit variance and no correlations."""
     return np.where(seen[..., None] & seen[..., None, :], cov, np.eye(cov.shape[-1]))
 
 

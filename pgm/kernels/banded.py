@@ -12,14 +12,7 @@ from pgm.kernels.arrays import Array, room
 class System(NamedTuple):
     """The equations Aₖ₋₁ᵀ xₖ₋₁ + Dₖ xₖ + Aₖ xₖ₊₁ = rₖ, for stacks with the steps k first.
 
-    Attributes
-    ----------
-    diagonal : ndarray
-        (N, R, n, n): D, positive definite as a whole.
-    above : ndarray
-        (N − 1, R, n, n): A.
-    right : ndarray
-        (N, R, n): r.
+    D (N, R, n, n) is positive definite as a whole.
     """
 
     diagonal: Array

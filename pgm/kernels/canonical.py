@@ -35,10 +35,7 @@ def strict_root(matrix: Array) -> Array:
 
 
 def _invertible_root(cov: Array) -> Array:
-    """The root of covariances that have an inverse; NaN where an eigenvalue is rounding.
-
-    Pivots alone can miss that where leading components are strongly correlated.
-    """
+    """The root of covariances, NaN where an eigenvalue is rounding, which pivots alone can miss."""
     lower = strict_root(cov)
     variances = np.diagonal(cov, axis1=-2, axis2=-1)
     std = np.sqrt(np.where(variances > 0.0, variances, 1.0))

@@ -17,10 +17,7 @@ IMPROPER = (
 
 
 def symmetrised(matrix: Array) -> Array:
-    """The symmetric part of stacked matrices that are all but symmetric; others as they are.
-
-    Components have units of their own: an entry is judged against √|a_ii a_jj|, or itself.
-    """
+    """The symmetric part of matrices that are all but symmetric, entries against √|a_ii a_jj|."""
     if is_symmetric(matrix) or not np.isfinite(matrix).all():
         return matrix
     with np.errstate(over="ignore", invalid="ignore"):
@@ -60,7 +57,6 @@ def covariance_fault(cov: Array) -> str | None:
 
 
 def _scaled(matrix: Array) -> Array:
-    """The matrices in units of their components, one where a diagonal entry is zero."""
     size = np.abs(np.diagonal(matrix, axis1=-2, axis2=-1))
     unit = np.sqrt(np.where(size > 0.0, size, 1.0))
     return matrix / unit[..., None] / unit[..., None, :]

@@ -1,8 +1,7 @@
 """Arithmetic in as many digits as a model needs: object arrays of `decimal.Decimal`.
 
-A float64 is a decimal number exactly, and libmpdec's numbers have no least or largest exponent, so
-nothing underflows. An operation takes about a microsecond an element: this is for small problems
-whose numbers lie too far apart for float64.
+A float64 is a decimal number exactly, and exponents are unlimited, so nothing underflows. An
+operation takes about a microsecond an element: this is for small problems.
 """
 
 from __future__ import annotations

@@ -20,8 +20,7 @@ def steps(x: Array, std: Array) -> Array:
 def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: Mask) -> Array:
     """The Jacobian of a vectorised function at x, (..., n) to (..., d, n), in one call.
 
-    Steps are max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|) a component; differences of values that are angles
-    are wrapped. The std may be zero.
+    Steps are max(10⁻² std, 10⁻⁴, 10⁻⁹ |x|); differences of angles are wrapped.
     """
     lead, size = x.shape[:-1], x.shape[-1]
     step = (x + steps(x, std)) - x  # the step that is taken in floating point
@@ -36,7 +35,6 @@ def jacobian(function: Callable[[Array], Array], x: Array, std: Array, angles: M
 
 @lru_cache(maxsize=64)
 def _stencil(size: int) -> Array:
-    """The steps of each component, as parts of its own, (4n, n)."""
     offsets = np.eye(size)[:, None, :] * np.array([1.0, -1.0, 2.0, -2.0])[:, None]
     stencil: Array = offsets.reshape(4 * size, size)
     stencil.flags.writeable = False

@@ -1,16 +1,12 @@
 """Segments of a chain as elements, which compose: the parallel form of a Kalman smoother.
 
-A segment goes from the variables x at its left end to those y at its right end. Its element is
+A segment from the variables x at its left end to those y at its right end has the element
 
     p(y | x, evidence) p(evidence | x) = N(y; F x + b, Σ) exp(−½ xᵀK x + hᵀx + g),
 
 so that a transition has K = 0, a likelihood of x has F = I and Σ = 0, and any Σ, singular or zero,
-will do: with a root Σ = L Lᵀ, (I + ΣK)⁻¹Σ = L (I + LᵀKL)⁻¹ Lᵀ, and no covariance is inverted.
-An indefinite Σ gives NaN; the callers, who know the names, raise.
-
-References
-----------
-Särkkä & García-Fernández, Temporal parallelization of Bayesian smoothers, 2021, section IV.
+will do: with Σ = L Lᵀ, (I + ΣK)⁻¹Σ = L (I + LᵀKL)⁻¹ Lᵀ. An indefinite Σ gives NaN; the callers, who
+know the names, raise (Särkkä & García-Fernández, 2021, section IV).
 """
 
 from __future__ import annotations
@@ -26,14 +22,8 @@ from pgm.kernels.arrays import Array, apply, inner, multiply, symmetric, transpo
 class Element(NamedTuple):
     """A segment: the conditional of its right end given its left, and what its evidence says.
 
-    Attributes
-    ----------
-    F, b, cov : ndarray
-        (..., n, n), (..., n), (..., n, n): the right end is F x + b + n, n ~ N(0, cov).
-    K, h : ndarray
-        (..., n, n), (..., n): the likelihood of the segment's evidence as a function of x.
-    g : ndarray or None
-        (...): its log-weight; None where nobody asks for it.
+    The right end is F x + b + n, n ~ N(0, cov); the likelihood of the evidence, as a function of x,
+    has the information K and h and the log-weight g, None where nobody asks for it.
     """
 
     F: Array
@@ -63,14 +53,9 @@ class Belief(NamedTuple):
 def compose(first: Element, then: Element) -> Element:
     """The element of two segments, the second beginning where the first ends.
 
-    With M = (I + Σ₁K₂)⁻¹: F = F₂MF₁, b = F₂M(b₁ + Σ₁h₂) + b₂, Σ = F₂MΣ₁F₂ᵀ + Σ₂,
-    K = F₁ᵀK₂MF₁ + K₁, h = F₁ᵀMᵀ(h₂ − K₂b₁) + h₁. Here MΣ₁ is XᵀX, M is I − XᵀXK₂, and K₂M is
-    MᵀK₂M + GᵀG with G = U⁻ᵀXK₂: sums of semidefinite terms, so that sharp evidence after a vague
-    noise costs no digits.
-
-    Parameters
-    ----------
-    first, then : Element
+    With M = (I + Σ₁K₂)⁻¹: F = F₂MF₁, b = F₂M(b₁ + Σ₁h₂) + b₂, Σ = F₂MΣ₁F₂ᵀ + Σ₂, K = F₁ᵀK₂MF₁ + K₁,
+    h = F₁ᵀMᵀ(h₂ − K₂b₁) + h₁. Here MΣ₁ is XᵀX, M is I − XᵀXK₂, and K₂M is MᵀK₂M + GᵀG with G =
+    U⁻ᵀXK₂: sums of semidefinite terms, so that sharp evidence after a vague noise costs no digits.
     """
     white, upper = _meet(first.cov, then.K)
     reach = multiply(multiply(white, then.K), first.F)
@@ -101,7 +86,6 @@ def _meet(cov: Array, precision: Array) -> tuple[Array, Array]:
 
 
 def _gram(a: Array) -> Array:
-    """AᵀA."""
     return multiply(transpose(a), a)
 
 
@@ -121,20 +105,10 @@ def push(belief: Belief, element: Element) -> Belief:
 
 
 class Known(NamedTuple):
-    """A belief N(m, P) after a likelihood.
+    """A belief N(m, P), P = L Lᵀ, after a likelihood: its mean, and its covariance XᵀX.
 
-    Attributes
-    ----------
-    mean : ndarray
-        (..., n).
-    X : ndarray
-        (..., n, n): the covariance is XᵀX.
-    U : ndarray
-        (..., n, n): a root of I + LᵀKL, for P = L Lᵀ.
-    white : ndarray
-        (..., n): of squared length (h − K m)ᵀXᵀX(h − K m).
-    log_weight : ndarray or None
-        (...): the log-integral of the product; None where one of the factors has none.
+    U is a root of I + LᵀKL; `white` has the squared length (h − K m)ᵀXᵀX(h − K m); `log_weight` is
+    the log-integral of the product, None where one of the factors has none.
     """
 
     mean: Array

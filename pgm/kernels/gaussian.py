@@ -1,9 +1,8 @@
 """Gaussians in moment form, one or a batch: components first, mean (n, *batch).
 
-An empty batch is one Gaussian, whose few numbers take less time than the calls around them: small
-ones go through straight lines of Python, larger ones through LAPACK. One axis is many runs: each
-operation goes along rows of them. Where a pivot is nearly lost, any batch goes through `moments`,
-which tells singular covariances from rounding.
+One Gaussian has an empty batch: small ones go through straight lines of Python, larger ones through
+LAPACK. Operations on many runs go along rows of them. Where a pivot is nearly lost, any batch goes
+through `moments`, which tells singular covariances from rounding.
 """
 
 from __future__ import annotations
@@ -74,8 +73,8 @@ def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float
     """Whether a covariance is neither nearly singular nor far below an earlier one.
 
     The components before it leave more than the share `least` of each variance, and no variance is
-    a smaller part of the earlier one. Means are finite, and the square of none is more than `far`
-    variances. A component without a variance does not count, if it had none before.
+    a smaller part of the earlier one; means squared are at most `far` variances. A component
+    without a variance does not count, if it had none before.
     """
     if cov.ndim == 2:
         written = checking(len(cov), least, far)
@@ -90,12 +89,8 @@ def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float
 def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ()) -> Array:
     """The covariance F P Fᵀ + noise, (d, d, *batch).
 
-    Parameters
-    ----------
-    cov, matrix, noise : ndarray
-        P (n, n, *batch), exactly symmetric; F and the noise, one or as many.
-    bare : tuple of int
-        The components without noise, whose zeros have to be told from rounding.
+    P (n, n, *batch) is exactly symmetric; F and the noise are one or as many. The components `bare`
+    have no noise: their zeros have to be told from rounding.
     """
     if cov.ndim == 2:
         written = predicting(len(noise), len(cov))
@@ -164,22 +159,12 @@ def extend(
 
 
 class Update(NamedTuple):
-    """A belief given a measurement.
+    """A belief (n, *batch) given a measurement, and the log-density of this.
 
-    Attributes
-    ----------
-    mean, cov : ndarray
-        (n, *batch), (n, n, *batch).
-    log_density : ndarray or float
-        (*batch): of the measurement; a component that an exact model determines adds nothing.
-    regular : bool
-        Whether no component of the measurement is determined by those before it to 10⁻⁶ of its
-        variance.
-    mild : bool
-        Whether no variance is known to have fallen more than a thousand times.
-    left : ndarray or None
-        (d, *batch): how far each determined component is from what the model says it is; None
-        where nothing is determined.
+    A component that an exact model determines adds nothing to it; `left` (d, *batch) is how far
+    each is from what the model says, None without any. `regular` says whether no component is
+    determined by those before it to 10⁻⁶ of its variance, `mild` whether no variance is known to
+    have fallen more than a thousand times.
     """
 
     mean: Array
@@ -204,21 +189,12 @@ def update(
 ) -> Update:
     """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), of residual z − H mean.
 
-    The covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of semidefinite terms, with the
-    gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise.
+    The covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of semidefinite terms, with the gain
+    G = P Hᵀ S⁺ and S = H P Hᵀ + noise.
 
-    Parameters
-    ----------
-    mean, cov, matrix, residual, noise : ndarray
-        With the batch last; H and the noise may be one for all. P is exactly symmetric.
-    out : tuple of ndarray, optional
-        Room for the mean and the covariance of many, which may be left unused.
-    exact : bool
-        Whether the noise is singular, so that zeros have to be told from rounding.
-    sharp : ndarray, optional
-        `along_runs.sharpness` of the noise, where it is at hand.
-    least : float
-        The share of a component that those before it have to leave open in a regular measurement.
+    The batch is last; H and the noise may be one for all; P is exactly symmetric. `out` is room for
+    the moments of many, maybe unused; with `exact` the noise is singular, so that zeros have to be
+    told from rounding; `sharp` and `least` are as of `along_runs.update`.
     """
     if not exact:
         if cov.ndim > 2:
@@ -245,10 +221,7 @@ def update(
 def update_one(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
 ) -> tuple[Array, Array, float] | None:
-    """The `update` of one Gaussian by a regular measurement: its moments, and the log-density.
-
-    None where a component of the measurement is nearly determined by those before it.
-    """
+    """The `update` of one Gaussian: moments and log-density; None if it is not regular."""
     written = updating(len(mean), len(residual), NEARLY_SINGULAR)
     if written is not None:
         return written(mean, cov, matrix, residual, noise)

@@ -2,13 +2,12 @@ r"""Displacements on a lattice: kernels of exact mean and variance, as matrices 
 
 A displacement of μ cells with variance s² (in cells) has the weights, over whole numbers k,
 
-.. math:: w_k \propto e^{a k - b k (k - 1)}, \quad \sum_k w_k k = μ, \quad
-    \sum_k w_k (k - μ)^2 = \max(s^2, f (1 - f)), \quad f = μ - \lfloor μ \rfloor:
+    w_k ∝ exp(a k − b k (k − 1)),  Σ w_k k = μ,  Σ w_k (k − μ)² = max(s², f (1 − f)),  f = μ − ⌊μ⌋:
 
-the normal density of least distortion on a lattice, f(1 − f) being the variance that it needs at
-least, of two points. Means and variances then add up exactly from step to step. About ⌊μ⌋ the
-conditions are E k = f and E k(k − 1) = max(s² − f(1 − f), 0), which Newton's method solves in a, b
-on the truncated tails, so that truncating costs no digit of them.
+the normal density of least distortion on a lattice, f(1 − f) being the least variance, of two
+points. Means and variances then add up exactly from step to step. About ⌊μ⌋ the conditions are E k
+= f and E k(k − 1) = max(s² − f(1 − f), 0), which Newton's method solves in a, b on the truncated
+tails, so that truncating costs no digit of them.
 """
 
 from __future__ import annotations
@@ -32,16 +31,9 @@ _ITERATIONS = 60
 
 
 class Kernels(NamedTuple):
-    """Kernels, one a row.
+    """Kernels, one a row: the displacement `first` of the first of the `weights`, in cells.
 
-    Attributes
-    ----------
-    first : ndarray of int
-        (n,): the displacement, in cells, of the first weight.
-    weights : ndarray
-        (n, taps).
-    added : ndarray
-        (n,): the variance, in cells, that the lattice adds to the one asked for.
+    `added` is the variance that the lattice adds to the one asked for.
     """
 
     first: Integers
@@ -150,13 +142,7 @@ def _norm(residual: tuple[Array, Array], excess: Array) -> Array:
 
 
 class Span(NamedTuple):
-    """Cells of an axis that stand together, past the end of a circle too.
-
-    Attributes
-    ----------
-    first, length : int
-        The first cell, and how many there are.
-    """
+    """Cells of an axis that stand together, past the end of a circle too."""
 
     first: int
     length: int
@@ -175,17 +161,8 @@ def matrices(
 ) -> Array:
     """The kernels as matrices (n, target cells, source cells), columns being where mass comes from.
 
-    Parameters
-    ----------
-    first : ndarray of int
-        (n, 1), of displacements that are equal from all cells, or (n, source cells).
-    weights : ndarray
-        (*first.shape, taps).
-    source, target : Span
-    cells : int
-        Of the axis.
-    periodic : bool
-        Whether it is a circle; else what leaves it is lost.
+    `first` is (n, 1), of displacements that are equal from all cells, or (n, source cells), weights
+    (*first.shape, taps); what leaves an axis that is not periodic is lost.
     """
     count, own, taps = weights.shape
     low = source.first - target.first
@@ -226,14 +203,7 @@ def matrices(
 def along(matrix: Array, array: Array, axis: int, by: tuple[int, ...]) -> Array:
     """Products of matrices (n, target, source) with the lines of an array along an axis.
 
-    Parameters
-    ----------
-    matrix : ndarray
-        One for each of the n cells of the axes `by`, or one of all.
-    array : ndarray
-    axis : int
-    by : tuple of int
-        Other axes, ascending.
+    One for each of the n cells of the other axes `by`, which ascend, or one of all.
     """
     rest = tuple(k for k in range(array.ndim) if k not in (axis, *by))
     last = axis == array.ndim - 1 and by + rest + (axis,) == tuple(range(array.ndim))

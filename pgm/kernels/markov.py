@@ -1,8 +1,7 @@
 """Sweeps of a hidden Markov chain over many steps: beliefs that are scaled only now and then.
 
 Rows are (steps, states, [runs]). A forward row is proportional to p(x_t | z up to t), a backward
-one to p(z after t | x_t). Of few states and many steps all blocks of √T steps are worked at
-together.
+one to p(z after t | x_t).
 """
 
 from __future__ import annotations
@@ -34,18 +33,8 @@ def forward(
 ) -> Masses:
     """Fill rows with forward messages; their masses, and those of the rows each was made from.
 
-    Parameters
-    ----------
-    applies : iterable of callable
-        The transition into each step.
-    weights : ndarray
-        (steps, states, [runs]): p(z_t | x_t), up to a factor.
-    belief : ndarray
-        (states, [runs]): at the step before, of sum one.
-    rows : ndarray
-        (steps, states, [runs]), to be filled.
-    every : int
-        Steps from one scaling to the next.
+    `weights` are p(z_t | x_t) up to a factor, like `rows` (steps, states, [runs]); `belief` is that
+    at the step before, of sum one. Messages are scaled `every` so many steps.
     """
     before = np.ones((len(rows), *belief.shape[1:]))
     for k, (apply, weight, row) in enumerate(zip(applies, weights, rows, strict=False)):
@@ -63,16 +52,8 @@ def forward(
 def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int = EVERY) -> None:
     """Fill rows, last to first, with the messages to each step; the last row is given.
 
-    Parameters
-    ----------
-    applies : iterable of callable
-        The transposed transition into each step but the first, last to first.
-    weights : ndarray
-        (steps - 1, states, [runs]), of the same steps.
-    rows : ndarray
-        (steps, states, [runs]).
-    every : int
-        Steps from one scaling to the next.
+    `applies` are the transposed transitions into each step but the first, last to first; `weights`
+    (steps − 1, states, [runs]) of the same steps.
     """
     message = rows[-1]
     product = np.empty_like(message)
@@ -92,13 +73,6 @@ class Blocks:
     Each row of a block's transfer matrix, the product of p(x_t | x_{t−1}) p(z_t | x_t) over its
     steps, has a logarithm of its own as its scale: with one for the whole matrix the row of a
     likely state would be lost beside that of an unlikely one whose measurements are likelier.
-
-    Parameters
-    ----------
-    matrix : ndarray
-        (states, states), p(x_t | x_{t−1}), rows before.
-    weights : ndarray
-        (steps, states).
     """
 
     def __init__(self, matrix: Array, weights: Array) -> None:
@@ -115,9 +89,9 @@ class Blocks:
         self._transfer()
 
     def _transfer(self) -> None:
-        """Find the transfer matrix of each block, rows of sum one, and the logarithms of scales.
+        """Find each block's transfer matrix, rows of sum one, and the logarithms of scales.
 
-        Rows come first and blocks second, so that a step's weights go along memory.
+        Rows come first, so that a step's weights go along memory.
         """
         count, size = self.count, self.size
         held = np.repeat(np.eye(size)[:, None], count, axis=1)
@@ -173,11 +147,9 @@ class Blocks:
         rows[-1] = 1.0 / self.size
 
     def _in_order(self, found: Array) -> Array:
-        """Values by step within a block and by block, (length, blocks, ...), as those of steps."""
         return found.swapaxes(0, 1).reshape(-1, *found.shape[2:])[: self.steps]
 
     def _starts(self, belief: Array) -> Array:
-        """The belief before each block."""
         found = np.empty(self.scale.shape)
         for k, (own, logs) in enumerate(zip(self.transfer, self.scale, strict=True)):
             found[k] = belief
@@ -192,7 +164,6 @@ class Blocks:
         return found
 
     def _ends(self) -> Array:
-        """The message to the last step of each block."""
         found = np.empty(self.scale.shape)
         message = np.full(self.size, 1.0 / self.size)
         for k in range(self.count - 1, -1, -1):

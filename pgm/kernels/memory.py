@@ -15,11 +15,10 @@ _UNKNOWN = 64 * 2**30
 def retain() -> None:
     """Have the allocator keep what is freed between steps, rather than fetch it anew each time.
 
-    By default glibc gives freed memory back to the system above a threshold that grows with the
-    largest block freed so far; arrays of a step of many runs are above it, and every page of the
-    next step's would be faulted in again, which costs more than the arithmetic. A block that is
-    made and freed untouched raises the threshold. It costs microseconds and needs no memory; on
-    other systems it does nothing.
+    By default glibc gives freed memory back above a threshold that grows with the largest block
+    freed; every page of the next step's arrays, of many runs, would be faulted in again, which
+    costs more than the arithmetic. A block that is made and freed untouched raises the threshold;
+    on other systems it does nothing.
     """
     np.empty(_SIZE, dtype=np.uint8)
 

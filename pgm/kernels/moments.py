@@ -27,19 +27,9 @@ ROUNDING = 1e-14
 
 
 class Update(NamedTuple):
-    """A belief given a measurement.
+    """A belief given a measurement, and the log-density of this; `left` is as of `gaussian.Update`.
 
-    Attributes
-    ----------
-    mean, cov : ndarray
-        The belief given the measurement.
-    log_density : ndarray
-        Of the measurement; a component that an exact model determines adds nothing.
-    lower : ndarray
-        The root of the measurement's predictive covariance; NaN where that is indefinite.
-    left : ndarray or None
-        (..., D): how far each determined component is from what the model says it is; None
-        where nothing is determined.
+    `lower` is the root of the measurement's predictive covariance; NaN where that is indefinite.
     """
 
     mean: Array
@@ -54,9 +44,7 @@ def update(
 ) -> Update:
     """Condition N(mean, cov) on a measurement z = H x + n, n ~ N(0, noise), residual z − H mean.
 
-    The covariance is (I − GH) P (I − GH)ᵀ + G noise Gᵀ, a sum of semidefinite terms, with the
-    gain G = P Hᵀ S⁺ and S = H P Hᵀ + noise. `exact` says whether the noise is singular, so that
-    zeros have to be told from their rounding.
+    As `gaussian.update`, with the batch first.
     """
     size = residual.shape[-1]
     cross = times_symmetric(matrix, cov)
@@ -146,10 +134,7 @@ def log_density(residual: Array, cov: Array) -> Array:
 
 
 def principal_axes(cov: Array) -> tuple[Array, Array]:
-    """Variances along the axes of (..., 2, 2), the larger first, and the angle of the first.
-
-    An axis has no direction: its angle is in (−π/2, π/2].
-    """
+    """Variances along the axes of (..., 2, 2), the larger first, whose angle is in (−π/2, π/2]."""
     values, vectors = np.linalg.eigh(cov)
     angle = np.arctan2(vectors[..., 1, 1], vectors[..., 0, 1])
     turned = np.where(angle > 0.5 * np.pi, angle - np.pi, angle)
@@ -175,10 +160,7 @@ def kl(difference: Array, cov: Array, other_cov: Array) -> Array:
 
 
 def marginal_error(mean: Array, other: Array, std: Array) -> Array:
-    """The largest |mean − other| in standard deviations over the last axis and the first.
-
-    Where the deviation is zero, as a part of the mean's size.
-    """
+    """The largest |mean − other| over the last axis and the first, in deviations or sizes."""
     unit = np.where(std > 0.0, std, np.maximum(np.abs(mean), 1.0))
     largest: Array = (np.abs(mean - other) / unit).max(axis=(0, -1), initial=0.0)
     return largest

@@ -26,10 +26,7 @@ def draw(mean: Array, lower: Array, white: Array) -> Array:
 
 
 def whitened(lower: Array, residual: Array) -> tuple[Array, Array | None]:
-    """White residuals, (..., S, d), zero where determined; and what is left there, if anything is.
-
-    For a residual that N(0, L Lᵀ) can give, what is left is zero up to rounding.
-    """
+    """White residuals, (..., S, d), zero where determined; and what is left there."""
     white = transpose(roots.solve_lower(lower, transpose(residual)))
     fixed = roots.determined(lower)
     if not fixed.any():
@@ -60,15 +57,7 @@ def log_density(lower: Array, white: Array) -> Array:
 
 
 def off(lower: Array, left: Array, error: Array) -> Mask:
-    """Whether residuals (..., S, d) leave the subspace of the noise, (..., S).
-
-    Parameters
-    ----------
-    lower, left : ndarray
-        Of `whitened`.
-    error : ndarray
-        (..., S, d): by how much rounding may have changed the residuals.
-    """
+    """Whether residuals (..., S, d), wrong by at most `error`, leave the subspace of the noise."""
     # What is left depends linearly on the residuals: by this matrix.
     spread = np.abs(roots.solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape)))
     deviations = np.sqrt((lower * lower).sum(axis=-1))

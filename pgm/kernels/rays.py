@@ -3,15 +3,12 @@ r"""Rays through a grid of cells: how far they get, the cells that they enter, s
 Cell (row, column) is the square [column, column + 1) × [row, row + 1): coordinates are in cells.
 
 A ray from p along the unit vector u leaves an axis-parallel box at the least t of the crossings
-(edge − p) / u of its axes. Going from one cell's box to the next visits all cells of the ray
-(J. Amanatides, A. Woo: A fast voxel traversal algorithm for ray tracing, 1987). Where the next
-stop is c cells away in the maximum norm, all cells less than c away are free and their box is left
-in one step: the same hits, exactly, in fewer steps (as D. Cohen, Z. Sheffer: Proximity clouds, an
-acceleration technique for 3D grid traversal, 1994).
+(edge − p) / u of its axes. From one cell's box to the next, it visits all its cells (Amanatides &
+Woo, 1987). Where the next stop is c cells away in the maximum norm, all cells less than c away are
+free and their box is left in one step: the same hits, exactly (as Cohen & Sheffer, 1994).
 
-Ends of beams are summed over by pose. Their cells are found in float32, to some ten thousandths of
-a cell on maps of some thousand cells a side: an end that near to a cell's edge may count as in the
-next cell.
+The cells of beams' ends are found in float32, to some ten thousandths of a cell on maps of some
+thousand cells a side: an end that near to an edge may count as in the next cell.
 """
 
 from __future__ import annotations
@@ -43,16 +40,9 @@ def clearances(stops: Mask) -> Cells:
 
 
 def cast(clear: Cells, points: Array, units: Array, most: float) -> Array:
-    """The distances at which rays enter a stop, (n,); infinite where they enter none.
+    """The distances, up to `most`, at which rays enter a stop; infinite where they enter none.
 
-    Parameters
-    ----------
-    clear : ndarray of int
-        As of `clearances`.
-    points, units : ndarray
-        (2, n): x and y of the beginning, in cells, and of the direction, of length one.
-    most : float
-        From there on rays are not followed.
+    Points and unit directions are (2, n), x and y in cells.
     """
     found = np.full(points.shape[1], np.inf)
     for first in range(0, points.shape[1], RAYS):
@@ -95,7 +85,6 @@ def _follow(clear: Cells, points: Array, units: Array, most: float, found: Array
 
 
 def _advance(rays: Array, step: Array) -> None:
-    """Let rays leave the free boxes of cells less than a step away."""
     x, y, across, along, by_across, by_along, _, _, column, row, _, distance, _ = rays
     edge, other = column + step, row + step
     first, second = (edge - x) * by_across, (other - y) * by_along
@@ -108,7 +97,6 @@ def _advance(rays: Array, step: Array) -> None:
 
 
 def _between(low: Array, place: Array, edge: Array) -> Array:
-    """The cells of places, from one to before another."""
     cells = np.floor(place, out=place)
     np.maximum(cells, low, out=cells)
     np.minimum(cells, edge - 1.0, out=cells)
@@ -119,14 +107,8 @@ def entered(points: Array, ends: Array, width: int) -> Integers:
     """The cells that segments enter, those of their beginnings too, as flat indices.
 
     Each line of the grid that a segment crosses leads into one cell, whatever the others do: all
-    crossings of all segments are found at once.
-
-    Parameters
-    ----------
-    points, ends : ndarray
-        (2, n): x and y of both, in cells, none negative.
-    width : int
-        Of the grid, in cells.
+    crossings of all segments are found at once. Points and ends are (2, n), x and y in cells, none
+    negative, of a grid so wide.
     """
     first, last = np.floor(points).astype(np.intp), np.floor(ends).astype(np.intp)
     count = np.abs(last - first)
@@ -154,7 +136,6 @@ def entered(points: Array, ends: Array, width: int) -> Integers:
 
 
 def _counted(times: Integers) -> npt.NDArray[Any]:
-    """One to n for each n, one after the other."""
     before = np.cumsum(times) - times
     return np.arange(1, times.sum() + 1) - np.repeat(before, times)
 
@@ -169,18 +150,9 @@ _MANY = 2**31
 def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask) -> Array:
     """The sums over the beams of each pose, (m,).
 
-    Parameters
-    ----------
-    table : ndarray
-        (rows, columns), contiguous. Ends beyond its edge count as in the cell on the edge.
-    poses : ndarray
-        (m, 3): column, row and heading.
-    units : ndarray
-        (2, beams): the directions of beams in the frame of their pose.
-    ranges : ndarray
-        (m, beams) in cells, or (1, beams) where all poses share one scan.
-    seen : ndarray of bool
-        As the ranges: which beams count.
+    The table (rows, columns) is contiguous; ends beyond its edge count as in the cell on the edge.
+    Poses (m, 3) are column, row and heading; units (2, beams) directions in their frame; ranges (m,
+    beams), or (1, beams) where all poses share one scan, are in cells.
     """
     shared = len(ranges) == 1
     if shared:
@@ -217,8 +189,6 @@ def summed(table: Single, poses: Array, units: Array, ranges: Array, seen: Mask)
 
 
 class _Work:
-    """The arrays of a block, (size, beams) each."""
-
     def __init__(self, table: Single, shape: tuple[int, int]) -> None:
         self.table, self.flat = table, table.ravel()
         self._floats = np.empty((2, *shape), dtype=np.float32)
@@ -227,7 +197,6 @@ class _Work:
         self.cut(shape[0])
 
     def cut(self, size: int) -> None:
-        """Use a first part of the block."""
         self.column, self.row = self._floats[:, :size]
         self._index, self._other = self._indices[:, :size]
 

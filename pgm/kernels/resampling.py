@@ -1,16 +1,14 @@
 r"""Drawing particles anew in proportion to their weights, and how many draws suffice.
 
-All of these are unbiased, E[counts_i] = count · w_i. They differ in variance: that of systematic
-draws is least in most uses, that of independent ones (multinomial) largest (Douc, Cappé & Moulines,
-Comparison of resampling schemes for particle filtering, 2005).
+All of these are unbiased, E[counts_i] = count · w_i; the variance of systematic draws is least in
+most uses, that of multinomial ones largest (Douc, Cappé & Moulines, 2005).
 
-Of n draws from k bins the statistic S = 2 n KL(empirical ‖ true) has, where bins have many draws
-each, a χ² distribution of k − 1 degrees of freedom (Wilks 1938): with n = χ²_{k−1, 1−δ} / (2 ε)
-draws the divergence is at most ε with probability 1 − δ (Fox, Adapting the sample size in particle
-filters through KLD-sampling, 2003). Where bins have a few draws each, S is larger: a Poisson count
-X about λ adds 2 (X ln(X / λ) − X + λ), whose mean and variance, 1 and 2 for large λ, are at most
-1.1605 and 2.406, at λ of 1.3 and 3. The quantile taken here is that of a gamma distribution with
-(k − 1) times these, so that the probability holds for any distribution over the bins.
+Of n draws from k bins the statistic S = 2 n KL(empirical ‖ true) is χ² of k − 1 degrees of freedom
+for many draws a bin (Wilks 1938): with n = χ²_{k−1, 1−δ} / (2 ε) the divergence is at most ε with
+probability 1 − δ (Fox, 2003). Where bins have a few draws each, S is larger: a Poisson count X
+about λ adds 2 (X ln(X / λ) − X + λ), of mean and variance at most 1.1605 and 2.406. The quantile
+taken here is that of a gamma distribution with (k − 1) times these, so that the probability holds
+for any distribution.
 """
 
 from __future__ import annotations
@@ -33,22 +31,9 @@ Resampler = Callable[[Array, int, np.random.Generator], Integers]
 def systematic(weights: Array, count: int, rng: np.random.Generator) -> Integers:
     """One random number for a comb of equal distances; counts are ⌊·⌋ or ⌈·⌉ of count · w.
 
-    Parameters
-    ----------
-    weights : ndarray
-        (n,), not negative and not all zero; their sum is taken for one.
-    count : int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    ndarray of int
-        (n,), of sum `count`; zero where the weight is.
-
-    References
-    ----------
-    Madow, On the theory of systematic sampling, 1949; the low variance sampler of Thrun, Burgard &
-    Fox, Probabilistic Robotics, 2005, table 4.4.
+    Zero where the weight is; weights need not sum to one. Madow, On the theory of systematic
+    sampling, 1949; the low variance sampler of Thrun, Burgard & Fox, Probabilistic Robotics, 2005,
+    table 4.4.
     """
     edges = _edges(weights, count)
     edges -= rng.random()
@@ -65,10 +50,7 @@ def stratified(weights: Array, count: int, rng: np.random.Generator) -> Integers
 
 
 def residual(weights: Array, count: int, rng: np.random.Generator) -> Integers:
-    """⌊count · w⌋ of each, the rest drawn from what is left, independently (Liu & Chen 1998).
-
-    Parameters and returns are those of `systematic`.
-    """
+    """⌊count · w⌋ of each, the rest drawn from what is left, independently (Liu & Chen 1998)."""
     expected = count * (weights / weights.sum(dtype=np.float64))
     # Whole numbers that rounding left a little short are whole: else equal weights, which are to be
     # drawn once each, would all be left to chance.
@@ -109,7 +91,6 @@ RESAMPLERS: Mapping[str, Resampler] = MappingProxyType(
 
 
 def _edges(weights: Array, count: int) -> Array:
-    """The cumulative sums of weights, (n,), the last of which are `count`."""
     edges = np.cumsum(weights, dtype=np.float64)
     edges /= edges[-1]
     edges *= count
@@ -117,7 +98,6 @@ def _edges(weights: Array, count: int) -> Array:
 
 
 def _between(below: Array | Integers) -> Integers:
-    """Counts from the numbers of draws below each edge; all are below the last."""
     ends, counts = below.astype(np.intp), np.empty(len(below), dtype=np.intp)
     counts[:1] = ends[:1]
     np.subtract(ends[1:], ends[:-1], out=counts[1:])
@@ -131,16 +111,9 @@ _MEAN, _VARIANCE = 1.1605, 2.406
 
 
 def draws_needed(bins: int, epsilon: float, delta: float) -> int:
-    """The number of draws that a distribution over so many bins needs; 1 of a single bin.
+    """The number of draws that a distribution over so many occupied bins needs; 1 of a single bin.
 
-    Parameters
-    ----------
-    bins : int
-        k, those that are occupied.
-    epsilon : float
-        The divergence, in nats.
-    delta : float
-        The probability of a larger one.
+    Its divergence is then at most `epsilon` nats but for a probability `delta`.
     """
     if bins <= 1:
         return 1
@@ -153,10 +126,7 @@ def draws_needed(bins: int, epsilon: float, delta: float) -> int:
 
 
 def keys(points: Array, widths: Array, angles: Mask) -> Integers | None:
-    """The bin of each point (d, n) along each axis, (d, n); of angles one of those of a circle.
-
-    None where a point is too far from zero for its bin to have a number.
-    """
+    """The bin of each point (d, n) along each axis, (d, n); None where one is too far from zero."""
     scaled = np.asarray(points, dtype=np.float64) / widths[:, None]
     for k in np.flatnonzero(angles):
         round_ = max(round(TURN / widths[k]), 1)

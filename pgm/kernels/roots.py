@@ -34,15 +34,8 @@ _VISIBLE = 1e-12
 def root(matrix: Array, scale: Array | None = None, negligible: float = NEGLIGIBLE) -> Array:
     """The lower triangular root of stacked matrices; NaN where one is indefinite or not finite.
 
-    Parameters
-    ----------
-    matrix : ndarray
-        (..., n, n).
-    scale : ndarray, optional
-        (..., n): what pivots are compared with; the diagonal without. A matrix that came out of
-        a difference of larger ones has rounding of their size.
-    negligible : float
-        The part of the scale below which a pivot is rounding.
+    A pivot below the `negligible` part of the scale, (..., n), is rounding. The scale is the
+    diagonal; a matrix that came out of a difference of larger ones has rounding of their size.
     """
     diagonal = variances(matrix) if scale is None else scale
     if by_runs(matrix):
@@ -104,17 +97,13 @@ def determined(lower: Array) -> Mask:
 
 
 def _regular(lower: Array, fixed: Mask) -> Array:
-    """The root with 1 in place of zero pivots, so that it can be divided by."""
     if not fixed.any():
         return lower
     return lower + fixed[..., None] * np.eye(lower.shape[-1])
 
 
 def solve_lower(lower: Array, right: Array) -> Array:
-    """The Y with L Y = B, (..., n, m); in rows of determined components, what is left of B there.
-
-    For a B in the range of L Lᵀ what is left is zero up to rounding.
-    """
+    """The Y with L Y = B, (..., n, m); in determined rows what is left of B."""
     return _solve(_regular(lower, determined(lower)), right, range(lower.shape[-1]))
 
 
@@ -149,10 +138,7 @@ def solve(lower: Array, right: Array) -> Array:
 
 
 def regression(cross: Array, cov: Array) -> Array:
-    """The gain C P⁺ of a covariance P and a cross-covariance C, (..., m, n), on its components.
-
-    The pseudo-inverse is taken in deviations, so that units do not matter.
-    """
+    """The gain C P⁺ of a cross-covariance C, (..., m, n), P⁺ in units of deviations."""
     variance = variances(cov)
     unit = np.sqrt(np.where(variance > 0.0, variance, 1.0))
     correlation = cov / (unit[..., :, None] * unit[..., None, :])
@@ -164,8 +150,7 @@ def regression(cross: Array, cov: Array) -> Array:
 def gain(cross: Array, lower: Array, cov: Array | None = None) -> Array:
     """C P⁺ for P = L Lᵀ and a cross-covariance C, (..., m, n), whose rows lie in the range of P.
 
-    With P itself, by `regression` where its root was lost to rounding: eliminating a component that
-    is nearly determined magnifies the rounding of those after it.
+    With P itself, by `regression` where its root was lost to rounding.
     """
     result = transpose(solve(lower, transpose(cross)))
     if cov is not None:
@@ -192,20 +177,14 @@ def log_determinant(lower: Array) -> Array:
 
 
 def smallest_pivot(lower: Array) -> float:
-    """The smallest share of a component that those before it leave open, over the stack.
-
-    In [0, 1]; its reciprocal tells how many digits a solve with L Lᵀ costs.
-    """
+    """The smallest share of a component that those before it leave open, over the stack."""
     pivots = np.diagonal(lower, axis1=-2, axis2=-1)
     total = np.einsum("...ij,...ij->...i", lower, lower)
     return float((pivots * pivots / np.where(total > 0.0, total, 1.0)).min(initial=1.0))
 
 
 def is_regular(cov: Array, least: float) -> bool:
-    """Whether no component of stacked covariances is determined to `least` by those before it.
-
-    Components without a variance do not count.
-    """
+    """Whether no component of some variance is determined to `least` by those before it."""
     pivots = np.diagonal(root(cov), axis1=-2, axis2=-1)
     variance = variances(cov)
     return bool(((pivots * pivots > least * variance) | (variance == 0.0)).all())

@@ -1,16 +1,13 @@
 """Gaussian factors as rows: exp(−½ ‖A x − r‖² + g) Π δ(C x − c), on stacked arrays.
 
-A (..., k, n) is a root of the canonical form's information matrix, K = AᵀA and h = Aᵀr, so that
-nothing is ever squared or subtracted: a product stacks rows, and a QR factorisation integrates
-variables out. Several right sides r, (..., k, N), share one A. C (..., m, n) with c (..., m, N) are
-exact relations, which have no K; a row of zeros says nothing. Where a result does not exist it is
-NaN; the callers, who know the names, raise.
+A (..., k, n) is a root of the information matrix, K = AᵀA and h = Aᵀr, so that nothing is ever
+squared or subtracted: a product stacks rows, and a QR factorisation integrates variables out.
+Several right sides r, (..., k, N), share one A. C (..., m, n) with c (..., m, N) are exact
+relations, which have no K; a row of zeros says nothing. Where a result does not exist it is NaN;
+the callers, who know the names, raise (Bierman, 1977; Schoeman, van Daalen & du Preez, 2022).
 
-References: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977; Schoeman, van
-Daalen & du Preez, Degenerate Gaussian factors for probabilistic inference, 2022.
-
-Messages between clusters are stacks (V, B, s, s) with right sides (V, B, s, N): of V runs with a
-matrix each and N = 1, or of N runs that share one, V = 1.
+Messages are stacks (V, B, s, s) with right sides (V, B, s, N): of V runs with a matrix each and N =
+1, or of N runs that share one, V = 1.
 """
 
 from __future__ import annotations
@@ -30,15 +27,7 @@ CONTRADICTION = 1e-7
 
 
 class Rows(NamedTuple):
-    """A stack of factors.
-
-    Attributes
-    ----------
-    matrix, right : ndarray
-        A (..., k, n) and r (..., k, N).
-    exact, exact_right : ndarray or None
-        C (..., m, n) and c (..., m, N); None where there are no exact relations at all.
-    """
+    """A stack of factors: A (..., k, n), r (..., k, N); exact relations C x = c, or None."""
 
     matrix: Array
     right: Array
@@ -49,19 +38,11 @@ class Rows(NamedTuple):
 class Eliminated(NamedTuple):
     """A factor over (x, s) as a conditional of x given s, times a factor over s.
 
-    Attributes
-    ----------
-    gain, offset, noise : ndarray
-        x = gain s + offset + n, n ~ N(0, noise): (..., r, s), (..., r, N) and (..., r, r).
-    rest : Rows
-        Over s: s rows, triangular.
-    log_scale : ndarray
-        (..., N): g of what is over s, less that of the factor.
-    contradiction : ndarray of bool or None
-        (..., N): where exact relations contradict one another.
-    largest : float
-        Of the entries of rows after exact relations were put into them, and of reciprocals of what
-        these were divided by; infinite where it is not certain which of them are independent.
+    x = gain s + offset + n, n ~ N(0, noise). `rest`, over s, has s rows, triangular; `log_scale`
+    (..., N) is g of it, less that of the factor; `contradiction` tells where exact relations
+    contradict one another. `largest` is of the entries of rows after exact relations were put into
+    them, and of reciprocals of what these were divided by; infinite where it is not certain which
+    of them are independent.
     """
 
     gain: Array
@@ -81,9 +62,9 @@ def eliminate(factor: Rows, count: int) -> Eliminated:
 
 
 def triangular(matrix: Array, right: Array) -> Array:
-    """The triangular factor of [A | r], with at least as many rows as A has columns.
+    """The triangular factor of [A | r], of at least as many rows as A has columns.
 
-    Rows are sorted by size first: that keeps the digits of small ones beside large ones.
+    Rows are sorted by size: that keeps the digits of small ones beside large ones.
     """
     rows, size = matrix.shape[-2:]
     if rows < size:
@@ -96,9 +77,9 @@ def triangular(matrix: Array, right: Array) -> Array:
 
 
 def largest_first(correlation: Array) -> Integers:
-    """The order of components, (..., n), in which each varies most of those left, given the former.
+    """The order of components, (..., n), in which each varies most of those left.
 
-    A root in this order tells small pivots from rounding, which grows behind a small one.
+    A root in this order tells small pivots from rounding.
     """
     left = correlation
     order = np.empty(left.shape[:-1], dtype=np.intp)
@@ -158,7 +139,7 @@ def _eliminate_exact(
 ) -> Eliminated:
     """`eliminate` with exact relations: they determine some directions of x, the rest is proper.
 
-    With C_x = U S Vᵀ, directions V₁ of x are determined by s; directions V₂ are left to the rows.
+    With C_x = U S Vᵀ, directions V₁ are determined by s; V₂ are left to the rows.
     """
     sepset = matrix.shape[-1] - count
     known = np.concatenate([exact[..., count:], exact_right], axis=-1)
@@ -199,9 +180,7 @@ def _independent(
 ) -> tuple[Array, Array, Array, Mask, float]:
     """Relations as orthonormal rows, ln of what that takes off, where they contradict, and doubt.
 
-    Right sides come of numbers of a size, (..., N).
-
-    A relation that the others imply is left out: a certainty that is met adds nothing.
+    A relation that the others imply is left out. Right sides come of numbers of a size, (..., N).
     """
     independent, solved, left, log_size, doubt = _solved(exact, right)
     far = np.abs(left).max(axis=-2, initial=0.0)
@@ -213,18 +192,9 @@ def _independent(
 def _solved(matrix: Array, right: Array) -> tuple[Array, Array, Array, Array, float]:
     """Relations solved for directions: matrix x = right is rows x = solved, and left = 0.
 
-    Returns
-    -------
-    ndarray
-        Orthonormal rows, and rows of zeros.
-    ndarray
-        The right sides of these.
-    ndarray
-        What is left of the others.
-    ndarray
-        Of the values divided by, the sum of logarithms, (...).
-    float
-        The reciprocal of the least value used; infinite where one left out may be no rounding.
+    Returns orthonormal rows, and rows of zeros; `solved`; `left`; the sum of logarithms of the
+    values divided by, (...); and the reciprocal of the least used, infinite where one left out may
+    be no rounding.
     """
     u, values, vt = _svd(matrix)
     count = values.shape[-1]
@@ -333,7 +303,6 @@ def choose(active: Mask, new: Rows, old: Rows) -> Rows:
 
 
 def _relations(old: Rows, new: Rows) -> tuple[Array, Array, Array, Array] | None:
-    """The exact relations of old rows, as many as of new ones, and of these; None without."""
     exact, sides, new_exact, new_sides = *old[2:], *new[2:]
     if exact is None or sides is None or new_exact is None or new_sides is None:
         return None

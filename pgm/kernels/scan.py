@@ -1,14 +1,8 @@
 """Prefixes of a chain of segments in logarithmically many rounds, each one batched call.
 
 Up a balanced tree, neighbours are composed; down again, a belief is pushed through every other
-segment: T compositions and T pushes for T segments, in 2 log₂ T rounds.
-
-Stacks have the steps first and the runs second, (T, R, ...). In memory their components come first,
-so that kernels go along rows of steps.
-
-References
-----------
-Blelloch, Prefix sums and their applications, 1990.
+segment, in 2 log₂ T rounds (Blelloch, 1990). Stacks are (T, R, ...), components first in memory, so
+that kernels go along rows of steps.
 """
 
 from __future__ import annotations
@@ -81,16 +75,9 @@ def levels(segments: Segments, compose: Callable[[Segments, Segments], Segments]
 def prefixes(
     start: Beliefs, tree: Sequence[Segments], push: Callable[[Beliefs, Segments], Beliefs]
 ) -> Beliefs:
-    """Down the tree: the beliefs at the right ends of all segments, (T, R, ...).
+    """Down the tree of `levels`: the beliefs at the right ends of all segments, (T, R, ...).
 
-    Parameters
-    ----------
-    start : tuple of ndarray
-        The belief at the left end of the first segment, (1, R, ...).
-    tree : sequence of tuple of ndarray
-        As `levels` makes it.
-    push : callable
-        The belief at a segment's right end, from that at its left.
+    `start` (1, R, ...) is that at the left end of the first; `push` takes one across a segment.
     """
     found = in_chunks(push, start, tree[-1])
     for segments in reversed(tree[:-1]):
@@ -109,7 +96,6 @@ def _rows(parts: Any, steps: slice) -> Any:
 
 
 def _merge(first: Any, second: Any, steps: int, here: slice, there: slice) -> Any:
-    """Two stacks of beliefs as one, each in its place."""
     merged = []
     for a, b in zip(first, second, strict=True):
         both = None

@@ -14,18 +14,9 @@ Axes = int | tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class Semiring:
-    """A product and a sum of entries of tables.
+    """A product and a sum of entries of tables, and their neutral entries.
 
-    Attributes
-    ----------
-    zero, one : float
-        The neutral entries of the sum and the product.
-    times, over : ufunc
-        Product and quotient.
-    total : callable
-        ``total(values, axes, out)``: the sum along one axis or some.
-    linear : bool
-        Whether entries are numbers, which may underflow, not logarithms.
+    ``total(values, axes, out)`` sums along axes; `linear` entries are numbers, not logarithms.
     """
 
     zero: float

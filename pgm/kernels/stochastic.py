@@ -1,8 +1,8 @@
 """Linear maps of probabilities: dense, sparse, and products of maps of single axes.
 
-A map has the matrix p(child | parent), (parents, children). `forward` sums over the parent,
-`backward` over the child, along one axis of an array; both also of logarithms, in a semiring. A map
-never forms the pairs of parent and child that it sums over, unless it works with logarithms.
+A map has the matrix p(child | parent). `forward` sums over the parent, `backward` over the child,
+along one axis of an array; both also of logarithms, in a semiring, the only way that forms the
+pairs of parent and child.
 """
 
 from __future__ import annotations
@@ -23,13 +23,7 @@ _CHUNK = 2**22
 
 
 class Transition(ABC):
-    """The matrix of p(child | parent), as a map along an axis.
-
-    Attributes
-    ----------
-    shape : tuple of int
-        Parents, children.
-    """
+    """The matrix of p(child | parent), of shape (parents, children), as a map along an axis."""
 
     shape: tuple[int, int]
 
@@ -304,7 +298,6 @@ class Product(Transition):
 
 
 def _along(matrix: Any, values: Array, axis: int) -> Array:
-    """A matrix times an array along one of its axes."""
     if values.ndim == 1:
         product: Array = matrix.dot(values)
         return product

@@ -26,10 +26,7 @@ OUTSIDE = 3000.0
 
 
 def rescale(values: Array, log_scale: Array, axes: int) -> tuple[Array, Array]:
-    """The same tables; one becomes the largest entry where that is very small or very large.
-
-    Where all are zero, the log-scale becomes zero.
-    """
+    """The same tables; one becomes the largest entry where that is very small or very large."""
     top = largest(values, axes)
     extreme = (top < SMALL) | (top > LARGE)
     if not extreme.any():
@@ -70,7 +67,6 @@ def _combined(
 
 
 def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
-    """The mask of products or quotients that are right as computed with plain numbers."""
     top = largest(result, axes)
     held = (top > SAFE) & (top < np.inf)
     if not held.all():
@@ -80,7 +76,6 @@ def _held(result: Array, a: Array, b: Array, axes: int) -> Mask:
 
 
 def _instead(plain: Array, held: Mask, values: Array, log_scale: Array) -> tuple[Array, Array]:
-    """The plain tables where they hold, and others in place of the rest."""
     kept = _per_table(held, plain.ndim - held.ndim)
     return np.where(kept, plain, values), np.where(held, 0.0, log_scale)
 
@@ -125,18 +120,15 @@ def _span(axes: int) -> tuple[int, ...]:
 
 
 def _per_table(stacked: Stacked, axes: int) -> Stacked:
-    """One number for each table, to be combined with all of its entries."""
     return stacked.reshape(stacked.shape + (1,) * axes)
 
 
 def _exponents(values: Array) -> tuple[Array, Array]:
-    """Mantissas and powers of two."""
     mantissa, power = np.frexp(values)
     return mantissa, np.where(values > 0.0, power, NOWHERE)
 
 
 def _assemble(mantissa: Array, power: Array, axes: int) -> tuple[Array, Array]:
-    """Tables of mantissas and powers of two, with their largest power in the log-scale."""
     top = power.max(axis=_span(axes))
     values: Array = np.ldexp(mantissa, power - _per_table(top, axes))
     return values, np.where(top > NOWHERE // 2, top * LOG_2, 0.0)

@@ -1,13 +1,6 @@
 """Arithmetic of twice the digits: a number is the unevaluated sum of two float64, some 32 digits.
 
-What sixteen digits lose where variances lie far apart, these keep. One operation is some ten to
-forty of NumPy's, so it is for the few models that need it.
-
-References
-----------
-Dekker, A floating-point technique for extending the available precision, 1971.
-Joldes, Muller & Popescu, Tight and rigorous error bounds for basic building blocks of double-word
-arithmetic, 2017.
+One operation is some ten to forty of NumPy's (Dekker, 1971; Joldes, Muller & Popescu, 2017).
 """
 
 from __future__ import annotations
@@ -25,8 +18,7 @@ _CUT = 134217729.0
 class Twofold:
     """Stacked numbers hi + lo, with |lo| at most half a unit in the last place of hi.
 
-    `@` is the product of stacked matrices; all else goes element by element and broadcasts. The
-    other operand may be an array of float64.
+    `@` is the product of stacked matrices; operands may be float64.
     """
 
     __array_ufunc__ = None  # so that an array leaves the operation to this class
@@ -121,21 +113,9 @@ def eliminated(
 ) -> tuple[Twofold, Twofold]:
     """The factors of symmetric A = U D Uᵀ, U lower with 1 on its diagonal, D diagonal.
 
-    Parameters
-    ----------
-    matrix : ndarray or Twofold
-        (..., n, n).
-    negligible : float
-        The share of its diagonal entry below which a pivot is rounding: D and what is below it in U
-        are zero there.
-    rounding : ndarray, optional
-        (..., n): what rounding may have changed diagonal entries by. Then shares are of it, and of
-        what elimination makes of it.
-
-    Returns
-    -------
-    unit, pivots : Twofold
-        (..., n, n), (..., n).
+    A pivot below the `negligible` share of its diagonal entry is rounding: D and what is below it
+    in U are zero there. With `rounding` (..., n), what it may have changed diagonal entries by,
+    shares are of that, and of what elimination makes of it.
     """
     left = _twofold(matrix).copy()
     size = left.shape[-1]
@@ -221,7 +201,6 @@ def _halves(a: Array) -> tuple[Array, Array]:
 
 
 def _product(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
-    """A product and its error, element by element."""
     product = a * b
     a_head, a_tail = _halves(a)
     b_head, b_tail = _halves(b)
@@ -235,7 +214,6 @@ def _add(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
 
 
 def _sum(high: Array, low: Array) -> tuple[Array, Array]:
-    """Sums over the last axis but one, by halves."""
     while (count := high.shape[-2]) > 1:
         half = count // 2
         first, second = (..., slice(half), slice(None)), (..., slice(half, 2 * half), slice(None))

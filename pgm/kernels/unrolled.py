@@ -1,8 +1,7 @@
 """A small Gaussian predicted and updated number by number, in straight lines of Python.
 
-Of a pose, and of a range with a bearing, calls of NumPy and LAPACK take several times as long as
-the arithmetic, and so do loops in Python. So the lines are written by this module, once for each
-size. Covariances are exactly symmetric.
+Calls of NumPy and LAPACK, and loops in Python, would take several times as long as the arithmetic:
+this module writes the lines, once for each size. Covariances are exactly symmetric.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ Check = Callable[[Array, Array, Array], bool]
 
 @lru_cache(maxsize=64)
 def updating(size: int, height: int, least: float) -> Update | None:
-    """The update of n components by d measurements; None where that is too large.
+    """The update of n components by d measurements; None if too large.
 
     The update is None where S has a pivot below `least` of its diagonal entry.
     """
@@ -149,7 +148,6 @@ def _check(size: int) -> list[str]:
 
 
 def _white(name: str, rows: range, column: str = "") -> list[str]:
-    """Lines for w = L⁻¹ of a column."""
     return [
         f"w{i} = ({name}{i}{column}{_less(f'l{i}{k} * w{k}' for k in range(i))}) / l{i}{i}"
         for i in rows

@@ -25,20 +25,8 @@ STACKED = (
 class Call:
     """A function of a CPD, and the rows it is called for.
 
-    Parameters
-    ----------
-    child : Variable
-        The CPD's.
-    what : str
-        The function's role: ``function``, ``noise``, ...
-    lead : tuple of int
-        The leading axes of belief that arguments have, runs last.
-    step : int, ndarray of int or None
-        The step, which broadcasts to these axes; None where there is no time.
-    first_run : int or None
-        The number of the first run in messages; None in a trial call, which is of no run.
-    cpd : CPD, optional
-        For programs that handle the error.
+    `what` is its role, ``function`` or ``noise``; `lead` the leading axes of arguments, runs last,
+    to which the step broadcasts. Of a trial call, which is of no run, `first_run` is None.
     """
 
     child: Variable
@@ -55,13 +43,7 @@ class Call:
         due: tuple[int, ...],
         advice: str = STACKED,
     ) -> Array:
-        """The function's value as an array of the shape that is due; else an error with advice.
-
-        Raises
-        ------
-        ModelError
-            If the function raises, its own error being the cause, or returns anything else.
-        """
+        """The function's value as an array of the shape that is due; else an error with advice."""
         try:
             value = function(*arguments)
         except Exception as error:
@@ -98,7 +80,6 @@ class Call:
     def _first(
         self, function: Callable[..., Any], arguments: Sequence[Array]
     ) -> tuple[int, ...] | None:
-        """The index of a row to blame; None where none is, or in a trial call."""
         if self.first_run is None:
             return None
         return _first_failure(function, arguments, self.lead)
@@ -147,7 +128,6 @@ def _first_failure(
 
 
 def _fails(function: Callable[..., Any], arguments: Sequence[Array]) -> bool:
-    """Whether a function raises, or returns no numbers."""
     try:
         as_floats(function(*arguments), "it")
     except Exception:

@@ -135,16 +135,9 @@ class FunctionTemplate:
 
 
 class Source(NamedTuple):
-    """Whose function it is, for messages.
+    """Whose function it is, for messages and for programs that handle an error.
 
-    Attributes
-    ----------
-    cpd : CPD
-        For programs that handle an error.
-    timed : bool
-        Whether the step is one in time.
-    first_run : int or None
-        The number of the first run; None in a trial call.
+    `timed` says whether the step is one in time; `first_run` is None in a trial call.
     """
 
     cpd: Any = None
@@ -378,18 +371,13 @@ def sealed(array: Array) -> Array:
 
 
 def _along_runs(array: Array, own: int) -> Array:
-    """An array (runs, own axes) of many runs with the runs fastest in memory.
-
-    Functions that stack components along the last axis interleave them, which costs more wherever
-    the array is used next.
-    """
+    """An array (runs, own axes) with the runs fastest in memory, for quicker use after it."""
     if array.ndim == own + 1:
         return components_last(np.ascontiguousarray(components_first(array, own)), own)
     return array
 
 
 def _expanded(value: Array, lead: int, extra: tuple[int, ...]) -> Array:
-    """Values (*lead, ..., d), for each point of further axes."""
     shape = value.shape
     wide = value.reshape(*shape[:lead], *(1 for _ in extra), *shape[lead:])
     if len(extra) == 1 and value.size * extra[0] <= _FEW:

@@ -1,9 +1,8 @@
 """Linearisers, and their prepared form, which is ready for many calls.
 
-An engine prepares a lineariser for each function once, and calls the prepared form at one belief
-after another. Its arrays have components first and the batch last: no axis for one run, or an axis
-of runs, or one of steps before that. A plain callable of a user is wrapped; a lineariser that has a
-method ``prepare`` brings its own form.
+An engine prepares a lineariser for each function once. Prepared arrays have components first and
+the batch last: no axis for one run, or an axis of runs, or one of steps before that. A plain
+callable of a user is wrapped.
 """
 
 from __future__ import annotations
@@ -252,7 +251,6 @@ class Wrapped:
 
 
 def _over(batch: tuple[int, ...], array: Array, own: int) -> Array:
-    """An array (*batch or nothing, own axes) as (own axes, *batch)."""
     if array.ndim != own + len(batch) or array.shape[:-own] != batch:
         array = np.broadcast_to(array, (*batch, *array.shape[-own:]))
     return components_first(array, own)
@@ -265,7 +263,6 @@ class _Checked:
         self.prepared = prepared
 
     def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
-        """Linearise at beliefs (n, *batch) and (n, n, *batch)."""
         found = self.prepared(function, sealed(mean), sealed(cov))
         if not isinstance(found, Line):
             raise Misfit(

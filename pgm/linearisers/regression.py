@@ -125,8 +125,6 @@ class StatisticalRegression(ArrayLineariser):
 
 
 class _Regression:
-    """A rule, ready for the functions of a template."""
-
     def __init__(self, rule: StatisticalRegression, template: FunctionTemplate) -> None:
         self.rule, self.size, self.name = rule, template.size, template.child.name
         self.fresh, self.prior_moments = rule.fresh_per_run, rule.prior_moments
@@ -153,7 +151,6 @@ class _Regression:
         return line._replace(error=_within(line.error, function.group))
 
     def _generally(self, function: BoundFunction, mean: Array, cov: Array, points: Points) -> Line:
-        """The regression on any points, at any covariance."""
         rule, s = self.rule, points.points
         at, spread = components_last(mean, 1), components_last(cov, 2)
         lower = roots.root(spread)
@@ -194,7 +191,6 @@ class _Regression:
 def _fitted_one(
     function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array
 ) -> Line:
-    """The regression on few points, prepared once, at one belief of a regular covariance."""
     turning = function.turning
     extra = int(bool(turning) and not points.centred)
     x = (points.with_centre if extra else points.points).dot(lower.T)
@@ -218,7 +214,6 @@ def _fitted_one(
 
 
 def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array) -> Line:
-    """The regression on few points, which many beliefs of regular covariances share."""
     batch = mean.shape[1:]
     if len(batch) > 1:
         mean, lower = mean.reshape(len(mean), -1), lower.reshape(*lower.shape[:2], -1)
@@ -250,7 +245,6 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
 
 
 def _values(function: BoundFunction, x: Array, batch: tuple[int, ...]) -> Array:
-    """The values (d, N, batch as one axis) at points (n, N, batch as one axis)."""
     if len(batch) < 2:
         return function(x.T).T
     points = x.reshape(*x.shape[:2], *batch)
@@ -296,21 +290,9 @@ def _clear_rounding(
 ) -> None:
     """Make the error of a line zero in components in which it may be rounding of the values.
 
-    Of values that lie on their line the slope and one of them tell the size. A value has summands
-    of |F| |μ| besides, of which it may be the difference. Rounding that is far below a component's
-    own noise may stay.
-
-    Parameters
-    ----------
-    function : BoundFunction
-    noise, slope, reference : ndarray
-        The error (d, d, *batch), the slope J (d, n, *batch) and a value (d, *batch).
-    raw : ndarray
-        (d, N, *batch): values less that one.
-    matrix, mean : ndarray
-        F (d, n, *batch), and μ (n, *batch).
-    share : float
-        As `Points.rounding`.
+    Of values that lie on their line the slope J and one of them, the reference, tell the size;
+    `raw` (d, N, *batch) are the others less that one. A value has summands of |F| |μ| besides, of
+    which it may be the difference. Rounding that is far below a component's own noise may stay.
     """
     own = function.template.variances * (function.group or 1)
     if noise.ndim == 2:

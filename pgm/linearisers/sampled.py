@@ -1,8 +1,7 @@
 """Rules that draw their points: Monte Carlo and quasi-Monte Carlo, keyed by seed, CPD and step.
 
-Philox is a generator that counts, so that each key has its own stretch of one stream wherever a
-call starts: one call for many steps gives what many calls give. Numbers are drawn for all runs or,
-if asked, for each.
+Philox counts, so that each key has its own stretch of one stream wherever a call starts: one call
+for many steps gives what many calls give.
 """
 
 from __future__ import annotations
@@ -29,19 +28,7 @@ _BITS = 53
 
 
 def uniform(seed: int, name: str, step: int | Integers, size: int, fresh: bool) -> Array:
-    """Numbers in [0, 1), (*axes of step, size).
-
-    Parameters
-    ----------
-    seed : int
-    name : str
-        Of the CPD's child.
-    step : int or ndarray of int
-    size : int
-        How many to a step.
-    fresh : bool
-        Whether entries of equal step get numbers of their own, or the same.
-    """
+    """Numbers in [0, 1), (*axes of step, size); equal steps share theirs unless `fresh`."""
     key = [int(seed), zlib.crc32(name.encode())]
     stretch = -(-size // 4)  # Philox makes four numbers a count
 
@@ -77,18 +64,9 @@ def scrambled_net(uniforms: Array, samples: int, dimension: int) -> Array:
     """Scrambled Sobol points in [0, 1)ⁿ, (..., N, n).
 
     Each coordinate's binary digits are multiplied by a random lower triangular matrix with ones on
-    its diagonal, then shifted by random digits. Every point is uniform, and the points together
-    keep the balance of the net.
-
-    Parameters
-    ----------
-    uniforms : ndarray
-        (..., `scrambling_size`), numbers in [0, 1).
-    samples, dimension : int
-
-    References
-    ----------
-    Matoušek, On the L2-discrepancy for anchored boxes, 1998.
+    its diagonal, then shifted by random digits, of `scrambling_size` uniforms. Every point is
+    uniform, and the points together keep the balance of the net (Matoušek, On the L2-discrepancy
+    for anchored boxes, 1998).
     """
     net = _sobol(samples, dimension)
     words = (uniforms * 2.0**_BITS).astype(np.uint64)
@@ -107,7 +85,6 @@ def scrambling_size(samples: int, dimension: int) -> int:
 
 
 def _digits(samples: int) -> int:
-    """The number of binary digits of a net's coordinates before scrambling."""
     return (int(samples) - 1).bit_length()
 
 
@@ -123,19 +100,7 @@ def _sobol(samples: int, dimension: int) -> Words:
 class SampledRule(StatisticalRegression):
     """Random points for N(0, I), all of one weight, keyed by seed, CPD and step.
 
-    A subclass gives `_sample`.
-
-    Parameters
-    ----------
-    samples : int
-        N, at least 2n + 2.
-    seed : int
-        A whole number, not negative.
-
-    Raises
-    ------
-    LinearisationError
-        If one of them is no such number.
+    At least 2n + 2 of them; a subclass gives `_sample`.
     """
 
     samples: int
@@ -242,7 +207,6 @@ class MonteCarlo(SampledRule):
             )
 
     def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
-        """Standard normal points, in antithetic pairs where asked for."""
         count = self.samples // 2 if self.antithetic else self.samples
         drawn = uniform(self.seed, name, step, count * dimension, self.fresh_per_run)
         half = normal(drawn).reshape(*drawn.shape[:-1], count, dimension)
@@ -292,7 +256,6 @@ class QuasiMonteCarlo(SampledRule):
         self._check_switches("fresh_per_run")
 
     def _sample(self, dimension: int, name: str, step: int | Integers) -> Array:
-        """Standard normal points, (*axes of step, N, n)."""
         size = scrambling_size(self.samples, dimension)
         drawn = uniform(self.seed, name, step, size, self.fresh_per_run)
         return normal(scrambled_net(drawn, self.samples, dimension))

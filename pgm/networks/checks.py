@@ -124,7 +124,6 @@ def of_one_kind(cpds: Sequence[CPD]) -> bool:
 
 
 def _carried(cpd: CPD) -> str:
-    """The CPD of a state that is what another was at the step before."""
     if cpd.discrete:
         return "TableCPD(older, given=x.previous, table=np.eye(x.size))"
     return "LinearGaussianCPD(older, given={x.previous: 1.0}, cov=0)"

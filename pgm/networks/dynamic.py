@@ -294,7 +294,6 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         return graph
 
     def _require_steps(self, steps: int) -> None:
-        """Refuse what is no last step, and more copies of the CPDs than memory holds."""
         if not is_whole(steps) or steps < 0:
             raise ModelError(
                 f"a dynamic network is unrolled to slices 0..T; give T, 0 or more, not {steps!r}"

@@ -66,7 +66,6 @@ def draw(
 
 
 def _as_shape(name: str, asked: Any, lead: tuple[int, ...]) -> tuple[int, ...]:
-    """The axes of draws that are asked for, with the model's axes of runs."""
     shape = asked if isinstance(asked, tuple) else (asked,)
     for length in shape:
         if not is_whole(length) or length < 1:
@@ -211,18 +210,15 @@ def _draw_reading(
 
 
 def _unfilled(variable: Variable, lead: tuple[int, ...]) -> Values:
-    """Room for values (*lead, d), or for indices of states (*lead)."""
     if isinstance(variable, Discrete):
         return np.zeros(lead, dtype=np.intp)
     return np.full((*lead, variable.dimension), np.nan)
 
 
 def _states(variable: Variable, rows: Values) -> Values:
-    """Rows of evidence as values: (..., d), or indices of states (...)."""
     return rows[..., 0] if isinstance(variable, Discrete) else rows
 
 
 def _unflat(variable: Variable, rows: Values, lead: tuple[int, ...]) -> Values:
-    """(rows, runs, d) as (*lead, rows, d); of states (rows, runs) as (*lead, rows)."""
     own = () if isinstance(variable, Discrete) else (rows.shape[-1],)
     return rows.swapaxes(0, 1).reshape(*lead, rows.shape[0], *own)

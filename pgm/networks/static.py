@@ -112,12 +112,10 @@ class BayesianNetwork(Drawn, Immutable):
     # Graphs of the network are made and used by place: numbers are compared sooner than variables.
     @cached_property
     def _places(self) -> dict[Variable, int]:
-        """The place of each variable in `variables`, which is that of its CPD in `cpds`."""
         return {variable: k for k, variable in enumerate(self.variables)}
 
     @cached_property
     def _families(self) -> Sequence[tuple[int, ...]]:
-        """The family of each CPD, child first, by place."""
         place = self._places.__getitem__
         return [tuple(map(place, (cpd.child, *cpd.parents))) for cpd in self.cpds]
 

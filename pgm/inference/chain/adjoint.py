@@ -5,16 +5,9 @@ and N = 0 behind the last step,
 
     r ← (1 − G h)ᵀ r + hᵀv/S,    N ← (1 − G h)ᵀ N (1 − G h) + hᵀh/S,
 
-and r ← Aᵀ r, N ← Aᵀ N A through a transition with the matrix A. A belief m, P that knows the
-measurements up to a step becomes m + P r, P − P N P with those after it. Where that difference
-would leave too few digits (an unstable motion, a wide prior), it is found from the next belief by
-Bayes' rule instead, as in the smoother of Rauch, Tung and Striebel.
-
-References
-----------
-Bryson & Frazier, Smoothing for linear and nonlinear dynamic systems, 1963.
-de Jong, Smoothing and interpolation with the state-space model, 1989.
-Durbin & Koopman, Time series analysis by state space methods, 2012, sections 4.4 to 4.7.
+and r ← Aᵀ r, N ← Aᵀ N A through a transition A. A belief m, P becomes m + P r, P − P N P; where
+that would leave too few digits (an unstable motion, a wide prior), it is found from the next belief
+by Bayes' rule instead (Bryson & Frazier, 1963; de Jong, 1989; Durbin & Koopman, 2012, 4.4 to 4.7).
 """
 
 from __future__ import annotations
@@ -51,16 +44,11 @@ _CLOSE = 1e-12
 
 
 class Later(NamedTuple):
-    """The message of later measurements to a slice.
+    """The message of later measurements to a slice: r as a function of δ, (runs, n, 1 + q), and N.
 
-    Attributes
-    ----------
-    vector, matrix : Twofold
-        r as a function of δ, (runs, n, 1 + q), and N, (runs, n, n).
-    rounding, drift : ndarray
-        (runs, n, n): bounds of what rounding has changed N and r by so far, as those of a `Belief`.
-    blurred : ndarray
-        (runs,): the largest part of an innovation's variance that rounding may have changed.
+    `rounding` and `drift` (runs, n, n) bound the changes of N and r by rounding, as those of a
+    `Belief`; `blurred` (runs,) is the largest part of an innovation's variance that it may have
+    changed.
     """
 
     vector: Twofold
@@ -104,15 +92,9 @@ class Back(NamedTuple):
 class Smooth(NamedTuple):
     """A slice given the measurements up to a last step.
 
-    Attributes
-    ----------
-    belief : Belief
-    here : Later
-        The message of all that is read from its step on.
-    back : Back or None
-        Where in some run the belief was found from that of the slice after it.
-    parts : ndarray
-        (runs, n): the parts of variances that rounding may have changed.
+    `here` is the message of all that is read from its step on; `back` is where in some run the
+    belief was found from that of the slice after it; `parts` (runs, n) are those of variances that
+    rounding may have changed.
     """
 
     belief: Belief
@@ -125,15 +107,8 @@ class Smooth(NamedTuple):
 class CarefulSmoothed:
     """Both passes in twice the digits.
 
-    Attributes
-    ----------
-    careful : Careful
-        The forward pass.
-    slices : list of Smooth
-        Of each step, given all measurements, or those up to a lag after it.
-    beliefs : Beliefs
-        Their moments, rounded.
-    layout : SliceLayout
+    `slices` are given all measurements, or those up to a lag after each; `beliefs` their moments,
+    rounded.
     """
 
     careful: Careful
@@ -224,15 +199,10 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
 
 @quiet()
 def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Array, Array]:
-    """Moments of the slices of some steps, ascending, given the measurements up to the last slice.
+    """Moments (runs, k n) of slices at k ascending steps, given the measurements up to the last.
 
     With Φ the product of A (1 − G h) from one step to another, the errors of two predictions have
     the covariance P Φᵀ, of which the measurements from the second step on leave P Φᵀ (1 − N P).
-
-    Returns
-    -------
-    mean, cov : ndarray
-        (runs, k n) and (runs, k n, k n).
     """
     known = careful.steps[len(slices) - 1].taken.unknown
     runs, size = careful.forward.mean.shape[1:]
@@ -253,7 +223,6 @@ def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Arr
 
 
 def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> Twofold:
-    """The covariance given δ of a slice with a later one."""
     across = careful.steps[first].taken.belief.cov
     for step in range(first + 1, second + 1):
         move, predicted, taken = careful.steps[step]
@@ -273,7 +242,6 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
 
 
 def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
-    """A belief with what is read after it, and the parts of variances that may be rounding."""
     columns, cov, own, drift, largest = known
     left = _symmetric(cov - cov @ later.matrix @ cov)
     before = variances(cov.hi)
@@ -328,7 +296,6 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
 
 
 def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
-    """A belief in the runs of a mask, (runs, 1, 1), another one in all others."""
     return b._replace(
         columns=twofold.where(mask, a.columns, b.columns),
         cov=twofold.where(mask, a.cov, b.cov),

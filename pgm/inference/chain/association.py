@@ -1,10 +1,9 @@
 r"""Associating sightings, for Gaussian beliefs: each with its likeliest candidate.
 
-At the predicted belief of a step, N(μ, P), a candidate m_k of a sighting z has the innovation
-ν_k = z − ẑ_k with covariance S_k = H_k P H_kᵀ + R_k; it is in question where ν_kᵀ S_k⁻¹ ν_k is
-below the gate, and the likeliest by ln w_k + ln N(ν_k; 0, S_k), each sighting by itself; or all of
-a step are decided together (`joint_compatibility.py`). Sensors whose sightings are known are taken
-in first. What comes out is ordinary evidence.
+At the predicted belief of a step, N(μ, P), a candidate m_k of a sighting z has the innovation ν_k =
+z − ẑ_k with covariance S_k = H_k P H_kᵀ + R_k; it is in question where ν_kᵀ S_k⁻¹ ν_k is below the
+gate, and the likeliest by ln w_k + ln N(ν_k; 0, S_k), each sighting by itself or all together
+(`joint_compatibility.py`). Sensors whose sightings are known are taken in first.
 """
 
 from __future__ import annotations
@@ -37,14 +36,7 @@ from pgm.variables import Variable
 
 
 class Associated(NamedTuple):
-    """Evidence whose sightings are all known, and what the open ones were taken for.
-
-    Attributes
-    ----------
-    bound : BoundEvidence
-    found : dict of Variable to Associations
-        By sensor.
-    """
+    """Evidence whose sightings are all known, and by sensor what the open ones were taken for."""
 
     bound: BoundEvidence
     found: dict[Variable, Associations]
@@ -97,7 +89,6 @@ def associated_at(
 
 
 def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
-    """The evidence, its open sightings as they were associated."""
     closed = {each.reading.cpd.child: each.closed for each in pending}
     readings = tuple(closed.get(r.cpd.child, r) for r in bound.readings)
     found = dict(
@@ -127,7 +118,6 @@ class _Pending:
         self.taken = list[Array]()
 
     def rows(self, step: int) -> range:
-        """The sightings of a step."""
         first, last = np.searchsorted(self.reading.step, [step, step + 1]).tolist()
         return range(first, last)
 
@@ -140,7 +130,6 @@ class _Pending:
         rows: range,
         belief: Moments,
     ) -> Moments:
-        """Decide about some sightings at a belief, and take them in."""
         runs, unknown = bound.runs, self.unknown
         pairs = _innovations(
             graph, bound, lineariser, step, self._expanded(rows, runs), belief, len(rows)
@@ -168,7 +157,6 @@ class _Pending:
         return _taken(graph, bound, lineariser, step, (self.part(rows),), belief, self.gate)
 
     def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int) -> Array:
-        """The logarithms of decisions about all sightings of a step, zero for what is taken."""
         assert self.unknown.gate is not None
         compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
         parts = pairs.matrix, pairs.residual, pairs.noise, pairs.size[..., 0], compatible
@@ -233,7 +221,6 @@ class _Pending:
 
     @property
     def closed(self) -> Reading:
-        """All sightings, as they were associated."""
         whole = self.part(range(len(self.reading.step))) if self.values else self.reading
         inputs = whole.inputs
         if not self.values:
@@ -251,7 +238,6 @@ def _taken(
     belief: Moments,
     gate: Asked | None,
 ) -> Moments:
-    """The belief given some measurements of its step, which they count from zero."""
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
     chain = MomentChain(plan, Filtering(gate=gate), keep=False)
@@ -259,16 +245,9 @@ def _taken(
 
 
 class _Pairs(NamedTuple):
-    """Each sighting with each candidate, (rows, runs, candidates, ...).
+    """Each sighting with each candidate, (rows, runs, candidates, ...): H, ν and R.
 
-    Attributes
-    ----------
-    density, square : ndarray
-        The log-density of the innovation, and its squared length.
-    size : ndarray of int
-        Components that were measured.
-    matrix, residual, noise : ndarray
-        H (..., d, n), ν (..., d) and R (..., d, d).
+    `density` and `square` are of the innovation; `size` counts the components measured.
     """
 
     density: Array
@@ -288,7 +267,6 @@ def _innovations(
     belief: Moments,
     rows: int,
 ) -> _Pairs:
-    """The innovations of each sighting with each candidate."""
     every = reading.values.shape[1]
     one = BoundEvidence(0, (every,), (), (reading,))
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)

@@ -1,7 +1,7 @@
 """The backward sweep: Bayes' rule reverses every transition, then beliefs flow back.
 
-Marginals and joints come from the reversed chain, which exists where messages in information form
-(`messages.py`) do not: of a static state read exactly.
+The reversed chain exists where messages in information form (`messages.py`) do not: of a static
+state read exactly.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def about(conditional: Conditional, reference: Array) -> Conditional:
 
 
 class Ahead(Protocol):
-    """The parts of a forward pass that the backward one needs: see `Forward`."""
+    """The parts of a forward pass that the backward one needs."""
 
     @property
     def predicted_mean(self) -> Array:
@@ -105,12 +105,8 @@ class Ahead(Protocol):
 class Reverse:
     """The chain from its end: the model of the past given the future, for the same evidence.
 
-    Attributes
-    ----------
-    states : Conditional
-        The states of step t given the slice of step t + 1 and the measurements up to t, at row t.
-    slices : Conditional or None
-        The slice given its states, at each step; None where there are no controls.
+    At row t `states` gives the states of step t from the slice of step t + 1 and the measurements
+    up to t; `slices` a slice from its states, None where there are no controls.
     """
 
     states: Conditional
@@ -160,8 +156,6 @@ class Reverse:
 
 
 class _Step(NamedTuple):
-    """The arguments of `moments.reverse`, for many steps."""
-
     mean: Array
     cov: Array
     matrix: Array
@@ -175,7 +169,6 @@ def _reverse(step: _Step) -> Conditional:
 
 
 def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
-    """The slice given its states and the measurements up to it; the states are given exactly."""
     layout = plan.layout
     states, controls = layout.state_places, layout.control_places
     known = block(forward.cov, states, states)

@@ -25,12 +25,8 @@ class BalancedPosterior(ChainPosterior):
     """The beliefs of a balanced cluster tree after a schedule of messages.
 
     All is as on a chain of slices but the messages and the beliefs of clusters. After smoothing
-    they are those of calibration. After filtering the messages down are those of a prefix scan:
-    they know the measurements up to a segment alone, and nothing is sent back to cluster 0.
-
-    Attributes
-    ----------
-    graph : BalancedGraph
+    they are those of calibration; after filtering messages down know the measurements up to a
+    segment alone, and cluster 0 is sent none.
     """
 
     graph: BalancedGraph
@@ -107,7 +103,6 @@ class BalancedPosterior(ChainPosterior):
         return CanonicalForm._make(form.scope, K, h, form.g)
 
     def _future(self, step: int) -> Canonical:
-        """The likelihood of the measurements after a step, those that were heard of."""
         if self.kind == SMOOTHED:
             K, h, g = self._backward_messages
             return K[step], h[step], g[step]
@@ -116,7 +111,6 @@ class BalancedPosterior(ChainPosterior):
         return np.zeros((runs, size, size)), np.zeros((runs, size)), np.zeros(runs)
 
     def _segment(self, first: int, last: int) -> Canonical:
-        """The element of a segment, about the filtered means at its ends, moved to the origin."""
         whole = _composed(self._leaves(first, last))
         precision, h, g = (part[0] for part in canonical.from_affine(*whole[:3]))
         # The right end comes first in the form of a conditional.
@@ -131,7 +125,6 @@ class BalancedPosterior(ChainPosterior):
         return canonical.shift(precision, h, g + whole.g[0], np.concatenate(ends, axis=-1))
 
     def _leaves(self, first: int, last: int) -> Element:
-        """The elements of the steps after the first up to the last, steps first."""
         conditionals = transition(self._plan)
         size, runs = self.graph.layout.state_size, self._plan.runs
         nothing = np.zeros((runs, size, size)), np.zeros((runs, size)), np.zeros(runs)
@@ -143,7 +136,6 @@ class BalancedPosterior(ChainPosterior):
 
 
 def _composed(segments: Element) -> Element:
-    """All segments, (S, ...), as one: in as many rounds as the tree has levels."""
     while (count := segments.F.shape[0]) > 1:
         even = count - count % 2
         pairs = compose(take(segments, slice(0, even, 2)), take(segments, slice(1, even, 2)))
@@ -154,7 +146,6 @@ def _composed(segments: Element) -> Element:
 
 
 def _side_by_side(left: Canonical, right: Canonical) -> Canonical:
-    """The product of two forms over different variables."""
     size = left[1].shape[-1]
     precision = np.zeros((*left[1].shape[:-1], 2 * size, 2 * size))
     precision[..., :size, :size], precision[..., size:, size:] = left[0], right[0]

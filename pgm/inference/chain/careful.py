@@ -1,19 +1,14 @@
 """The forward pass in twice the digits, for models whose deviations lie too far apart for float64.
 
-Measurements are taken in one component after another, their noise decorrelated first, so that each
-component is either read, with S = h P hᵀ + noise above rounding, or determined already:
+Measurements are decorrelated and taken in by component, each read with S = h P hᵀ + noise above
+rounding, or determined already:
 
     G = P hᵀ/S,   v = z − h m,   m ← m + G v,   P ← (1 − G h) P (1 − G h)ᵀ + G noise Gᵀ.
 
-A flat prior is an unknown δ of which all means are functions m + D δ. The columns [m D] go
-through the pass as one mean does, each component read leaves an innovation [v V], and δ has the
-information Σ VᵀV / S of what was read. A flat component is δ and a part of unit variance, whose
-sum is flat, so that covariances given δ are those of an ordinary model.
-
-References
-----------
-de Jong, The diffuse Kalman filter, 1991.
-Durbin & Koopman, Time series analysis by state space methods, 2012, sections 5.7 and 6.4.
+A flat prior is an unknown δ of which all means are functions m + D δ. The columns [m D] go through
+the pass as one mean does, each component read leaves an innovation [v V], and δ has the information
+Σ VᵀV / S. A flat component is δ and a part of unit variance, so that covariances given δ are those
+of an ordinary model (de Jong, 1991; Durbin & Koopman, 2012, 5.7 and 6.4).
 """
 
 from __future__ import annotations
@@ -95,19 +90,10 @@ def sweep(
     begin: Begin | None = None,
     gated: gate.Asked | None = None,
 ) -> tuple[Careful, Status]:
-    """The forward pass.
+    """The forward pass: linearised at incoming beliefs as the schedule says, or as it was before.
 
-    Parameters
-    ----------
-    plan : ChainPlan
-    schedule : Filtering, optional
-        The linearisations at incoming beliefs; without, CPDs stay as they were linearised.
-    anchor : Anchor, optional
-        Measurements that hold the beliefs near a point.
-    begin : Begin, optional
-        Where a window begins; without, the prior.
-    gated : float or mapping, optional
-        The gates, where no schedule tells.
+    `begin` is where a window begins, in place of the prior; `gated` the gates where no schedule
+    tells.
     """
     out = Forward.empty(plan)
     steps: list[Step] = []
@@ -171,18 +157,10 @@ def update(
 
 @dataclass(frozen=True, eq=False)
 class CarefulUpdate:
-    """The belief that an update leaves, and the log-density of its measurements.
+    """The belief that an update leaves, mean (runs, n), and the log-density of its measurements.
 
-    Attributes
-    ----------
-    mean, cov, log_density : ndarray
-        (runs, n), (runs, n, n) and (runs,).
-    belief : Belief
-    components : list of Component
-        In the order in which they were taken in.
-    information : Twofold
-        (runs, 1 + q, 1 + q): Σ [v V]ᵀ[v V] / S of all components so far.
-    unknown : Solved
+    `components` are in the order in which they were taken in; `information` (runs, 1 + q, 1 + q) is
+    Σ [v V]ᵀ[v V] / S of all so far.
     """
 
     mean: Array

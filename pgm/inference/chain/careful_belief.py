@@ -1,8 +1,4 @@
-"""Beliefs in twice the digits, led through transitions and given components of measurements.
-
-They are functions m + D δ of an unknown δ, which is estimated from what was read, and they bound
-what rounding has made of them.
-"""
+"""Beliefs in twice the digits, functions m + D δ of an unknown δ, with bounds of their rounding."""
 
 from __future__ import annotations
 
@@ -45,21 +41,11 @@ CLEAR = 100.0
 
 
 class Belief(NamedTuple):
-    """Moments as functions of δ.
+    """Moments as functions of δ: columns [m D] (runs, n, 1 + q) and P (runs, n, n).
 
-    Attributes
-    ----------
-    columns : Twofold
-        (runs, n, 1 + q): [m D].
-    cov : Twofold
-        (runs, n, n): P.
-    rounding : ndarray
-        (runs, n, n): a bound, as a covariance, of what rounding has changed P by so far. It goes
-        through transitions and measurements as an error does.
-    drift : ndarray
-        (runs, n, n): the covariance, in that sense, of what rounding has changed m by.
-    largest : ndarray
-        (runs, n): the largest variances before measurements, so far.
+    `rounding` bounds, as a covariance, what rounding has changed P by: it goes through transitions
+    and measurements as an error does. `drift` is the covariance, in that sense, of what it has
+    changed m by; `largest` (runs, n) are the largest variances before measurements, so far.
     """
 
     columns: Twofold
@@ -167,7 +153,6 @@ def through(matrix: Array, bound: Array) -> Array:
 
 
 def _summed(matrix: Array, cov: Array) -> Array:
-    """The variances of F P Fᵀ with all summands positive."""
     size = np.abs(matrix)
     found: Array = ((size @ np.abs(cov)) * size).sum(axis=-1)
     return found
@@ -205,18 +190,10 @@ def predicted(belief: Belief, move: Move) -> Belief:
 
 
 class Solved(NamedTuple):
-    """An estimate of δ.
+    """An estimate of δ: [1 δ] (runs, 1 + q, 1), zero where nothing is known, and its covariance.
 
-    Attributes
-    ----------
-    weights : Twofold
-        (runs, 1 + q, 1): [1 δ] for its mean δ; zero where nothing is known of a component.
-    cov : Twofold
-        (runs, q, q): of what is known of it.
-    open : ndarray
-        (runs, q, q): directions in which nothing is known, as columns, or zeros.
-    log_weight : ndarray
-        (runs,): what integrating δ out adds to the log-density of the measurements.
+    `open` (runs, q, q) has directions in which nothing is known as columns, or zeros; `log_weight`
+    is what integrating δ out adds to the measurements' log-density.
     """
 
     weights: Twofold
@@ -271,22 +248,10 @@ def moments(belief: Belief, unknown: Solved) -> tuple[Array, Array]:
 
 
 class Component(NamedTuple):
-    """A component of a measurement, taken in.
+    """A component of a measurement, taken in: h, 1 − G h, the innovation [v V], and 1 / S.
 
-    Attributes
-    ----------
-    row : Twofold
-        (runs, n): h.
-    keep : Twofold
-        (runs, n, n): 1 − G h; the gain is zero where nothing was learnt.
-    innovation : Twofold
-        (runs, 1 + q): v and V.
-    weight : Twofold
-        (runs,): 1 / S, zero where nothing was learnt.
-    error : ndarray
-        (runs,): the part of S that rounding may have changed.
-    blur, drift : ndarray
-        (runs, n): the change of G that rounding may have made, and of the mean through it.
+    The gain and 1 / S are zero where nothing was learnt. Rounding may have changed S by `error`, G
+    by `blur`, and the mean through it by `drift`.
     """
 
     row: Twofold
@@ -356,16 +321,10 @@ def take(
 
 
 def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twofold, Twofold, Mask]:
-    """The components of measurements, each with an error of its own.
+    """The components of measurements, each with an error of its own: rows, noises and a mask.
 
-    Returns
-    -------
-    rows : Twofold
-        (runs, D, n + 1): h, and the measurement less the CPD's offset.
-    noises : Twofold
-        (runs, D): variances.
-    taken : ndarray of bool
-        (runs, D).
+    Rows (runs, D, n + 1) are h and the measurement less the CPD's offset; `noises` (runs, D) are
+    variances.
     """
     height = sum(len(seen.value) for seen in parts)
     rows = Twofold.zeros((runs, height, width + 1))
@@ -390,5 +349,4 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
 
 
 def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """An array (own axes, *batch) with an axis of runs first."""
     return array[None] if array.ndim == own else components_last(array, own)

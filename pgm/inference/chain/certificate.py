@@ -82,9 +82,9 @@ def composes(predicted: Array, known: Array, limit: float = _GENTLE) -> bool:
 
 
 def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
-    """Whether means come from numbers so large that their last digits count where they are small.
+    """Whether means come from so large numbers that their last digits count where they are small.
 
-    An error is at most as many deviations at other steps: later ones, or with `both` earlier too.
+    An error is at most as many deviations at later steps, or with `both` at earlier ones.
     """
     mean, left = swept.mean, variances(swept.cov)
     axes = tuple(range(mean.ndim - 1))
@@ -102,7 +102,6 @@ def _means_sink(swept: Forward | Filtered, *, both: bool) -> bool:
 
 
 def _is_regular(cov: Array, limit: float) -> bool:
-    """Whether beliefs (T+1, runs, n, n) are regular."""
     size = cov.shape[-1]
     last = np.moveaxis(cov, (-2, -1), (0, 1)).reshape(size, size, -1)
     if np.shares_memory(last, cov):
@@ -118,7 +117,6 @@ def _hold(before: Array, after: Array, limit: float) -> bool:
 
 
 def _told_apart(plan: ChainPlan, swept: Forward) -> bool:
-    """Whether measurements without noise are told apart by more than rounding."""
     exact = [s for s in plan.sensors if s.exact and s.family.step.size]
     for steps, matrix, _, noise, _ in stacks(plan, exact, swept.predicted_mean) if exact else []:
         cov = swept.predicted_cov[steps]

@@ -1,8 +1,8 @@
 """The cost of a trajectory: what every CPD leaves unexplained, in its own deviations.
 
 Linear CPDs with singular noise are obeyed exactly by all trajectories of finite cost, onto which
-others are projected. Their relations are C x = c at a step, or C x + B x⁻ = c with the slice
-before: a row for each component of the CPD's child; those that the noise leaves open are zero.
+others are projected. Their relations are C x + B x⁻ = c, a row for each component of the child;
+those that the noise leaves open are zero.
 """
 
 from __future__ import annotations
@@ -78,7 +78,6 @@ def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Arr
 
 
 def _robust(sensor: Sensor, mean: Array, cov: Array) -> Array:
-    """The cost of robust measurements, 2 ρ each, at beliefs over their slices: (runs,)."""
     family, parents, everything = sensor.family, sensor.parents, slice(None)
     if not mean.shape[0]:
         return np.zeros(mean.shape[1])
@@ -106,7 +105,6 @@ def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
 
 
 def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
-    """The same with the covariances between the sightings of a step."""
     runs, height = left.shape[1:]
     first, last, _ = rows.indices(len(sensor.values))
     total = np.zeros(runs)
@@ -127,10 +125,7 @@ def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
 
 
 def weighted(family: Family, residual: Array, cov: Array) -> Array:
-    """Σ rᵀ Σ⁺ r over the first axis; determined components, which solutions obey, do not count.
-
-    Nor do those of infinite variance, which a flat prior has.
-    """
+    """Σ rᵀ Σ⁺ r over the first axis; determined components and infinite variances do not count."""
     total = _squares(residual, cov)
     if total is None:
         raise NumericalError(
@@ -143,7 +138,6 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
 
 
 def _squares(residual: Array, cov: Array) -> Array | None:
-    """`weighted`; None where a covariance is indefinite."""
     flat = np.isinf(np.einsum("...ii->...i", cov))
     if flat.any():
         residual = np.where(flat, 0.0, residual)
@@ -159,10 +153,7 @@ def _squares(residual: Array, cov: Array) -> Array | None:
 def require_cost(
     schedule: Filtering | Smoothing, families: Iterable[Family], *, first: bool = True
 ) -> None:
-    """Refuse nonlinear CPDs with singular noise where steps are controlled by their cost.
-
-    Only their solutions have a finite one. `first` says whether the first step is left alone.
-    """
+    """Refuse nonlinear CPDs of singular noise, so of infinite cost, where this controls steps."""
     once = first and schedule.iterations == 1
     if once or not isinstance(schedule.damping, LevenbergMarquardt):
         return
@@ -191,17 +182,7 @@ def _expected(family: Family, rows: slice, mean: Array, cov: Array) -> Array:
 
 
 class Relation(NamedTuple):
-    """Relations of one CPD at some steps.
-
-    Attributes
-    ----------
-    step : ndarray of int
-        (k,).
-    own, before : ndarray
-        C, (k, runs, d, n) over the slice at each step, and B, over that before.
-    value : ndarray
-        c, (k, runs, d).
-    """
+    """Relations C x[t] + B x[t − 1] = c of a CPD at steps (k,), (k, runs, d, n)."""
 
     step: Integers
     own: Array
@@ -217,22 +198,11 @@ class Relation(NamedTuple):
 
 
 def projected(plan: ChainPlan, mean: Array, std: Array) -> tuple[Array, Mask]:
-    """The trajectories nearest to given ones that obey all exact relations.
+    """The trajectories nearest to means (T+1, runs, n) that obey all exact relations.
 
-    Parameters
-    ----------
-    plan : ChainPlan
-    mean : ndarray
-        (T+1, runs, n); those that obey stay as they are.
-    std : ndarray
-        (T+1, runs, n): distances are in each component's largest deviation, or, where that is
-        rounding, in the size of its numbers.
-
-    Returns
-    -------
-    mean : ndarray
-    obeyed : ndarray of bool
-        (runs,): false where rounding has left them astray.
+    Means that obey stay. Distances are in each component's largest deviation `std`, or, where that
+    is rounding, in the size of its numbers. The mask (runs,) is false where rounding has left them
+    astray.
     """
     relations = list(_relations(plan))
     obeyed = _obeyed(relations, mean)
@@ -320,7 +290,6 @@ def _left_open(family: Family, noise: Array) -> Array | None:
 
 
 def _row(link: Link, free: Array, width: int) -> tuple[Array, Array]:
-    """A link's relation over the vector its parents and child stand in."""
     family = link.family
     row = np.zeros((*family.shape[:3], width))
     row[..., link.child] = np.eye(family.shape[2])

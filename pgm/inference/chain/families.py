@@ -16,18 +16,10 @@ from pgm.kernels.arrays import Array, Index, Mask, block, quiet
 
 
 class FamilyBelief(NamedTuple):
-    """The belief of a CPD's hidden parents, and of its child where that is hidden.
+    """The belief (rows, runs, n) of a CPD's hidden parents, then of its child where that is hidden.
 
-    Attributes
-    ----------
-    family : Family
-        The CPD with its evidence, a row a step or a sighting.
-    mean, cov : ndarray
-        (rows, runs, n) and (rows, runs, n, n): of the hidden parents, then of the child.
-    values : ndarray or None
-        (rows, runs or 1, d): a sensor's measurements.
-    taken : ndarray of bool or None
-        (rows, runs or 1, d): which components were; None for all.
+    `values` (rows, runs or 1, d) are a sensor's measurements, `taken` which components were; None
+    for all.
     """
 
     family: Family
@@ -39,13 +31,7 @@ class FamilyBelief(NamedTuple):
 
 @quiet()
 def family_beliefs(posterior: ChainPosterior) -> dict[CPD, FamilyBelief]:
-    """The belief of each family that has rows, by CPD, given all measurements.
-
-    Parameters
-    ----------
-    posterior : ChainPosterior
-        After smoothing.
-    """
+    """The belief of each family that has rows, by CPD, given all measurements, after smoothing."""
     plan, beliefs = posterior._plan, posterior._beliefs
     layout, places = plan.layout, plan.layout.state_places
     found: dict[CPD, FamilyBelief] = {}
@@ -75,7 +61,6 @@ def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:
 
 
 def _pairs(posterior: ChainPosterior) -> Beliefs:
-    """The moments of (states of t − 1, slice of t) at steps 1..T."""
     beliefs, careful = posterior._beliefs, posterior._careful
     if careful is None:
         return backward.pairs(beliefs, posterior._reverse, slice(None))

@@ -1,11 +1,9 @@
 """Fixed-lag smoothing: each belief knows the measurements of some further steps.
 
 With one linearisation the filter's forward pass is reversed, and beliefs go back by a lag, all
-steps at once. With more, a window slides along the chain: its CPDs are linearised at its smoothed
-beliefs, and it is smoothed again from where it begins, until that settles. A window begins with the
-belief at its first step given the measurements up to there, as the window before has left it, so
-that no measurement counts twice. It is solved in float64, and in twice the digits where that has
-too few.
+steps at once. With more, a window slides along the chain: it is linearised and smoothed until that
+settles, from the belief at its first step that the window before has left, so that no measurement
+counts twice; in twice the digits where float64 has too few.
 """
 
 from __future__ import annotations
@@ -36,16 +34,9 @@ from pgm.progress import counted
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """The results of the windows of a chain, each at its newest step.
+    """The results of the windows of a chain, each at its newest step, (T+1, runs, ...).
 
-    Attributes
-    ----------
-    newest : Beliefs
-        Given the measurements up to the step: (T+1, runs, n) and (T+1, runs, n, n).
-    log_evidence : ndarray
-        (T+1, runs): of the measurements up to the step.
-    plain : bool
-        Whether float64 had digits enough for all of them.
+    `plain` says whether float64 had digits enough for all of them.
     """
 
     newest: Beliefs
@@ -57,19 +48,9 @@ class Windows:
 class Lagged:
     """Beliefs given the measurements up to a lag after each step.
 
-    Attributes
-    ----------
-    forward : Forward
-        The forward pass of the last linearisations.
-    beliefs : Beliefs
-    reverse : Reverse or None
-        What reverses it, if it was needed.
-    windows : Windows or None
-        None where everything was linearised once.
-    careful : Careful or None
-        The forward pass in twice the digits, if everything was linearised once.
-    error : ndarray or None
-        (runs,): of the means, where anything was solved in twice the digits; see `Belief.error`.
+    `forward` is the pass of the last linearisations, `reverse` its reverse, if needed. `windows` is
+    None, and `careful` may be there, where everything was linearised once. `error` (runs,) is of
+    the means, where anything was solved in twice the digits; see `Belief.error`.
     """
 
     forward: Forward
@@ -138,11 +119,9 @@ class _Record:
         self.error: Array | None = None
 
     def leave(self, window: Window) -> None:
-        """Leave the first step of a window behind, and the measurements of the next with it."""
         self.left = self.left + window.ahead.log_density[:2].sum(axis=0)
 
     def keep(self, first: int, window: Window) -> None:
-        """Keep the beliefs of a window that begins at a step."""
         out, ahead, beliefs = self.forward, window.ahead, window.beliefs
         begun, step = int(window.plan.begin is not None), first + window.plan.steps
         known, new = slice(first, step + 1), slice(first + begun, step + 1)
@@ -161,22 +140,16 @@ class _Record:
 
     @property
     def found(self) -> tuple[Lagged, Status]:
-        """The record as a result, and its status."""
         windows = Windows(self.newest, self.log_evidence, self.error is None)
         found = Lagged(self.forward, self.beliefs, windows=windows, error=self.error)
         return found, Status.of(self.residuals, self.converged, self.lead)
 
 
 class Beginning(NamedTuple):
-    """The belief at a window's first step, given the measurements up to there.
+    """The belief (runs, n) at a window's first step, given the measurements up to there.
 
-    Attributes
-    ----------
-    mean, cov : ndarray
-        (runs, n) and (runs, n, n).
-    careful : Begin or None
-        The same in twice the digits, where they found it: rounded to float64 it may be ordinary,
-        and too little for a later window to be solved in twice the digits.
+    `careful` is the same where twice the digits found it: rounded to float64 it may be ordinary,
+    and too little for a later window to be solved in twice the digits.
     """
 
     mean: Array
@@ -211,22 +184,8 @@ class Beginning(NamedTuple):
 class Window:
     """A window after its last iteration.
 
-    Attributes
-    ----------
-    plan : ChainPlan
-        With its last linearisations.
-    ahead : Forward
-        The forward pass.
-    beliefs : Beliefs
-        Smoothed; their means, where they were held back, are those that the step control kept.
-    moved : ndarray
-        (steps, runs, n): how far it held them back.
-    residuals : list of ndarray
-        (runs,) for each relinearisation.
-    converged : ndarray of bool
-        (runs,).
-    careful : CarefulSmoothed or None
-        The solution in twice the digits, where float64 had too few.
+    The step control held `beliefs.mean` back by `moved` (steps, runs, n); `careful` is the solution
+    in twice the digits, where float64 had too few.
     """
 
     plan: ChainPlan
@@ -253,12 +212,7 @@ class Window:
 class SingleStep(NamedTuple):
     """The newest step of a window, its CPDs linearised as a filter does.
 
-    Attributes
-    ----------
-    plan : ChainPlan
-    ahead : Forward
-    error : ndarray or None
-        (runs,): of the means, where it took twice the digits.
+    `error` (runs,) is of the means, where it took twice the digits.
     """
 
     plan: ChainPlan
@@ -312,14 +266,12 @@ def iterate_window(
 def _cut(
     plan: ChainPlan, first: int, last: int, begin: Beginning | None
 ) -> tuple[ChainPlan, Beginning | None]:
-    """The plan of a window of steps, and where it begins, or None for the prior."""
     if begin is None:
         return plan.window(first, last), None
     return begin.cut(plan, first, last), begin.over(plan.runs)
 
 
 def _is_plain(plan: ChainPlan, begin: Beginning | None) -> bool:
-    """Whether float64 may have digits enough."""
     return not certificate.is_flat(plan) and (begin is None or begin.plain)
 
 

@@ -35,18 +35,11 @@ _EVERY, _GROWN = 8, 1e2
 
 @dataclass(frozen=True, eq=False)
 class Forward:
-    """The beliefs of a forward sweep over the slices, before and after measurements, time first.
+    """The beliefs of a forward sweep, before and after measurements, (T+1, runs, n).
 
-    Attributes
-    ----------
-    predicted_mean, mean : ndarray
-        (T+1, runs, slice size); controls at step 0 are zero.
-    predicted_cov, cov : ndarray
-        (T+1, runs, slice size, slice size).
-    log_density : ndarray
-        (T+1, runs): of each step's measurements given those before.
-    gentle : bool
-        Whether it was composed of segments, whose variances have been found to be moderate.
+    Controls at step 0 are zero. `log_density` is of each step's measurements given those before.
+    `gentle` says whether it was composed of segments, whose variances have been found to be
+    moderate.
     """
 
     predicted_mean: Array
@@ -71,13 +64,7 @@ class Forward:
 class Filtered:
     """The beliefs of a filter alone; a second sweep finds the rest when it is asked for.
 
-    Attributes
-    ----------
-    mean, cov, log_density : ndarray
-        As of a `Forward`.
-    closest : float
-        The smallest share of a variance that the components before it leave open, as far as a
-        `Watch` has looked.
+    `closest` is that of the `Watch`.
     """
 
     plan: ChainPlan
@@ -96,12 +83,9 @@ class Filtered:
 class Watch:
     """The running minimum of conditional shares of variance over a sweep, for the certificate.
 
-    Attributes
-    ----------
-    closest : float
-        The smallest share of a variance that the components before it leave open, or that a sharp
-        measurement leaves. Beliefs are looked at before and after sharp measurements, where
-        variances have grown, and at some steps between.
+    `closest` is the smallest share of a variance that the components before it leave open, or that
+    a sharp measurement leaves. Beliefs are looked at before and after sharp measurements, where
+    variances have grown, and at some steps between.
     """
 
     def __init__(self) -> None:
@@ -141,14 +125,12 @@ class _Record:
         self._room: Room | None = None
 
     def room(self, step: int) -> Room:
-        """The arrays for the moments of a step, which need not be copied then."""
         self._room = self.mean[step], self.cov[step]
         return self._room
 
     def keep(
         self, step: int, predicted: Moments, known: Moments, log_density: Array | float
     ) -> None:
-        """Keep a step."""
         if self._room is None or known.mean is not self._room[0]:
             self.mean[step], self.cov[step] = known.mean, known.cov
         self.log_density[step] = log_density
@@ -197,7 +179,6 @@ class _Record:
 
 
 def _rows(plan: ChainPlan, array: Array, own: int) -> Array:
-    """An array (T+1, runs, ...) in a sweep's layout, (T+1, ..., *batch)."""
     if not plan.batch:
         return array[:, 0]
     return array.transpose(0, *range(2, 2 + own), 1)

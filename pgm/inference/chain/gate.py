@@ -1,14 +1,10 @@
 r"""Gates: sightings too far from their prediction say nothing.
 
 At the predicted belief N(μ, P) of a step, a sighting z that is linearised as ẑ + H (x − μ) + n has
-the innovation ν = z − ẑ with covariance S = H P Hᵀ + noise. It is rejected where νᵀS⁻¹ν exceeds the
-χ² quantile of the gate's probability, with as many degrees of freedom as components were measured.
-A rejected sighting is one that was not taken, in this run, for all that follows: the decisions are
-written to the plan. What an infinite variance predicts is not judged.
-
-References
-----------
-Bar-Shalom, Li & Kirubarajan, Estimation with applications to tracking and navigation, 2001, 5.4.
+the innovation ν = z − ẑ with S = H P Hᵀ + noise. It is rejected where νᵀS⁻¹ν exceeds the χ²
+quantile of the gate's probability, of as many degrees of freedom as components were measured: not
+taken, in this run, for all that follows, which the plan says. What an infinite variance predicts is
+not judged (Bar-Shalom, Li & Kirubarajan, 2001, 5.4).
 """
 
 from __future__ import annotations
@@ -64,11 +60,7 @@ def prepare(plan: ChainPlan, gate: Asked | None) -> None:
 def decide(
     gate: Asked, parts: Sequence[Reading], seen: Sequence[Measured], mean: Array, cov: Array
 ) -> list[Measured]:
-    """Gate the measurements of a step at a belief over the slice, as they are linearised there.
-
-    What is rejected is not taken: in the readings, in the plan, and in the linearised measurements
-    that are returned.
-    """
+    """Gate the measurements of a step; rejected ones are not taken, in the plan too."""
     return [
         part_seen
         if (own := gate_of(gate, part.sensor.variable)) is None
@@ -149,10 +141,9 @@ _WELL = 1e-6
 
 
 def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array, Integers]:
-    """Squared lengths of the innovations of a sensor's sightings, and their components.
+    """Squared lengths (count, *batch) of a sensor's innovations, and their components.
 
-    (count, *batch) each; the belief is over the slice. A component that depends on one of infinite
-    variance does not count.
+    A component that depends on one of infinite variance does not count.
     """
     sensor, height = seen.sensor, len(seen.value) // count
     if not sensor.whole:
@@ -187,7 +178,6 @@ _PATH = ["einsum_path", (0, 1), (0, 1)]
 
 @lru_cache(maxsize=64)
 def _limits(gate: float, height: int) -> Array:
-    """The squared length within the gate by the number of components; of none, no limit."""
     limits = np.full(height + 1, np.inf)
     limits[1:] = normal.square_within(gate, np.arange(1, height + 1))
     return limits

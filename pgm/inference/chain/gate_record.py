@@ -14,16 +14,8 @@ from pgm.kernels.arrays import Array, Mask, cut
 class GateRecord:
     """The decisions of a sensor's gate, written by a forward pass; parts of it are views.
 
-    Attributes
-    ----------
-    gate : float
-        The probability.
-    given : ndarray of bool
-        (M, runs, d): the components that were measured.
-    rejected : ndarray of bool
-        (M, runs).
-    square : ndarray
-        (M, runs): νᵀS⁻¹ν; NaN where nothing was measured or nothing was decided.
+    `gate` is the probability, `given` (M, runs, d) the components that were measured; `square` (M,
+    runs) is νᵀS⁻¹ν, NaN where nothing was measured or decided.
     """
 
     gate: float

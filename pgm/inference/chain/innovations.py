@@ -120,10 +120,7 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
 
 
 def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[Array, Integers]:
-    """Normalised innovations squared, (T+1, runs), and how many components were taken in.
-
-    NaN where none was.
-    """
+    """Normalised innovations squared, (T+1, runs), NaN without any, and their components."""
     shape = plan.steps + 1, plan.runs
     nis, dof = np.full(shape, np.nan), np.zeros(shape, dtype=np.intp)
     for steps, matrix, residual, noise, missing in stacks(plan, sensors, forward.predicted_mean):

@@ -28,15 +28,7 @@ _REWEIGHINGS = 200
 
 @dataclass(frozen=True, eq=False)
 class Updated:
-    """The belief that an update leaves.
-
-    Attributes
-    ----------
-    known : Moments
-        In the layout of a sweep.
-    log_density : ndarray or float
-        Of the measurements, (*batch).
-    """
+    """The belief that an update leaves, in the layout of a sweep, and its log-density (*batch)."""
 
     known: Moments
     log_density: Array | float
@@ -57,19 +49,7 @@ U = TypeVar("U", bound=Solution)
 
 @dataclass(frozen=True, eq=False)
 class IteratedUpdate(Generic[U]):
-    """The belief at a step given its measurements.
-
-    Attributes
-    ----------
-    solution : Updated
-        Of the last linearisation.
-    mean : ndarray
-        (runs, n): its mean, or that which the step control kept.
-    residuals : list of ndarray
-        (runs,) for each relinearisation.
-    converged : ndarray of bool
-        (runs,).
-    """
+    """The belief at a step given its measurements; as `Iterated`, with means (runs, n)."""
 
     solution: U
     mean: Array
@@ -78,15 +58,7 @@ class IteratedUpdate(Generic[U]):
 
 
 class UpdateProblem(ABC, Generic[U]):
-    """The measurements of a step, linearised anywhere and taken into the predicted belief.
-
-    Parameters
-    ----------
-    parts : sequence of Reading
-    step : int
-    mean, cov : ndarray
-        (n, *batch), (n, n, *batch): the predicted belief.
-    """
+    """The measurements of a step, linearised anywhere and taken into the predicted N(mean, cov)."""
 
     def __init__(self, parts: Sequence[Reading], step: int, mean: Array, cov: Array) -> None:
         self.parts, self.step, self.mean, self.cov = parts, step, mean, cov
@@ -120,10 +92,7 @@ class UpdateProblem(ABC, Generic[U]):
         part.linearise(mean, cov, active)
 
     def solve(self, anchor: Anchor | None = None) -> U:
-        """The belief given the measurements as they are linearised.
-
-        Those of robust noise are weighed at it, and taken in again, until the weights settle.
-        """
+        """The belief given the measurements, robust ones weighed until the weights settle."""
         found = self._solved(anchor)
         if not any(part.sensor.robust for part in self.parts):
             return found
@@ -196,7 +165,6 @@ class UpdateProblem(ABC, Generic[U]):
         return _as_point(readings.update(exact, self.step, Moments(first, self.cov))[0].mean, 1)
 
     def _moments(self, at: Point) -> tuple[Array, Array]:
-        """The moments of a point with the batch last, as a sweep has them."""
         if self.mean.ndim == 1:
             return at.mean[0, 0], at.cov[0, 0]
         return components_first(at.mean[0], 1), components_first(at.cov[0], 2)
@@ -216,17 +184,13 @@ class MomentUpdate(UpdateProblem[Updated]):
 
 
 def _as_point(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
-    """An array (own axes, *batch) as that of one step, (1, runs, own axes)."""
     if array.ndim == own:
         return array[None, None]
     return components_last(array, own)[None]
 
 
 def iterated(reading: UpdateProblem[U], schedule: Filtering) -> IteratedUpdate[U]:
-    """Take the measurements of a step into the predicted belief, as often linearised as is due.
-
-    They are linearised at the predicted belief.
-    """
+    """Take the measurements of a step, linearised as often as is due, into the predicted belief."""
     predicted = reading.predicted
     reading.linearise(predicted, None)
     once = reading.solve()

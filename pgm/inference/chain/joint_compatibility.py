@@ -1,16 +1,12 @@
 r"""Joint compatibility of the sightings of a step: which candidates they are of, taken together.
 
 A hypothesis pairs some sightings with a candidate each, no candidate twice. Its innovations,
-stacked to ν with covariance S = H P Hᵀ + R, which the error of the belief correlates, have to lie
-within the gate: νᵀS⁻¹ν at most the χ² quantile with as many degrees of freedom as components. The
-hypothesis with the most pairings is taken, and of several the likeliest, by
-Σ ln w + ln N(ν; 0, S). The search goes sighting by sighting, each pairing taken into the belief
-before the next, so that squares and densities add up; it leaves a branch that cannot have as many
-pairings as the best so far, or not so likely ones, or whose square is beyond any gate ahead.
-
-References
-----------
-Neira & Tardós, Data association in stochastic mapping using the joint compatibility test, 2001.
+stacked to ν with covariance S = H P Hᵀ + R, have to lie within the gate: νᵀS⁻¹ν at most the χ²
+quantile with as many degrees of freedom as components. The hypothesis with the most pairings is
+taken, and of several the likeliest, by Σ ln w + ln N(ν; 0, S). Each pairing is taken into the
+belief before the next sighting, so that squares and densities add up; a branch is left that cannot
+have as many pairings as the best so far, or not so likely ones, or whose square is beyond any gate
+ahead (Neira & Tardós, 2001).
 """
 
 from __future__ import annotations
@@ -28,19 +24,11 @@ NOTHING = -1
 
 
 class Pairs(NamedTuple):
-    """The pairs of each sighting of a step with each candidate, linearised at the belief.
+    """The pairs of sightings of a step with candidates, (k, runs, candidates), as linearised.
 
-    Attributes
-    ----------
-    matrix, residual, noise : ndarray
-        H, ν and R over the slice: (k, runs, candidates, d, n), (..., d) and (..., d, d). A missing
-        component has unit variance and says nothing.
-    size : ndarray of int
-        (k, runs): components that were measured.
-    compatible : ndarray of bool
-        (k, runs, candidates): pairs that are within the gate by themselves.
-    log_weight : ndarray
-        (candidates,).
+    `matrix`, `residual`, `noise` are H (..., d, n) over the slice, ν and R; a missing component has
+    unit variance and says nothing. `size` (k, runs) are the components measured; `compatible` pairs
+    are within the gate by themselves.
     """
 
     matrix: Array
@@ -58,10 +46,7 @@ class TooManyError(Exception):
 def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
     """The candidate of each sighting, (k, runs), or `NOTHING`; P is (runs, n, n).
 
-    Raises
-    ------
-    TooManyError
-        If a run has more hypotheses than may be looked at; its number is the argument.
+    TooManyError with the number of a run that has more hypotheses than may be looked at.
     """
     every = int(pairs.size.sum(axis=0).max(initial=0))
     limits = np.concatenate([[0.0], normal.square_within(gate, np.arange(1, every + 1))])
@@ -77,7 +62,6 @@ def decide(pairs: Pairs, cov: Array, gate: float) -> Integers:
 
 
 def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Integers) -> Mask:
-    """Whether the hypotheses of some runs are within the gate."""
     spread, shift = cov[runs], np.zeros((runs.size, cov.shape[-1]))
     square, dof = np.zeros(runs.size), np.zeros(runs.size, dtype=np.intp)
     for k, own in enumerate(chosen[:, runs]):
@@ -101,7 +85,6 @@ class _Step(NamedTuple):
 
 
 def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Step:
-    """Take a pairing into a belief about its mean, (..., d, n), (..., d), (..., n, n), (..., n)."""
     cross = matrix @ cov
     spread = cross @ matrix.mT + noise
     left = residual - np.einsum("...dn,...n->...d", matrix, shift)
@@ -113,8 +96,6 @@ def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Arr
 
 
 class _Search:
-    """The search for the best hypothesis of one run."""
-
     def __init__(self, pairs: Pairs, cov: Array, limits: Array, run: int) -> None:
         self.pairs, self.run, self.limits, self.nodes = pairs, run, limits, 0
         compatible = pairs.compatible[:, run]

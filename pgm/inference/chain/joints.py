@@ -26,15 +26,7 @@ def joint_moments(
 
         cov(x_s, x_t) = A_s cov(x_{s+1}, x_t),    t > s,
 
-    so that going back once gives all rows, each in one product.
-
-    Parameters
-    ----------
-    reverse : Reverse
-    beliefs : Beliefs
-        Moments of the slices; the latest step wanted is where the way back starts.
-    layout : SliceLayout
-    variables : sequence of Variable
+    so that going back once, from the latest step wanted, gives all rows, each in one product.
     """
     steps = [variable.step for variable in variables if variable.step is not None]
     order = sorted(range(len(variables)), key=steps.__getitem__)
@@ -72,13 +64,11 @@ def joint_moments(
 
 
 def _gain(reverse: Reverse, step: int) -> Array:
-    """The regression of the slice at a step on the slice after it."""
     gain: Array = reverse.states.matrix[step]
     return gain if reverse.slices is None else reverse.slices.matrix[step] @ gain
 
 
 def _mirror(cov: Array) -> None:
-    """Fill what is below the diagonal with what is above it."""
     size = cov.shape[-1]
     for start in range(0, size, _ROWS):
         rows = slice(start, start + _ROWS)

@@ -37,16 +37,10 @@ from pgm.kernels.scan import gather
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """The measurements of a plan as it is linearised, about a reference.
+    """The measurements of a plan as it is linearised, about a `reference` (T+1, runs, n).
 
-    Attributes
-    ----------
-    reference : ndarray
-        (T+1, runs, n): what all means are deviations from.
-    likelihood : Likelihood
-        (T+1, runs, ...): what measurements with a regular noise say of the slices.
-    stacks : list of Stack
-        The others: those of singular noise, or with cross terms.
+    Those with a regular noise make the `likelihood`; `stacks` are of singular noise, or with cross
+    terms.
     """
 
     reference: Array
@@ -89,12 +83,8 @@ class Readings:
     def log_density(self, known: Array, predicted: Moments) -> Array:
         """The log-density of each step's measurements, (T+1, runs), but for `Known.evidence`.
 
-        Parameters
-        ----------
-        known : ndarray
-            Deviations of the means after the measurements.
-        predicted : Moments
-            Before them. The plan has to be linearised as it was.
+        `known` are the means given the measurements, as deviations. The plan has to be linearised
+        as it was.
         """
         total = np.zeros(known.shape[:2])
         for each in self._whitened:
@@ -109,14 +99,9 @@ class Readings:
 
 
 class Known(NamedTuple):
-    """Filtered moments as deviations from a reference, and the evidence term of their measurements.
+    """Filtered moments as deviations from a reference.
 
-    Attributes
-    ----------
-    mean, cov : ndarray
-        (..., n), (..., n, n).
-    evidence : ndarray
-        (...): the measurements' log-density, but for each one's own part.
+    `evidence` is the measurements' log-density, but for each one's own part.
     """
 
     mean: Array
@@ -147,15 +132,8 @@ _CHUNK = 8192
 class Whitened:
     """A sensor's measurements about a reference, in units of their noise: v = W x + n, n ~ N(0, I).
 
-    Attributes
-    ----------
-    sensor : Sensor
-    reference : ndarray
-        (T+1, runs, n).
-    white, scale : ndarray
-        L⁻¹ and ln N(0; 0, L Lᵀ) of the noise L Lᵀ of each measurement, or of all: (M or 1, runs or
-        1,
-        ...). Of a reading of some components alone they are those of its part of the noise.
+    `white` and `scale` are L⁻¹ and ln N(0; 0, L Lᵀ) of each noise L Lᵀ, (M or 1, runs or 1, ...);
+    of a reading of some components alone, of their part of it.
     """
 
     sensor: Sensor
@@ -215,7 +193,6 @@ class Whitened:
         return self.white if len(self.white) == 1 else self.white[rows]
 
     def _residual(self, rows: slice, mean: Array) -> Array:
-        """The residuals at given means, in units of their noise; zero where one is missing."""
         sensor, family = self.sensor, self.sensor.family
         at = gather(mean, family.step[rows])[..., sensor.parents]
         left = sensor.moved[rows] - family.offset[rows] - apply(family.matrix[rows], at)
@@ -225,7 +202,6 @@ class Whitened:
 
 
 def _surplus(sensor: Sensor) -> Array:
-    """The log-density of robust measurements beyond that of the Gaussians, (T+1, runs)."""
     each = sensor.weights.surplus()
     return _by_step(sensor, lambda rows, counts: (_added(each[rows], counts),))[0]
 
@@ -241,10 +217,7 @@ def shortened(array: Array) -> Array:
 def _by_step(
     sensor: Sensor, part: Callable[[slice, Integers], tuple[Array, ...]]
 ) -> tuple[Array, ...]:
-    """Arrays made of the measurements of each step, (T+1, ...), a chunk of steps at a time.
-
-    `part` takes rows of measurements, and how many are of each step.
-    """
+    """Arrays made of each step's rows of measurements, (T+1, ...), a chunk of steps at a time."""
     bounds = np.asarray(sensor.bounds)
     counts = np.diff(bounds)
     size = max(_CHUNK // sensor.moved.shape[1], 1)
@@ -265,7 +238,6 @@ def _by_step(
 
 
 def _added(parts: Array, counts: Integers) -> Array:
-    """Sums of so many rows each."""
     memory = np.moveaxis(parts, (0, 1), (-2, -1))
     out = np.zeros((*memory.shape[:-2], counts.size, memory.shape[-1]))
     some = np.flatnonzero(counts)

@@ -24,16 +24,10 @@ from pgm.kernels.scan import levels, prefixes, take
 
 
 def backward_messages(plan: ChainPlan, forward: Forward) -> Canonical:
-    """The likelihood of the measurements after each step, as a function of the states at it.
+    """The likelihood of the measurements after each step, over its states; NaN if none exists.
 
     Messages are carried about the filtered mean, so that large coordinates cost no digits, and
-    moved to the origin at the end: by a scan, or step by step where that is faster. NaN in runs
-    where the message does not exist.
-
-    Returns
-    -------
-    Canonical
-        (T+1, runs, ...).
+    moved to the origin at the end: by a scan, or step by step where that is faster.
     """
     states, size = plan.layout.state_places, plan.layout.state_size
     message: Canonical = (
@@ -74,15 +68,12 @@ def _scanned(plan: ChainPlan, forward: Forward, last: Canonical) -> Canonical | 
 
 
 class _Message(NamedTuple):
-    """Messages back in canonical form, (steps, runs, ...)."""
-
     K: Array
     h: Array
     g: Array
 
 
 def _passed(message: _Message, segment: Element) -> _Message:
-    """A message from the right end of a segment to its left end."""
     K, h, g = canonical.backward(*segment[:3], *message)
     assert segment.g is not None
     return _Message(K + segment.K, h + segment.h, g + segment.g)
@@ -115,10 +106,9 @@ def absorbed_at_once(plan: ChainPlan, forward: Forward) -> Element:
 def absorbed(
     plan: ChainPlan, forward: Forward, conditionals: Conditional, later: int
 ) -> tuple[Conditional, Canonical | None]:
-    """The states at a step given those before it and the step's measurements, and what these say.
+    """The states at a step given those before and its measurements, and what these say.
 
-    Both about the filtered means: of the states at the step, and of those before it, of which the
-    measurements' likelihood is a function.
+    Both are about the filtered means; the latter is a function of the states before.
     """
     layout = plan.layout
     select = np.eye(layout.slice_size)[layout.state_places]
@@ -144,8 +134,8 @@ def absorb_readings(
 ) -> tuple[Array, Array, Array, Canonical]:
     """Bring a step's measurements into its transition w = A x + q, both about predicted means.
 
-    Returns the conditional of w given x and the measurements, and their likelihood as a function of
-    x, through S = H Q Hᵀ + noise of the measurement, which has to be regular.
+    Returns w given x and the measurements, and their likelihood over x, by a regular S = H Q Hᵀ +
+    noise.
     """
     cross = h_matrix @ noise
     lower = canonical.strict_root(cross @ transpose(h_matrix) + reading_noise)

@@ -1,7 +1,4 @@
-"""The Gaussian family of a chain: messages in moment form, of one run or of many.
-
-Arrays have components first and the batch last, which has no axis for one run and one for many.
-"""
+"""The Gaussian family of a chain: messages in moment form, components first and the batch last."""
 
 from __future__ import annotations
 
@@ -27,26 +24,10 @@ _HALF_TURN = 0.5 * TURN
 class MomentChain:
     """The Gaussian family forward: predicts a slice, and takes in the measurements of its step.
 
-    Parameters
-    ----------
-    plan : ChainPlan
-    schedule : Filtering or None
-        How often measurements are linearised; None leaves all CPDs as they were linearised before.
-    keep : bool
-        Whether the plan keeps the linearisations.
-    anchor : Anchor, optional
-        Measurements of all components that hold the beliefs near a point, for step control.
-    room : callable, optional
-        Gives arrays that the moments of a step may be written to, in a sweep of many runs.
-    check : bool
-        Whether all numbers are looked at, and refused where they are not finite.
-    gated : float or mapping, optional
-        The gates, where no schedule tells.
-
-    Attributes
-    ----------
-    residuals : list of ndarray
-        (runs,) for each relinearisation, the largest of all steps.
+    Without a schedule all CPDs stay as they were linearised. `keep` has the plan keep
+    linearisations; `anchor` holds the beliefs near a point; `room` gives arrays for the moments of
+    a sweep of many runs; `check` refuses numbers that are not finite; `gated` are the gates where
+    no schedule tells. `residuals` (runs,) are the largest of all steps.
     """
 
     def __init__(
@@ -200,7 +181,6 @@ class MomentChain:
         return link.family.stored_at(row, row + 1)
 
     def _extend(self, link: Link, at: At, step: int, mean: Array, cov: Array) -> None:
-        """Write the child of a CPD into the joint that its parents stand in."""
         parents = mean[link.parents]
         matrix, value, noise, bare = self._linearised(
             link, at, mean, parents, within(cov, link.parents)
@@ -213,10 +193,7 @@ class MomentChain:
     def _linearised(
         self, link: Link, at: At, before: Array, mean: Array, cov: Array
     ) -> tuple[Array, Array, Array, tuple[int, ...]]:
-        """F, F μ + b, the noise, and which components have none, at a belief over the parents.
-
-        `before` is the vector in which the parents stand.
-        """
+        """F, F μ + b, the noise, and which components have none, at a belief over the parents."""
         family, bare = link.family, link.family.bare
         line = family.line(at, mean, cov)
         matrix, value, error = line
@@ -251,10 +228,7 @@ def turns_far(link: Link, before: Array, value: Array) -> bool:
 
 
 def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
-    """The value of a CPD, without the whole turns by which its function wraps angles.
-
-    Beliefs live on one unwrapped chart. `before` is the vector in which the CPD's parents stand.
-    """
+    """The value of a CPD, without the whole turns by which its function wraps angles."""
     assert at.function is not None
     turned = value[link.angles] - before[link.before]
     # A function that wraps gives the same for an angle a whole turn on; another turns too.

@@ -1,7 +1,7 @@
 """Gauss–Newton steps: the means of a linearised chain, from its normal equations.
 
-They cost a fraction of a smoother's two passes, and give no covariances. Where noises differ much
-they lose digits, which the next step restores, and after the last one the passes of a smoother.
+They cost a fraction of a smoother's two passes. Where noises differ much they lose digits, which
+the next step restores, and after the last one the passes of a smoother.
 """
 
 from __future__ import annotations
@@ -24,18 +24,10 @@ from pgm.kernels.scan import in_chunks
 
 @dataclass(frozen=True, eq=False)
 class Means:
-    """The means of a solution, and the variance of each component given all others.
+    """Means (T+1, runs, n), and the variance of each component given all others.
 
-    These are no larger than its marginal variance.
-
-    Attributes
-    ----------
-    means, variance : ndarray
-        (T+1, runs, n).
-    readings : Readings
-        The measurements that they were found from.
-    pair : int
-        Components of a pair, of whose covariances there are none.
+    This is no larger than its marginal variance. There are no covariances of pairs, of `pair`
+    components.
     """
 
     means: Array
@@ -72,7 +64,6 @@ def step(plan: ChainPlan, reference: Array) -> Means | None:
 
 
 def _equations(plan: ChainPlan, readings: Readings) -> System | None:
-    """The normal equations, in deviations from the measurements' reference."""
     layout = plan.layout
     states = layout.state_places
     mean, cov = MomentChain(plan, None).start().by_run
@@ -105,15 +96,11 @@ def _equations(plan: ChainPlan, readings: Readings) -> System | None:
 
 
 class _Move(NamedTuple):
-    """A transition y = A x + b + n."""
-
     matrix: Array
     offset: Array
 
 
 class _Precision(NamedTuple):
-    """The inverse of a transition's noise."""
-
     matrix: Array
 
 
@@ -134,6 +121,5 @@ def _terms(move: _Move, precision: _Precision) -> _Terms:
 
 
 def _inverse(lower: Array) -> Array:
-    """(L Lᵀ)⁻¹."""
     white = roots.solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape))
     return multiply(transpose(white), white)

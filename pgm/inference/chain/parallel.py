@@ -1,8 +1,4 @@
-"""Both passes over a chain as scans: 2 log₂ T rounds each, every round one batched call.
-
-Steps are elements, each a transition with the measurements at its end, and segments are
-compositions.
-"""
+"""Both passes over a chain as scans: 2 log₂ T rounds each, every round one batched call."""
 
 from __future__ import annotations
 
@@ -43,9 +39,9 @@ _BEYOND = 1e30
 class Scanned:
     """The forward pass of a scan: a `Forward` whose log-densities are computed when asked for.
 
-    They need the plan as it is linearised, and are to be asked for before it is linearised again.
-    `agrees` says whether each belief follows from the one before it and variances are moderate,
-    which shows that composing segments costs no digits, neither here nor on the way back.
+    That is to be before the plan is linearised again. `agrees` says whether each belief follows
+    from the one before it and variances are moderate: then composing segments costs no digits, nor
+    does the way back.
     """
 
     predicted_mean: Array
@@ -73,17 +69,9 @@ def filtered(
 ) -> Ahead:
     """The forward pass with every CPD as it was linearised, as `forward.stored` gives it.
 
-    Where composing segments costs digits, `forward.stored` makes it.
-
-    Parameters
-    ----------
-    plan : ChainPlan
-    reference : ndarray
-        (T+1, runs, n): a trajectory near the beliefs, such as that at which the plan was
-        linearised. Elements are about it, so that large coordinates cost no digits.
-    anchor : Anchor, optional
-    readings : Readings, optional
-        The measurements of the plan about the reference, where they are known.
+    `forward.stored` makes it where composing segments costs digits. Elements are about the
+    `reference` (T+1, runs, n), a trajectory near the beliefs, so that large coordinates cost no
+    digits; `readings` are the measurements about it, where known.
     """
     readings = Readings.of(plan, reference) if readings is None else readings
     found = _solve(plan, between_slices(plan), _first(plan, anchor), readings, anchor)
@@ -93,9 +81,9 @@ def filtered(
 def run(plan: ChainPlan) -> Ahead:
     """The forward pass of an affine model, as `forward.run` gives it.
 
-    Elements are about a guess of the means. Where that is far from the beliefs, or has led an
-    angle's measurement to another branch than the prediction does, the pass is repeated about the
-    means that it found; and where that does not end soon, it goes step by step.
+    Elements are about a guess of the means. Where that is far from the beliefs, or puts an angle on
+    another branch than the prediction does, the pass is repeated about the means found; where that
+    does not end soon, it goes step by step.
     """
     moves = between_slices(plan)
     reference = _guess(plan, moves)
@@ -137,8 +125,6 @@ def _move(plan: ChainPlan, mean: Array) -> bool:
 
 
 class _First(NamedTuple):
-    """The slice at step 0 before and after its measurements, and their log-density, (runs,)."""
-
     predicted: Belief
     known: Belief
     log_density: Array
@@ -196,7 +182,6 @@ def _solve(
 
 
 def _read(predicted: Moments, readings: Readings) -> Moments:
-    """Predictions after the measurements of their steps."""
     mean, cov, _ = in_chunks(
         know, Belief(*predicted, np.zeros(predicted.mean.shape[:2])), readings.likelihood
     )
@@ -208,7 +193,6 @@ def _read(predicted: Moments, readings: Readings) -> Moments:
 
 
 def _agree(found: Moments, due: Moments) -> bool:
-    """Whether moments are the same but for what rounding may make of them."""
     std = deviation(due.cov)
     off = np.abs(found.mean - due.mean)
     far = off > _CLOSE * np.where(std > 0.0, std, np.abs(due.mean) + off.max(initial=0.0))
@@ -217,7 +201,6 @@ def _agree(found: Moments, due: Moments) -> bool:
 
 
 def _from(belief: Belief, reference: Array, steps: int) -> Moments:
-    """Arrays for the moments at all steps, with those of the first as deviations."""
     runs, size = belief.mean.shape
     out = Moments(room((steps + 1, runs), (size,)), room((steps + 1, runs), (size, size)))
     out.mean[0], out.cov[0] = belief.mean - reference, belief.cov
@@ -225,7 +208,6 @@ def _from(belief: Belief, reference: Array, steps: int) -> Moments:
 
 
 def _predicted(moves: Conditional, start: Array) -> Array:
-    """The prior's means as the transition moves them, without any measurement, (T+1, runs, n)."""
     out = room((moves.offset.shape[0] + 1, start.shape[0]), start.shape[1:])
     out[0] = start
     if len(out) > 1:
@@ -254,17 +236,8 @@ def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[S
     """The element of every step, in deviations from a reference: (T, runs, ...).
 
     It begins with the measurements at the step before, and ends before those of its own step; but
-    for those of a singular noise, which it has with it, since they can only be absorbed by the
-    transition that leads to them. Step 0 is left to the belief from which all begins.
-
-    Parameters
-    ----------
-    moves : Conditional
-        As `about` makes them.
-    likelihood : Likelihood
-        Of the measurements with a regular noise, (T+1, runs, ...).
-    stacks : list of Stack
-        Those of a singular one.
+    for those of a singular noise, the `stacks`, which only the transition that leads to them can
+    absorb. Step 0 is left to the belief from which all begins. `moves` are as of `about`.
     """
     precision = room(moves.matrix.shape[:2], moves.matrix.shape[2:])
     h = room(moves.offset.shape[:2], moves.offset.shape[2:])
@@ -280,7 +253,6 @@ def steps_as_elements(moves: Conditional, likelihood: Likelihood, stacks: list[S
 
 
 def _absorb_exact(moves: Element, stack: Stack) -> None:
-    """Bring measurements into the transitions to their steps, in place."""
     later = np.flatnonzero(stack.steps)
     if not later.size:
         return

@@ -38,14 +38,8 @@ class Link:
     """A CPD at its rows, and where its hidden parents and its child stand.
 
     For the prior both stand in the vector of states, for the transition in that of the pair.
-
-    Attributes
-    ----------
-    family : Family
-    parents, child : Index
-    angles, before : ndarray of int
-        The child's components that are angles, and where those of the step before stand; empty
-        where the child does not depend on itself.
+    `angles` are the child's components that are angles, `before` those of the step before; empty
+    where the child does not depend on itself.
     """
 
     family: Family
@@ -64,20 +58,9 @@ class Link:
 class ChainPlan:
     """A chain of slices with its evidence, ready to be swept.
 
-    Attributes
-    ----------
-    layout : SliceLayout
-    steps, runs : int
-        T, and the number of runs, flattened to one axis.
-    lead : tuple of int
-        The axes of runs as the user gave them.
-    prior, transition : list of Link
-    sensors : list of Sensor
-    first : int
-        The number of the plan's first step: other than zero online, and of a window.
-    begin : (ndarray, ndarray) or None
-        The belief at the first step given its measurements, of a window: (n, *batch) and
-        (n, n, *batch). None where the prior is the beginning.
+    `steps` is T; `runs` are flattened from the user's axes `lead`. `first` is the number of the
+    first step, not zero online and of a window; `begin` the belief there given its measurements,
+    (n, *batch) and (n, n, *batch), where it takes the prior's place.
     """
 
     layout: SliceLayout
@@ -152,10 +135,7 @@ class ChainPlan:
         )
 
     def window(self, first: int, last: int, begin: tuple[Array, Array] | None = None) -> ChainPlan:
-        """The plan of a window of steps, with views of these arrays; what is linearised is its own.
-
-        It begins with a belief that knows the measurements of its first step, or with the prior.
-        """
+        """The plan of a window, with views of these arrays; what is linearised is its own."""
 
         def links(every: list[Link], start: int, end: int) -> list[Link]:
             return [replace(link, family=link.family.window(start, end)) for link in every]
@@ -194,10 +174,7 @@ class ChainPlan:
         prior: bool = True,
         probe: bool = True,
     ) -> ChainPlan:
-        """Lay out the families of a graph with evidence, and probe their functions.
-
-        `first` is the number of the first step of the evidence.
-        """
+        """Lay out the families of a graph with evidence, and probe their functions."""
         layout, lead = graph.layout, bound.lead
 
         def family(cpd: Any, place: Place, step: Integers, inputs: Inputs) -> Family:

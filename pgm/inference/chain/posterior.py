@@ -95,13 +95,11 @@ class ChainPosterior(Innovated, Posterior):
     @property
     @quiet()
     def _forward(self) -> Forward:
-        """The whole forward sweep, made again if only its beliefs were wanted so far."""
         swept = self._swept
         return swept.whole if isinstance(swept, Filtered) else swept
 
     @property
     def _plan(self) -> ChainPlan:
-        """The plan with its linearisations."""
         assert self._forward is not None
         return self._planned
 
@@ -270,13 +268,11 @@ class ChainPosterior(Innovated, Posterior):
         )
 
     def _weight(self, step: int) -> Array:
-        """The log-evidence that a belief at a step knows, (runs,)."""
         last = self.kind.last(step, self.graph.steps)
         weight: Array = self._forward.log_density[: last + 1].sum(axis=0)
         return weight if self._windows is None else self._windows.log_evidence[last]
 
     def _past(self, step: int) -> canonical.Canonical:
-        """The states at a step given the measurements up to it, times the evidence of these."""
         places = self.graph.layout.state_places
         weight = self._forward.log_density[: step + 1].sum(axis=0)
         mean = self._forward.mean[step][:, places]

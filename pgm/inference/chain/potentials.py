@@ -16,17 +16,7 @@ from pgm.kernels.canonical import Canonical
 def likelihoods(plan: ChainPlan, reference: Array) -> Canonical:
     """The likelihood of each step's measurements, over the slice about a reference.
 
-    Parameters
-    ----------
-    plan : ChainPlan
-        As it was linearised.
-    reference : ndarray
-        (T+1, runs, n).
-
-    Returns
-    -------
-    Canonical
-        (T+1, runs, ...); NaN where the noise of a measurement is singular.
+    (T+1, runs, ...), as the plan was linearised; NaN where the noise of a measurement is singular.
     """
     size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
     K, h, g = np.zeros((*shape, size, size)), np.zeros((*shape, size)), np.zeros(shape)
@@ -56,17 +46,8 @@ def first_potential(plan: ChainPlan, forward: Ahead) -> Canonical:
 def potentials(plan: ChainPlan, forward: Ahead) -> Canonical:
     """The potentials of clusters 1..T, over the states of the step before and the slice.
 
-    Parameters
-    ----------
-    plan : ChainPlan
-        As it was linearised.
-    forward : Ahead
-        Its means are the reference about which everything is made.
-
-    Returns
-    -------
-    Canonical
-        (T, runs, ...); NaN where a noise is singular.
+    (T, runs, ...), as the plan was linearised and about the means of `forward`; NaN where a noise
+    is singular.
     """
     layout, reference = plan.layout, forward.mean
     front, size = layout.state_size, layout.slice_size

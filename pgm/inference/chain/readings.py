@@ -1,7 +1,4 @@
-"""The measurements of a step: linearised at a belief, and taken in.
-
-Arrays have components first and the batch last, which has no axis for one run and one for many.
-"""
+"""The measurements of a step: linearised at a belief, and taken in; the batch is last."""
 
 from __future__ import annotations
 
@@ -42,10 +39,7 @@ Room = tuple[Array, Array]
 
 
 class Moments(NamedTuple):
-    """Mean (n, *batch) and covariance (n, n, *batch) of a slice.
-
-    `mild` says whether no variance is known to have fallen more than a thousand times in an update.
-    """
+    """Mean (n, *batch) and covariance (n, n, *batch) of a slice; `mild` as of `gaussian.Update`."""
 
     mean: Array
     cov: Array
@@ -76,12 +70,10 @@ class Moments(NamedTuple):
 def update(
     parts: Sequence[Measured], step: int, belief: Moments, room: Room | None = None
 ) -> tuple[Moments, Array | float]:
-    """The belief given sightings of a step, and their log-density.
+    """The belief given sightings of a step, and their log-density; `room` may take its moments.
 
-    `room` has arrays for its moments, which are used where that saves a copy.
-
-    Where the joint predictive covariance of several measurements is nearly singular, as with sharp
-    measurements of a wide belief, they are taken in one by one, which is equal but for rounding.
+    Where the joint predictive covariance is nearly singular, as with sharp measurements of a wide
+    belief, they are taken in one by one, which is equal but for rounding.
     """
     if not parts:
         return belief, 0.0
@@ -112,10 +104,9 @@ def update(
 def _absorb(
     parts: Sequence[Measured], step: int, belief: Moments, least: float, room: Room | None = None
 ) -> tuple[Moments, Array | float] | None:
-    """Take in sightings as one vector; None where its predictive covariance is nearly singular.
+    """Take in sightings as one vector; None where too little of a component is left open.
 
-    It is where those before a component leave no more than the share `least` of its variance; with
-    a share of zero nothing is.
+    Too little is the share `least` of its variance; with zero nothing is.
     """
     mean, cov, _ = belief
     sharp, first = None, parts[0]
@@ -145,17 +136,8 @@ def _absorb(
 class Reading:
     """The sightings of one sensor at a step, to be linearised at any belief.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    at : At
-        The sensor's CPD at the sightings.
-    values : ndarray
-        (D, *batch), as given; one for all may have a batch of one.
-    taken : ndarray of bool or None
-        As of `Measured`.
-    fixed : bool
-        Whether angles are on their branch already.
+    `values` (D, *batch) are as given, with a batch of one for all; `taken` as of `Measured`; angles
+    may be `fixed` on their branch already.
     """
 
     __slots__ = (
@@ -201,7 +183,7 @@ class Reading:
     def linearise(
         self, mean: Array, cov: Array, active: Mask | None = None, copy: bool = True
     ) -> Measured:
-        """Linearise at a belief over the slice; runs that are not active keep what they have.
+        """Linearise at a belief over the slice, runs that are active.
 
         Without a copy H and the value may be arrays that the user's function uses again.
         """
@@ -226,7 +208,6 @@ class Reading:
         return seen
 
     def _weighed(self, weights: Weights) -> Array:
-        """The noise of the sightings, each over its weight."""
         each = scale(weights.weight, self.sensor.height, self.sensor.family.batch)
         found: Array = self.at.noise * each[:, None] * each[None]
         return found
@@ -283,10 +264,7 @@ class Reading:
         return total if self.sensor.family.batch else total.item()
 
     def expected(self, mean: Array, cov: Array) -> Array:
-        """The values at a belief over the slice, as the lineariser sees them.
-
-        NaN where the function is not defined.
-        """
+        """The values at a belief over the slice as the lineariser sees them, or NaN."""
         sensor = self.sensor
         if not sensor.whole:
             mean, cov = mean[sensor.parents], within(cov, sensor.parents)
@@ -315,7 +293,6 @@ class Reading:
 
 
 def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
-    """Measurements, their angles moved by whole turns to the branch nearest to values."""
     moved = reading
     for k in turning:
         if reading.ndim == 1:
@@ -334,10 +311,7 @@ def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
 
 
 def stored(plan: ChainPlan, step: int, mean: Array) -> Vector | None:
-    """The measurements of a step, as they were linearised, as one vector at means (runs, n).
-
-    None where nothing is read.
-    """
+    """The measurements of a step, as linearised, as one vector at means (runs, n); or None."""
     at = components_first(mean, 1) if plan.batch else mean[0]
     nothing = np.zeros((len(at), len(at), *plan.batch))
     due = [(sensor, sensor.at(step, stored=True)) for sensor in plan.sensors]

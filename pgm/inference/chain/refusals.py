@@ -65,10 +65,7 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
 
 
 def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
-    """Refuse a predicted covariance that the error of a lineariser has made indefinite.
-
-    With `finite`, one that is not finite too.
-    """
+    """Refuse a predicted covariance that is indefinite by a lineariser's error, or infinite."""
     family, whole = link.family, bool(np.isfinite(cov).all())
     proper = family.semidefinite or roots.is_proper(roots.root(components_last(cov, 2)))
     if proper and (whole or not finite):
@@ -87,10 +84,7 @@ def prediction(link: Link, step: int, cov: Array, *, finite: bool) -> None:
 
 
 def belief(plan: ChainPlan, step: int, *beliefs: tuple[Twofold, Twofold]) -> None:
-    """Refuse beliefs in twice the digits, means and covariances, that are none.
-
-    They are not finite, or a lineariser's error has made them indefinite.
-    """
+    """Refuse beliefs in twice the digits that are not finite, or indefinite by linearisation."""
     for belief in beliefs:
         if not all(np.isfinite(part.hi + part.lo).all() for part in belief):
             infinite("the belief", step)

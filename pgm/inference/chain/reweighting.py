@@ -12,10 +12,7 @@ from pgm.kernels.scan import gather
 
 
 def reweigh(plan: ChainPlan, at: Point, active: Mask | None) -> None:
-    """Weigh the sightings of all steps at beliefs over their slices, for the runs that are active.
-
-    The plan has been linearised there.
-    """
+    """Weigh all sightings, of active runs, at the beliefs where the plan was linearised."""
     for sensor in plan.robust:
         family = sensor.family
         error = None if family.taylor else family.noise - family.own_noise

@@ -49,7 +49,7 @@ def run(
 ) -> ChainPosterior:
     """Send the messages of a filter or smoother; `room` has arrays for the moments of a filter.
 
-    Numbers too large for float64 are refused where they end up, so that NumPy need not warn.
+    Too large numbers are refused where they end up: NumPy need not warn.
     """
     schedule = Smoothing() if schedule is None else schedule
     if isinstance(schedule, FixedLag) and not schedule.lag and not isinstance(graph, BalancedGraph):
@@ -81,10 +81,7 @@ def run(
 
 
 def _refuse_infinite(posterior: ChainPosterior) -> None:
-    """Refuse what float64 cannot hold; only the variances of a flat prior are infinite.
-
-    A variance that is negative, by more than rounding explains, is no better.
-    """
+    """Refuse moments not finite, but a flat prior's, and variances negative beyond rounding."""
     swept, smoothed = posterior._swept, posterior._smoothed
     if isinstance(swept, Filtered):  # whose numbers have been looked at
         return

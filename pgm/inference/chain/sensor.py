@@ -33,16 +33,10 @@ from pgm.variables import Variable
 
 
 class Seen(NamedTuple):
-    """Some measurements of a sensor as it is linearised, z = F x + b + n.
+    """Some measurements of a sensor as linearised: z = F x + b + n, angles moved, (k, runs, ...).
 
-    A missing component is one of unit variance that says nothing: zero in F, b and z.
-
-    Attributes
-    ----------
-    matrix, offset, value, noise : ndarray
-        F, b, z with angles moved, and the noise: (k, runs, ...).
-    taken : ndarray of bool or None
-        (k, runs or 1, d): which components are there; None where none is missing.
+    A missing component is one of unit variance that says nothing: zero in F, b and z. `taken` (k,
+    runs or 1, d) is None where none is missing.
     """
 
     matrix: Array
@@ -60,25 +54,12 @@ class Seen(NamedTuple):
 
 @dataclass(eq=False)
 class Sensor:
-    """A sensor's family in place, with its measurements sorted by step.
+    """A sensor's family in place, with its measurements (M, runs or 1, d) sorted by step.
 
-    Attributes
-    ----------
-    parents : Index
-        Where its hidden parents stand in the slice vector.
-    taken : ndarray of bool or None
-        (M, runs or 1, d): which components were; None where none is missing.
-    values : ndarray
-        (M, runs or 1, d), as given.
-    bounds : list of int
-        The measurements of step t are the rows bounds[t] to bounds[t + 1].
-    cross : dict of int to ndarray
-        By step, the covariances between different sightings' approximation errors, (runs, D, D),
-        of a grouped sensor.
-    whole : bool
-        Whether its hidden parents are all of the slice.
-    gated : GateRecord or None
-        The decisions of its gate, where it has one; `taken` is then all its own, to be written to.
+    The rows bounds[t] to bounds[t + 1] are of step t; `taken` is None where no component is
+    missing, and all its own, to be written to, where there is a gate. `cross` are by step the
+    covariances (runs, D, D) between different sightings' approximation errors, of a grouped sensor;
+    `whole` says whether the hidden parents are all of the slice.
     """
 
     family: Family
@@ -109,10 +90,7 @@ class Sensor:
 
     @cached_property
     def moved(self) -> Array:
-        """The values, angles moved to the branch nearest the CPD's value where linearised.
-
-        (M, runs, d); a copy where there are angles, to be written to.
-        """
+        """The values (M, runs, d), angles on the branch nearest the CPD's, in a copy."""
         count, runs, height, _ = self.family.shape
         wide = np.broadcast_to(self.values, (count, runs, height))
         return wide.copy("K") if self.variable.angles else wide
@@ -162,8 +140,8 @@ class Sensor:
     def at(self, step: int, *, stored: bool) -> tuple[At, Array, Mask | None] | None:
         """The CPD at a step's measurements, their values, and which components are there.
 
-        The latter two, (D, *batch), one for all with a batch of one; None where nothing is read.
-        Stored measurements are as they were linearised, their angles where they were moved to.
+        The latter (D, *batch), with a batch of one for all; None where nothing is read. Stored
+        measurements are as they were linearised, angles where they were moved to.
         """
         first, last = self.bounds[step], self.bounds[step + 1]
         if first == last:
@@ -185,11 +163,9 @@ class Sensor:
 
     @cached_property
     def _by_row(self) -> list[Array]:
-        """The values of each row, (d,), of one run."""
         return list(self.values[:, 0])
 
     def _flat(self, rows: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
-        """Some rows (k, runs or 1, d) as one vector, (k d, *batch)."""
         if not self.family.batch:
             return rows.reshape(-1)
         return rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])
@@ -211,10 +187,7 @@ class Sensor:
         )
 
     def window(self, first: int, last: int, *, after: bool) -> Sensor:
-        """The measurements of some steps, after the first of them or from it on.
-
-        In views of these arrays; what is linearised is its own.
-        """
+        """The measurements, in views, of some steps, after the first of them or from it on."""
         begin = self.bounds[first + after]
         rows, part = slice(begin, self.bounds[last + 1]), copy(self)
         part.__dict__.pop("_by_row", None)
@@ -282,7 +255,6 @@ class Sensor:
         return np.where(seen[..., None] & seen[..., None, :], cross, 0.0)
 
     def _taken(self, rows: slice | Integers) -> Mask | None:
-        """The mask of components of some rows that were taken, (k, runs or 1, d); None for all."""
         if self.taken is None or (taken := self.taken[rows]).all():
             return None
         return taken
@@ -293,15 +265,7 @@ def linearise_grouped(
 ) -> None:
     """Linearise the sightings of steps that have equally many, at beliefs over the slices.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    steps : ndarray of int
-        (G,), with k sightings each.
-    mean, cov : ndarray
-        (G, runs, n) and (G, runs, n, n).
-    active : ndarray of bool, optional
-        The runs that take the new linearisation.
+    Steps (G,) have k sightings each; beliefs are (G, runs, n) and (G, runs, n, n).
     """
     family, parents = sensor.family, sensor.parents
     template = family.template

@@ -34,7 +34,7 @@ from pgm.progress import counted
 class Smoothed:
     """A forward pass, the reversed chain, and the smoothed beliefs.
 
-    `paired` says whether neighbours' covariances are wanted where everything is relinearised.
+    `paired` says whether iterations need the covariances of neighbours.
     """
 
     forward: Ahead
@@ -101,10 +101,9 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
 
 
 def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
-    """Run a smoothing schedule in rounds that are logarithmic in the number of steps.
+    """Smooth in rounds that are logarithmic in the number of steps.
 
-    Without a start, everything is linearised first along a dead-reckoned trajectory, since beliefs
-    are not to be waited for.
+    Without a start, everything is linearised first along dead reckoning, not to wait for beliefs.
     """
     cost.require_cost(schedule, plan.families, first=False)
     chain = Chain(plan, _scanned)
@@ -121,10 +120,10 @@ def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smo
 def carefully(
     plan: ChainPlan, schedule: Smoothing, start: Array | None, *, reckoned: bool
 ) -> tuple[CarefulSmoothed, Status]:
-    """Run a smoothing schedule in twice the digits, going forward step by step.
+    """Smooth in twice the digits, going forward step by step.
 
-    Without a start, everything is linearised first by a filter, or, where it is to be `reckoned`,
-    along dead reckoning.
+    Without a start, everything is linearised first by a filter, or along dead reckoning if
+    `reckoned`.
     """
     reckoned = reckoned and not plan.exact
     cost.require_cost(schedule, plan.families, first=start is None and not reckoned)
@@ -154,7 +153,6 @@ def _iterated(
 
 
 def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
-    """Whether iterations need no covariances."""
     several = schedule.iterations > 1 and not isinstance(schedule.damping, LevenbergMarquardt)
     if any(sensor.family.expects for sensor in plan.robust):
         return False
@@ -164,7 +162,6 @@ def _is_newton(plan: ChainPlan, schedule: Smoothing) -> bool:
 def _newton(
     chain: Chain[Smoothed], means: Means, schedule: Smoothing, at: Point
 ) -> tuple[Smoothed, Status]:
-    """Iterate on means alone, and solve for everything as it was linearised last."""
     unsettled = np.zeros(chain.plan.runs, dtype=bool)
     result = iterate(_Means(chain), means, schedule, unsettled, at)
     readings = result.solution.readings
@@ -187,12 +184,10 @@ def _careful(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Carefu
 
 
 def _is_long(plan: ChainPlan) -> bool:
-    """Whether rounds over all steps beat a sweep: many steps of few numbers."""
     return plan.steps >= _MANY_STEPS and plan.runs * plan.layout.slice_size <= _FEW_NUMBERS
 
 
 def _in_rounds(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
-    """In rounds, or step by step where rounds do not exist or cost digits."""
     readings = Readings.of(plan, reference)
     if readings.stacks:
         return swept(plan, reference, anchor)
@@ -247,8 +242,6 @@ class Chain(Generic[Either]):
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """A chain as such a problem, solved for its means alone."""
-
     chain: Chain[Smoothed]
 
     def linearise(self, at: Point, active: Mask | None) -> None:
@@ -338,7 +331,6 @@ def dead_reckoning(plan: ChainPlan) -> Point:
 
 
 def _without_spread(plan: ChainPlan, mean: Array) -> Point:
-    """A trajectory as a point of linearisation."""
     size = plan.layout.state_size + plan.layout.slice_size
     return Point(
         mean,

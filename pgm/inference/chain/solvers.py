@@ -29,10 +29,7 @@ from pgm.kernels.arrays import Array
 class Solver(ABC):
     """The solution of a chain by one kind of schedule.
 
-    Attributes
-    ----------
-    starts : bool
-        Whether a start may be given, means at which everything is linearised first.
+    `starts` says whether it takes means at which everything is linearised first.
     """
 
     starts: ClassVar[bool] = False

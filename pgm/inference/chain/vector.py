@@ -1,8 +1,4 @@
-"""The measurements of a step as one vector: of one step as sweeps take them in, or of all at once.
-
-Arrays of a step have components first and the batch last, which has no axis for one run and one for
-many.
-"""
+"""The measurements of a step, or of each of all steps, as one vector; a step's batch is last."""
 
 from __future__ import annotations
 
@@ -19,20 +15,10 @@ from pgm.kernels.arrays import Array, Integers, Mask, apply, times
 class Measured(NamedTuple):
     """Sightings of one sensor at a step, as they are linearised: z = value + H (x − point) + n.
 
-    Attributes
-    ----------
-    sensor : Sensor
-    matrix, value, noise : ndarray
-        H over the sensor's parents, (D, m, *batch), and the value and noise, (D, *batch) and
-        (D, D, *batch); a batch may be one for all.
-    point : ndarray
-        (m, *batch): the mean of the parents at which they were linearised.
-    reading : ndarray
-        (D, *batch): z, its angles on the branch nearest the value.
-    taken : ndarray of bool or None
-        (D, *batch): which components are there; None where none is missing.
-    offset : ndarray or None
-        The constant of an affine CPD, (D, *batch).
+    `matrix` is H over the sensor's parents, (D, m, *batch), `noise` (D, D, *batch); a batch may be
+    one for all. `point` (m, *batch) is where they were linearised; `reading` z, its angles on the
+    branch nearest the value; `taken` None where no component is missing; `offset` the constant of
+    an affine CPD.
     """
 
     sensor: Sensor
@@ -88,16 +74,9 @@ class Measured(NamedTuple):
 
 
 class Vector(NamedTuple):
-    """Measurements as one: z = H x + n, over the slice.
+    """Measurements as one: z = H x + n, over the slice; H (D, n, *batch), residual z − H x̂.
 
-    A missing component is one of unit variance that says nothing.
-
-    Attributes
-    ----------
-    matrix, residual, noise : ndarray
-        H (D, n, *batch), z − H x̂ (D, *batch) and (D, D, *batch).
-    missing : ndarray or None
-        (*batch): how many components are missing; None where none is.
+    A missing component is one of unit variance that says nothing; `missing` (*batch) counts them.
     """
 
     matrix: Array
@@ -130,7 +109,6 @@ def vector(parts: Sequence[Measured], mean: Array) -> Vector:
 
 
 def _masked(seen: Measured, mean: Array) -> Vector:
-    """A sensor's sightings, over its own parents."""
     residual = seen.residual(mean if seen.sensor.whole else mean[seen.sensor.parents])
     if seen.taken is None:
         return Vector(seen.matrix, residual, seen.noise, None)
@@ -145,17 +123,7 @@ def _masked(seen: Measured, mean: Array) -> Vector:
 
 
 class Stack(NamedTuple):
-    """The measurements of some steps with equally many, each step's as one vector: z = H x + n.
-
-    Attributes
-    ----------
-    steps : ndarray of int
-        (G,).
-    matrix, residual, noise : ndarray
-        (G, runs, D, n), (G, runs, D) and (G, runs, D, D).
-    missing : ndarray
-        (G, runs): components that were not taken, which say nothing with unit variance.
-    """
+    """The measurements of G steps with equally many, each step's a `Vector`: H (G, runs, D, n)."""
 
     steps: Integers
     matrix: Array

@@ -1,13 +1,10 @@
 r"""The weights of sightings with robust noise: each counts with the covariance R / w.
 
 w = 2 ρ′(s) is that of the tangent of the loss ρ at the square s of the sighting's residual in
-deviations of its own noise R. With `Taylor`, which sees functions at a mean, s is that of the mean,
-and a fixed point of weights and belief maximises the density (iteratively reweighted least
-squares). With rules that take expectations over the belief, s is the expected square,
-
-.. math:: s = r^T R^{-1} r + \operatorname{tr} R^{-1} (H P H^T + Ω),
-
-and a fixed point maximises the lower bound of the evidence (expectation–maximisation).
+deviations of R. With `Taylor` s is that of the mean, and a fixed point maximises the density
+(iteratively reweighted least squares). With rules that take expectations over the belief it is
+expected, s = rᵀ R⁻¹ r + tr R⁻¹ (H P Hᵀ + Ω), and a fixed point maximises the lower bound of the
+evidence (expectation–maximisation).
 """
 
 from __future__ import annotations
@@ -29,19 +26,11 @@ _HALF = 0.5
 
 @dataclass(eq=False)
 class Weights:
-    """The weights of some sightings of a sensor, for each run.
+    """The weights w of some sightings of a sensor, (k, runs), and the squares s that they are of.
 
-    Attributes
-    ----------
-    noise : RobustNoise
-    white : ndarray
-        (k or 1, runs or 1, d, d): L⁻¹ of the noise L Lᵀ of the components taken.
-    taken : ndarray of bool or None
-        (k, runs or 1, d): which were; None for all.
-    weight, square : ndarray
-        (k, runs): w, and the square s that it is of.
-    stage : ndarray
-        (runs,): the μ of a graduated loss; infinite once it is that loss, NaN before the first.
+    `white` (k or 1, runs or 1, d, d) is L⁻¹ of the noise L Lᵀ of the components `taken`, None for
+    all; `stage` (runs,) the μ of a graduated loss: infinite once it is that loss, NaN before the
+    first.
     """
 
     noise: RobustNoise
@@ -82,14 +71,8 @@ class Weights:
     ) -> Array:
         """The squares of residuals, (k, runs); expected ones where a belief is given.
 
-        Parameters
-        ----------
-        residual : ndarray
-            (k, runs, d).
-        matrix, cov : ndarray, optional
-            H (k, runs, d, m), and the covariance of the parents, (k or 1, runs, m, m).
-        error : ndarray, optional
-            Ω, (k, runs, d, d).
+        H (k, runs, d, m) and the parents' covariance are the belief's, `error` is Ω (k, runs, d,
+        d).
         """
         if self.taken is not None:
             residual = np.where(self.taken, residual, 0.0)
@@ -119,7 +102,6 @@ class Weights:
         return np.asarray(np.where(active, moved, 0.0))
 
     def _weights(self, square: Array) -> tuple[Array, Array]:
-        """The weights of squares, and the stage that they are of."""
         noise = self.noise
         hard = noise.weight(square, self.count)
         if not isinstance(noise, TruncatedLeastSquares):

@@ -303,7 +303,6 @@ def refuse(step: int) -> NoReturn:
 
 
 def _wide(array: Array, plan: ChainPlan, own: int) -> Array:
-    """A belief's array for the runs of a plan, as one axis."""
     rest = array.shape[-own:]
     return np.broadcast_to(array, (*plan.lead, *rest)).reshape(plan.runs, *rest)
 

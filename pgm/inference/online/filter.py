@@ -153,7 +153,6 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _filtering(self) -> Filtering:
-        """The schedule of a step's measurements, where its window is not linearised."""
         schedule = self.schedule
         if isinstance(schedule, FixedLag):
             return schedule.first if schedule.lag else schedule.filtering
@@ -161,7 +160,6 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _behind(self) -> Trail | Sliding | None:
-        """The steps behind a belief at step 0."""
         schedule = self.schedule
         if not isinstance(schedule, FixedLag):
             return None
@@ -171,12 +169,10 @@ class OnlineFilter(InCode, Immutable):
 
     @cached_property
     def _motions(self) -> Layouts:
-        """The transition, laid out for each kind of inputs of one robot."""
         return Layouts(self._ahead, ONCE)
 
     @cached_property
     def _sensors(self) -> Layouts:
-        """Sensors, laid out for each kind of measurements of one robot."""
         return Layouts(self._seen, self._filtering)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -260,7 +256,6 @@ class OnlineFilter(InCode, Immutable):
     def _predicted(
         self, belief: OnlineBelief, inputs: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
-        """The belief one step later, in float64; None where that has too few digits."""
         step, behind = belief.step + 1, belief.behind
         laid = None if belief.lead else self._motions.motion(belief, inputs)
         if laid is None:
@@ -290,7 +285,6 @@ class OnlineFilter(InCode, Immutable):
         return belief_of(plan, step, found, log_evidence, status, PREDICTED, behind)
 
     def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
-        """The plan of a prediction, its inputs checked."""
         return self._plan(step_evidence.inputs(self.model, belief, inputs), belief.step)
 
     @_quiet
@@ -347,7 +341,6 @@ class OnlineFilter(InCode, Immutable):
     def _updated(
         self, belief: OnlineBelief, readings: Mapping[Variable, Any]
     ) -> OnlineBelief | None:
-        """The belief given measurements, in float64; None where that has too few digits."""
         laid = None if belief.lead else self._sensors.sensors(belief, readings)
         if laid is None:
             chain = MomentChain(self._seen(belief, readings), self._filtering, keep=False)
@@ -376,13 +369,11 @@ class OnlineFilter(InCode, Immutable):
         return made.judged(*of_update(belief.watch, parts, known)) if judges else made
 
     def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
-        """The plan of an update, its measurements checked."""
         plan = self._plan(step_evidence.readings(self.model, belief, readings), belief.step)
         require_cost(self._filtering, (sensor.family for sensor in plan.sensors))
         return plan
 
     def _windows(self, bound: BoundEvidence, first: int, prior: bool) -> ChainPlan:
-        """The plan of a window."""
         plan = self._plan(bound, first, prior=prior)
         assert isinstance(self.schedule, FixedLag)
         require_cost(self.schedule.smoothing, plan.families)

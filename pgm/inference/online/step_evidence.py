@@ -121,7 +121,6 @@ def _reading(model: DynamicBayesianNetwork, variable: Variable, value: Any) -> A
 
 
 def _single(variable: Variable, value: Any) -> Any:
-    """One measurement, as the only row of several."""
     if not isinstance(variable, Discrete):
         return as_rows(variable, value, None)[..., None, :]
     if isinstance(value, Soft):
@@ -139,8 +138,8 @@ Key = tuple[Any, ...]
 def ordinary(values: Mapping[Variable, Any]) -> tuple[Key, list[Array]] | None:
     """The kind of the values given, and their rows: (d,), or (M, d) of sightings, read-only.
 
-    The rows of a sensor come before those of the parents given with it. None where values are
-    missing, of an odd shape, or of many robots.
+    A sensor's rows come before those of its parents. None where values are missing, odd, or of many
+    robots.
     """
     key: list[Any] = []
     rows: list[Array] = []
@@ -171,7 +170,7 @@ def _is_finite(row: Array) -> bool:
 
 
 def _view(value: Any, axes: int) -> Array | None:
-    """A view that functions of users may see, (d,) or (M, d), of an array of floats or the like."""
+    """A view that functions of users may see, (d,) or (M, d)."""
     if type(value) is not _ARRAY or value.dtype is not _FLOAT:
         value = _numbers(value) if isinstance(value, _ARRAY | list | tuple) else None
     if value is None or value.ndim != axes:
@@ -205,17 +204,7 @@ Values = Mapping[Variable, Any]
 
 
 class _Local:
-    """A CPD, and which of the rows given at a step are its inputs.
-
-    Parameters
-    ----------
-    family : Family
-    inputs : list of (int, bool)
-        The place of each input among the rows, and whether it is shared by several sightings.
-    sightings : int
-    reading : int
-        The place of the measurements.
-    """
+    """A CPD, and which of the rows given at a step are its inputs, (place, shared by sightings)."""
 
     def __init__(
         self, family: Family, inputs: list[tuple[int, bool]], sightings: int, reading: int
@@ -253,15 +242,7 @@ class _Layout(NamedTuple):
 
 
 class Layouts:
-    """Layouts of a step, by the kind of input.
-
-    Parameters
-    ----------
-    make : callable
-        Makes a plan, or refuses what is given.
-    schedule : Filtering
-        How often measurements are linearised.
-    """
+    """Layouts of a step, by the kind of input; `make` makes a plan, or refuses what is given."""
 
     def __init__(
         self, make: Callable[[OnlineBelief, Values], ChainPlan], schedule: Filtering

@@ -1,7 +1,7 @@
 """The steps behind the belief of an online filter with a lag.
 
-With one linearisation a trail of predictions is enough to go back over; with more, windows are
-smoothed, the same as slide along a recorded chain, one at a time.
+With one linearisation a trail of predictions is gone back over; with more, windows are smoothed as
+along a recorded chain.
 """
 
 from __future__ import annotations
@@ -36,15 +36,7 @@ Make = Callable[[BoundEvidence, int, bool], ChainPlan]
 
 
 class Entry(NamedTuple):
-    """The evidence of a step.
-
-    Attributes
-    ----------
-    motion : tuple of Inputs
-        Of each CPD of the transition to it, (1, runs or 1, d); no rows at step 0.
-    readings : tuple of Reading
-        Of its updates.
-    """
+    """The evidence of a step: each CPD's inputs of the transition to it, and readings."""
 
     motion: tuple[Inputs, ...]
     readings: tuple[Reading, ...] = ()
@@ -54,19 +46,9 @@ class Entry(NamedTuple):
 class Sliding:
     """The window of a belief's step, and all that it is found from.
 
-    Attributes
-    ----------
-    schedule : FixedLag
-    lead : tuple of int
-        The axes of runs.
-    entries : tuple of Entry
-        Of the steps whose CPDs are in the window.
-    before : Window or None
-        That of the step before; None at step 0.
-    window : Window or None
-        That of the step; None while nothing has been read there.
-    left : ndarray
-        (runs,): the log-evidence that the window has left behind.
+    `entries` are of the steps whose CPDs are in it; `before` is that of the step before, None at
+    step 0; `window` is None while nothing has been read at the step; `left` (runs,) is the
+    log-evidence left behind.
     """
 
     schedule: FixedLag
@@ -116,7 +98,6 @@ class Sliding:
 
     @property
     def _newest(self) -> Beginning | None:
-        """The belief at the step before."""
         return None if self.before is None else self.before.at(-1)
 
     @property
@@ -185,7 +166,6 @@ def _joined(entries: Sequence[Entry], lead: tuple[int, ...], *, begun: bool) -> 
 
 
 def _rows(parts: Sequence[npt.NDArray[Kind]]) -> npt.NDArray[Kind]:
-    """Arrays (rows, runs or 1, d) as one; read-only, since functions of users see them."""
     runs = max(part.shape[1] for part in parts)
     whole = np.concatenate([np.broadcast_to(p, (len(p), runs, p.shape[2])) for p in parts])
     whole.flags.writeable = False
@@ -204,12 +184,7 @@ class _Ends(NamedTuple):
 class Passed:
     """A transition behind the belief, made in float64, with its reverse for lagged beliefs.
 
-    Parameters
-    ----------
-    plan : ChainPlan
-        Of one step, as it was linearised.
-    before, after : Moments
-        The belief before it, and what it predicts.
+    The plan is of one step; `before` and `after` are the belief before it, and what it predicts.
     """
 
     def __init__(self, plan: ChainPlan, before: Moments, after: Moments) -> None:
@@ -248,13 +223,8 @@ def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
 class Trail(NamedTuple):
     """The transitions behind a belief, as many as the lag has steps.
 
-    Attributes
-    ----------
-    lag : int
-    passed : tuple of Passed or None
-        The last of them ends at the belief's step; None where a step took twice the digits.
-    imprecise : bool
-        Whether the measurements of the belief's step did.
+    The last of them ends at the belief's step; they are None where a step took twice the digits,
+    `imprecise` where the measurements of the belief's step did.
     """
 
     lag: int
