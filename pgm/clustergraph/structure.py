@@ -129,13 +129,8 @@ class ClusterGraph(Drawn, Immutable):
     ) -> ClusterGraph:
         """A graph without loops that has running intersection by its making: it is not checked.
 
-        Parameters
-        ----------
-        network : BayesianNetwork
-        members : iterable of set of int
-            The variables of each cluster, by place.
-        joined : mapping of (int, int) to set of int
-            Sepsets.
+        members: The variables of each cluster, by place.
+        joined: Sepsets.
         """
         graph = cls.__new__(cls)
         graph._assign(network, [tuple(sorted(held)) for held in members])
@@ -144,13 +139,7 @@ class ClusterGraph(Drawn, Immutable):
         return graph
 
     def _assign(self, network: BayesianNetwork, members: Sequence[Places]) -> None:
-        """Set the clusters, each CPD in the smallest that holds its family.
-
-        Raises
-        ------
-        GraphError
-            If none does.
-        """
+        """Set the clusters, each CPD in the smallest that holds its family."""
         extents = list(map(extent, network.variables))
         combine = math.prod if network.discrete else sum
         sizes = tuple([combine([extents[place] for place in held]) for held in members])

@@ -58,19 +58,11 @@ class Oracle(Protocol):
 class Reference(NamedTuple):
     """The oracle's belief of a state over steps 0..T.
 
-    Attributes
-    ----------
-    gaussian : Gaussian
-        Of its mean and covariance, (*runs, T+1, d).
-    from_gaussian : ndarray
-        (T+1,), in nats, the mean over runs: KL from that Gaussian.
-    seconds : float
-        Of the oracle's call; NaN if it was made with another, or given.
-    log_evidence : float
-        The mean over runs; NaN if the oracle has none.
-    log_evidence_kind : str
-    status : str
-        Of a grid, in words.
+    gaussian: Of its mean and covariance, (*runs, T+1, d).
+    from_gaussian: (T+1,), in nats, the mean over runs: KL from that Gaussian.
+    seconds: Of the oracle's call; NaN if it was made with another, or given.
+    log_evidence: The mean over runs; NaN if the oracle has none.
+    status: Of a grid, in words.
     """
 
     gaussian: Gaussian
@@ -84,15 +76,8 @@ class Reference(NamedTuple):
 class Compared(NamedTuple):
     """The subject of a comparison.
 
-    Attributes
-    ----------
-    graph : DynamicGraph
-    evidence : mapping of Variable
-    lead : tuple of int
-        The axes of runs.
-    states : tuple of Variable
-    kinds : tuple of Kind
-        Of the schedules.
+    lead: The axes of runs.
+    kinds: Of the schedules.
     """
 
     graph: DynamicGraph
@@ -124,11 +109,7 @@ def require_oracle(oracle: Any, kinds: Iterable[Kind]) -> None:
 def references(oracle: Grid | Oracle, compared: Compared) -> dict[tuple[Kind, Variable], Reference]:
     """The oracle's beliefs, of each kind and state; a grid is run here.
 
-    Parameters
-    ----------
-    oracle : Grid or Oracle
-        As `require_oracle` lets it pass.
-    compared : Compared
+    oracle: As `require_oracle` lets it pass.
     """
     found = {}
     for kind, posterior, seconds in _of_each_kind(oracle, compared):
@@ -212,10 +193,6 @@ def non_gaussianity(belief: GridBelief) -> Array:
     NaN where the covariance is singular. It is right where the density is smooth over a cell; one
     that is negative tells that cells are too wide for the belief. Angles count as if their line
     had no ends.
-
-    Parameters
-    ----------
-    belief : GridBelief
     """
     lead = belief.values.ndim - len(belief.centres)
     rows = belief.values.reshape(-1, int(np.prod(belief.values.shape[lead:])))

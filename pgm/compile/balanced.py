@@ -56,11 +56,7 @@ class BalancedGraph(DynamicGraph):
     are the segments before and after m, and the sepset between a segment and its parent is the
     states at its ends. Cluster 0 hangs on the root.
 
-    Attributes
-    ----------
-    model : DynamicBayesianNetwork
-    steps : int
-        T, the last step.
+    steps: T, the last step.
     """
 
     @cached_property

@@ -23,11 +23,7 @@ class DynamicGraph(ClusterGraph, ABC):
     is, and what is joined, is for the kinds of graphs to say. Clusters and sepsets are views,
     made on request from one template.
 
-    Attributes
-    ----------
-    model : DynamicBayesianNetwork
-    steps : int
-        T, the last step.
+    steps: T, the last step.
     """
 
     model: DynamicBayesianNetwork
@@ -164,11 +160,7 @@ class SliceGraph(DynamicGraph):
     holds the states of steps t−1 and t and the other variables of the CPDs at t. The sepset
     between t and t+1 is all states at t. Clusters are views, made on request from one template.
 
-    Attributes
-    ----------
-    model : DynamicBayesianNetwork
-    steps : int
-        T, the last step.
+    steps: T, the last step.
     """
 
     def within(self, steps: int) -> range:

@@ -25,16 +25,10 @@ Row = Sequence[str] | None
 class Listing:
     """A table of words and numbers.
 
-    Attributes
-    ----------
-    heads : sequence of str
-        The head of each column.
-    rows : sequence of (sequence of str or None)
-        Cells; None stands for rows that are left out.
-    names : int
-        How many of the columns, from the left, are words.
-    cell : int
-        The most letters of a cell.
+    heads: The head of each column.
+    rows: Cells; None stands for rows that are left out.
+    names: How many of the columns, from the left, are words.
+    cell: The most letters of a cell.
     """
 
     heads: Sequence[str]
@@ -87,12 +81,8 @@ class Listing:
 class Summary:
     """A value in a few lines.
 
-    Attributes
-    ----------
-    title : str
-        Its first line.
-    parts : sequence of str or Listing
-        The lines and tables below.
+    title: Its first line.
+    parts: The lines and tables below.
     """
 
     title: str
@@ -110,10 +100,7 @@ class Summary:
     def html(self, picture: str = "") -> str:
         """The summary in HTML, for notebooks.
 
-        Parameters
-        ----------
-        picture : str
-            Markup that stands below the title.
+        picture: Markup that stands below the title.
         """
         parts = [f"<p><b>{escape(one_line(self.title, TITLE))}</b></p>", picture]
         for part in self.parts:

@@ -29,14 +29,8 @@ FREE_GREY, OCCUPIED_GREY, UNKNOWN_GREY = 254, 0, 205
 class MapFile(NamedTuple):
     """The values of a map's files, not yet checked as a map.
 
-    Attributes
-    ----------
-    occupied : ndarray
-        (rows, columns), row 0 at the lowest y.
-    resolution : float
-    origin : object
-    free, above : float
-        The thresholds.
+    occupied: (rows, columns), row 0 at the lowest y.
+    free, above: The thresholds.
     """
 
     occupied: Array

@@ -21,15 +21,10 @@ from pgm.variables import Variable
 class Scans(NamedTuple):
     """Scans, and the poses that they are to be of.
 
-    Attributes
-    ----------
-    ranges : ndarray
-        (m, beams), or (1, beams) where all poses share one scan; of the beams in use, NaN where
+    ranges: (m, beams), or (1, beams) where all poses share one scan; of the beams in use, NaN where
         not measured.
-    poses : ndarray
-        (m, 3), of the sensor.
-    lead : tuple of int
-        The axes that the m have.
+    poses: (m, 3), of the sensor.
+    lead: The axes that the m have.
     """
 
     ranges: Array
@@ -40,19 +35,11 @@ class Scans(NamedTuple):
 class ScanCPD(CPD):
     """Base of the CPDs of a scan, one component a beam, given a pose and a map.
 
-    Attributes
-    ----------
-    map : OccupancyMap
-    angles : ndarray
-        (B,): of all beams against the sensor's heading [rad].
-    most : float
-        The range from which on a beam has met nothing [m].
-    mount : ndarray
-        (3,): the sensor's pose in the robot's frame.
-    every : int
-        Each `every`-th beam is used, from the first on.
-    weight : float
-        The exponent of the likelihood of the beams in use.
+    angles: (B,): of all beams against the sensor's heading [rad].
+    most: The range from which on a beam has met nothing [m].
+    mount: (3,): the sensor's pose in the robot's frame.
+    every: Each `every`-th beam is used, from the first on.
+    weight: The exponent of the likelihood of the beams in use.
     """
 
     # A beam that is NaN is left out: others are independent of it, given the pose.

@@ -163,12 +163,8 @@ Factor = CanonicalForm | Table | Gaussian
 class Writer:
     """The factors of a posterior in the numbers of a page, and the variables that they are over.
 
-    Attributes
-    ----------
-    variables : list of dict
-        Those met so far, as the page names them.
-    scopes : dict of int to tuple of Variable
-        The variables without evidence of each cluster whose belief was written.
+    variables: Those met so far, as the page names them.
+    scopes: The variables without evidence of each cluster whose belief was written.
     """
 
     def __init__(

@@ -27,18 +27,9 @@ def place(
 ) -> dict[str, list[Any]]:
     """Place clusters so that none lies on another, in about the shape of a screen.
 
-    Parameters
-    ----------
-    clusters : sequence of int
-    edges : sequence of (int, int)
-    letters : mapping to int
-        The length of the label of each cluster, by index, and of each sepset, by edge.
-    graph : ClusterGraph
+    letters: The length of the label of each cluster, by index, and of each sepset, by edge.
 
-    Returns
-    -------
-    dict
-        x, y and width of each cluster, in pixels; of trees the cluster towards the root.
+    Returns: x, y and width of each cluster, in pixels; of trees the cluster towards the root.
     """
     width = {k: max(_LEAST, _PADDING + _LETTER * n) for k, n in letters.items()}
     neighbours: dict[int, list[int]] = {k: [] for k in clusters}
@@ -197,9 +188,7 @@ def _by_distance(
 ) -> Array:
     """A graph with loops: distances on the page are to be those along its edges.
 
-    References
-    ----------
-    Gansner, Koren & North, Graph drawing by stress majorization, 2004.
+    Source: Gansner, Koren & North, Graph drawing by stress majorization, 2004.
     """
     wanted: Array = shortest_path(links, directed=False, unweighted=True)
     at = _turned(_stressed(wanted), links)

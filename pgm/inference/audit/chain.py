@@ -29,24 +29,14 @@ Links = list[tuple[Link, Term]]
 class ChainDraws:
     """Trajectories from the smoothed Gaussian, drawn forward in time, with their log-weights.
 
-    Attributes
-    ----------
-    plan : ChainPlan
-    first, later : Proposal
-        The states at step 0; the slice of each later step given the states before it.
-    prior, transition, sensors : list
-        The CPDs in place, with their densities.
-    reference : ndarray
-        (runs,): the log-weight that is common to all draws.
-    relative : bool
-        Whether weights are relative to the densities of the linearised model, whose evidence then
-        is the reference.
-    beliefs : Beliefs
-        The smoothed moments of every slice.
-    judged : ndarray of bool
-        (T+1,): the steps whose beliefs in the posterior know all measurements.
-    onward : Conditional
-        The slice of each later step given the states before it, fixed components too.
+    first, later: The states at step 0; the slice of each later step given the states before it.
+    prior, transition, sensors: The CPDs in place, with their densities.
+    reference: (runs,): the log-weight that is common to all draws.
+    relative: Whether weights are relative to the densities of the linearised model, whose evidence
+        then is the reference.
+    beliefs: The smoothed moments of every slice.
+    judged: (T+1,): the steps whose beliefs in the posterior know all measurements.
+    onward: The slice of each later step given the states before it, fixed components too.
     """
 
     plan: ChainPlan

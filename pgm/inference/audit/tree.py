@@ -21,19 +21,11 @@ from pgm.kernels.moments import Conditional
 class TreeDraws:
     """Draws from the joint Gaussian of a calibrated tree, with their log-weights.
 
-    Attributes
-    ----------
-    model : Model
-    proposal : Proposal
-        Of all hidden components at once.
-    terms : list of Term
-        One a group of CPDs.
-    reference : ndarray
-        (runs,): the log-weight that is common to all draws.
-    relative : bool
-        Whether weights are relative to the densities of the linearised network.
-    mean, cov : ndarray
-        (1, runs, n), (1, runs, n, n): the joint's moments.
+    proposal: Of all hidden components at once.
+    terms: One a group of CPDs.
+    reference: (runs,): the log-weight that is common to all draws.
+    relative: Whether weights are relative to the densities of the linearised network.
+    mean, cov: (1, runs, n), (1, runs, n, n): the joint's moments.
     """
 
     model: Model

@@ -135,12 +135,8 @@ CODES = 2**62
 class Distinct:
     """The runs of some evidence, each different one once.
 
-    Attributes
-    ----------
-    evidence : BoundStates
-        Of the runs that differ.
-    which : ndarray of int or None
-        (runs,): which of them each run is; None if all differ.
+    evidence: Of the runs that differ.
+    which: (runs,): which of them each run is; None if all differ.
     """
 
     evidence: BoundStates

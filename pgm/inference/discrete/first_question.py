@@ -41,12 +41,8 @@ FEW, TINY = 16, 2**7
 class Answer:
     """The beliefs of one run.
 
-    Attributes
-    ----------
-    marginals : mapping of Discrete to ndarray
-        (states,): of the variables that are not observed.
-    log_evidence : float
-        ln p(evidence).
+    marginals: (states,): of the variables that are not observed.
+    log_evidence: ln p(evidence).
     """
 
     marginals: Mapping[Discrete, Array]
@@ -60,17 +56,10 @@ Factor = tuple[Sequence[int], Array]
 def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
     """The beliefs of one run.
 
-    Parameters
-    ----------
-    graph : ClusterGraph
-        Without loops.
-    evidence : BoundStates
-        Without leading axes.
+    graph: Without loops.
+    evidence: Without leading axes.
 
-    Returns
-    -------
-    Answer or None
-        None where a number is lost to underflow, or nothing is possible given the evidence.
+    Returns: None where a number is lost to underflow, or nothing is possible given the evidence.
     """
     try:
         return _answer(graph, evidence)
@@ -86,14 +75,9 @@ def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
 class _Tree:
     """The working place of `answer`.
 
-    Attributes
-    ----------
-    order : list of int
-        The clusters, parents before children.
-    parent : list of int
-        Of each cluster; −1 of a root.
-    scopes, shared : list of (list of int)
-        The variables of each cluster, and the last of them, which its parent has too.
+    order: The clusters, parents before children.
+    parent: Of each cluster; −1 of a root.
+    scopes, shared: The variables of each cluster, and the last of them, which its parent has too.
     """
 
     def __init__(self, graph: ClusterGraph, evidence: BoundStates) -> None:
@@ -278,11 +262,6 @@ class FirstBeliefs:
 
     Marginals and log-evidence are there; joints, messages and beliefs of clusters are read from
     tables that are laid out and calibrated when the first of them is asked for.
-
-    Attributes
-    ----------
-    graph : ClusterGraph
-    evidence : BoundStates
     """
 
     graph: ClusterGraph
@@ -296,11 +275,6 @@ class FirstBeliefs:
 
         None, if it is not the first; or where numbers do not do, or the evidence is impossible:
         then logarithms serve, or tell what contradicts what.
-
-        Raises
-        ------
-        GraphError
-            If its tables are too large.
         """
         if not _first(graph):
             return None

@@ -267,11 +267,6 @@ def joint(storage: Storage, tables: Array, scope: States) -> Array:
 
     Each cluster's belief given its sepset is multiplied into its parent's, along the smallest
     subtree that holds the variables, and what is not asked for is summed out as soon as may be.
-
-    Raises
-    ------
-    GraphError
-        If a table on the way is too large.
     """
     one = holder(storage, scope)
     if one is not None:

@@ -24,11 +24,7 @@ from pgm.variables import Discrete
 class Storage:
     """The flat array of a graph's tables.
 
-    Attributes
-    ----------
-    graph : ClusterGraph
-    places : sequence of Place
-        Of each cluster.
+    places: Of each cluster.
     """
 
     graph: ClusterGraph

@@ -23,14 +23,7 @@ from pgm.variables import Discrete
 
 @dataclass(frozen=True, eq=False)
 class TreeBeliefs:
-    """The calibrated beliefs of a graph without loops.
-
-    Attributes
-    ----------
-    plan : TreePlan
-    storage : Storage
-    evidence : BoundStates
-    """
+    """The calibrated beliefs of a graph without loops."""
 
     plan: TreePlan
     storage: Storage
@@ -45,15 +38,7 @@ class TreeBeliefs:
 
     @classmethod
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> TreeBeliefs:
-        """Calibrate a graph without loops.
-
-        Raises
-        ------
-        GraphError
-            If its tables are too large, or the marginals of all runs.
-        EvidenceError
-            If the evidence has probability zero.
-        """
+        """Calibrate a graph without loops."""
         distinct = Distinct.of(evidence)
         runs = distinct.evidence.runs
         plan = plan_for(graph, runs, room.batch)
@@ -135,10 +120,7 @@ class TreeBeliefs:
 class _Gathered:
     """The results of batches of runs, (..., [runs]), gathered in one array.
 
-    Parameters
-    ----------
-    runs : int
-        Of all; of a single one there is no axis.
+    runs: Of all; of a single one there is no axis.
     """
 
     whole: Array

@@ -48,12 +48,7 @@ _UNEVEN = 0.5
 class Uneven(NamedTuple):
     """The density whose sums over centres differ the most with where between centres it stands.
 
-    Attributes
-    ----------
-    share : float
-        By how much they differ: of one.
-    variable : Variable or None
-    step : int
+    share: By how much they differ: of one.
     """
 
     share: float
@@ -68,17 +63,10 @@ EVEN = Uneven(0.0, None, 0)
 class Dense:
     """Weights from each cell to each along some axes, for each cell of those depended on.
 
-    Attributes
-    ----------
-    axes : tuple of int
-        Those that are moved.
-    by : tuple of int
-        The other axes on which they depend, ascending; G is the number of their cells.
-    weights : ndarray
-        (G, S, T): S source cells, or 1 where none is depended on, and T target cells.
-    source, target : tuple of Span
-        The windows.
-    uneven : Uneven
+    axes: Those that are moved.
+    by: The other axes on which they depend, ascending; G is the number of their cells.
+    weights: (G, S, T): S source cells, or 1 where none is depended on, and T target cells.
+    source, target: The windows.
     """
 
     axes: tuple[int, ...]
@@ -126,10 +114,7 @@ class Dense:
 class DensityGroup(Members):
     """CPDs of any density, which is asked for from each cell to each.
 
-    Attributes
-    ----------
-    kept : dict
-        By key, the weights between all cells, where they are the same at all steps.
+    kept: By key, the weights between all cells, where they are the same at all steps.
     """
 
     kept: dict[tuple[object, ...], Dense] = field(default_factory=dict)

@@ -20,13 +20,7 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Operators one after another, from one window to another.
-
-    Attributes
-    ----------
-    source, target : Window
-    operators : sequence of Operator or Mixed
-    """
+    """Operators one after another, from one window to another."""
 
     source: Window
     target: Window
@@ -84,13 +78,7 @@ class Step:
 class Mixed:
     """The weighted sum of several steps from one window.
 
-    Attributes
-    ----------
-    lattice : Lattice
-    weights : ndarray
-    steps : sequence of Step
-    target : tuple of Span
-        The window that holds those of all steps.
+    target: The window that holds those of all steps.
     """
 
     lattice: Lattice
@@ -129,11 +117,7 @@ class Mixed:
 class MixedGroup(Members):
     """A mixture, part by part.
 
-    Attributes
-    ----------
-    parts : tuple of Members
-        One for each CPD that it mixes.
-    weights : ndarray
+    parts: One for each CPD that it mixes.
     """
 
     parts: tuple[Members, ...] = ()

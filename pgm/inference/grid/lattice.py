@@ -22,18 +22,10 @@ from pgm.variables import Variable
 class Axis:
     """One axis: a component of a state.
 
-    Attributes
-    ----------
-    variable : Variable
-    component : int
-        Its place in the variable.
-    label : str
-        The name of the component, with that of the variable where states share it.
-    low, width : float
-        Where the cells begin, and how wide each is.
-    cells : int
-    angle : bool
-        Whether it is a circle, from −π on; its first centre is there.
+    component: Its place in the variable.
+    label: The name of the component, with that of the variable where states share it.
+    low, width: Where the cells begin, and how wide each is.
+    angle: Whether it is a circle, from −π on; its first centre is there.
     """
 
     variable: Variable
@@ -77,13 +69,7 @@ Window = tuple[Span, ...]
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The axes of a grid, those of angles first.
-
-    Attributes
-    ----------
-    states : tuple of Variable
-    axes : tuple of Axis
-    """
+    """The axes of a grid, those of angles first."""
 
     states: Scope
     axes: tuple[Axis, ...]

@@ -42,14 +42,8 @@ _BOUNDS = 20.0
 class Motion:
     """The groups of a prior or transition, moved one after another.
 
-    Attributes
-    ----------
-    lattice : Lattice
-    groups : list of Members
-    known : dict
-        By the key of a group, the axes on which its displacements depend, as far as is known.
-    kept : dict
-        Weights by density that are the same at all steps.
+    known: By the key of a group, the axes on which its displacements depend, as far as is known.
+    kept: Weights by density that are the same at all steps.
     """
 
     lattice: Lattice

@@ -37,21 +37,11 @@ class Operator(Protocol):
 class Move:
     """Kernels along one axis, one for each cell of the axes on which the displacement depends.
 
-    Attributes
-    ----------
-    axis : int
-    by : tuple of int
-        The other axes on which it depends, ascending; G is the number of their cells.
-    first : ndarray of int
-        (nodes or 1, G, 1), of the kernels at each node of a quadrature; (nodes or 1, G, source
+    by: The other axes on which it depends, ascending; G is the number of their cells.
+    first: (nodes or 1, G, 1), of the kernels at each node of a quadrature; (nodes or 1, G, source
         cells) where it depends on the place along the axis too.
-    weights : ndarray
-        (*first.shape, taps).
-    added : ndarray
-        (nodes or 1, G, ...): the variance that the lattice adds, in cells.
-    source, target : Span
-    cells : int
-    periodic : bool
+    weights: (*first.shape, taps).
+    added: (nodes or 1, G, ...): the variance that the lattice adds, in cells.
     """
 
     axis: int
@@ -112,11 +102,7 @@ class Move:
 class Sweep:
     """Moves along one axis after another, summed over the nodes of a quadrature.
 
-    Attributes
-    ----------
-    moves : sequence of Move
-    nodes : ndarray
-        Weights of the nodes.
+    nodes: Weights of the nodes.
     """
 
     moves: Sequence[Move]
@@ -163,21 +149,12 @@ class Split:
     Three points have any mean between −½ and ½, and the variance s² = ¼, or f(1 − f) of a smaller
     s², exactly; of larger ones the rest is a blur that is the same everywhere.
 
-    Parameters
-    ----------
-    axes : tuple of int
-        Those that are moved.
-    place : callable
-        The targets of the source cells at a node, (axes, source cells), in cells of each axis.
-    variance : ndarray
-        (axes,): in cells, ¼ at the most.
-    nodes : ndarray
-        Weights of the nodes.
-    source, target : tuple of Span
-        The windows.
-    cells : tuple of int
-        Of each axis of the lattice.
-    periodic : tuple of bool
+    axes: Those that are moved.
+    place: The targets of the source cells at a node, (axes, source cells), in cells of each axis.
+    variance: (axes,): in cells, ¼ at the most.
+    nodes: Weights of the nodes.
+    source, target: The windows.
+    cells: Of each axis of the lattice.
     """
 
     def __init__(

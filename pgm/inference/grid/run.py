@@ -34,13 +34,7 @@ def run(
 ) -> GridPosterior:
     """Send the messages of a schedule on a grid, and warn of what its status tells.
 
-    Parameters
-    ----------
-    graph : DynamicGraph
-    bound : BoundEvidence
-    schedule : Filtering, FixedLag, Smoothing or None
-        Smoothing, if not given.
-    grid : Grid
+    schedule: Smoothing, if not given.
     """
     require_chain(graph, "beliefs on a grid")
     kind = kind_of(schedule, "beliefs on a grid")

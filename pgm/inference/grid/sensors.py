@@ -53,17 +53,10 @@ _LEAST = -600.0
 class Weights(NamedTuple):
     """The weights of a step's measurements in a window.
 
-    Attributes
-    ----------
-    values : ndarray or None
-        1 at the most; None where nothing was measured.
-    log_scale : float
-        The logarithm of their largest density.
-    sharpest : Sharpness
-    ceiling : float
-        The logarithm of the density where all residuals are zero.
-    components : int
-        How many numbers were measured.
+    values: 1 at the most; None where nothing was measured.
+    log_scale: The logarithm of their largest density.
+    ceiling: The logarithm of the density where all residuals are zero.
+    components: How many numbers were measured.
     """
 
     values: Array | None

@@ -52,15 +52,8 @@ class Tested(NamedTuple):
 class GridModel:
     """A model with its evidence on a lattice.
 
-    Parameters
-    ----------
-    lattice : Lattice
-    model : DynamicBayesianNetwork
-    bound : BoundEvidence
-    tested : Tested, optional
-        Of the same model and lattice, to go on from; it is added to.
-    first : int
-        The step before the first of the evidence for the transition.
+    tested: Of the same model and lattice, to go on from; it is added to.
+    first: The step before the first of the evidence for the transition.
     """
 
     def __init__(
@@ -99,29 +92,15 @@ class GridModel:
 class GridSlices:
     """One run's slices: beliefs are (*cells), the chain having no axes of runs.
 
-    Parameters
-    ----------
-    model : GridModel
-    run : int
-        Its number.
-    keep : numpy type or None
-        In which weights are kept for the way back; None where there is none.
+    run: Its number.
+    keep: In which weights are kept for the way back; None where there is none.
 
-    Attributes
-    ----------
-    outside : dict of int to float
-        By step, the probability that left the bounds, or that the window of active cells has cut
-        off.
-    added : ndarray
-        (axes,): the variance that the lattice has added in all steps, in cells.
-    split : frozenset of int
-        The axes that were moved cell by cell.
-    sharpest : Sharpness
-    narrowest : Narrowness
-    uneven : Uneven
-        The density of a prior or transition whose sums over centres are the least those of it.
-    cut : Cut
-        The belief of which the most may have been cut off.
+    outside: By step, the probability that left the bounds, or that the window of active cells has
+        cut off.
+    added: (axes,): the variance that the lattice has added in all steps, in cells.
+    split: The axes that were moved cell by cell.
+    uneven: The density of a prior or transition whose sums over centres are the least those of it.
+    cut: The belief of which the most may have been cut off.
     """
 
     lead: tuple[int, ...] = ()
@@ -266,13 +245,8 @@ class GridSlices:
 class Narrowness(NamedTuple):
     """The narrowest belief along an axis.
 
-    Attributes
-    ----------
-    cells : float
-        Its standard deviation in cells.
-    component : str
-        Empty if no belief has been looked at.
-    step : int
+    cells: Its standard deviation in cells.
+    component: Empty if no belief has been looked at.
     """
 
     cells: float

@@ -37,16 +37,10 @@ NARROW = 0.7
 class Refinement(NamedTuple):
     """One resolution of a grid that was refined.
 
-    Attributes
-    ----------
-    cells : tuple of int
-        Along each axis.
-    figure : ndarray
-        Of this resolution.
-    change : float
-        Its largest change from the resolution before; NaN of the first.
-    seconds : float
-        The time that it took.
+    cells: Along each axis.
+    figure: Of this resolution.
+    change: Its largest change from the resolution before; NaN of the first.
+    seconds: The time that it took.
     """
 
     cells: tuple[int, ...]

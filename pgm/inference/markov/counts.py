@@ -15,17 +15,11 @@ from pgm.kernels.arrays import Array, Integers
 def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Array]:
     """The expected number of times that each CPD's parents and child had their states.
 
-    Parameters
-    ----------
-    posterior : StatePosterior
-        After smoothing.
-    cpds : list of CPD
-        Of arrays of numbers.
+    posterior: After smoothing.
+    cpds: Of arrays of numbers.
 
-    Returns
-    -------
-    dict
-        By CPD, (size of each parent..., size of the child), summed over steps, sightings and runs.
+    Returns: By CPD, (size of each parent..., size of the child), summed over steps, sightings and
+    runs.
     """
     chain, plan, bound = posterior._chain, posterior._plan, posterior._slices.bound
     model = posterior.graph.model

@@ -32,10 +32,7 @@ _WINDOWS = 16
 class DirectChain(StateChain):
     """The family of one chain, swept over many steps at once.
 
-    Attributes
-    ----------
-    precise : bool
-        Whether the forward sweep has lost no digits; else the chain is not to be used.
+    precise: Whether the forward sweep has lost no digits; else the chain is not to be used.
     """
 
     slices: TableSlices

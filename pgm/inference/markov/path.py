@@ -25,16 +25,8 @@ from pgm.progress import counted
 def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
     """The states of all hidden variables on the path, and its log-probability.
 
-    Parameters
-    ----------
-    slices : TableSlices
-
-    Returns
-    -------
-    list of ndarray
-        Of each variable of the slice its states, (runs, T+1); of a control those at step 0 are 0.
-    ndarray
-        (runs,): ln p(path, measurements), of measurements not taken summed over.
+    Returns: Of each variable of the slice its states, (runs, T+1); of a control those at step 0 are
+    0. (runs,): ln p(path, measurements), of measurements not taken summed over.
     """
     own = slices.within(MAX_PRODUCT)
     chain = StateChain(own, MAX_PRODUCT).run()

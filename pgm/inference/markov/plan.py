@@ -34,10 +34,7 @@ class SlicePlan:
 
     Found once for a model, whatever the evidence.
 
-    Attributes
-    ----------
-    slice : tuple of Discrete
-        The hidden variables of a step, states and controls: the axes of a belief. Controls have
+    slice: The hidden variables of a step, states and controls: the axes of a belief. Controls have
         length one at step 0.
     """
 
@@ -192,17 +189,9 @@ class RowTables:
 class TableSlices:
     """The slices of a discrete dynamic network: `Slices` whose numbers are tables.
 
-    Parameters
-    ----------
-    plan : SlicePlan
-    bound : BoundEvidence
-    first : int
-        The step of row 0 of the transition; 1, of recorded evidence.
+    first: The step of row 0 of the transition; 1, of recorded evidence.
 
-    Attributes
-    ----------
-    semiring : Semiring
-        Of the numbers: `SUM_PRODUCT`, unless made by `within`.
+    semiring: Of the numbers: `SUM_PRODUCT`, unless made by `within`.
     """
 
     def __init__(self, plan: SlicePlan, bound: BoundEvidence, first: int = 1) -> None:

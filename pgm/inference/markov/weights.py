@@ -22,13 +22,7 @@ if TYPE_CHECKING:
 class Weights:
     """The measurements of one sensor, as weights on the axes of a belief.
 
-    Parameters
-    ----------
-    plan : SlicePlan
-    reading : Reading
-    runs : int
-    batch : bool
-        Whether beliefs have an axis of runs.
+    batch: Whether beliefs have an axis of runs.
     """
 
     def __init__(self, plan: SlicePlan, reading: Reading, runs: int, batch: bool) -> None:
@@ -215,18 +209,10 @@ def smallest_entry(table: Array) -> float:
 class InputTables:
     """The tables that the function of a CPD returns for the inputs of a row.
 
-    Parameters
-    ----------
-    cpd : TableCPD
-    inputs : mapping of Variable to ndarray
-        (rows, runs or 1, d), or of states (rows, runs or 1, 1).
-    step : callable
-        The step of a row, for messages.
+    inputs: (rows, runs or 1, d), or of states (rows, runs or 1, 1).
+    step: The step of a row, for messages.
 
-    Attributes
-    ----------
-    smallest : float
-        The smallest positive entry of the tables so far.
+    smallest: The smallest positive entry of the tables so far.
     """
 
     def __init__(

@@ -35,20 +35,11 @@ _PAIRS = 2**20
 class Backward:
     """The trajectories that clouds of filtered particles leave.
 
-    Parameters
-    ----------
-    model : ParticleModel
-    particles : Particles
-    clouds : sequence of Cloud
-        Filtered, by step.
-    restarted : ndarray of bool
-        (T+1, runs): where particles were drawn from the prior instead of the step before, of which
-        they tell nothing then.
+    clouds: Filtered, by step.
+    restarted: (T+1, runs): where particles were drawn from the prior instead of the step before, of
+        which they tell nothing then.
 
-    Attributes
-    ----------
-    unmoved : ndarray
-        (T, runs): by step the share of trajectories that stayed at their ancestor.
+    unmoved: (T, runs): by step the share of trajectories that stayed at their ancestor.
     """
 
     def __init__(

@@ -44,13 +44,8 @@ Generators = list[np.random.Generator]
 class Placed(NamedTuple):
     """A state of all particles, drawn elsewhere than from its prior.
 
-    Attributes
-    ----------
-    variable : Variable
-    states : ndarray
-        (d, particles).
-    log_density : ndarray
-        (particles,): of the draws.
+    states: (d, particles).
+    log_density: (particles,): of the draws.
     """
 
     variable: Variable
@@ -61,14 +56,8 @@ class Placed(NamedTuple):
 class ParticleChain:
     """The family of one chain of all runs.
 
-    Parameters
-    ----------
-    graph : DynamicGraph
-        Of the network, of any number of steps.
-    model : ParticleModel
-    particles : Particles
-    record : Record
-        Of what happens on the way.
+    graph: Of the network, of any number of steps.
+    record: Of what happens on the way.
     """
 
     def __init__(

@@ -44,12 +44,7 @@ _ROUNDING = 1e-6
 class Guide:
     """The proposals of one model.
 
-    Parameters
-    ----------
-    graph : DynamicGraph
-        Of the network, of any number of steps.
-    model : ParticleModel
-    lineariser : Lineariser
+    graph: Of the network, of any number of steps.
     """
 
     def __init__(self, graph: DynamicGraph, model: ParticleModel, lineariser: Lineariser) -> None:

@@ -32,13 +32,8 @@ States = npt.NDArray[Any]
 class Some(NamedTuple):
     """Some particles at a step, for which CPDs are asked.
 
-    Attributes
-    ----------
-    step : int
-    now, before : ndarray
-        (d, m): the slice of the step, as far as it is drawn, and the one before.
-    owner : ndarray of int or None
-        (m,): the run of each; None where there is one.
+    now, before: (d, m): the slice of the step, as far as it is drawn, and the one before.
+    owner: (m,): the run of each; None where there is one.
     """
 
     step: int
@@ -60,10 +55,7 @@ class Some(NamedTuple):
 class Drawing:
     """The generators for the particles of a block, in order.
 
-    Parameters
-    ----------
-    pieces : sequence of (slice, Generator)
-        Places in the block, each of one run.
+    pieces: Places in the block, each of one run.
     """
 
     def __init__(self, pieces: Sequence[tuple[slice, np.random.Generator]]) -> None:
@@ -106,17 +98,10 @@ class Drawing:
 class Law:
     """A CPD at its rows, by its own sampler and density.
 
-    Attributes
-    ----------
-    cpd : CPD
-    inputs : mapping of Variable to ndarray
-        Values of the observed parents, (rows, runs or 1, d).
-    places : mapping of Variable to slice
-        The components of the slice's variables.
-    dtype : numpy type
-        Of the states.
-    first_run : int
-        The number of the first run, for messages.
+    inputs: Values of the observed parents, (rows, runs or 1, d).
+    places: The components of the slice's variables.
+    dtype: Of the states.
+    first_run: The number of the first run, for messages.
     """
 
     cpd: CPD
@@ -319,16 +304,10 @@ class GaussianLaw(Law):
 class Root:
     """The roots of a noise covariance, of all runs or of each.
 
-    Attributes
-    ----------
-    lower : ndarray
-        (runs or 1, d, d).
-    diagonal : ndarray or None
-        (d, runs or 1): deviations, where components are independent.
-    regular : bool
-        Whether all components have noise of their own.
-    open : ndarray of int
-        (runs or 1,): how many have.
+    lower: (runs or 1, d, d).
+    diagonal: (d, runs or 1): deviations, where components are independent.
+    regular: Whether all components have noise of their own.
+    open: (runs or 1,): how many have.
     """
 
     def __init__(self, lower: Array, dtype: Any) -> None:

@@ -21,10 +21,7 @@ from pgm.variables import Variable
 class MixtureLaw(Law):
     """A mixture at its rows.
 
-    Attributes
-    ----------
-    parts : tuple of Law
-        Of the CPDs that it mixes.
+    parts: Of the CPDs that it mixes.
     """
 
     cpd: MixtureCPD

@@ -26,19 +26,10 @@ from pgm.variables import Variable
 class ParticleModel:
     """A model with its evidence, CPD by CPD.
 
-    Parameters
-    ----------
-    model : DynamicBayesianNetwork
-    bound : BoundEvidence
-    dtype : numpy type
-        Of the states.
-    first : int
-        The step before the first of the evidence for the transition.
+    dtype: Of the states.
+    first: The step before the first of the evidence for the transition.
 
-    Attributes
-    ----------
-    places : mapping of Variable to slice
-        The components of each state and hidden control, in this order.
+    places: The components of each state and hidden control, in this order.
     """
 
     def __init__(
@@ -120,13 +111,7 @@ class ParticleModel:
 
 
 class Sensor:
-    """A sensor with its measurements.
-
-    Parameters
-    ----------
-    law : Law
-    reading : Reading
-    """
+    """A sensor with its measurements."""
 
     def __init__(self, law: Law, reading: Reading) -> None:
         self.law, self.reading = law, reading
@@ -215,15 +200,9 @@ class Sensor:
 class Part(NamedTuple):
     """One component of a belief.
 
-    Attributes
-    ----------
-    variable : Variable
-    component : int
-        Its place in the variable.
-    label : str
-        The name of the component, with that of the variable where they share it.
-    row : int
-        Of the states of a cloud.
+    component: Its place in the variable.
+    label: The name of the component, with that of the variable where they share it.
+    row: Of the states of a cloud.
     """
 
     variable: Variable

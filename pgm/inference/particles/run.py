@@ -28,13 +28,7 @@ def run(
 ) -> ParticlePosterior:
     """Send the messages of a schedule as particles, and warn of what their status tells.
 
-    Parameters
-    ----------
-    graph : DynamicGraph
-    bound : BoundEvidence
-    schedule : Filtering, FixedLag, Smoothing or None
-        Smoothing, if not given.
-    particles : Particles
+    schedule: Smoothing, if not given.
     """
     require_chain(graph, "particles")
     kind = kind_of(schedule, "particles")

@@ -30,12 +30,8 @@ MOST = 5000
 class Part:
     """Some of the runs, with their own share of everything that differs between runs.
 
-    Attributes
-    ----------
-    runs : slice
-        Which of all runs, their axes as one.
-    graph, bound, start
-        As they would be if there were no other runs.
+    runs: Which of all runs, their axes as one.
+    graph, bound, start: As they would be if there were no other runs.
     """
 
     runs: slice

@@ -46,14 +46,7 @@ def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) ->
 
 
 class Tables:
-    """The tables of an elimination under way, (sizes..., runs or 1).
-
-    Parameters
-    ----------
-    plan : EliminationPlan
-    evidence : BoundStates
-    semiring : Semiring
-    """
+    """The tables of an elimination under way, (sizes..., runs or 1)."""
 
     last: Array
 
@@ -137,13 +130,7 @@ class Tables:
 
 
 def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
-    """Refuse evidence of probability zero, where probabilities (sizes..., runs or 1) are NaN.
-
-    Raises
-    ------
-    EvidenceError
-        Naming the first run, and the variables whose evidence has no common states.
-    """
+    """Refuse evidence of probability zero, where probabilities (sizes..., runs or 1) are NaN."""
     lost = np.isnan(probabilities).any(axis=tuple(range(probabilities.ndim - 1)))
     if not lost.any():
         return

@@ -56,14 +56,9 @@ class Family:
 class Assembly:
     """A network in the making; places are what a file's own `fail` turns into lines.
 
-    Parameters
-    ----------
-    fail : callable
-        Makes the error of a message and a place.
-    normalise : bool
-        Whether columns that do not quite sum to one are divided by their sums.
-    limit : int
-        How many bytes the file may hold, in proportion to which what is made of it is bounded.
+    fail: Makes the error of a message and a place.
+    normalise: Whether columns that do not quite sum to one are divided by their sums.
+    limit: How many bytes the file may hold, in proportion to which what is made of it is bounded.
     """
 
     def __init__(self, fail: Fail, *, normalise: bool, limit: int) -> None:

@@ -157,14 +157,9 @@ def _states(cursor: Cursor, name: str) -> list[str]:
 class Statements:
     """The statements of a block about its family's probabilities, as far as it has been read.
 
-    Attributes
-    ----------
-    places, starts : array of int
-        Where each row belongs in the table, and where it starts in the file.
-    values : array of float
-        The numbers of all rows.
-    table, default : tuple, optional
-        The numbers of such a statement, and where it starts.
+    places, starts: Where each row belongs in the table, and where it starts in the file.
+    values: The numbers of all rows.
+    table, default: The numbers of such a statement, and where it starts.
     """
 
     family: Family

@@ -182,10 +182,7 @@ def read_uai_evidence(
 class Words:
     """The numbers of a file, taken one after the other; places count them from 0.
 
-    Attributes
-    ----------
-    at : int
-        The place of the next number.
+    at: The place of the next number.
     """
 
     def __init__(self, content: Content, *, heading: bool) -> None:

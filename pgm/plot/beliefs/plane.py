@@ -280,18 +280,11 @@ def _draw_truth(ax: Axes, lines: Array) -> None:
 class Plane(NamedTuple):
     """The components of a picture.
 
-    Attributes
-    ----------
-    pair : tuple of str
-        Along its axes.
-    heading : str or None
-        The angle drawn by directions.
-    mirrored : bool
-        Whether the axes are the other way round than headings are counted.
-    angles : tuple of str
-        All components that are angles.
-    known : tuple of str
-        All components.
+    pair: Along its axes.
+    heading: The angle drawn by directions.
+    mirrored: Whether the axes are the other way round than headings are counted.
+    angles: All components that are angles.
+    known: All components.
     """
 
     pair: tuple[str, str]
@@ -304,13 +297,7 @@ class Plane(NamedTuple):
 def plane_of(
     belief: GridBelief | ParticleBelief, components: tuple[str, str] | None, heading: str | None
 ) -> Plane:
-    """The plane asked for; without, the first two straight components, and the only angle.
-
-    Raises
-    ------
-    ModelError
-        If the belief is of several runs or steps, or lacks the components.
-    """
+    """The plane asked for; without, the first two straight components, and the only angle."""
     if belief.lead:
         raise ModelError(
             f"{titled(belief)} is of several runs or steps; pick one, with [k] or "

@@ -22,14 +22,9 @@ _BETTER = 1.1
 def arrange(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> Layout:
     """Arrange clusters and sepsets so that no shape lies on another and no line runs over one.
 
-    Parameters
-    ----------
-    graph : networkx.Graph
-        Nodes are indices of clusters. If it is directed, from clusters to their children.
-    sizes : mapping to Size
-        Of the clusters, by index, and of the sepsets, by edge.
-    room : Size or None
-        Of the axes, which is made good use of. None for a page.
+    graph: Nodes are indices of clusters. If it is directed, from clusters to their children.
+    sizes: Of the clusters, by index, and of the sepsets, by edge.
+    room: Of the axes, which is made good use of. None for a page.
     """
     parts = []
     plain = graph.to_undirected(as_view=True)

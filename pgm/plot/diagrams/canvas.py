@@ -95,13 +95,8 @@ def room(ax: Axes | None) -> Size | None:
 class Canvas:
     """An axes whose data are points of a diagram.
 
-    Attributes
-    ----------
-    ax : matplotlib.axes.Axes
-    scale : float
-        Points on paper for a point of the diagram; lines shrink and grow with it.
-    letters : float
-        The same of texts, which shrink less where their shapes have room to spare.
+    scale: Points on paper for a point of the diagram; lines shrink and grow with it.
+    letters: The same of texts, which shrink less where their shapes have room to spare.
     """
 
     ax: Axes

@@ -298,13 +298,8 @@ def with_messages(
 ) -> dict[Node, Size]:
     """Shapes, with room for arrows about the sepsets, whichever way the lines run.
 
-    Parameters
-    ----------
-    shapes : mapping to Size
-        The clusters, and the sepsets alone.
-    sepsets : iterable of (int, int)
-    links : networkx.Graph
-        The clusters; in chains all lines are horizontal.
+    shapes: The clusters, and the sepsets alone.
+    links: The clusters; in chains all lines are horizontal.
     """
     chain = nx.is_forest(links) and max(degree for _, degree in links.degree) <= 2
     found = dict(shapes)
@@ -322,16 +317,9 @@ def with_messages(
 def draw_messages(canvas: Canvas, edge: Edge, at: Point, plate: Size, line: Array) -> None:
     """Draw both arrows of a sepset, across or up and down, each to the left of its way.
 
-    Parameters
-    ----------
-    canvas : Canvas
-    edge : (int, int)
-    at : Point
-        The centre of the sepset.
-    plate : Size
-        Of the sepset.
-    line : ndarray
-        (P, 2), from the first cluster to the second, through the centre.
+    at: The centre of the sepset.
+    plate: Of the sepset.
+    line: (P, 2), from the first cluster to the second, through the centre.
     """
     along = _along(line, at)
     for (source, target), way in ((edge, along), (edge[::-1], -along)):

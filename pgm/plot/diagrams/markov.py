@@ -113,13 +113,7 @@ def _joined(model: Any, steps: int | None, evidence: Iterable[Variable] | None) 
 
 
 def _scopes(model: Any) -> Iterator[tuple[Variable, ...]]:
-    """The scopes of factors.
-
-    Raises
-    ------
-    ModelError
-        If something among them has none, or there is nothing.
-    """
+    """The scopes of factors."""
     found = as_tuple(model)
     if not found:
         raise ModelError(

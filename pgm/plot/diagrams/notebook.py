@@ -36,14 +36,7 @@ _STYLE: dict[Any, Any] = {"svg.fonttype": "path", "svg.hashsalt": "pgm", "text.u
 def svg(value: Network | ClusterGraph) -> str:
     """A network or cluster graph as SVG on a white ground, or a word where it is too large.
 
-    Parameters
-    ----------
-    value : BayesianNetwork, DynamicBayesianNetwork or ClusterGraph
-
-    Returns
-    -------
-    str
-        Markup that stands within HTML.
+    Returns: Markup that stands within HTML.
     """
     size, most = _size(value)
     if size > most:

@@ -31,10 +31,7 @@ def rows(graph: nx.DiGraph) -> list[list[Variable]]:
     Parents in the same slice stand above their children. A variable that the next slice depends
     on has its row to itself, so that its arrow in time meets no other node.
 
-    Parameters
-    ----------
-    graph : networkx.DiGraph
-        Nodes are variables at steps.
+    graph: Nodes are variables at steps.
     """
     carried = {parent.template for parent, child in graph.edges if parent.step != child.step}
     result = []
@@ -82,14 +79,9 @@ def sliced(graph: nx.DiGraph, sizes: Mapping[Node, Size], room: Size | None) -> 
     straight or a bow if that is clear of nodes in all slices; else it runs between rows and
     slices.
 
-    Parameters
-    ----------
-    graph : networkx.DiGraph
-        Nodes are variables at steps.
-    sizes : mapping of node to Size
-        Equal at all steps of a variable.
-    room : Size or None
-        Of the axes; None for a page.
+    graph: Nodes are variables at steps.
+    sizes: Equal at all steps of a variable.
+    room: Of the axes; None for a page.
     """
     lines = rows(graph)
     rank: dict[Node, int] = {variable: k for k, line in enumerate(lines) for variable in line}

@@ -65,17 +65,10 @@ class Flow:
 class Chain:
     """As many clusters of a chain as there is room for, the one at work in the middle.
 
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    graph : DynamicGraph
-        A chain of slices.
-    most : int
-        Of clusters in the window.
-    colours : tuple of str
-        Of the pass forward, and of the one back.
-    both : bool
-        Whether messages come back.
+    graph: A chain of slices.
+    most: Of clusters in the window.
+    colours: Of the pass forward, and of the one back.
+    both: Whether messages come back.
     """
 
     def __init__(

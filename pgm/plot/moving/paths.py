@@ -27,15 +27,8 @@ _MARGIN = 0.06
 class Trace:
     """A belief's path so far, some of its ellipses, and the newest of them.
 
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    belief : Gaussian
-        Over steps 0..T.
-    pair : tuple of str
-        The components of the plane.
-    confidence : float
-    colour : str
+    belief: Over steps 0..T.
+    pair: The components of the plane.
     """
 
     def __init__(
@@ -74,25 +67,13 @@ class Trace:
 class Paths:
     """The beliefs of a run in the plane.
 
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    beliefs : tuple of Gaussian
-        Filtered, and as the posterior has them.
-    kind : Kind
-        Of the posterior.
-    pair : tuple of str
-        The components of the plane.
-    truth : ndarray or None
-        (T+1, 2).
-    landmarks : ndarray or None
-        (L, 2).
-    confidence : float
+    beliefs: Filtered, and as the posterior has them.
+    kind: Of the posterior.
+    pair: The components of the plane.
+    truth: (T+1, 2).
+    landmarks: (L, 2).
 
-    Attributes
-    ----------
-    marks : list of Artist
-        For a legend.
+    marks: For a legend.
     """
 
     def __init__(
