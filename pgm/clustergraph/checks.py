@@ -21,7 +21,6 @@ def check_families(
 ) -> None:
     """Family preservation: each CPD's family stands in exactly one cluster, which holds it.
 
-    scopes: Of each cluster.
     assigned: The families assigned to each cluster.
     families: All families of the network; those assigned without.
     """
@@ -52,7 +51,6 @@ def check_running_intersection(
 ) -> None:
     """Running intersection: for each variable, the clusters and sepsets that carry it form a tree.
 
-    scopes: Of each cluster.
     sepsets: Of each pair of joined clusters.
     """
     holders: dict[Variable, set[int]] = defaultdict(set)
@@ -132,7 +130,6 @@ def is_forest(edges: Iterable[Edge]) -> bool:
 
 
 def _some(clusters: Collection[int]) -> str:
-    """The first clusters, for messages."""
     shown = ", ".join(map(str, sorted(clusters)[:5]))
     return f"[{shown}{', ...' if len(clusters) > 5 else ''}]"
 

@@ -291,7 +291,6 @@ class ClusterGraph(Drawn, Immutable):
         return self._view(self.index(cluster))
 
     def _view(self, index: int) -> Cluster:
-        """The cluster of an index that exists."""
         return self._clusters[index]
 
     def _indices(self) -> str:

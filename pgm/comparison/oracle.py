@@ -76,7 +76,6 @@ class Reference(NamedTuple):
 class Compared(NamedTuple):
     """The subject of a comparison.
 
-    lead: The axes of runs.
     kinds: Of the schedules.
     """
 
@@ -124,7 +123,6 @@ def references(oracle: Grid | Oracle, compared: Compared) -> dict[tuple[Kind, Va
 
 
 def _of_each_kind(oracle: Grid | Oracle, compared: Compared) -> Iterable[tuple[Kind, Any, float]]:
-    """A posterior of each kind, and the seconds that it took."""
     if not isinstance(oracle, Grid):
         for kind in compared.kinds:
             # A filtered posterior is its own forward sweep.
@@ -146,14 +144,12 @@ def _of_each_kind(oracle: Grid | Oracle, compared: Compared) -> Iterable[tuple[K
 
 
 def _schedule(kind: Kind) -> Filtering | FixedLag | Smoothing:
-    """The schedule without iterations that leaves beliefs of a kind."""
     if kind == SMOOTHED:
         return Smoothing()
     return Filtering() if kind == FILTERED else FixedLag(int(kind.lag))
 
 
 def _gaussian(belief: Any, state: Variable, compared: Compared) -> tuple[Gaussian, Array]:
-    """The Gaussian of an oracle's marginal, and the KL from it at each step."""
     count = compared.graph.steps + 1
     if isinstance(belief, GridBelief):
         gaussian = belief.gaussian()

@@ -22,8 +22,6 @@ class DynamicGraph(ClusterGraph, ABC):
     holds the states of steps t−1 and t and the other variables of the CPDs at t. What else there
     is, and what is joined, is for the kinds of graphs to say. Clusters and sepsets are views,
     made on request from one template.
-
-    steps: T, the last step.
     """
 
     model: DynamicBayesianNetwork
@@ -159,8 +157,6 @@ class SliceGraph(DynamicGraph):
     Cluster 0 holds the states at step 0, the prior and the families of the sensors; cluster t
     holds the states of steps t−1 and t and the other variables of the CPDs at t. The sepset
     between t and t+1 is all states at t. Clusters are views, made on request from one template.
-
-    steps: T, the last step.
     """
 
     def within(self, steps: int) -> range:

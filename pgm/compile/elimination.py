@@ -31,7 +31,6 @@ class Filling:
 
     The fill of v is Σ w_a w_b over the pairs of v's neighbours that are not joined.
 
-    adjacent: The graph; it is copied.
     weights: w, of each vertex.
     """
 
@@ -117,7 +116,6 @@ def min_fill(
 ) -> list[int]:
     """Eliminate a vertex of least fill, the first of equals, until none is left.
 
-    weights: Of each vertex, see `Filling`.
     stages: All vertices of a lower stage are eliminated before any of a higher.
     """
     return list(fill_order(Filling(adjacent, weights), stages or [0] * len(adjacent)))
@@ -129,7 +127,6 @@ def fill_order(
     """Vertices in the order of `min_fill`, each while its neighbours are still there.
 
     graph: It is used up.
-    stages: See `min_fill`.
     noise: A factor of each vertex, by which its fill is multiplied.
     """
     factors: Sequence[float] = noise or [1] * len(graph.fill)

@@ -192,10 +192,7 @@ class NestedDissection(Rule):
 def places(
     order: Order | Iterable[Variable], network: BayesianNetwork, adjacent: Adjacency
 ) -> list[int]:
-    """An elimination order as places in `network.variables`.
-
-    adjacent: Its moral graph.
-    """
+    """An elimination order as places in `network.variables`."""
     if isinstance(order, Rule):
         return order._places(network, adjacent)
     given = order(network) if callable(order) else order
@@ -296,7 +293,6 @@ def _separator(adjacent: Adjacency, levels: Sequence[list[int]], total: int) -> 
         before += len(level)
 
     def touching(k: int) -> set[int]:
-        """The vertices of a level that are joined to the next."""
         beyond = set(levels[k + 1])
         return {vertex for vertex in levels[k] if not beyond.isdisjoint(adjacent[vertex])}
 

@@ -63,7 +63,6 @@ def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -
 class Core:
     """The part of a graph that is left when vertices without fill have been eliminated.
 
-    before: These vertices.
     vertices: Those left; from here on each is its place among them.
     """
 
@@ -145,6 +144,5 @@ class Search:
 
 
 def _entries(adjacent: Adjacency, order: Sequence[int], sizes: Sequence[int]) -> int:
-    """The table entries of the maximal cliques."""
     cliques = clique_tree(adjacent, order).cliques
     return sum(math.prod(map(sizes.__getitem__, clique)) for clique in cliques)

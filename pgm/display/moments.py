@@ -49,11 +49,9 @@ def stacked(
 ) -> Listing:
     """Many beliefs: a row each of the first and the last, with means and deviations.
 
-    names: Of the components.
     lead: The leading axes, runs and steps.
     steps: The steps that the last of them stands for.
     moments: The mean and covariance at a place of the leading axes; only those shown are asked for.
-    most: Rows.
     """
     shown = places(lead, most)
     found = {place: moments(place) for place in shown if place is not None}
@@ -132,7 +130,6 @@ def named_matrix(
 ) -> Listing:
     """A matrix with the names of its rows and columns.
 
-    values: (rows, columns).
     symbol: The matrix's own, at the head of its first column.
     before: Columns of numbers beside it, with their symbols.
     """

@@ -71,7 +71,6 @@ class Listing:
         return f"<table>{top}<tbody>{body}</tbody></table>"
 
     def _filled(self) -> list[list[str]]:
-        """The cells of all rows, the heads first."""
         blank = [LEFT_OUT, *[""] * (len(self.heads) - 1)]
         rows = [self.heads, *(blank if row is None else row for row in self.rows)]
         return [[one_line(cell, self.cell) for cell in row] for row in rows]
@@ -82,7 +81,6 @@ class Summary:
     """A value in a few lines.
 
     title: Its first line.
-    parts: The lines and tables below.
     """
 
     title: str

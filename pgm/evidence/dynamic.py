@@ -33,7 +33,6 @@ Kind = TypeVar("Kind", bound=np.generic)
 class Reading:
     """All measurements of one sensor, sorted by step.
 
-    cpd: The sensor.
     step: (M,), ascending.
     order: (M,): which row of the user's evidence each one was.
     values: (M, runs or 1, d); zero where missing. Of a discrete sensor the index of its state, (M,
@@ -56,11 +55,9 @@ class Reading:
 class BoundEvidence:
     """Evidence laid out by step.
 
-    steps: T.
     lead: The leading axes, of runs; inside, they are flattened to one.
     transition: For each transition CPD the values of its observed parents, (T, runs or 1, d); row k
         is that of step k + 1.
-    readings: Of the sensors that have evidence.
     first_run: What the first run is called in messages: where these runs are a part of more, its
         place.
     """
@@ -123,8 +120,6 @@ def bind(
 
 
 class _Binder:
-    """The working place of `bind`."""
-
     def __init__(
         self,
         transition: Sequence[CPD],
@@ -343,7 +338,6 @@ class _Binder:
 
 
 def _sensor_of(variable: Variable) -> str:
-    """The CPD of a sensor that reads a variable."""
     if isinstance(variable, Discrete):
         return f"TableCPD(reading, given={variable.name}, table=...)"
     return f"LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, ...)"

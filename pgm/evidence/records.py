@@ -89,7 +89,6 @@ def records(
 
 
 def _by_name(network: Any) -> dict[str, Variable]:
-    """The variables as columns are named after them."""
     variables = as_scope(
         getattr(network, "variables", network), "records: the network", ordered=False
     )
@@ -330,7 +329,6 @@ def _require_plain(variable: Discrete) -> None:
 
 
 def _refuse(variable: Discrete, column: Column, bad: Mask) -> None:
-    """Raise if any record is bad, naming the first."""
     if bad.any():
         first = int(bad.argmax())
         cell = column.cells[first]

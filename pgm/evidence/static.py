@@ -127,7 +127,6 @@ class BoundStates:
 def bind_discrete(variables: Iterable[Variable], evidence: Mapping[Any, Any]) -> BoundStates:
     """Check evidence against the variables of a discrete network and lay it out by run.
 
-    variables: Those of the network; a set spares making one.
     evidence: The name or index of a state, an array of names or indices (...), with −1 for "not
         observed in this run", or `soft` weights (..., size). Leading axes are runs.
     """

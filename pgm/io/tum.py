@@ -205,7 +205,6 @@ def require_increasing(times: Array, lines: Sequence[int], origin: Origin) -> No
 
 
 def _pose(line: Line) -> list[float]:
-    """The numbers of a line."""
     words = line.words
     if len(words) != FIELDS:
         hint = "; are they apart by spaces, and not by commas?" if "," in words[0] else ""
@@ -241,7 +240,6 @@ def _position(position: Any) -> tuple[str, ...]:
 
 
 def _places(gaussian: Gaussian, names: Sequence[str]) -> list[int]:
-    """The places of components that are named."""
     known = gaussian.components
     for name in names:
         if name not in known:

@@ -30,7 +30,6 @@ class MapFile(NamedTuple):
     """The values of a map's files, not yet checked as a map.
 
     occupied: (rows, columns), row 0 at the lowest y.
-    free, above: The thresholds.
     """
 
     occupied: Array
@@ -98,7 +97,6 @@ def write(
 
 
 def _keys(path: Path) -> dict[str, Any]:
-    """The keys of a YAML file, none of those that are due missing."""
     import yaml
 
     try:
@@ -173,7 +171,6 @@ def _occupied(
     low: float,
     high: float,
 ) -> Array:
-    """The probabilities that grey values mean."""
     value = grey.astype(np.float64)
     if mode == "raw":
         return np.where(value <= 100.0, value / 100.0, np.nan)

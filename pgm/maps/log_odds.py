@@ -201,7 +201,6 @@ def _placed(occupied: Array, low: Array, shape: tuple[int, int]) -> Array:
 
 
 def _require_room(height: float, width: float, which: str) -> None:
-    """Refuse a map that would not fit memory."""
     require_memory(
         int(min(height * width, 1e300)) * 4,
         f"a map of {height:.0f} by {width:.0f} cells, {which},",

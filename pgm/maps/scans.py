@@ -102,11 +102,9 @@ class ScanCPD(CPD):
 
     @property
     def _angles(self) -> Array:
-        """The angles of the beams in use."""
         return frozen(self.angles[:: self.every])
 
     def _counted(self, taken: Mask) -> Array:
-        """The beams in use, each by its weight."""
         return np.asarray(self.weight * taken[..., :: self.every].sum(axis=-1))
 
     def _scans(self, child: Values, known: Known) -> Scans:
@@ -148,5 +146,4 @@ class ScanCPD(CPD):
 
 
 def _step(known: Known) -> int | None:
-    """The one step of values, for messages."""
     return known.step if isinstance(known.step, int) else None

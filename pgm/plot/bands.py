@@ -84,9 +84,6 @@ def right_band(
     """Shade the band of what is right, in grey; in the tint of a curve that has another one.
 
     across: (k,), along the horizontal axis.
-    low, high: (k,).
-    tint: The curve's.
-    confidence: Of the band.
     label: The curve's, for the legend, if the band is its own.
     tolerance: How far the ends of two bands may differ, as a part of them, to be drawn as one.
 

@@ -71,7 +71,6 @@ def useful_legend(ax: Axes, *, above: bool = False) -> None:
 
 
 def _colour(handle: Any) -> str:
-    """The colour of a thing in the legend, as far as it has one."""
     for of in ("get_color", "get_facecolor", "get_edgecolor"):
         if hasattr(handle, of):
             found = np.atleast_1d(getattr(handle, of)())
@@ -85,17 +84,14 @@ def _columns(ax: Axes, labels: list[str]) -> int:
 
 
 def _width(ax: Axes) -> float:
-    """The width of an axes, in points."""
     return float(72.0 / ax.figure.dpi * ax.get_window_extent().width)
 
 
 def _beside(labels: list[str]) -> float:
-    """The width of a legend of one column, in points."""
     return _widest(labels) + _BESIDE * _SIZE
 
 
 def _widest(labels: list[str]) -> float:
-    """The width of the longest label, in points."""
     font = FontProperties(size=_SIZE)
     lines = [line for label in labels for line in label.split("\n")]
     return float(

@@ -112,7 +112,6 @@ def _shown(graph: ClusterGraph, limits: Limits) -> tuple[list[int], str | None]:
 
 
 def _evidence(posterior: Posterior, run: int) -> dict[Variable, str]:
-    """The values of observed variables in a run, in words."""
     found: dict[Variable, str] = {}
     if isinstance(posterior, GaussianPosterior):
         model = posterior._model
@@ -243,7 +242,6 @@ class Writer:
 
 
 def _hidden(posterior: Posterior, cluster: Cluster) -> Scope:
-    """The variables of a cluster that have a marginal."""
     if isinstance(posterior, GaussianPosterior):
         return posterior._plan.layout.scopes[cluster.index]
     assert isinstance(posterior.graph, DynamicGraph)

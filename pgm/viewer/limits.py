@@ -18,7 +18,6 @@ class Limits:
     """The most that a page holds.
 
     entries: Of a table; of larger ones the largest entries are kept, and the marginals.
-    numbers: In all.
     refuse: Whether more steps are an error, and not cut.
     """
 

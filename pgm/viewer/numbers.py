@@ -39,7 +39,6 @@ class Numbers:
         """Add an array of rows, or a single row of numbers.
 
         array: (rows, ...), the other axes becoming columns.
-        bits: How many bits of the fractions are kept.
         """
         given = np.asarray(array, dtype=np.float64)
         rows = given.shape[0] if given.ndim > 1 else 1

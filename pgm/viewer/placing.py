@@ -107,8 +107,6 @@ def _tree(
 
 
 def _centre(nodes: Sequence[int], neighbours: Mapping[int, Sequence[int]]) -> int:
-    """The middle of a longest path."""
-
     def farthest(start: int) -> tuple[int, dict[int, int]]:
         before, sequence = {start: start}, [start]
         for k in sequence:
@@ -232,7 +230,6 @@ def _turned(at: Array, links: csr_array) -> Array:
 
 
 def _apart(at: Array, width: Array) -> Array:
-    """The same places with clusters that lie on another pushed apart."""
     wide = 0.5 * (width[:, None] + width[None]) + 0.5 * _ACROSS
     for _ in range(_ROUNDS if len(at) <= 600 else 0):
         across, down = (at[:, None, k] - at[None, :, k] for k in (0, 1))

@@ -79,7 +79,6 @@ class _Chain:
         return found
 
     def beliefs(self, place: int) -> dict[str, Array]:
-        """Marginals and messages of a run, a row a step."""
         posterior, steps = self.posterior, self.steps
         axes, states = len(self.plan.shape), len(self.plan.states)
         beliefs, filtered = posterior._beliefs, posterior._filtered

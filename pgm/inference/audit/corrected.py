@@ -22,7 +22,6 @@ class Compared:
     The bound on χ² is Laurent & Massart's (2000, lemma 1).
 
     scope: A hidden variable, or those of a cluster together.
-    steps: None in a network without time.
     mean, cov: (steps, runs, d), (steps, runs, d, d): the exact ones, estimated.
     divergence: (steps, runs): KL(N(mean, cov) ‖ the Gaussian); infinite where draws left no
         covariance.
@@ -87,10 +86,8 @@ class Sums:
     """Sums over draws of a belief's variables at its steps.
 
     places: Where they stand in the vector of hidden variables.
-    first: The first step.
     mean, cov: (steps, runs, d), (steps, runs, d, d): the Gaussian's.
     judged: (steps,): of the steps, which are judged; see `Compared`.
-    timed: Whether there are steps.
     """
 
     scope: tuple[Variable, ...]

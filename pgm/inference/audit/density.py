@@ -269,7 +269,6 @@ def has_exact(read: Iterable[Family]) -> bool:
 
 
 def _at(stacked: Stack, rows: int | slice) -> Stack:
-    """Some rows of an array that may have one for all."""
     if stacked.shape[0] == 1:
         rows = 0 if isinstance(rows, int) else slice(None)
     part: Stack = stacked[rows]

@@ -123,7 +123,6 @@ class Draws(NamedTuple):
 class Strand:
     """Draws in the making, slice by slice: of the Gaussian answer, or defensive ones.
 
-    shape: Runs and draws.
     relative: Whether densities are relative to those of the linearised model.
     """
 

@@ -286,7 +286,6 @@ class Audit(Shown, Immutable):
         )
 
     def _verdict(self) -> list[str]:
-        """The belief furthest from the exact moments, and how many runs are suspect."""
         divergence, where = self._furthest
         if not where:
             return []

@@ -44,7 +44,6 @@ class Enumeration:
     ) -> Enumeration | None:
         """The joint of a network; None if it is not tiny, or an entry is too small for a number.
 
-        sepsets: Of each cluster and its parent.
         first: (clusters,): the first column of each cluster's message to its parent.
         """
         scope = tuple(storage.homes)

@@ -42,7 +42,6 @@ class Answer:
     """The beliefs of one run.
 
     marginals: (states,): of the variables that are not observed.
-    log_evidence: ln p(evidence).
     """
 
     marginals: Mapping[Discrete, Array]
@@ -135,7 +134,6 @@ class _Tree:
                         waiting.append(other)
 
     def _of_cpd(self, family: Sequence[int], table: Array) -> Factor:
-        """A CPD, child first, given the states that are observed."""
         given = [*family[1:], family[0]]
         if not self.shown.keys().isdisjoint(given):
             state = self.shown.get
@@ -186,7 +184,6 @@ class _Tree:
         return tables, log_evidence
 
     def _product(self, scope: Sequence[int], factors: Iterable[Factor]) -> Array:
-        """The product of some factors, with an axis for each variable of a scope."""
         sizes = self.sizes
         table: Array | None = None
         for own, values in factors:
@@ -244,7 +241,6 @@ NOTHING = np.empty(0)
 
 
 def _to(wanted: Sequence[int], scope: Sequence[int], table: Array) -> Array:
-    """The sums of a table to some of its variables, in its order."""
     if len(wanted) == len(scope):
         return table
     axes = [axis for axis, place in enumerate(scope) if place not in wanted]
@@ -321,5 +317,4 @@ def _first(graph: ClusterGraph) -> bool:
 
 
 def _asked(graph: ClusterGraph) -> bool:
-    """The mark of a graph that was asked."""
     return True

@@ -287,7 +287,6 @@ class LoopyPlan:
         return Group(np.concatenate(entries), np.concatenate(incoming, axis=1), outlets)
 
     def _incoming(self, cluster: int) -> Integers:
-        """The columns of the messages to a cluster that meet each of its entries."""
         return np.array(
             [
                 self.first[message ^ 1] + self._shape(cluster, message)[1]

@@ -237,7 +237,6 @@ def most_probable(
 
 
 def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable:
-    """The assignment of the hidden variables of a chain, at all steps."""
     bound = bind_chain(graph.model, evidence, graph.steps)
     require_chain(graph, "tables")
     plan = SlicePlan(graph.layout)

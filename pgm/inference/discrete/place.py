@@ -23,8 +23,6 @@ LARGE = 2**13
 class Place:
     """The place of one table.
 
-    scope: Its axes.
-    start: Its first entry.
     steps: How many entries on the next state of a variable is.
     large: Whether it stands by itself and is used where it stands.
     """

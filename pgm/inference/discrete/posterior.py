@@ -46,11 +46,6 @@ class DiscretePosterior(Posterior):
     and belief calibrates the runs again, some after the others; so ask once for a joint of several
     variables. Likewise each message of a batch above a piece is made anew. An answer that would
     take more than a gibibyte is refused.
-
-    Attributes
-    ----------
-    graph : ClusterGraph
-    status : Status
     """
 
     graph: ClusterGraph
@@ -58,13 +53,7 @@ class DiscretePosterior(Posterior):
     _beliefs: TreeBeliefs | FirstBeliefs | LoopyBeliefs
 
     def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
-        """The marginal of a variable that is not observed in all runs, (*runs, size).
-
-        Raises
-        ------
-        EvidenceError
-            If the variable is observed or not of the network.
-        """
+        """The marginal of a variable that is not observed in all runs, (*runs, size)."""
         wanted = self._require_hidden(variable)
         return self._table((wanted,), self._beliefs.marginal(wanted))
 
@@ -94,24 +83,8 @@ class DiscretePosterior(Posterior):
     def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
         """The joint of variables that are not observed in all runs, in the order given.
 
-        Variables of several clusters are joined along the tree between them.
-
-        Parameters
-        ----------
-        *variables : Discrete
-
-        Returns
-        -------
-        Table
-            Probabilities (*runs, size of each variable...).
-
-        Raises
-        ------
-        EvidenceError
-            If one is observed or not of the network, or none is given.
-        GraphError
-            If no cluster of a graph with loops holds them all; if a table on the way is too large,
-            or the joint of all runs.
+        Probabilities (*runs, size of each variable...). Variables of several clusters are joined
+        along the tree between them, as far as the tables on the way are not too large.
         """
         scope: States = tuple(self._require_hidden(v) for v in as_scope(variables))
         if not scope:
@@ -136,20 +109,6 @@ class DiscretePosterior(Posterior):
         Variables whose evidence is one state for all runs are put in; those whose evidence differs
         by run keep their axis. Of a tree its scale carries the evidence that went into it; on a
         graph with loops messages sum to one.
-
-        Parameters
-        ----------
-        source, target : int or Cluster
-
-        Returns
-        -------
-        Table
-            Leading axes are runs.
-
-        Raises
-        ------
-        GraphError
-            If the clusters are not joined, or the messages of all runs are too large.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         if j not in self.graph.neighbours(i):
@@ -169,20 +128,6 @@ class DiscretePosterior(Posterior):
 
         Its axes are as of a message. Of a graph without loops its sum is p(the evidence of the
         cluster's tree): p(evidence), where the graph is one tree.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        Table
-            Leading axes are runs.
-
-        Raises
-        ------
-        GraphError
-            If there is no such cluster, or the beliefs of all runs are too large.
         """
         index = self.graph.index(cluster)
         storage, evidence = self._beliefs.storage, self._beliefs.evidence
@@ -196,20 +141,6 @@ class DiscretePosterior(Posterior):
         """The potential of a cluster: the product of its CPDs, with their evidence put in.
 
         Its axes are as of a message. States that are observed enter all clusters of their variable.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        Table
-            Leading axes are runs.
-
-        Raises
-        ------
-        GraphError
-            If there is no such cluster, or the potentials of all runs are too large.
         """
         index = self.graph.index(cluster)
         storage, evidence = self._beliefs.storage, self._beliefs.evidence
@@ -284,7 +215,6 @@ def joint(storage: Storage, tables: Array, scope: States) -> Array:
 def _of_tree(
     storage: Storage, forest: Forest, tables: Array, scope: States, homes: set[int]
 ) -> Factor:
-    """The joint of variables of one tree."""
     parent = forest.parent
     below: dict[int, int] = {}
     for home in homes:

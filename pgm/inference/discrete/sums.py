@@ -23,8 +23,6 @@ class GatheredSum:
     """Many sums of equal length, of entries anywhere, in one call.
 
     index: (rows, sums), or (sums, rows) where `axis` is 1.
-    axis: The axis that is summed over.
-    target: Where the sums go.
     """
 
     index: Integers
@@ -54,12 +52,7 @@ class GatheredSum:
 
 @dataclass(frozen=True, eq=False)
 class BlockSum:
-    """A contiguous table, summed to some of its variables in place.
-
-    entries: Of the table.
-    view: Its axes.
-    target: Where the sums go.
-    """
+    """A contiguous table, summed to some of its variables in place."""
 
     entries: slice
     view: Merged
@@ -102,7 +95,6 @@ class Marginals:
 
     where: Where those of each variable stand.
     first, widths: (variables,): where they begin, and their numbers.
-    count: Of all.
     matrix: (length of the storage, count): of zeros and ones, where it is small.
     """
 
@@ -162,9 +154,7 @@ class AxisSums:
     """A sum over some axes of a table.
 
     shape: Of the table, without the axis of runs.
-    axes: Those summed over, in rising order.
     last: A matrix of zeros and ones that sums the last axes, if they have few entries.
-    front: The axes before these that are summed over.
     """
 
     shape: tuple[int, ...]
@@ -241,8 +231,6 @@ class BlockProduct:
     """A message to a contiguous table.
 
     children: (1, 1): the sender.
-    place: Of the table.
-    view: The table's axes.
     source: The columns of the message.
     wide: The axis from which on the message of a single run is written out for all entries.
     """

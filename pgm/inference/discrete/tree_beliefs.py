@@ -130,7 +130,6 @@ class _Gathered:
         self.done = 0
 
     def add(self, values: Array, runs: int) -> None:
-        """Add the tables of the next runs."""
         if runs == self.runs:
             self.whole = values
             return

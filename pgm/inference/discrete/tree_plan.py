@@ -47,7 +47,6 @@ class Stack:
         out of these stand: one for each cluster, and of a hub, which has so many children that its
         table is rescaled in between, one more for each time.
     shape: Of their tables as one matrix: (rows, columns), or (columns, rows) where `axis` is 1.
-    axis: The axis of the rows.
     first, widths: Of each cluster, its first column in the stack and their number.
     absorbed: Messages from the children.
     senders: For each of these, the set of the stacks that send them.
@@ -106,8 +105,6 @@ class TreePlan:
 
     stacks: The roots first, parents before children.
     sepsets: Of each cluster and its parent, in the order of the message's columns.
-    columns: Columns of all messages.
-    tops: Scales taken out of all messages.
     first: (clusters,): the first column of each cluster's message to its parent.
     large: Tables of so many entries stand by themselves.
     """
@@ -204,13 +201,10 @@ def make_plan(graph: ClusterGraph, large: int) -> TreePlan:
 
 
 def _union(sets: Iterable[int]) -> int:
-    """The union of sets of stacks."""
     return reduce(or_, sets, 0)
 
 
 class _Planner:
-    """The working place of `make_plan`."""
-
     def __init__(self, graph: ClusterGraph, large: int) -> None:
         self.graph, self.large, self.forest = graph, large, graph.derived(Forest.of)
         shared = [sepset_between(graph, *edge) for edge in enumerate(self.forest.parent.tolist())]
@@ -242,7 +236,6 @@ class _Planner:
         return self.graph.sizes[cluster] // self.width[cluster]
 
     def _kind(self, cluster: int) -> tuple[int, ...]:
-        """The shape that clusters of one stack have in common."""
         parent = int(self.forest.parent[cluster])
         above = self.graph.sizes[parent] // self.width[cluster] if parent >= 0 else 0
         depth, children = int(self.forest.depth[cluster]), len(self.forest.children[cluster])
@@ -307,7 +300,6 @@ class _Planner:
     def _absorbed(
         self, clusters: list[int], storage: Storage, start: int, entries: int
     ) -> list[Product]:
-        """The column of each child's message that meets each entry."""
         only = storage.places[clusters[0]]
         if only.large:
             return [
@@ -328,7 +320,6 @@ class _Planner:
         return [GatheredProduct(senders[some], maps[some]) for some in chunks]
 
     def _down(self, clusters: list[int], storage: Storage) -> Sum | None:
-        """The sums of the parents' tables to the columns of a stack."""
         parent = int(self.forest.parent[clusters[0]])
         if parent < 0:
             return None

@@ -34,7 +34,6 @@ Job = TypeVar("Job")
 class Task:
     """A job on its way.
 
-    runs: The runs that it is about.
     future: Of a `Done`, or of the pickle of one and the bytes of its large arrays.
     answer: Where these are.
     """
@@ -101,7 +100,6 @@ class Workers:
         """The results of jobs, in their order; without an executor errors are raised at once.
 
         work: A function of a module.
-        runs: What each is about.
         large: Whether the results have large arrays.
         named: Parts of the jobs, one of which is named if it cannot be pickled.
         """

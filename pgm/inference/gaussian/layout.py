@@ -48,7 +48,6 @@ class Group:
 
     cpds: One a row.
     hidden: The first one's parents without evidence.
-    observed: Whether the children have evidence.
     child: (rows, d): where each child stands among all hidden components; (rows, 0) if observed.
     parents: (rows, n): where the hidden parents stand.
     clusters: (rows,): the cluster that each CPD is assigned to.

@@ -122,7 +122,6 @@ class _Frontier:
         self.cov[:, np.array(rows)[:, None], rows] = own
 
     def drop(self, places: list[int]) -> None:
-        """Forget components that nothing needs any more."""
         rows = [self.slots.pop(place) for place in dict.fromkeys(places)]
         self.cov[:, rows, :] = 0.0
         self.cov[:, :, rows] = 0.0
@@ -136,7 +135,6 @@ Kind = TypeVar("Kind", np.float64, np.bool_)
 class Model:
     """The CPDs of a network, linearised, and the evidence of its observed children.
 
-    lead: The axes of runs.
     families: One a group of the layout; a row is a CPD.
     readings: For each group with observed children their values, (CPDs, runs or 1, d).
     moved: The same, (CPDs, runs, d), with angles on the branch nearest the CPD's value at the point
@@ -249,7 +247,6 @@ class Model:
         self.first = False
 
     def _follow(self, mean: Array, active: Mask) -> None:
-        """Keep the angles of values and evidence on the chart of given means."""
         groups = zip(self.layout.groups, self.families, self.readings, self.moved, strict=True)
         for k, (group, family, reading, kept) in enumerate(groups):
             angles = group.cpds[0].child.angle_mask

@@ -112,7 +112,6 @@ class _Linearised(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, g: int) -> _Linearised:
-        """Of a group."""
         frame, runs = model.frame, 1 if model.shared else model.runs
         group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
         at = frame.mean[:, group.parents].swapaxes(0, 1)

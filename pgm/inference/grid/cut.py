@@ -23,10 +23,7 @@ _DOUBT = 20.0
 
 
 class Cut(NamedTuple):
-    """The belief of which the most may have been cut off.
-
-    share: Of the belief, as an estimate; 1 where all of it may be.
-    """
+    """The belief of which the most may have been cut off."""
 
     share: float
     step: int

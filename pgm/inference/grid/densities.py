@@ -63,10 +63,8 @@ EVEN = Uneven(0.0, None, 0)
 class Dense:
     """Weights from each cell to each along some axes, for each cell of those depended on.
 
-    axes: Those that are moved.
     by: The other axes on which they depend, ascending; G is the number of their cells.
     weights: (G, S, T): S source cells, or 1 where none is depended on, and T target cells.
-    source, target: The windows.
     """
 
     axes: tuple[int, ...]
@@ -155,7 +153,6 @@ class DensityGroup(Members):
         return self._cut(self.kept[self.key], window)
 
     def _cut(self, dense: Dense, window: Window) -> Dense:
-        """The weights from a window alone."""
         lattice = self.lattice
         own = dense.weights.shape[1] > 1
         each = (*dense.by, *self.axes) if own else dense.by
@@ -172,8 +169,6 @@ class DensityGroup(Members):
 
 
 class _Maker:
-    """The weights of one group at one step, from a window."""
-
     def __init__(self, group: DensityGroup, step: int, run: int, window: Window) -> None:
         self.group, self.step, self.run, self.window = group, step, run, window
         self.lattice = group.lattice
@@ -190,7 +185,6 @@ class _Maker:
         self.share = 0.0
 
     def made(self) -> Dense:
-        """The weights from a window to all cells."""
         group, lattice, window = self.group, self.lattice, self.window
         used = (*self.by, *self.own)
         count = math.prod(window[k].length for k in used)
@@ -306,7 +300,6 @@ class _Maker:
 
     @property
     def _allowed(self) -> float:
-        """By how much a sum over centres may differ from one."""
         return 2.0 * self.share + _ROUNDING
 
     @property
@@ -323,7 +316,6 @@ class _Maker:
         return found
 
     def _sums(self, rows: Integers, shift: float, beyond: bool) -> Array:
-        """The sums of the weights of some rows, some rows at a time."""
         places = self._places(shift, beyond)
         length = max(_KEPT // 16 // math.prod(len(each) for each in places), 1)
         parts = [rows[k : k + length] for k in range(0, len(rows), length)]

@@ -105,7 +105,6 @@ class Mixed:
         return total
 
     def _of(self, step: Step) -> tuple[Integers, ...]:
-        """The place of a step's target window."""
         each = [
             (np.arange(own.length) + own.first - span.first) % axis.cells
             for own, span, axis in zip(step.target, self.target, self.lattice.axes, strict=True)
@@ -132,7 +131,6 @@ class MixedGroup(Members):
 
 
 def _around(spans: Sequence[Span], cells: int, periodic: bool) -> Span:
-    """A span that holds others."""
     if all(span == spans[0] for span in spans):
         return spans[0]
     if not periodic:
@@ -205,7 +203,6 @@ def joined(some: Sequence[Members], kept: Kept) -> Members:
 
 
 def _gaussian(control: CPD) -> ConditionalGaussian:
-    """The CPD of a hidden control, refused if it is of another kind."""
     if not isinstance(control, ConditionalGaussian) or control.noise is not None:
         raise ModelError(
             f"{control!r} is that of a hidden control, over which a grid sums where it is "

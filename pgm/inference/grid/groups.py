@@ -28,7 +28,6 @@ class Spread(NamedTuple):
     variance: (axes,): what each axis has of its own, in cells; infinite where nothing is known.
     roots: Of each hidden control, and of each state whose noise is correlated: (d, r), by which
         white noise of its own enters.
-    size: How many numbers of white noise there are.
     """
 
     variance: Array
@@ -40,7 +39,6 @@ class Spread(NamedTuple):
 class Members:
     """CPDs of states that are moved together, and of the hidden controls that they share.
 
-    controls, states: Parents before children.
     known: By child, the values (rows, runs or 1, d) of its observed parents.
     prior: Whether this is step 0: displacements are counted from the first cell then.
     first: The step before the first row of these values.

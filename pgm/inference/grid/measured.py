@@ -37,7 +37,6 @@ class Sharpness(NamedTuple):
 class Shape:
     """The shape of a sensor's function, as far as it has been tested.
 
-    depended: On which axes it depends.
     turning: The circles by which it is a sum of two; None as long as that has not been asked.
     tested: Whether that has been tested at every centre.
     highest: Of a density, by how many components were taken, its largest logarithm found at a
@@ -113,7 +112,6 @@ class Term(NamedTuple):
 
     one: Its value less the part of circles, broadcasting to the window.
     other: The part of circles, broadcasting to the window.
-    scale: One over the deviation.
     """
 
     one: Array

@@ -79,7 +79,6 @@ class Motion:
     def _depends(
         self, group: Members, step: int, run: int, source: Window
     ) -> tuple[set[int], set[int]]:
-        """The axes of the step before, and of its own, on which a group depends."""
         if isinstance(group, DensityGroup):
             return group.depends()
         before, after = set[int](), set[int]()
@@ -154,8 +153,6 @@ def _slack(lattice: Lattice, group: Group) -> Array:
 
 
 class _Maker:
-    """The operators of one group at one step."""
-
     def __init__(
         self,
         motion: Motion,
@@ -170,7 +167,6 @@ class _Maker:
         self.noise, self.nodes = quadrature(group, self.spread, step, run)
 
     def operators(self, window: Window) -> tuple[Window, list[Operator]]:
-        """The target window, and the operators that lead there."""
         order = self._order()
         if order is None:
             return self._split(window)
@@ -337,7 +333,6 @@ class _Maker:
 
 
 def _flat(axis: Axis, place: int, source: Span) -> Move:
-    """The move to all cells alike."""
     cells = axis.cells
     # From every source cell: the first weight is at cell 0 wherever it comes from.
     first = -(source.first + np.arange(source.length)).reshape(1, 1, -1)

@@ -100,10 +100,7 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Moves along one axis after another, summed over the nodes of a quadrature.
-
-    nodes: Weights of the nodes.
-    """
+    """Moves along one axis after another, summed over the nodes of a quadrature."""
 
     moves: Sequence[Move]
     nodes: Array
@@ -149,11 +146,8 @@ class Split:
     Three points have any mean between −½ and ½, and the variance s² = ¼, or f(1 − f) of a smaller
     s², exactly; of larger ones the rest is a blur that is the same everywhere.
 
-    axes: Those that are moved.
     place: The targets of the source cells at a node, (axes, source cells), in cells of each axis.
     variance: (axes,): in cells, ¼ at the most.
-    nodes: Weights of the nodes.
-    source, target: The windows.
     cells: Of each axis of the lattice.
     """
 

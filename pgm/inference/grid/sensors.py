@@ -151,8 +151,6 @@ class GridSensor(MeasuredSensor):
         return self.lattice.points([np.array([cells // 2]) for cells in self.lattice.shape])
 
     def _depended(self, some: Integers, known: Known, step: int, run: int) -> set[int]:
-        """The axes on which any component depends."""
-
         def values(before: Array, after: Array) -> Array:
             return self.values(before, known, step, run)
 
@@ -190,7 +188,6 @@ class GridSensor(MeasuredSensor):
         return shape.turning
 
     def _adds_everywhere(self, turning: frozenset[int], values: Callable[[Array], Array]) -> bool:
-        """Whether at every centre the function is a sum of two."""
         others = set(range(len(self.lattice.axes))) - turning
         one, other = (Reduced(self.lattice, axes, values) for axes in (others, turning))
         middle = values(self._middle())
@@ -204,7 +201,6 @@ class GridSensor(MeasuredSensor):
     def _adds(
         self, cells: Integers, turning: frozenset[int], values: Callable[[Array], Array]
     ) -> bool:
-        """Whether at some cells the function is a sum of two."""
         middle = np.array(self.lattice.shape) // 2
         turned = np.array([k in turning for k in range(len(middle))])
         each = [cells, np.where(turned, middle, cells), np.where(turned, cells, middle)]
@@ -328,7 +324,6 @@ class DensitySensor(MeasuredSensor):
         return found
 
     def _axes(self, cpd: CPD) -> list[int]:
-        """The axes of its parents."""
         of = self.lattice.of
         return sorted(k for parent in cpd.parents if parent in of for k in of[parent])
 

@@ -92,7 +92,6 @@ class GridModel:
 class GridSlices:
     """One run's slices: beliefs are (*cells), the chain having no axes of runs.
 
-    run: Its number.
     keep: In which weights are kept for the way back; None where there is none.
 
     outside: By step, the probability that left the bounds, or that the window of active cells has

@@ -40,7 +40,6 @@ class Refinement(NamedTuple):
     cells: Along each axis.
     figure: Of this resolution.
     change: Its largest change from the resolution before; NaN of the first.
-    seconds: The time that it took.
     """
 
     cells: tuple[int, ...]

@@ -36,7 +36,6 @@ def mean_at(
 
     points: Values of hidden parents, (n, d).
     known: Values of the parents with evidence, (d,).
-    step, run: For messages.
     less: The parent of which the mean is a displacement: its value is taken off, of an affine CPD
         without a loss of digits.
     """
@@ -178,7 +177,6 @@ def log_density_at(
     child: (n, d), or (d,) for all.
     points: Values of hidden parents, (n, d).
     known: Values of the parents with evidence, (d,).
-    step, run: For messages.
     """
     wide, given = known_at(cpd, child, points, known, step)
     level, values, count = cpd._log_density(wide, given), given.values, len(wide)

@@ -42,7 +42,6 @@ class Behind(Protocol):
     Beliefs and messages are (*states, *runs), the states of a slice on one axis or on several, the
     runs flattened to one axis, or none of one run.
 
-    steps: T.
     lead: The user's axes of runs.
     """
 
@@ -79,8 +78,6 @@ class Slices(Behind, Protocol):
 
 class BackwardChain:
     """The backward messages of a chain whose filtered beliefs are known.
-
-    semiring: Of its numbers.
 
     known: The filtered beliefs by step, (*states, *runs), each of sum one.
     """
@@ -140,7 +137,6 @@ class BackwardChain:
 class StateChain(BackwardChain):
     """The family of one chain, and its record.
 
-    semiring: Of its numbers.
     dtype: Of the beliefs that are kept, float64 or float32.
 
     log_density: ln p(z_t | z_0..t−1) by step, (steps, *runs).

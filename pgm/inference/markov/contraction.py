@@ -168,7 +168,6 @@ def _mapped(each: Transition, array: Array, axis: int, semiring: Semiring, back:
 
 
 def _multiplied(step: Step, array: Array, table: Array, semiring: Semiring) -> Array:
-    """The product of an array and a table, summed over the variables that go."""
     if semiring.linear:
         operands: list[Any] = [array, [*step.before, ...], table, [*step.labels, ...]]
         found: Array = np.einsum(*operands, [*step.after, ...], optimize=True)

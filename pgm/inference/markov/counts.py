@@ -70,7 +70,6 @@ def _states(rows: Any, row: int, runs: int) -> Integers:
 def _moved(
     counts: Array, cpd: Any, inputs: Any, row: int, belief: Array, axes: dict[Any, int]
 ) -> None:
-    """Add the belief of a family at one row, its observed parents being known."""
     family = (*cpd.given, cpd.child)
     found = _marginal(belief, [axes[v] for v in family if v in axes])
     runs = len(found)
@@ -82,7 +81,6 @@ def _moved(
 
 
 def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, int]) -> None:
-    """Add the belief of a sensor's parents at one measurement."""
     cpd, runs = reading.cpd, len(belief)
     found = _marginal(belief, [axes[v] for v in cpd.given if v in axes])
     taken = np.broadcast_to(reading.taken[row, :, 0], runs)

@@ -87,7 +87,6 @@ class DirectChain(StateChain):
 
     @cached_property
     def _parts(self) -> list[range]:
-        """The steps, in parts whose weights fit the room."""
         steps = self.slices.steps
         size = max(1, ROOM // max(1, self.known[0].size))
         return [range(at, min(at + size, steps + 1)) for at in range(1, steps + 1, size)]
@@ -102,13 +101,11 @@ class DirectChain(StateChain):
         return self._latest[1]
 
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
-        """The product by the transition into each step, or by its transpose."""
         if self.slices.constant is not None:
             return repeat(self._apply(part[0], back), len(part))
         return (self._apply(step, back) for step in part)
 
     def _apply(self, step: int, back: bool) -> markov.Apply:
-        """The product by the transition into a step, into a place."""
         transition = self._map(step)
         if not isinstance(transition, Dense):
             moved = transition.backward if back else transition.forward

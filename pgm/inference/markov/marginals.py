@@ -25,10 +25,7 @@ Beliefs = Sequence[Array] | Array
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StateMarginals(Shown, NoArray):
-    """The marginals of the hidden variables of a discrete chain over all steps, by variable.
-
-    kind: Which measurements they know.
-    """
+    """The marginals of the hidden variables of a discrete chain over all steps, by variable."""
 
     plan: SlicePlan
     beliefs: Beliefs
@@ -92,8 +89,8 @@ def potential(
 ) -> tuple[Array, Array | None, Array | float]:
     """The transition into a step, or the prior, and the weights of the step's measurements.
 
-    Returns (*states, *slice, *runs); of step 0 the prior, (*slice, *runs). (*slice, *runs), to be
-    multiplied in; None where nothing is measured. Of the weights.
+    The transition is (*states, *slice, *runs), of step 0 the prior, (*slice, *runs); the weights,
+    (*slice, *runs), are None where nothing is measured; last, their log-scale.
     """
     slices: Any = chain.slices
     weights, log_scale = slices.likelihood(step)

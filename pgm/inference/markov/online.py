@@ -36,7 +36,6 @@ class OnlineTables(InCode, Immutable):
     Made by ``OnlineFilter(model)``, of a network of tables. It is immutable, and so are its
     beliefs.
 
-    model: Of tables.
     lag: In steps, of ``belief.lagged``.
     """
 

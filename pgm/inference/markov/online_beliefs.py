@@ -76,7 +76,6 @@ class OnlineStates(Shown, NoArray, Immutable):
     log_evidence: (*runs): ln p of all measurements so far.
     status: Tables need no iterations.
     kind: Filtered after an update, predicted before; of `lagged`, fixed-lag.
-    lead: The axes of runs.
     """
 
     step: int
@@ -179,10 +178,8 @@ class _Window:
         return chain.posterior(0, message)
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """The weights of a step."""
         return self.held[step].weights, 0.0
 
     def backward(self, step: int, message: Array) -> Array:
-        """A message to the step before."""
         ahead = self.ahead[step - 1].within(self.semiring)
         return ahead.backward(ahead.first, message)  # whose only row is of its own step

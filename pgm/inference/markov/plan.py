@@ -127,7 +127,6 @@ class RowTables:
         return self._joined(states, semiring, as_map)
 
     def _joined(self, states: Any, semiring: Semiring, as_map: bool) -> Factor:
-        """Of runs whose inputs differ."""
         keys, which = np.unique(states, axis=1, return_inverse=True)
         parts: list[Any] = [self._factor(tuple(map(int, key)), semiring, as_map) for key in keys.T]
         which = which.ravel()
@@ -139,7 +138,6 @@ class RowTables:
         )
 
     def _factor(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Any:
-        """The table for states of the observed parents, kept for the next row."""
         name = (*key, semiring.linear, as_map)
         found = self.index.get(name)
         if found is None:
@@ -153,13 +151,11 @@ class RowTables:
         return Move(((Dense(table), None),)) if as_map else semiring.entries(table)
 
     def _selected(self, table: Array, key: tuple[int, ...]) -> Array:
-        """A table with the states of the observed parents put in."""
         states = dict(zip(self.observed, key, strict=True))
         found: Array = table[tuple(states.get(v, slice(None)) for v in self.cpd.given)]
         return found
 
     def _called(self, row: int, semiring: Semiring, as_map: bool) -> Factor:
-        """The table that the function of inputs returns."""
         tables = self.called.at(row)
         states = [self.inputs[v][row, :, 0] for v in self.observed]
         runs = max([len(tables), *map(len, states)])
@@ -299,7 +295,6 @@ class TableSlices:
 
     @cached_property
     def _fixed(self) -> dict[str, list[Factor]]:
-        """The tables by contraction, where they are the same at all steps."""
         return {}
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:

@@ -268,7 +268,6 @@ class StatePosterior(Posterior):
         return message
 
     def _states(self, values: Array, *, total: bool = True) -> Array:
-        """Values over the states alone, summed over the controls."""
         axes = self._plan.controls
         if not axes:
             return values

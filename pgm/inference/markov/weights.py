@@ -128,7 +128,6 @@ class Weights:
         return np.concatenate([self._columns / top, nothing]), np.append(np.log(top), 0.0)
 
     def _rows(self, part: range) -> range:
-        """The rows of the measurements of some steps."""
         last = len(self.starts) - 1
         return range(self.starts[min(part.start, last)], self.starts[min(part.stop, last)])
 
@@ -173,11 +172,9 @@ class Weights:
         return self._over_runs(found[0]) if runs == 1 else np.moveaxis(found, 0, -1)
 
     def _over_runs(self, single: Array) -> Array:
-        """Weights that are those of all runs."""
         return single[..., None] if self.batch else single
 
     def _called(self, row: int) -> tuple[Array, list[Any]]:
-        """The columns that the function of inputs gives, and where each run's are."""
         tables = self.called.at(row)
         places = [self.reading.inputs[v][row, :, 0] for v in self.observed]
         return self._laid(tables, 1), [np.arange(len(tables)), *places]
@@ -210,7 +207,6 @@ class InputTables:
     """The tables that the function of a CPD returns for the inputs of a row.
 
     inputs: (rows, runs or 1, d), or of states (rows, runs or 1, 1).
-    step: The step of a row, for messages.
 
     smallest: The smallest positive entry of the tables so far.
     """

@@ -20,7 +20,6 @@ class Block(NamedTuple):
     """Some particles that are worked on together: whole runs, or a part of one.
 
     first, last: Of the particles of all runs.
-    runs: Whose they are.
     """
 
     first: int

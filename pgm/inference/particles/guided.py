@@ -42,10 +42,7 @@ _ROUNDING = 1e-6
 
 
 class Guide:
-    """The proposals of one model.
-
-    graph: Of the network, of any number of steps.
-    """
+    """The proposals of one model."""
 
     def __init__(self, graph: DynamicGraph, model: ParticleModel, lineariser: Lineariser) -> None:
         self.graph, self.model, self.lineariser = graph, model, lineariser

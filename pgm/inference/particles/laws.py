@@ -100,8 +100,6 @@ class Law:
 
     inputs: Values of the observed parents, (rows, runs or 1, d).
     places: The components of the slice's variables.
-    dtype: Of the states.
-    first_run: The number of the first run, for messages.
     """
 
     cpd: CPD

@@ -26,7 +26,6 @@ from pgm.variables import Variable
 class ParticleModel:
     """A model with its evidence, CPD by CPD.
 
-    dtype: Of the states.
     first: The step before the first of the evidence for the transition.
 
     places: The components of each state and hidden control, in this order.
@@ -180,7 +179,6 @@ class Sensor:
             )
 
     def _require_density(self, found: Array, some: Some) -> None:
-        """Refuse log-densities that are NaN or plus infinity."""
         total = found.sum()
         if np.isfinite(total) or not (np.isnan(found) | (found == np.inf)).any():
             return
@@ -200,7 +198,6 @@ class Sensor:
 class Part(NamedTuple):
     """One component of a belief.
 
-    component: Its place in the variable.
     label: The name of the component, with that of the variable where they share it.
     row: Of the states of a cloud.
     """

@@ -170,8 +170,6 @@ class ParticleStatus(Shown, Immutable):
 class Record:
     """The clouds of steps, and the events of each run and step.
 
-    steps: T.
-
     clouds: Given the measurements up to each step.
     log_density: (T+1, runs): ln p(z_t | z_0..t−1), estimated.
     effective, number: (T+1, runs): the effective number of particles given the step's measurements,

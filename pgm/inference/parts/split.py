@@ -57,7 +57,6 @@ def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
 
 
 def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
-    """Runs to a part."""
     model = graph.model
     rules = [lineariser]
     for cpd in (*model.prior, *model.transition, *model.observation):

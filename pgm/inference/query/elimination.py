@@ -90,7 +90,6 @@ class Tables:
         return plan.scopes[factor], self.semiring.entries(table)
 
     def _reduced(self, cpd: TableCPD, unknown: Sequence[Discrete], scope: Sequence[int]) -> Array:
-        """A CPD's table with the states of the known variables put in."""
         states = self.evidence.states
         index: list[int | slice] = []
         left: list[Discrete] = []

@@ -40,10 +40,8 @@ class EliminationPlan:
     The axes of all tables are in the order in which the variables are summed out, those that are
     asked for last, so that no table is ever transposed, and sums are over the first axes.
 
-    order: The hidden variables.
     scopes: Of the tables at the start: those of the CPDs, then those of weights, by place in the
         order.
-    weighted: The variables of the weights.
     steps: Each makes one table more. The last one sums nothing out.
     """
 

@@ -112,7 +112,6 @@ def query(
 
 
 def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
-    """The network that is asked about, and the graph that was compiled of it."""
     if isinstance(network, DynamicBayesianNetwork | DynamicGraph):
         raise GraphError(
             "query is for discrete networks, and this one is dynamic; its beliefs are "
@@ -171,7 +170,6 @@ def _answer(graph: ClusterGraph | None, requisite: Requisite, scope: States) -> 
 
 
 def _eliminated(plan: EliminationPlan, scope: States) -> Array:
-    """By summing the others out."""
     plan.require_size()
     some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
     parts = [eliminate(plan, piece) for piece in some]
@@ -183,6 +181,5 @@ def _eliminated(plan: EliminationPlan, scope: States) -> Array:
 
 
 def _read(graph: ClusterGraph, evidence: BoundStates, scope: States) -> Array:
-    """From the posterior of a tree."""
     values = of_tree(graph, evidence, limits.Room.of(None, graph)).joint(*scope).values
     return np.moveaxis(values.reshape(-1, *sizes(scope)), 0, -1)

@@ -188,7 +188,6 @@ class Assembly:
 
 
 def _worst(rows: Array) -> tuple[int, float]:
-    """The row whose sum is furthest from one, and that sum."""
     totals = rows.sum(axis=-1)
     index = int(np.abs(totals - 1.0).argmax())
     return index, float(totals[index])

@@ -57,7 +57,6 @@ class Cursor:
 
     kind: Of the token that was read last: MARK, QUOTED, WORD, or END.
     value: That token, without its quotes.
-    start: Where it starts in the text.
     """
 
     def __init__(self, text: str, origin: Origin) -> None:

@@ -146,7 +146,6 @@ def _summed(array: npt.NDArray[Any], blocks: Sequence[int]) -> npt.NDArray[Any]:
 
 
 def _middles(centres: Array, block: int) -> Array:
-    """The middles of blocks of cells."""
     first = np.arange(0, len(centres), block)
     last = np.minimum(first + block, len(centres)) - 1
     found: Array = 0.5 * (centres[first] + centres[last])

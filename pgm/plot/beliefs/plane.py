@@ -280,11 +280,9 @@ def _draw_truth(ax: Axes, lines: Array) -> None:
 class Plane(NamedTuple):
     """The components of a picture.
 
-    pair: Along its axes.
     heading: The angle drawn by directions.
     mirrored: Whether the axes are the other way round than headings are counted.
     angles: All components that are angles.
-    known: All components.
     """
 
     pair: tuple[str, str]

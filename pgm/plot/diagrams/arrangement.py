@@ -92,7 +92,6 @@ def _per_row(count: int, across: float, down: float, room: Size | None) -> int:
 
 
 def _layers(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> Layout:
-    """The best of several choices of which cluster stands before which."""
     layouts = (
         layered(_halves(directed.edges), sizes, room, gap=1.2 * GAP)
         for directed in _directions(graph)

@@ -70,7 +70,6 @@ def text_size(text: str) -> Size:
 
 @lru_cache(maxsize=10_000)  # a diagram asks for the same words many times
 def _width(line: str, fonts: tuple[str, ...]) -> float:
-    """The width of a line in the fonts that are set."""
     font = FontProperties(size=FONT)
     return float(text_to_path.get_text_width_height_descent(line, font, ismath=False)[0])
 

@@ -217,7 +217,6 @@ def _shading(
 
 
 def _oval(text: Size) -> Size:
-    """The ellipse about a text: through the corners of its box, and a little more."""
     return Size(math.sqrt(2.0) * text.width + 8.0, math.sqrt(2.0) * text.height + 6.0)
 
 
@@ -233,7 +232,6 @@ def _draw(
     node: Node,
     shading: Shading | None,
 ) -> None:
-    """A cluster's ellipse, or a sepset's rectangle, with its text."""
     tint = shading[node] if shading else None
     ink = INK if tint is None else readable_on(tint)
     if isinstance(node, tuple):
@@ -317,8 +315,6 @@ def with_messages(
 def draw_messages(canvas: Canvas, edge: Edge, at: Point, plate: Size, line: Array) -> None:
     """Draw both arrows of a sepset, across or up and down, each to the left of its way.
 
-    at: The centre of the sepset.
-    plate: Of the sepset.
     line: (P, 2), from the first cluster to the second, through the centre.
     """
     along = _along(line, at)

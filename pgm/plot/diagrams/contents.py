@@ -133,7 +133,6 @@ def reading_counts(graph: ClusterGraph, evidence: Evidence) -> dict[Variable, in
     A measurement counts if one run or more took it.
 
     graph: One that no dynamic network lies behind has none.
-    evidence: As for `pgm.infer`.
     """
     if not isinstance(graph, DynamicGraph):
         return {}

@@ -90,7 +90,6 @@ def in_layers(
 
 
 def _order(graph: nx.DiGraph, rank: Mapping[Node, int]) -> tuple[Layers, int]:
-    """Its layers in the order that makes few arrows cross, and how many do."""
     parts = layers(graph, rank)
     order, crossings = ordered(parts.layers, parts.links)
     return replace(parts, layers=order), crossings

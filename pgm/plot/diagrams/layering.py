@@ -88,7 +88,6 @@ class Layers:
     """Nodes in layers, and between them the places where long arrows pass a layer.
 
     layers: Nodes and places, by number, in the order in which they stand.
-    nodes: The numbers of the graph's nodes.
     routes: The numbers that each arrow passes, its ends included.
     links: Every piece of an arrow, from one layer to the next.
     """
@@ -130,7 +129,6 @@ def along(
     .. math:: \min \sum_{ij} w_{ij} |x_i - x_j|
         \quad\text{with}\quad x_j - x_i \ge \tfrac12 (r_i + r_j) \text{ for neighbours in a layer}
 
-    layers: In order.
     room: (n,): what each takes of its layer.
     nodes: Numbers below are nodes, the others places where an arrow passes.
 
@@ -162,8 +160,6 @@ def ordered(
 
     Sweeps down and up put each node at the mean place of its neighbours, then swap neighbours in
     a layer where that helps; from several starts, the best is taken.
-
-    links: Each from one layer to the next.
 
     Source: Sugiyama, Tagawa & Toda, Methods for visual understanding of hierarchical systems, 1981.
     """

@@ -113,7 +113,6 @@ def _joined(model: Any, steps: int | None, evidence: Iterable[Variable] | None) 
 
 
 def _scopes(model: Any) -> Iterator[tuple[Variable, ...]]:
-    """The scopes of factors."""
     found = as_tuple(model)
     if not found:
         raise ModelError(

@@ -66,7 +66,6 @@ def svg(value: Network | ClusterGraph) -> str:
 
 
 def _size(value: Network | ClusterGraph) -> tuple[int, int]:
-    """How many shapes a picture has, and how many it may have."""
     if isinstance(value, DynamicGraph):
         return len(value.model.cpds), VARIABLES
     if isinstance(value, ClusterGraph):
@@ -85,7 +84,6 @@ def _drawn(value: Network | ClusterGraph) -> Axes:
 
 
 def _within_html(document: str, name: str) -> str:
-    """The element of an SVG document, no larger than a page."""
     tag, rest = document[document.index("<svg") :].split(">", 1)
     # Rules of a style sheet would hold for the whole page that the picture stands on.
     rest = re.sub(r"<style.*?</style>", "", rest, flags=re.DOTALL)

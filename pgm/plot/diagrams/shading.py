@@ -39,7 +39,6 @@ class Shading:
     """Colours of shapes, and the bar that explains them.
 
     values: Of the clusters, by index, or the sepsets, by edge.
-    label: The values' name.
     nothing: The largest value that stands for nothing.
     """
 

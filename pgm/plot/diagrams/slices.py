@@ -30,8 +30,6 @@ def rows(graph: nx.DiGraph) -> list[list[Variable]]:
 
     Parents in the same slice stand above their children. A variable that the next slice depends
     on has its row to itself, so that its arrow in time meets no other node.
-
-    graph: Nodes are variables at steps.
     """
     carried = {parent.template for parent, child in graph.edges if parent.step != child.step}
     result = []
@@ -65,7 +63,6 @@ def _layers(graph: nx.DiGraph, carried: set[Variable]) -> list[list[Variable]]:
 
 
 def _slice(graph: nx.DiGraph, edges: Iterable[tuple[Variable, Variable]]) -> nx.DiGraph:
-    """The edges inside a slice, between templates."""
     within = nx.DiGraph()
     within.add_nodes_from(node.template for node in graph)
     within.add_edges_from((a.template, b.template) for a, b in edges if a.step == b.step)
@@ -79,7 +76,6 @@ def sliced(graph: nx.DiGraph, sizes: Mapping[Node, Size], room: Size | None) -> 
     straight or a bow if that is clear of nodes in all slices; else it runs between rows and
     slices.
 
-    graph: Nodes are variables at steps.
     sizes: Equal at all steps of a variable.
     room: Of the axes; None for a page.
     """

@@ -65,7 +65,6 @@ class Palette:
         return indices
 
     def _meet(self, codes: npt.NDArray[np.uint32], counts: npt.NDArray[np.intp]) -> None:
-        """Take in the colours of some codes, which are met for the first time."""
         new = (codes[:, None] >> _SHIFTS & 255).astype(np.int16)
         often = new[counts >= _OFTEN]
         while len(often) and len(self._colours) < _COLOURS:
@@ -163,8 +162,6 @@ def write_movie(
     The layout is that of the first picture, so that nothing shakes.
 
     dpi: Dots an inch.
-
-    Returns: Of the file.
     """
     target = Path(path)
     draw(0)  # a refusal comes before there is a file

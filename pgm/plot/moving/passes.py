@@ -15,7 +15,6 @@ _PICTURES = 100
 class Frame(NamedTuple):
     """One picture of a run.
 
-    step: Whose cluster is at work.
     back: Whether messages flow back, to the left.
     filtered: The last step that is filtered by now; all before are too.
     revised: The first and the last step whose belief later measurements have revised by now; the
@@ -34,8 +33,6 @@ def frames(kind: Kind, last: int, every: int | None) -> list[Frame]:
     A filter goes forward; a smoother then comes back; with a fixed lag each step forward revises
     the belief of the step so far behind.
 
-    kind: Of the posterior.
-    last: T.
     every: Steps from a picture to the next; as many as leave at most 100 a pass without.
     """
     every = every or max(1, math.ceil(last / _PICTURES))

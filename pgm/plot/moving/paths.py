@@ -25,11 +25,7 @@ _MARGIN = 0.06
 
 
 class Trace:
-    """A belief's path so far, some of its ellipses, and the newest of them.
-
-    belief: Over steps 0..T.
-    pair: The components of the plane.
-    """
+    """A belief's path so far, some of its ellipses, and the newest of them."""
 
     def __init__(
         self, ax: Axes, belief: Gaussian, pair: tuple[str, str], confidence: float, colour: str
@@ -68,8 +64,6 @@ class Paths:
     """The beliefs of a run in the plane.
 
     beliefs: Filtered, and as the posterior has them.
-    kind: Of the posterior.
-    pair: The components of the plane.
     truth: (T+1, 2).
     landmarks: (L, 2).
 
