@@ -27,7 +27,6 @@ def assign(
     """The smallest cluster that holds each family, the first of equals; −1, where none does.
 
     families, members: Variables of each family and of each cluster, by place.
-    sizes: Of the clusters.
     """
     holders: dict[int, set[int]] = {}
     for k, held in enumerate(members):

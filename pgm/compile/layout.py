@@ -24,7 +24,6 @@ class Place(NamedTuple):
     child: Where its child stands; nowhere, if it is a measurement.
     angles, before: The child's components that are angles, and where those of the step before
         stand; empty where the child does not depend on itself.
-    template: Of a nonlinear CPD.
     """
 
     hidden: Scope

@@ -25,10 +25,8 @@ Row = Sequence[str] | None
 class Listing:
     """A table of words and numbers.
 
-    heads: The head of each column.
     rows: Cells; None stands for rows that are left out.
     names: How many of the columns, from the left, are words.
-    cell: The most letters of a cell.
     """
 
     heads: Sequence[str]

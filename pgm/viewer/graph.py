@@ -27,7 +27,7 @@ _MOST = 26
 
 
 def page(posterior: Posterior, numbers: Numbers, runs: list[Run], limits: Limits) -> dict[str, Any]:
-    """The structure of the page, its numbers added to those given."""
+    """The structure of the page, its numbers added."""
     graph, writer = posterior.graph, Writer(posterior, numbers, runs, limits)
     shown, note = _shown(graph, limits)
     within = set(shown)

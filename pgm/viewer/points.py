@@ -27,7 +27,7 @@ _WHY = {
 def page(
     posterior: Any, numbers: Numbers, runs: list[Run], span: range, limits: Limits
 ) -> dict[str, Any]:
-    """The structure of the page, its numbers added to those given."""
+    """The structure of the page, its numbers added."""
     graph, beliefs = posterior.graph, {}
     for variable in graph.layout.slice:
         try:

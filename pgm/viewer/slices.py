@@ -42,7 +42,6 @@ def sighted(
 
     sensors: The step of each measurement, (M,) ascending, its values, (M, runs or 1, d), and those
         of its observed parents.
-    span: The steps shown.
     """
     found = []
     for sensor, (step, values, inputs) in sensors.items():

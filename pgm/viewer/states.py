@@ -23,7 +23,7 @@ _MOST = 20_000_000
 def page(
     posterior: StatePosterior, numbers: Numbers, runs: list[Run], span: range, limits: Limits
 ) -> dict[str, Any]:
-    """The structure of the page, its numbers added to those given."""
+    """The structure of the page, its numbers added."""
     found = head(posterior.graph, posterior.kind, span, posterior._plan.slice)
     words: dict[str, str] = {}
     if posterior.kind != SMOOTHED:

@@ -118,7 +118,7 @@ class ChainDraws:
 
     @property
     def width(self) -> int:
-        """Numbers that one draw of one run takes at a time."""
+        """See `Drawing`."""
         size = self.plan.layout.state_size + 2 * self.plan.layout.slice_size
         seen = [
             np.diff(sensor.bounds).max() * sum(sensor.family.shape[2:])
@@ -128,7 +128,7 @@ class ChainDraws:
 
     @property
     def length(self) -> int:
-        """Numbers of a whole draw."""
+        """See `Drawing`."""
         layout = self.plan.layout
         return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
@@ -168,7 +168,7 @@ class ChainDraws:
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """So many new trajectories a run."""
+        """See `Drawing`."""
         plan, layout = self.plan, self.plan.layout
         shape, places, front = (plan.runs, count), layout.state_places, layout.state_size
         total = np.repeat(self.reference[:, None], count, axis=1)

@@ -67,7 +67,6 @@ class Excursions:
     ) -> Density:
         """The density of draws up to a slice.
 
-        so_far: Up to the slice before.
         gaussian, predicted: (runs, S): the log-density of the slice by the Gaussian, and by the
             model.
         tails: (runs, S): that with Student tails, less the Gaussian's.

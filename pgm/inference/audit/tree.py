@@ -77,16 +77,16 @@ class TreeDraws:
 
     @property
     def width(self) -> int:
-        """Numbers that one draw of one run takes at a time."""
+        """See `Drawing`."""
         return 3 * self.model.layout.size
 
     @property
     def length(self) -> int:
-        """Numbers of a whole draw."""
+        """See `Drawing`."""
         return self.model.layout.size
 
     def sums(self) -> list[Sums]:
-        """Empty sums: each hidden variable's, and clusters'."""
+        """See `Drawing`."""
         layout, every = self.model.layout, np.ones(1, dtype=bool)
         alone = [(variable,) for variable in layout.hidden]
         sums = []
@@ -97,7 +97,7 @@ class TreeDraws:
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """So many new draws a run: defensive ones follow the prior, or have Student tails."""
+        """So many draws a run: defensive ones follow the prior, or have Student tails."""
         model = self.model
         total = np.repeat(self.reference[:, None], count, axis=1)
         excursions = Excursions(1, 0.0 if self.relative else PREDICTED)

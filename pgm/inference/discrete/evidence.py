@@ -135,7 +135,6 @@ CODES = 2**62
 class Distinct:
     """The runs of some evidence, each different one once.
 
-    evidence: Of the runs that differ.
     which: (runs,): which of them each run is; None if all differ.
     """
 

@@ -72,7 +72,6 @@ class DiscretePosterior(Posterior):
         return variable
 
     def _is_observed(self, variable: Variable) -> bool:
-        """Whether it is observed in all runs."""
         state = self._beliefs.evidence.states.get(discrete((variable,))[0])
         return state is not None and bool(np.min(state) >= 0)
 
@@ -170,7 +169,7 @@ class DiscretePosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """The kind of `log_evidence`: exact, of a tree whose messages have settled, or bethe."""
+        """Exact of a tree whose messages have settled, else bethe."""
         return "exact" if self.graph.is_tree and self.status.converged.all() else "bethe"
 
     @property
@@ -281,7 +280,6 @@ def _arranged(factor: Factor, scope: States) -> Array:
 
 
 def _sum(factor: Factor, keep: States) -> Array:
-    """Sum all but some variables out; the axes are in the order of these."""
     scope, values = factor
     total = values.sum(axis=tuple(k for k, v in enumerate(scope) if v not in keep))
     return _arranged((tuple(v for v in scope if v in keep), total), keep)

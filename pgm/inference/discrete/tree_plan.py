@@ -48,7 +48,6 @@ class Stack:
         table is rescaled in between, one more for each time.
     shape: Of their tables as one matrix: (rows, columns), or (columns, rows) where `axis` is 1.
     first, widths: Of each cluster, its first column in the stack and their number.
-    absorbed: Messages from the children.
     senders: For each of these, the set of the stacks that send them.
     down: Sums the parents' tables to the columns; of roots None.
     """

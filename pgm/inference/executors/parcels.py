@@ -158,7 +158,6 @@ def refuse(named: Sequence[Any], error: Exception) -> ModelError:
 
 
 def _fault(value: Any) -> str | None:
-    """Why a value cannot be pickled; None if it can."""
     try:
         pickle.dumps(value)
     except Exception as error:

@@ -35,7 +35,6 @@ class Task:
     """A job on its way.
 
     future: Of a `Done`, or of the pickle of one and the bytes of its large arrays.
-    answer: Where these are.
     """
 
     runs: slice
@@ -100,7 +99,6 @@ class Workers:
         """The results of jobs, in their order; without an executor errors are raised at once.
 
         work: A function of a module.
-        large: Whether the results have large arrays.
         named: Parts of the jobs, one of which is named if it cannot be pickled.
         """
         if self._executor is None:
@@ -189,8 +187,6 @@ class RemoteTraceback(Exception):
 class Done(NamedTuple):
     """The answer of a worker.
 
-    value: What the work returned; None, if it failed.
-    error: The work's own error.
     trace: Where it was raised, in another process.
     warned: The warnings there: message, category, file, line.
     """

@@ -99,8 +99,6 @@ def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
 
 @dataclass(frozen=True, eq=False)
 class _Tree:
-    """A tree as a problem to be iterated on."""
-
     model: Model
     solver: Callable[[], Calibrated]
 

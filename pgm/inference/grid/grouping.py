@@ -114,10 +114,7 @@ class Mixed:
 
 @dataclass(frozen=True, eq=False)
 class MixedGroup(Members):
-    """A mixture, part by part.
-
-    parts: One for each CPD that it mixes.
-    """
+    """A mixture, part by part."""
 
     parts: tuple[Members, ...] = ()
     weights: Array = field(default_factory=lambda: np.ones(1))

@@ -22,8 +22,6 @@ from pgm.variables import Variable
 class Axis:
     """One axis: a component of a state.
 
-    label: The name of the component, with that of the variable where states share it.
-    low, width: Where the cells begin, and how wide each is.
     angle: Whether it is a circle, from −π on; its first centre is there.
     """
 

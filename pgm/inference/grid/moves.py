@@ -90,11 +90,11 @@ class Move:
         return float((each * marginal.reshape(each.shape)).sum() / max(marginal.sum(), 1e-300))
 
     def forward(self, array: Array, node: int = 0) -> Array:
-        """The probabilities after it."""
+        """See `Operator`."""
         return along(self.matrix(node), array, self.axis, self.by)
 
     def backward(self, array: Array, node: int = 0) -> Array:
-        """The transpose."""
+        """See `Operator`."""
         return along(self.matrix(node).swapaxes(-1, -2), array, self.axis, self.by)
 
 
@@ -106,16 +106,16 @@ class Sweep:
     nodes: Array
 
     def forward(self, array: Array) -> Array:
-        """The probabilities after it."""
+        """See `Operator`."""
         return self._run(array, self.moves, lambda move, node, part: move.forward(part, node))
 
     def backward(self, array: Array) -> Array:
-        """The transpose."""
+        """See `Operator`."""
         last_first = self.moves[::-1]
         return self._run(array, last_first, lambda move, node, part: move.backward(part, node))
 
     def added(self, array: Array) -> dict[int, float]:
-        """By axis, the variance that the lattice adds to these probabilities, in cells."""
+        """See `Operator`."""
         return {move.axis: move.mean_added(array, self.nodes) for move in self.moves}
 
     def _run(
@@ -203,7 +203,7 @@ class Split:
         return found
 
     def forward(self, array: Array) -> Array:
-        """The probabilities after it."""
+        """See `Operator`."""
         counts = tuple(span.length for span in self.target)
         size, values = int(np.prod(counts)), array.reshape(-1)
         total = np.zeros(size)
@@ -216,7 +216,7 @@ class Split:
         return total.reshape(counts)
 
     def backward(self, array: Array) -> Array:
-        """The transpose."""
+        """See `Operator`."""
         values = np.ascontiguousarray(array).reshape(-1)
         total = np.zeros(self._rest.size)
         for node, share in enumerate(self.nodes):
@@ -228,7 +228,7 @@ class Split:
         return total.reshape(tuple(span.length for span in self.source))
 
     def added(self, array: Array) -> dict[int, float]:
-        """By axis, the variance that the lattice adds to these probabilities, in cells."""
+        """See `Operator`."""
         values, found = array.reshape(-1), dict.fromkeys(self.axes, 0.0)
         for node, share in enumerate(self.nodes):
             target = self.place(node)

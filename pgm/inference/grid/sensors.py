@@ -87,7 +87,7 @@ class GridSensor(MeasuredSensor):
         return mean_at(self.cpd, self.lattice.values(points), known, step, run)
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The residuals of one measurement, and the log-density where these are zero."""
+        """See `MeasuredSensor`."""
         step, reading = int(self.reading.step[row]), self.reading
         own = run if reading.values.shape[1] > 1 else 0
         taken = self.taken(row, run)
@@ -211,7 +211,7 @@ class GridSensor(MeasuredSensor):
         return not self._differ(whole - one, other - found[-1]).any()
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """By how many deviations a measurement differs from a cell to the next, along any axis."""
+        """See `MeasuredSensor`."""
         step, known = int(self.reading.step[row]), self.known(row, run)
         found = self.values(centres(self.lattice, self.around(cell)), known, step, run)
         gaps = found[1 : 1 + len(cell)] - found[0]
@@ -289,10 +289,10 @@ class DensitySensor(MeasuredSensor):
         return [Level(level.reshape(shape), highest)], highest
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """By how many deviations a measurement differs from a cell to the next, along any axis.
+        """See `MeasuredSensor`; that of the normal density with the same second difference.
 
-        They are those of the normal density with the same second difference, and of the Gaussian
-        parts of a mixture, which may be so sharp that no centre meets them.
+        Of a mixture it is that of its Gaussian parts, which may be so sharp that no centre meets
+        them.
         """
         bound, cells = self._bound(row, run), self.around(cell)
         found = self._apart(bound[0], cells, bound[2], row, run)

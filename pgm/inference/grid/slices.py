@@ -121,7 +121,7 @@ class GridSlices:
         self._weights: dict[int, tuple[Array | None, float]] = {}
 
     def prior(self) -> Array:
-        """The probabilities at step 0."""
+        """See `Slices`."""
         found, added, uneven = start(self.lattice, self.model.first, self.run)
         self.added += added
         self._least_even(uneven)
@@ -167,7 +167,7 @@ class GridSlices:
             self.uneven = found
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The belief over the slice of a step, from that of the step before."""
+        """See `Slices`."""
         source = self.look(step - 1, belief)
         made = self.model.motion.at(step, self.run, source)
         part, added = made.forward(self.lattice.cut(belief, source))
@@ -196,7 +196,7 @@ class GridSlices:
         return self.lattice.put(part, made.target)
 
     def backward(self, step: int, message: Array) -> Array:
-        """The transpose of `forward`."""
+        """See `Slices`."""
         source, _ = self.windows[step]
         made = self.model.motion.at(step, self.run, source)
         part = made.backward(self.lattice.cut(message, made.target))
@@ -222,7 +222,7 @@ class GridSlices:
         return None if weights is None else self.lattice.put(weights, target), scale
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise the error of measurements that no cell explains."""
+        """See `Slices`."""
         read = [s.reading.cpd.child for s in self.model.sensors if len(s.rows(step))]
         raise EvidenceError(
             f"the measurements of {listed(read)} at step {step}, run {self.run}, are impossible: "

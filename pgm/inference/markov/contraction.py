@@ -38,7 +38,6 @@ Factor = Array | Move
 class Step(NamedTuple):
     """The multiplication by one table, and the sums that it makes possible.
 
-    factor: Which table.
     labels: The variables of the table: parents, child.
     before, after: The variables of the array, axis by axis.
     axis: Of a map, the axis along which it goes.
@@ -87,8 +86,6 @@ class Contraction(NamedTuple):
     ) -> Contraction:
         """Order the tables.
 
-        first, last: The variables of the array at the beginning and at the end.
-        tables: The variables of each table.
         maps: Of each table whether it may be a map along an axis.
         back: Whether the children are summed out, not the parents.
         """

@@ -42,7 +42,7 @@ class DirectChain(StateChain):
     # An impossible measurement, which makes 0/0, is found here and told by the chain step by step.
     @np.errstate(divide="ignore", invalid="ignore")
     def run(self) -> DirectChain:
-        """The same, its forward sweep done."""
+        """See `StateChain`."""
         known, log_density = self.take(0, self.start())
         self.keep(0, known, known, log_density)
         rows, logs = np.asarray(self.known)[1:], self.log_density[1:]
@@ -82,7 +82,7 @@ class DirectChain(StateChain):
         return bool(self.batch) and isinstance(self._map(1), Dense)
 
     def room(self, like: Array) -> Array:
-        """Room for a belief at each step."""
+        """See `StateChain`."""
         return np.swapaxes(super().room(like.T), 1, 2) if self._by_runs else super().room(like)
 
     @cached_property
@@ -126,7 +126,7 @@ class DirectChain(StateChain):
         return found
 
     def smoothed_beliefs(self) -> Array | list[Array]:
-        """The beliefs given all measurements, by step."""
+        """See `StateChain`."""
         found, known = np.empty_like(self.known), np.asarray(self.known)
         precise = all(_joined(found[rows], known[rows]) for rows in self._messages(found))
         return found if precise else super().smoothed_beliefs()
@@ -149,7 +149,7 @@ class DirectChain(StateChain):
         yield slice(0, 1)
 
     def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
-        """The steps from 0 to T, and the belief of each given the measurements a lag later."""
+        """See `StateChain`."""
         found = self._lagged(lag)
         yield from super().lagged(lag) if found is None else enumerate(found)
 

@@ -97,7 +97,6 @@ def _scores(slices: TableSlices, step: int, states: Integers) -> Array:
 
 
 def _known_parent(labels: tuple[int, ...], states: Integers, count: int) -> Integers | None:
-    """The states of a map's parent, where it is of the same slice."""
     return states[labels[0]] if labels[0] < count else None
 
 

@@ -66,20 +66,20 @@ class SlicePlan:
 
     @cached_property
     def onward(self) -> Contraction:
-        """From the states of the step before to the slice."""
+        """States before → slice."""
         return Contraction.of(
             self._before, range(len(self.slice)), self._tables, self.sizes, self._maps
         )
 
     @cached_property
     def back(self) -> Contraction:
-        """From the slice to the states of the step before."""
+        """Slice → states before."""
         now = range(len(self.slice))
         return Contraction.of(now, self._before, self._tables, self.sizes, self._maps, back=True)
 
     @cached_property
     def pairs(self) -> Contraction:
-        """From the states of the step before to both: a joint of neighbours."""
+        """States before → both: a joint of neighbours."""
         both = (*self._before, *range(len(self.slice)))
         return Contraction.of(
             self._before, both, self._tables, self.sizes, [False] * len(self._tables)
@@ -91,7 +91,7 @@ class SlicePlan:
 
     @cached_property
     def prior(self) -> Contraction:
-        """From nothing to the states at step 0."""
+        """Nothing → states at step 0."""
         tables = [self.hidden(cpd) for cpd in self.model.prior]
         states = [self.labels[v] for v in self.states]
         return Contraction.of((), states, tables, self.sizes, [False] * len(tables))
@@ -224,7 +224,7 @@ class TableSlices:
         return cast(tuple[TableCPD, ...], self.plan.model.prior)
 
     def prior(self) -> Array:
-        """The probabilities at step 0."""
+        """See `Slices`."""
         semiring = self.semiring
         tables = [semiring.entries(cpd.table) for cpd in self._prior_cpds]
         found = self.plan.prior.apply(np.full((), semiring.one), tables, semiring)
@@ -232,16 +232,13 @@ class TableSlices:
         return np.repeat(found[..., None], self.bound.runs, axis=-1) if self.lead else found
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The belief over the slice of a step, from that of the step before.
-
-        Axes between those of the slice and that of the runs are kept.
-        """
+        """See `Slices`; axes between those of the slice and that of the runs are kept."""
         if self.plan.controls:
             belief = self.semiring.total(belief, self.plan.controls, None)
         return self.plan.onward.apply(belief, self.factors(step, "onward"), self.semiring)
 
     def backward(self, step: int, message: Array) -> Array:
-        """The transpose of `forward`."""
+        """See `Slices`."""
         if self.plan.controls:
             rest = message.shape[len(self.plan.shape) :]
             message = np.broadcast_to(message, (*self.plan.shape, *rest))
@@ -298,7 +295,7 @@ class TableSlices:
         return {}
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """The weights of a step's measurements, and their log-scale."""
+        """See `Slices`."""
         found: Array | None = None
         log_scale: Array | float = 0.0
         for own, scale in self._weights_at(step):
@@ -322,7 +319,7 @@ class TableSlices:
                     yield own, weights.log_scale(row) if self.semiring.linear else 0.0
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise the error of measurements that are impossible given a predicted belief."""
+        """See `Slices`."""
         left, culprit = belief, None
         for weights in self.weights:
             for row in weights.at(step):

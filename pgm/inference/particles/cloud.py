@@ -17,10 +17,7 @@ BLOCK = 2**14
 
 
 class Block(NamedTuple):
-    """Some particles that are worked on together: whole runs, or a part of one.
-
-    first, last: Of the particles of all runs.
-    """
+    """Some particles that are worked on together: whole runs, or a part of one."""
 
     first: int
     last: int

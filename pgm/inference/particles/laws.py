@@ -99,7 +99,6 @@ class Law:
     """A CPD at its rows, by its own sampler and density.
 
     inputs: Values of the observed parents, (rows, runs or 1, d).
-    places: The components of the slice's variables.
     """
 
     cpd: CPD
@@ -158,7 +157,7 @@ class GaussianLaw(Law):
     cpd: ConditionalGaussian
 
     def draw(self, row: int, some: Some, drawing: Drawing) -> States:
-        """Draws of the child, (d, m)."""
+        """See `Law`."""
         white = drawing.white(self.cpd.child.dimension, some.size, self.dtype)
         root = self.root(row, some.step)
         if root.diagonal is not None:
@@ -198,7 +197,7 @@ class GaussianLaw(Law):
         return found
 
     def open(self, row: int, step: int) -> Integers:
-        """The number of components with noise of their own, (runs or 1,)."""
+        """See `Law`."""
         return self.root(row, step).open
 
     def mean(self, row: int, some: Some) -> States:
@@ -221,7 +220,6 @@ class GaussianLaw(Law):
         return mean.T
 
     def _called(self, arguments: list[States], due: tuple[int, ...], call: Call) -> States:
-        """The value of the function; of float32 states in their precision."""
         function = getattr(self.cpd, "function", None)
         if function is None:
             known = dict(zip(self.cpd.given, arguments, strict=True))
@@ -248,7 +246,7 @@ class GaussianLaw(Law):
         )
 
     def require_noise(self, steps: Integers) -> None:
-        """Refuse a sensor that has no noise at one of the steps of its rows."""
+        """See `Law`."""
         for row, step in enumerate(steps.tolist()):
             if not self.root(row, step).regular:
                 raise ModelError(

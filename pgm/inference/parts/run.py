@@ -186,7 +186,6 @@ class Share:
 
     kept: Whose marginals alone are.
     beliefs: Whether the beliefs of all are enough, since a sweep finds all else from them.
-    smoothed: Whether there are smoothed ones.
     """
 
     kept: Scope | None
@@ -256,7 +255,6 @@ class Result(NamedTuple):
 
     careful: Whether it took twice the digits; then nothing else is here, unless variables are kept.
     arrays: Those asked for, if they have not been written.
-    found: All of it, if that is asked for.
     """
 
     status: Status

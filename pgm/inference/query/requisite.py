@@ -18,7 +18,6 @@ class Requisite:
     """The part of a network that bears on a query.
 
     open: Of each CPD, those of its variables whose state is not known.
-    evidence: Of the variables of these CPDs.
     """
 
     cpds: tuple[TableCPD, ...]

@@ -268,7 +268,6 @@ def trajectory(
 
 
 def _draw_truth(ax: Axes, lines: Array) -> None:
-    """Draw lines (L, P, 2) that are not drawn yet."""
     known = [line.get_xydata() for line in ax.lines if line.get_gid() == _TRUTH]
     mark = "x" if lines.shape[1] == 1 else None
     for k, line in enumerate(lines):

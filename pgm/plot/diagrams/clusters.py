@@ -158,8 +158,6 @@ def cluster_graph(
 
 
 class _Draft(NamedTuple):
-    """A picture before it is drawn: its texts and shapes, where they stand, and in what box."""
-
     texts: dict[Node, str]
     shapes: dict[Node, Size]
     layout: Layout

@@ -132,8 +132,6 @@ def along(
     room: (n,): what each takes of its layer.
     nodes: Numbers below are nodes, the others places where an arrow passes.
 
-    Returns (n,).
-
     Source: Gansner, Koutsofios, North & Vo, A technique for drawing directed graphs, 1993.
     """
     total = len(room)

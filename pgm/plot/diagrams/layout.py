@@ -48,9 +48,7 @@ _CROSSING = 0.02
 class Layout:
     """A picture before it is drawn.
 
-    points: Centres of shapes.
     lines: (P, 2): what joins them.
-    crossings: How many lines cross.
     loose: (P, 2): parts of lines that begin or go on elsewhere, in pictures that are folded.
     """
 

@@ -63,11 +63,7 @@ class Flow:
 
 
 class Chain:
-    """As many clusters of a chain as there is room for, the one at work in the middle.
-
-    graph: A chain of slices.
-    most: Of clusters in the window.
-    """
+    """As many clusters of a chain as there is room for, the one at work in the middle."""
 
     def __init__(
         self, ax: Axes, graph: DynamicGraph, most: int, colours: tuple[str, str], both: bool

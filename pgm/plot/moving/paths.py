@@ -66,8 +66,6 @@ class Paths:
     beliefs: Filtered, and as the posterior has them.
     truth: (T+1, 2).
     landmarks: (L, 2).
-
-    marks: For a legend.
     """
 
     def __init__(
