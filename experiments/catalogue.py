@@ -7,6 +7,7 @@ from types import ModuleType
 from experiments import (
     basics,
     belief_propagation,
+    calibration,
     cluster_graph,
     differential_drive,
     freiburg,
@@ -52,6 +53,7 @@ THEMES: dict[str, dict[str, ModuleType]] = {
         "recordings": recordings,
         "wide_start": wide_start,
         "plaza": plaza,
+        "calibration": calibration,
         "freiburg": freiburg,
         "killian": killian,
     },
@@ -82,6 +84,7 @@ NEEDS = {
     "recordings": "recordings: pip install gtsam, or --path, or PGM_DATA",
     "wide_start": "recordings: pip install gtsam, or PGM_DATA",
     "plaza": "recordings: pip install gtsam",
+    "calibration": "recordings: pip install gtsam",
     "freiburg": "a recording: --path, or PGM_DATA",
     "killian": "a recording: pip install 'rtb-data>=2.0'; or --data made_up",
     "global_localisation": "a floor plan: pip install 'rtb-data>=2.0'",

@@ -2,58 +2,39 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-import typer
 
 import pgm
 from experiments.plaza import figures
 from experiments.plaza import log as plaza_log
-from experiments.plaza.log import SETTINGS, Log, Setting
-from experiments.plaza.unknown import BIAS_STD, found, variants
-from experiments.record import Out, Record, Seed, note, progress
+from experiments.plaza.log import SETTINGS, Data, File, Log, Setting
+from experiments.record import Out, Record, Seed, progress
 from models import networks
 from models.networks import distance, pose
 from pgm import consistency
 
-QUICK = {"data": "plaza1", "unknown": False}
-# Columns, and the components that stand in them.
-UNKNOWN = {"scale": "scale", "offset [m]": "offset", "bias [rad/s]": "rate"}
+QUICK = {"data": "plaza1"}
 LINEARISERS: dict[str, pgm.Lineariser] = {"Taylor": pgm.Taylor(), "Unscented": pgm.Unscented()}
 
 
 def run(
     out: Out = None,
     seed: Seed = 0,
-    data: Annotated[
-        Literal["plaza1", "plaza2"] | None, typer.Option(help="Which recording; both without.")
-    ] = None,
-    path: Annotated[
-        Path | None,
-        typer.Option(help="The .mat file; that of the gtsam package without.", exists=True),
-    ] = None,
-    unknown: Annotated[
-        bool, typer.Option(help="Estimate the range calibration and the gyro's bias, too.")
-    ] = True,
+    data: Data = None,
+    path: File = None,
 ) -> None:
     """Filter and smooth a recorded mower that hears its distance to four beacons."""
-    if path is not None and data is None:
-        raise pgm.EvidenceError("--path names one file; say which recording it is: --data plaza1")
-    chosen = [data] if data else list(SETTINGS)
-    files = {name: path or plaza_log.find(name) for name in chosen}
-    if None in files.values():
-        note(
-            "plaza: the package gtsam, which carries the recordings, is not installed; "
-            "`pip install gtsam`, or give the file with --data and --path"
-        )
+    files = plaza_log.chosen("plaza", data, path)
+    if not files:
         return
-    record = Record("plaza", out, seed=seed, data=chosen, position_rate=plaza_log.POSITION_RATE)
+    record = Record(
+        "plaza", out, seed=seed, data=list(files), position_rate=plaza_log.POSITION_RATE
+    )
     results: dict[str, Any] = {}
-    rows, estimated = [], []
+    rows = []
     for name, file in files.items():
-        assert file is not None
         log = plaza_log.load(file, SETTINGS[name])
         record.note(f"{name}: {log.recording!r}")
         record.note(f"{name}: {log.timeline!r}")
@@ -79,9 +60,6 @@ def run(
             (name, label, results[name][label]["filter"], results[name][label]["smoother"])
             for label in LINEARISERS
         ]
-        if unknown:
-            results[name]["unknown"] = told = unknowns(file, SETTINGS[name], name)
-            estimated += [(name, label, *columns(each)) for label, each in told.items()]
     record.table(
         "RMSE of the position over each recording [m]",
         ("data", "lineariser", "filter", "smoother"),
@@ -94,33 +72,7 @@ def run(
         "Ranges were calibrated with the truth and the noise was tuned: these numbers check an "
         "engine, they claim no accuracy."
     )
-    if unknown:
-        record.table(
-            "With less that is fitted to the truth",
-            ("data", "known", "filter", "smoother", "iterated", "log-evidence", *UNKNOWN),
-            estimated,
-            about="Position errors [m]; estimates of the iterated smoother at the end, with their "
-            f"standard deviations. Priors: scale 1 ± 0.2, offset 0 ± 2 m, bias 0 ± {BIAS_STD} "
-            "rad/s. The noise is as tuned above. The log-evidence of calibrated ranges is that of "
-            "other numbers: it compares with no other.",
-        )
     record.summary(**results)
-
-
-def unknowns(file: Path, setting: Setting, name: str) -> dict[str, Any]:
-    """What filter and smoothers find, by what they are told."""
-    return {
-        label: found(log, model)
-        for label, log, model in progress(list(variants(file, setting)), f"{name}, unknown")
-    }
-
-
-def columns(each: dict[str, Any]) -> list[object]:
-    """The cells of a row."""
-    told = (each["iterated"].get(key) for key in UNKNOWN.values())
-    shown = ["" if of is None else f"{of[0]:.4f} ± {of[1]:.4f}" for of in told]
-    errors = [each[kind]["error"] for kind in ("filter", "smoother", "iterated")]
-    return [*errors, each["log_evidence"], *shown]
 
 
 def localise(

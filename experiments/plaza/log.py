@@ -9,15 +9,27 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
+import typer
 
+from experiments.record import note
 from models.networks import distance, landmark, travelled
+from pgm.errors import EvidenceError
 from pgm.io import Timeline
 from pgm.recordings import Recording, read_plaza
 
 Array = npt.NDArray[np.float64]
+
+Data = Annotated[
+    Literal["plaza1", "plaza2"] | None, typer.Option(help="Which recording; both without.")
+]
+File = Annotated[
+    Path | None,
+    typer.Option(help="The .mat file; that of the gtsam package without.", exists=True),
+]
 
 
 @dataclass(frozen=True)
@@ -76,6 +88,27 @@ def find(name: str) -> Path | None:
     except ImportError:
         return None
     return Path(gtsam.findExampleDataFile(SETTINGS[name].file))
+
+
+def chosen(experiment: str, data: str | None, path: Path | None) -> dict[str, Path]:
+    """The files of the recordings that an experiment is asked for; none, with a note, without one.
+
+    Raises
+    ------
+    EvidenceError
+        If a path is given of a recording that is not named.
+    """
+    if path is not None and data is None:
+        raise EvidenceError("--path names one file; say which recording it is: --data plaza1")
+    files = {name: path or find(name) for name in ([data] if data else SETTINGS)}
+    there = {name: file for name, file in files.items() if file is not None}
+    if there.keys() == files.keys():
+        return there
+    note(
+        f"{experiment}: the package gtsam, which carries the recordings, is not installed; "
+        "`pip install gtsam`, or give the file with --data and --path"
+    )
+    return {}
 
 
 def load(path: Path, setting: Setting, *, every_stamp: bool = False) -> Log:

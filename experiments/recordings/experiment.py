@@ -1,8 +1,8 @@
 """One recorded drive of any reader: every schedule, gate and robust noise against its truth.
 
 In summary.json ``results.<data>.<method>.<lineariser>`` has the RMSE of the position, the mean NEES
-a component of the position, and the log-evidence; ``ranking.<data>`` the sensors by their
-normalised innovations.
+a component of the position, and the log-evidence and its kind; ``ranking.<data>`` the sensors by
+their normalised innovations.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from pgm import consistency
 
 QUICK: dict[str, Any] = {"data": "labyrinth", "linearisers": "Taylor"}
 PLANE = ("east", "north")
+_NONE = "unnormalised"
 
 
 def run(
@@ -88,6 +89,7 @@ def estimated(drive: Drive, linearisers: list[str]) -> tuple[dict[str, Any], dic
             results[label][name] = {
                 **_judged(drive, posterior[pose]),
                 "log_evidence": float(posterior.log_evidence),
+                "log_evidence_kind": posterior.log_evidence_kind,
                 "converged": bool(posterior.status.converged.all()),
                 "lost": int(posterior.lost.at.sum()),
             }
@@ -114,7 +116,8 @@ def _tables(record: Record, name: str, results: dict[str, Any]) -> None:
             lineariser,
             found.get("rmse", ""),
             found.get("nees", ""),
-            found.get("log_evidence", ""),
+            # Of an improper density the figure compares with no other noise's.
+            "" if found.get("log_evidence_kind", _NONE) == _NONE else found["log_evidence"],
             found.get("lost", ""),
         )
         for label, each in results.items()
@@ -125,7 +128,8 @@ def _tables(record: Record, name: str, results: dict[str, Any]) -> None:
         f"{name}: position against the truth",
         ("method", "lineariser", "RMSE [m]", "NEES", "log-evidence", "steps lost"),
         rows,
-        about=f"NEES is a component's, 1 of a right belief. {about}.",
+        about="NEES is a component's, 1 of a right belief. The robust noise has no density, so "
+        f"that its log-evidence compares with no other. {about}.",
         best={"RMSE [m]": -np.inf, "NEES": 1.0},
     )
 

@@ -129,6 +129,15 @@ FINDINGS = {
         "{results/*/Taylor/nees_90:.3g} with Taylor and below {results/*/unscented/nees_90:.2g} "
         "with unscented points; 1 is right.",
     ),
+    "calibration": Finding(
+        "Does a recording tell how its own sensor is off?",
+        "Learnt from {settings/data/0} without the truth, the scale of its ranges comes to "
+        "{results/*/parameter/end/scale:.4f} (fitted with the truth {results/*/fitted/scale:.4f}), "
+        "their offset to {results/*/parameter/end/offset:.3f} m ({results/*/fitted/offset:.3f} m), "
+        "their noise to {results/*/parameter/end/range:.3f} m (about the truth "
+        "{results/*/fitted/residual:.3f} m); the smoother's error goes from "
+        "{results/*/parameter/start/smoother:.2f} m to {results/*/parameter/end/smoother:.3f} m.",
+    ),
     "learning": Finding(
         "Can noise be learnt from the readings alone?",
         "From five times the true variances, over {settings/runs} recordings of {settings/steps} "

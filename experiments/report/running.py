@@ -95,9 +95,18 @@ def _command(name: str, experiment: Any, settings: Mapping[str, Any]) -> str:
     for option in typer.main.get_command(app).params:
         value = settings.get(str(option.name), option.default)
         if option.name != "out" and value != option.default:
-            several = value if isinstance(value, list) else [value]
-            words += [f"{option.opts[0]} {each}" for each in several]
+            words += _words(option, value)
     return " ".join(words)
+
+
+def _words(option: Any, value: Any) -> list[str]:
+    """A setting as the command line takes it: a place, a flag or an option."""
+    if option.param_type_name == "argument":
+        return [str(value)]
+    if isinstance(value, bool):
+        return [(option.opts if value else option.secondary_opts)[0]]
+    several = value if isinstance(value, list) else [value]
+    return [f"{option.opts[0]} {each}" for each in several]
 
 
 def _summary(folder: Path) -> Mapping[str, Any] | None:

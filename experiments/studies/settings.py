@@ -42,8 +42,8 @@ class Setting:
     default: Value
 
     def __str__(self) -> str:
-        of = ", ".join(self.choices) if self.choices else self.kind.__name__
-        return f"{self.name}: {of}, {self.default} by default"
+        of = f"one of {', '.join(self.choices)}" if self.choices else self.kind.__name__
+        return f"{self.name}: {of}; {self.default} by default"
 
     def parsed(self, word: str) -> Value:
         """The value that a word of the command line means.

@@ -2,7 +2,8 @@
 
 Starts are drawn about the true one, with the deviations that the prior says. A start's NEES is the
 mean over the first seconds, of a component of the position; what counts is the 90th percentile over
-starts. Where a grid fits it is the oracle, from the true start: KL(grid ‖ belief), mean over steps.
+starts. From the true start there is KL(oracle ‖ belief), mean over steps, the oracle being a grid
+where its cells are narrow enough, and else particles.
 In summary.json ``results.<data>.<lineariser>`` has them.
 """
 
@@ -58,8 +59,8 @@ def run(
         results[name] = {label: {} for label in LINEARISERS}
         if drive.truth is not None:
             _drawn(record, drive, runs, np.random.default_rng(seed), results[name])
-        if CASES[name].grid is not None:
-            _beside_grid(record, drive, results[name])
+        if CASES[name].oracle is not None:
+            _beside_oracle(record, drive, results[name])
     record.summary(results=results)
 
 
@@ -115,25 +116,26 @@ def _drawn(
     )
 
 
-def _beside_grid(record: Record, drive: Drive, results: dict[str, Any]) -> None:
-    """Every lineariser, from the true start, beside the grid."""
+def _beside_oracle(record: Record, drive: Drive, results: dict[str, Any]) -> None:
+    """Every lineariser, from the true start, beside the oracle."""
     case = CASES[drive.name]
-    assert case.grid is not None
+    kind = "grid" if isinstance(case.oracle, pgm.Grid) else "particles"
+    model, evidence = drive.network(), drive.evidence
     found = pgm.compare(
-        drive.network(),
-        drive.evidence,
+        model,
+        evidence,
         linearisers=LINEARISERS,
         schedules={"filter": pgm.Filtering()},
-        oracle=case.grid,
+        oracle=pgm.filter(model, evidence, belief=case.oracle),
     )
     for label in LINEARISERS:
         results[label]["kl"] = float(found[label, "filter"].kl)
     record.table(
-        f"{drive.name}: KL from the grid, the start known to {case.about}",
-        ("lineariser", "KL(grid ‖ filter) [nats]"),
+        f"{drive.name}: KL from the {kind}, the start known to {case.about}",
+        ("lineariser", f"KL({kind} ‖ filter) [nats]"),
         [(label, each["kl"]) for label, each in results.items()],
-        about="From the true start; the mean over steps, of the Gaussian of the grid's moments.",
-        best={"KL(grid ‖ filter) [nats]": -np.inf},
+        about="From the true start; the mean over steps, of the Gaussian of the oracle's moments.",
+        best={f"KL({kind} ‖ filter) [nats]": -np.inf},
     )
     record.note(repr(found))
     figure, ax = figures.empty()
@@ -141,5 +143,5 @@ def _beside_grid(record: Record, drive: Drive, results: dict[str, Any]) -> None:
     record.figure(
         figure,
         f"{drive.name}_kl",
-        f"KL(grid ‖ filter) [nats] over the steps of {drive.name}, each from the true start.",
+        f"KL({kind} ‖ filter) [nats] over the steps of {drive.name}, each from the true start.",
     )

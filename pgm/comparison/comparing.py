@@ -79,8 +79,8 @@ def compare(
         `Filtering`, `FixedLag` or `Smoothing`; a filter and a smoother without.
     oracle : Grid, posterior over time, or mapping, optional
         A `Grid` is run on the same model, as filter for filters, as smoother for smoothers. A
-        posterior, a grid's or any `Oracle`, is taken as it is, its forward sweep for filters; it
-        must have beliefs of each kind that the schedules leave. A mapping is a truth.
+        posterior, a grid's, particles' or any `Oracle`, is taken as it is, its forward sweep for
+        filters; it must have beliefs of each kind that the schedules leave. A mapping is a truth.
     truth : mapping of Variable to array_like, optional
         By state, (*runs, T+1, d), or (T+1, d) of all runs; NaN where it is not known.
     states : collection of Variable, optional

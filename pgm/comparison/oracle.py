@@ -20,6 +20,7 @@ from pgm.inference import (
     GridBelief,
     GridPosterior,
     Kind,
+    ParticleBelief,
     Smoothing,
     infer,
 )
@@ -32,8 +33,8 @@ from pgm.variables import Variable
 class Oracle(Protocol):
     """An oracle as a comparison takes it: marginals over time, which say of which kind.
 
-    A `ChainPosterior` is one, a `GridPosterior`, or anything of a user's own, particles for one.
-    Where it has ``filtered``, which is an oracle too, that stands for filters.
+    A `ChainPosterior` is one, a `GridPosterior`, a `ParticlePosterior`, or anything of a user's
+    own. Where it has ``filtered``, which is an oracle too, that stands for filters.
 
     Attributes
     ----------
@@ -52,14 +53,15 @@ class Oracle(Protocol):
         """The kind of its beliefs: the measurements that they know."""
 
     def __getitem__(self, variable: Variable, /) -> Any:
-        """The marginal over steps 0..T: a `Gaussian`, or a `GridBelief`."""
+        """The marginal over steps 0..T: a `Gaussian`, `GridBelief` or `ParticleBelief`."""
 
 
 class Reference(NamedTuple):
     """The oracle's belief of a state over steps 0..T.
 
     gaussian: Of its mean and covariance, (*runs, T+1, d).
-    from_gaussian: (T+1,), in nats, the mean over runs: KL from that Gaussian.
+    from_gaussian: (T+1,), in nats, the mean over runs: KL from that Gaussian; NaN of
+        particles.
     seconds: Of the oracle's call; NaN if it was made with another, or given.
     log_evidence: The mean over runs; NaN if the oracle has none.
     status: Of a grid, in words.
@@ -154,12 +156,15 @@ def _gaussian(belief: Any, state: Variable, compared: Compared) -> tuple[Gaussia
     if isinstance(belief, GridBelief):
         gaussian = belief.gaussian()
         apart = non_gaussianity(belief)
+    elif isinstance(belief, ParticleBelief):
+        gaussian = belief.gaussian()
+        apart = np.full(gaussian.mean.shape[:-1], np.nan)  # draws have no density to integrate
     elif isinstance(belief, Gaussian):
         gaussian, apart = belief, np.zeros(belief.mean.shape[:-1])
     else:
         raise ModelError(
-            f"the oracle's marginal of {state!r} is a {type(belief).__name__}; a pgm.Gaussian or "
-            "a pgm.GridBelief over steps 0..T was due",
+            f"the oracle's marginal of {state!r} is a {type(belief).__name__}; a pgm.Gaussian, "
+            "a pgm.GridBelief or a pgm.ParticleBelief over steps 0..T was due",
             variable=state,
         )
     due = (*compared.lead, count, state.dimension)

@@ -18,6 +18,8 @@ from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, Mask, independent
 from pgm.variables import Variable
 
+# The group of sightings of which none was told.
+NO_LABEL = "no label"
 # The alternative of a stretch: innovations with so many times the variance.
 _WIDER = 2.0
 
@@ -156,8 +158,9 @@ def ranking(
     innovations : mapping of Variable to Innovations
         ``posterior.innovations`` of a filter, or some of it.
     by : mapping of Variable to array_like, optional
-        (M,), labels by which a sensor's sightings are divided, such as the landmark seen. Sightings
-        of one label at one step count as if they were independent.
+        (M,), labels by which a sensor's sightings are divided, such as the landmark seen; None or
+        NaN where there is none, and these are a group, too. Sightings of one label at one step
+        count as if they were independent.
     confidence : float
         Probability of the band.
 
@@ -205,12 +208,21 @@ def ranking(
                 f"by: {sensor!r} has labels of shape {own.shape}; {found.step.shape} was due, one "
                 "a sighting"
             )
-        for label in np.unique(own):
-            chosen = own == label
+        for label, chosen in _labelled(own):
             steps = _by_sighting(found, chosen)
             rows.append(_ranked(sensor, label, steps, found, chosen, confidence))
     kept = [row for row in rows if row is not None]
     return Ranking(tuple(sorted(kept, key=lambda row: -float(row.average.value))))
+
+
+def _labelled(labels: npt.NDArray[Any]) -> list[tuple[Any, Mask]]:
+    """Each label with the mask of its sightings; those without one, None or NaN, come last."""
+    each = [None if one is None or one != one else one for one in labels.tolist()]
+    known = sorted({one for one in each if one is not None}, key=lambda one: (str(type(one)), one))
+    found = [(one, np.array([other == one for other in each], dtype=bool)) for one in known]
+    if None in each:
+        found.append((NO_LABEL, np.array([one is None for one in each], dtype=bool)))
+    return found
 
 
 # Steps with readings, and their NIS and degrees of freedom.
@@ -259,7 +271,10 @@ def _ranked(
     mean = average(nis, np.where(dof > 0, dof, 1), confidence=confidence).per_dof()
     residual = innovations.residual[..., chosen, :]
     std = np.sqrt(np.diagonal(innovations.cov[..., chosen, :, :], axis1=-2, axis2=-1))
-    parts = (residual / std).reshape(-1, residual.shape[-1])
+    exact = std == 0.0  # whose residual is no bias where it is zero
+    parts = residual / np.where(exact, 1.0, std)
+    parts = np.where(exact & (residual != 0.0), np.copysign(np.inf, residual), parts)
+    parts = parts.reshape(-1, residual.shape[-1])
     read = (~np.isnan(parts)).sum(axis=0)
     bias = np.divide(np.nansum(parts, axis=0), read, out=np.zeros(len(read)), where=read > 0)
     error = 1.0 / np.sqrt(np.maximum(read, 1))

@@ -14,7 +14,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading, Unknown
 from pgm.evidence.unidentified import JOINT, SUM
 from pgm.immutable import Immutable
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 # Associations that are no candidate's.
@@ -35,6 +35,8 @@ class Associations(Shown, Immutable):
     candidate : ndarray of int
         (..., M): the likeliest, as a row of the candidates; −1 spurious, −2 new. −1 too where
         nothing was measured, and where all candidates were beyond the gate.
+    outliers : float
+        The share of sightings that was declared spurious or new.
 
     Examples
     --------
@@ -55,15 +57,30 @@ class Associations(Shown, Immutable):
     step: Integers
     probability: Array
     candidate: Integers
+    outliers: float
 
-    def __init__(self, step: Integers, probability: Array) -> None:
+    def __init__(self, step: Integers, probability: Array, outliers: float = 0.0) -> None:
         likeliest = np.argmax(np.nan_to_num(probability, nan=-1.0), axis=-1)
         count = probability.shape[-1] - 2
         candidate = np.where(likeliest < count, likeliest, count - 1 - likeliest)
         candidate = np.where(np.isnan(probability).any(axis=-1), SPURIOUS, candidate)
         for array in (step, probability, candidate):
             array.flags.writeable = False
-        self._set(step=step, probability=probability, candidate=candidate)
+        self._set(step=step, probability=probability, candidate=candidate, outliers=outliers)
+
+    @property
+    def measured(self) -> Mask:
+        """The mask of sightings of which something was measured, (..., M)."""
+        return np.asarray(~np.isnan(self.probability).any(axis=-1))
+
+    def judged(self, *, gated: bool) -> tuple[Mask, Mask]:
+        """Sightings taken for no candidate, and those that count with them, (M, runs) each.
+
+        Of a sensor with a gate these are the same: it judges the others.
+        """
+        measured = self.measured.reshape(-1, len(self.step)).T
+        strange = measured & (self.candidate < 0).reshape(-1, len(self.step)).T
+        return strange, strange if gated else measured
 
     @property
     def _title(self) -> str:
@@ -143,4 +160,11 @@ def collected(
         ordered[:, place] = row
     step = np.empty_like(reading.step)
     step[reading.order] = reading.step
-    return reading.cpd.child, Associations(step, ordered.reshape(*lead, *ordered.shape[1:]))
+    if reading.unknown is not None:
+        known = reading.unknown[1].log_shares[:-2]
+    else:  # in its density
+        assert isinstance(reading.cpd, UnidentifiedCPD)
+        known = reading.cpd.log_shares
+    outliers = max(1.0 - float(np.exp(known).sum()), 0.0)
+    found = Associations(step, ordered.reshape(*lead, *ordered.shape[1:]), outliers)
+    return reading.cpd.child, found

@@ -10,6 +10,10 @@ and r rejected sightings of n that a gate judged weigh, for a share q₁ of reje
 
     b = r ln(q₁/q₀) + (n − r) ln((1 − q₁)/(1 − q₀)).
 
+A sighting of unknown identity that is taken for none of its candidates counts as rejected; q₀ is
+then at least the share that was declared to be such, and q₁ as far between ½ and 1 as q₀ between
+a tenth and 1.
+
 Each is summed up by Page's test, C ← min(h, max(0, C + x)). The belief is lost where one of the two
 reaches h, and has recovered where both are at h − h' or below, from where they begin again at zero.
 As E[eˣ] ≤ 1 while nothing is wrong, each test cries wrongly once in eʰ steps at the most often, on
@@ -44,6 +48,16 @@ _MOST = _HIGH / 3.0
 _WHY = ("innovations", "rejections")
 
 
+def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
+    """The value b of rejections, of which a right belief has at least the tenth that it may."""
+    own = min(max(outliers, OUTLIERS), 1.0 - 1e-6)
+    share = LOST_SHARE + (1.0 - LOST_SHARE) * (own - OUTLIERS) / (1.0 - OUTLIERS)
+    found: Array = rejected * log(share / own) + (judged - rejected) * log(
+        (1.0 - share) / (1.0 - own)
+    )
+    return found
+
+
 class Read(NamedTuple):
     """The readings of steps, in numbers: (..., runs) each.
 
@@ -55,25 +69,45 @@ class Read(NamedTuple):
         Their components.
     rejected, judged : ndarray of int
         Sightings that gates rejected, of those about which they decided.
+    strange, open : ndarray of int
+        Sightings that were taken for none of their candidates, of all that had some; of a sensor
+        with a gate those alone, as it judges the others.
+    odds : ndarray
+        What these weigh.
     """
 
     nis: Array
     dof: Integers
     rejected: Integers
     judged: Integers
+    strange: Integers | int = 0
+    open: Integers | int = 0
+    odds: Array | float = 0.0
+
+    @classmethod
+    def of_open(cls, strange: Integers, open_: Integers, outliers: float) -> Read:
+        """Sightings with candidates, of which so large a share was declared to be of none."""
+        nothing = np.zeros_like(open_)
+        odds = weighed(strange, open_, outliers)
+        return cls(np.zeros(open_.shape), nothing, nothing, nothing, strange, open_, odds)
 
     def and_(self, other: Read) -> Read:
         """The readings of two updates of a step."""
-        rest = other.rejected + self.rejected, other.judged + self.judged
-        return Read(self.nis + other.nis, self.dof + other.dof, *rest)
+        return Read(
+            self.nis + other.nis,
+            self.dof + other.dof,
+            self.rejected + other.rejected,
+            self.judged + other.judged,
+            self.strange + other.strange,
+            self.open + other.open,
+            self.odds + other.odds,
+        )
 
     @property
     def weights(self) -> Array:
         """The values a and b, (2, ..., runs)."""
         a = 0.5 * ((1.0 - 1.0 / INFLATION) * self.nis - log(INFLATION) * self.dof)
-        b = self.rejected * log(LOST_SHARE / OUTLIERS) + (self.judged - self.rejected) * log(
-            (1.0 - LOST_SHARE) / (1.0 - OUTLIERS)
-        )
+        b = weighed(self.rejected, self.judged, OUTLIERS) + self.odds
         found: Array = np.minimum(np.stack([a, b]), _MOST)
         return found
 
@@ -147,7 +181,7 @@ class Stretch:
         ``"innovations"`` too large, or ``"rejections"`` by a gate too many.
     value : float
         From `first` to `last`: the NIS of what was taken in, a component (right: 1); or the share
-        of the sightings that a gate judged that it rejected.
+        of the sightings that a gate or an association judged that was rejected.
     """
 
     run: tuple[int, ...]
@@ -188,22 +222,17 @@ class Lost(Shown, Immutable):
     innovations of twice their variance; half of all sightings rejected, where a tenth may be
     outliers. Lost is where a C reaches h = ln 10⁶, in a consistent filter once in 10⁶ steps on
     average at the most often; recovered where both have fallen by ln 100. One step counts for h/3
-    at the most.
+    at the most. A sighting that is taken for none of its candidates, `pgm.unknown`, is rejected,
+    too, and more of them are expected where more are declared spurious or new.
 
     Page, Continuous inspection schemes, 1954; Lorden, Procedures for reacting to a change in
     distribution, 1971.
 
     Examples
     --------
-    >>> import pgm
-    >>> x, z = pgm.variables("x z")
-    >>> model = pgm.DynamicBayesianNetwork(
-    ...     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
-    ...     transition=[pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=0.1)],
-    ...     observation=[pgm.LinearGaussianCPD(z, given={x: 1.0}, cov=1.0)],
-    ... )
+    >>> from pgm.examples import walk, z
     >>> readings = [[0.0]] * 20 + [[30.0]] * 20
-    >>> print(pgm.filter(model, {z: readings}, gate=0.99).lost)
+    >>> print(pgm.filter(walk, {z: readings}, gate=0.99).lost)
     Lost(1 stretch, at 12 of 41 steps)
       steps 21..40 (said at 29): rejections, 1 of the sightings rejected
     """
@@ -230,7 +259,11 @@ class Lost(Shown, Immutable):
         found += [_row(run, test, steps - 1) for run in np.flatnonzero(test.lost).tolist()]
         stretches = []
         for run, first, declared, last, why in sorted(found):
-            part, whole = (read.rejected, read.judged) if why else (read.nis, read.dof)
+            part, whole = (
+                (np.asarray(read.rejected + read.strange), np.asarray(read.judged + read.open))
+                if why
+                else (read.nis, read.dof)
+            )
             own = slice(first, last + 1), run
             value = float(part[own].sum()) / max(float(whole[own].sum()), 1.0)
             place = tuple(int(k) for k in np.unravel_index(run, lead)) if lead else ()

@@ -14,6 +14,8 @@ from pgm.learning.declared import Covariance
 
 # Smaller parts of the largest variance are none of a singular covariance.
 _NONE = 1e-14
+# The part of a deviation at the start that is next to nothing.
+_GONE = 1e-12
 
 
 class ScaledNoise:
@@ -79,6 +81,7 @@ class CovarianceStep:
         self.there = np.diagonal(cpd.cov) > 0.0
         values, vectors = np.linalg.eigh(cpd.cov)
         self.range = vectors[:, values > _NONE * values[-1]]
+        self._require_rank(cpd)
         if kind != "scaled":
             diagonal = kind == "diagonal"
             inside = (
@@ -86,6 +89,27 @@ class CovarianceStep:
             )
             self._require_within(cpd, inside)
         self.factor_of = np.linalg.pinv(cpd.cov, rcond=_NONE, hermitian=True)
+
+    def _require_rank(self, cpd: ConditionalGaussian) -> None:
+        """Refuse variances so far apart that the small ones would be taken for none."""
+        if self.declared.kind == "diagonal":
+            return
+        std = np.sqrt(np.diagonal(self.start)[self.there])
+        alike = np.linalg.eigvalsh(self.start[np.ix_(self.there, self.there)] / np.outer(std, std))
+        if (alike > _NONE * alike[-1]).sum() > self.range.shape[1]:
+            raise ModelError(
+                f"{cpd!r}: its deviations go from {number(std.min())} to {number(std.max())}, too "
+                "far apart to be learnt together; give its components other units, or learn "
+                'pgm.learning.Covariance("diagonal")',
+                cpd=cpd,
+            )
+
+    def vanishes(self, cpd: Any) -> bool:
+        """Whether next to nothing is left of a deviation of the start."""
+        if self.declared.kind == "scaled":
+            return self.factor(cpd) < _GONE**2
+        kept = np.diagonal(cpd.cov)[self.there] / np.diagonal(self.start)[self.there]
+        return bool((kept < _GONE**2).any())
 
     def _require_within(self, cpd: ConditionalGaussian, values: Array) -> None:
         low, high = self.declared.lower, self.declared.upper

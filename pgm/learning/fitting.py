@@ -45,7 +45,8 @@ def fit(
     which never lowers the log-evidence ln p(z | θ): it is closed for affine CPDs and tables, with
     expectations by the lineariser for others. `QuasiNewton` steps, by the gradient that the same
     beliefs give, are taken where they raise the log-evidence; else the plain one. A plain step
-    that does not, as of nonlinear models it may, is halved five times, and then refused.
+    that does not, as of nonlinear models it may, is halved five times, and then refused. Where a
+    noise vanishes and the log-evidence rises without end the search stops, and its status says so.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def fit(
         ``{x: (Coefficients(), Covariance("diagonal")), z: Covariance()}``; by an input its
         `Parameter`.
     lineariser, schedule : optional
-        Of the smoother; ``Smoothing(iterations=...)`` linearises again.
+        Of the smoother, without a gate; ``Smoothing(iterations=...)`` linearises again.
     steps : int or sequence of int, optional
         T, or that of each recording, where no plain array tells.
     iterations : int
@@ -119,6 +120,12 @@ def fit(
         raise ModelError(f"accelerate= is True or False, not {accelerate!r}")
     if not isinstance(schedule, Smoothing):
         raise ModelError(f"schedule= is pgm.Smoothing(...), not {titled(schedule)}")
+    if schedule.gate is not None:
+        raise ModelError(
+            f"schedule= is {schedule!r}: what a gate rejects would change with the parameters, and "
+            "with it what the log-evidence is of; smooth with the gate, and fit evidence that is "
+            "NaN where posterior.innovations[z].rejected"
+        )
     require_lineariser(lineariser)
     learner = Learner(model, recordings, learn, lineariser, schedule, every, single=single)
     with reporting(progress):

@@ -272,6 +272,14 @@ class Learner:
             new.append(block.maximised(sums))
         return self._with(point, new, known), np.concatenate(slopes)
 
+    def vanishing(self, point: Point) -> CPD | None:
+        """A CPD of whose noise next to nothing is left."""
+        for block, cpd in zip(self.blocks, self._cpds(point), strict=True):
+            if isinstance(block, GaussianStep) and block.noise and block.noise.vanishes(cpd):
+                found: CPD = cpd
+                return found
+        return None
+
     def vector(self, point: Point) -> Array:
         """The coordinates of a point."""
         parts = [np.zeros(0), *(point.parameters[v] for v in self.parameters)]

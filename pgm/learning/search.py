@@ -17,6 +17,8 @@ _HALVINGS, _QUARTERS = 5, 1
 _ROUNDING, _STILL = 1e-13, 1e-3
 # The part of what the gradient promises that a quasi-Newton step has to gain.
 _PROMISE = 1e-4
+# Nats that a step gains although a noise has vanished, where there is no end to it.
+_ENDLESS = 1.0
 
 
 class Search:
@@ -58,11 +60,15 @@ class Search:
                 break
             here = there
             trace.append(here.log_evidence)
+            gained = here.objective - before.objective
+            if gained > _ENDLESS and (cpd := learner.vanishing(here.point)) is not None:
+                self.stopped = (
+                    f"the noise of {cpd!r} vanishes, and the log-evidence rises with it without "
+                    "end: something is explained exactly; bound it, pgm.learning.Covariance(lower=)"
+                )
+                break
             moved = np.abs(learner.vector(here.point) - x) / (1.0 + np.abs(x))
-            if (
-                here.objective - before.objective <= self.tolerance
-                and moved.max(initial=0.0) <= _STILL
-            ):
+            if gained <= self.tolerance and moved.max(initial=0.0) <= _STILL:
                 converged = True
                 self.stopped = "a step was within the tolerance"
                 break

@@ -15,6 +15,7 @@ EMPTY = "NaN, not taken"
 DOUBLE = "equal to an earlier row"
 REPEATED = "other values for a stamp and subject seen before"
 TOO_EARLY = "motion at the first moment, before which there is no pose"
+AGAIN = "equal to an earlier row of the same stamp, and driven too"
 OTHER_TRUTH = "other values for a stamp seen before"
 
 
@@ -28,7 +29,10 @@ def ordered(name: str, stream: Stream) -> tuple[Stream, list[Dropped]]:
 
 
 def increments(name: str, stream: Stream) -> tuple[Stream, list[Dropped]]:
-    """Odometry in order, without increments that take no time at its very beginning."""
+    """Odometry in order, without increments that take no time at its very beginning.
+
+    Equal increments of one stamp may be two motions or one row that came twice: they are told of.
+    """
     found, fates = ordered(name, stream)
     early = found.stamps <= (found.stamps[:1] if found.begin is None else found.begin)
     early[: 1 if found.begin is None else 0] = False  # which says when the second begins
@@ -36,6 +40,9 @@ def increments(name: str, stream: Stream) -> tuple[Stream, list[Dropped]]:
         rows = np.argsort(stream.stamps, kind="stable")[early]
         fates.append(Dropped(name, TOO_EARLY, np.sort(rows)))
         found = found.take(~early)
+    again = _again(stream, values=True) & stream.values.any(axis=1)
+    if again.any():
+        fates.append(Dropped(name, AGAIN, np.flatnonzero(again), kept=True))
     return found, fates
 
 
@@ -73,7 +80,7 @@ def reference(name: str, stream: Stream) -> tuple[Stream, list[Dropped]]:
 
 def known(fate: Dropped, told: Sequence[Dropped]) -> bool:
     """Whether rows that are kept were told of before, of a recording that was changed in part."""
-    return fate.fate == REPEATED and any(
+    return fate.fate in (REPEATED, AGAIN) and any(
         (each.stream, each.fate) == (fate.stream, fate.fate) for each in told
     )
 

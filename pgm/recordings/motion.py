@@ -23,6 +23,8 @@ ODOMETRY = (ARC, PLANAR, TURNS)
 WHEELS = ("left", "right")
 SPEEDS, PLANAR_SPEEDS = ("v", "omega"), ("v_forward", "v_left", "omega")
 VELOCITIES = (SPEEDS, PLANAR_SPEEDS)
+# Steps of a period, at the most.
+_MOST = 1e8
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +53,22 @@ class Spans:
     def axis(self) -> Array:
         """The times at which rows begin and end."""
         return np.unique(np.concatenate([self.starts[:1], self.ends]))
+
+    def every(self, period: float) -> Array:
+        """The times a period apart, from the first on."""
+        if not (is_number(period) and period > 0.0):
+            raise EvidenceError(f"period= is a positive number of seconds, not {period!r}")
+        if not len(self.axis):
+            raise EvidenceError(f"the {self.what} cover no time; two stamps or more were due")
+        first, last = self.axis[[0, -1]]
+        number = (last - first) / period
+        if not 1.0 - SAME <= number <= _MOST:
+            raise EvidenceError(
+                f"period={float(period)!r} divides {last - first:.4g} s into {number:.4g} steps; "
+                f"1 to {_MOST:.0g} were due"
+            )
+        times: Array = first + period * np.arange(int(number + SAME) + 1)
+        return times
 
     def between(self, times: Array) -> Array:
         """The motion from each time to the next, (m − 1, 3)."""

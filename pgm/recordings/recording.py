@@ -28,8 +28,6 @@ from pgm.variables import Variable
 
 POSE, PLACE = ("east", "north", "heading"), ("east", "north")
 NO_PLACE = "of a subject without a place"
-# Steps of a period, at the most.
-_MOST = 1e8
 _PARTS = ("name", "odometry", "velocities", "sightings", "landmarks", "landmark_cov", "truth")
 _MORE = ("imu", "fixes", "scans", "mounts", "dropped")
 
@@ -37,8 +35,9 @@ _MORE = ("imu", "fixes", "scans", "mounts", "dropped")
 class Recording(Shown, NoArray, Immutable):
     """A recorded drive in the plane: streams of rows, each with its own stamps.
 
-    Rows are put in order of time. Measurements that are NaN, and rows that repeat another in all
-    that they hold, are left out; `dropped` and the printed summary tell of each.
+    Rows are put in order of time. Measurements that are NaN, and measurements that repeat another
+    in all that they hold, are left out; increments that do are driven. `dropped` and the printed
+    summary tell of each.
 
     Parameters
     ----------
@@ -134,7 +133,7 @@ class Recording(Shown, NoArray, Immutable):
             streams[key] = None
             if given is not None:
                 streams[key], fates = mend(key, checks.stream(key, given))
-                told += fates
+                told += [fate for fate in fates if not mending.known(fate, dropped)]
         for key, known in (("odometry", motion.ODOMETRY), ("velocities", motion.VELOCITIES)):
             if (found := streams[key]) is not None:
                 motion.require_motion(key, found, known)
@@ -232,18 +231,7 @@ class Recording(Shown, NoArray, Immutable):
         if (times is None) == (period is None):
             raise EvidenceError("resampled takes times or period=, one of them")
         if period is not None:
-            if not (is_number(period) and period > 0.0):
-                raise EvidenceError(f"period= is a positive number of seconds, not {period!r}")
-            if not len(spans.axis):
-                raise EvidenceError(f"the {spans.what} cover no time; two stamps or more were due")
-            first, last = spans.axis[[0, -1]]
-            number = (last - first) / period
-            if not 1.0 - SAME <= number <= _MOST:
-                raise EvidenceError(
-                    f"period={float(period)!r} divides {last - first:.4g} s into {number:.4g} "
-                    f"steps; 1 to {_MOST:.0g} were due"
-                )
-            times = first + period * np.arange(int(number + SAME) + 1)
+            times = spans.every(period)
         axis = checks.increasing(times)
         changes: dict[str, Any] = {
             "odometry": Stream(axis[1:], spans.between(axis), motion.PLANAR, begin=axis[0])
@@ -253,7 +241,11 @@ class Recording(Shown, NoArray, Immutable):
             held = self.velocities.take(row.clip(0)).values
             changes["velocities"] = Stream(axis, held, self.velocities.components)
         if self.truth is not None:
-            inside = axis[0] >= self.truth.stamps[0] and axis[-1] <= self.truth.stamps[-1]
+            inside = (
+                len(self.truth)
+                and axis[0] >= self.truth.stamps[0]
+                and axis[-1] <= self.truth.stamps[-1]
+            )
             changes["truth"] = self.truth_at(axis) if inside else None
         return self.replace(**changes)
 

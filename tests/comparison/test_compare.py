@@ -143,6 +143,19 @@ def test_a_smoothed_grid_stands_for_filters_by_its_forward_sweep():
     assert given.oracle_status in repr(given)
 
 
+def test_particles_are_an_oracle():
+    """As a fine grid is, but for the noise of draws."""
+    filters = {"filter": pgm.Filtering()}
+    cloud = pgm.filter(bent(), SQUARES, steps=T, belief=pgm.Particles(100_000, seed=0))
+    found = pgm.compare(bent(), SQUARES, oracle=cloud, schedules=filters, steps=T)
+    due = pgm.compare(bent(), SQUARES, oracle=GRID, schedules=filters, steps=T)
+    for row, other in zip(found.rows, due.rows, strict=True):
+        assert_allclose(row.kl_by_step, other.kl_by_step, rtol=0.05, atol=0.01)
+    (own,) = found.oracle_rows
+    assert np.isnan(own.kl_by_step).all()
+    assert repr(found)
+
+
 def test_the_gaussian_s_own_distance_is_zero_of_a_gaussian():
     model = pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(a, [0.3], 1.0)], [pgm.LinearGaussianCPD(a, {a.previous: 1.0}, cov=0.5)], []
@@ -352,7 +365,7 @@ CHAIN = pgm.DynamicBayesianNetwork(
         ),
         (
             {"oracle": Own(np.zeros(3), pgm.Kind(0)), "schedules": [pgm.Filtering()]},
-            "marginal of a is a ndarray; a pgm.Gaussian or a pgm.GridBelief",
+            "marginal of a is a ndarray; a pgm.Gaussian, a pgm.GridBelief or",
         ),
         ({"truth": np.zeros((T + 1, 1))}, "truth= maps states to their values"),
         ({"truth": {z: np.zeros((T + 1, 1))}}, "given of z, which is no state"),

@@ -135,3 +135,25 @@ def test_the_picture_has_the_windows_means():
         pgm.plot.ranking(found, windows=0)
     with pytest.raises(pgm.ModelError, match="times"):
         pgm.plot.ranking(found, times=[0.0])
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [["a", None, 7, None], np.array([1.0, np.nan, 2.0, np.nan])],
+    ids=["mixed", "NaN"],
+)
+def test_sightings_without_a_label_are_a_group(labels):
+    found = pgm.consistency.ranking({z: made([0.5, -3.0, 1.0, 2.0], range(4))}, by={z: labels})
+    assert sum(int(row.average.count) for row in found.rows) == 4
+    assert found[0].group == "no label"
+    assert found[0].average.value == pytest.approx(6.5)
+
+
+def test_readings_without_variance_that_are_as_foretold_have_no_bias():
+    still = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(y, 0.0, 0.0)],
+        transition=[pgm.LinearGaussianCPD(y, {y.previous: 1.0}, cov=0.0)],
+        observation=[pgm.LinearGaussianCPD(z, {y: 1.0}, cov=0.0)],
+    )
+    found = pgm.consistency.ranking(pgm.filter(still, {z: [[0.0], [0.0]]}).innovations)
+    np.testing.assert_array_equal(found[0].bias, [0.0])

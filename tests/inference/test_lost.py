@@ -149,3 +149,73 @@ def test_updates_of_a_step_count_together():
     assert max(levels) > 5.0
     with pytest.raises(pgm.EvidenceError, match="watch=True"):
         bool(pgm.OnlineFilter(MODEL).initial().lost)
+
+
+PLACE, SPOT = pgm.Variable("place", components=("a", "b")), pgm.Variable("spot", ("a", "b"))
+SEEN = pgm.Variable("seen", components=("a", "b"))
+SPOTS = np.array([[0.0, 0.0], [30.0, 10.0], [-20.0, 40.0], [50.0, 50.0]])
+
+
+def wanderer():
+    return pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(PLACE, [0.0, 0.0], [0.2, 0.2])],
+        transition=[pgm.LinearGaussianCPD(PLACE, {PLACE.previous: np.eye(2)}, cov=[5e-4, 5e-4])],
+        observation=[
+            pgm.LinearGaussianCPD(SEEN, {PLACE: -np.eye(2), SPOT: np.eye(2)}, cov=[0.1, 0.1])
+        ],
+    )
+
+
+def wandered(jump, clutter, steps=60, seed=2):
+    """Two sightings a step, of places that nobody names; a jump at half time; some of nothing."""
+    rng = np.random.default_rng(seed)
+    step = np.repeat(np.arange(1, steps + 1), 2)
+    there = np.where(step[:, None] >= steps // 2, jump, 0.0) + np.zeros((2 * steps, 2))
+    values = SPOTS[np.concatenate([rng.permutation(4)[:2] for _ in range(steps)])] - there
+    values = values + rng.normal(scale=0.3, size=values.shape)
+    nothing = rng.random(2 * steps) < clutter
+    values[nothing] = rng.uniform(-60.0, 60.0, (nothing.sum(), 2))
+    return values, step
+
+
+@pytest.mark.parametrize("gate", [None, 0.99])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"gate": 0.999},
+        {"spurious": 0.1, "volume": 1.44e4},
+        {"association": "joint", "gate": 0.999},
+    ],
+    ids=str,
+)
+def test_sightings_that_are_of_no_candidate_tell_of_a_kidnapped_robot(options, gate):
+    """They are left out, so that neither innovations nor gates say anything."""
+    jumped, stayed = (wandered(np.array(way), 0.0) for way in ([7.0, -6.0], [0.0, 0.0]))
+    given = {SPOT: pgm.unknown(SPOTS, **options)}
+    both = pgm.sightings(np.stack([jumped[0], stayed[0]]), step=jumped[1], given=given)
+    found = pgm.filter(wanderer(), {SEEN: both}, steps=60, gate=gate)
+    (stretch,) = found.lost.stretches
+    assert stretch.run == (0,)
+    assert stretch.why == "rejections"
+    assert stretch.first == 30
+    assert stretch.last == 60
+    for schedule in (pgm.Filtering(gate=gate), pgm.FixedLag(3, gate=gate)):
+        robot = pgm.OnlineFilter(wanderer(), schedule=schedule, watch=True)
+        belief = robot.initial()
+        for k in range(1, 61):
+            rows = pgm.sightings(jumped[0][jumped[1] == k], given=given)
+            belief = robot.update(robot.predict(belief), {SEEN: rows})
+            assert belief.lost == found.lost.at[0, k]
+
+
+def test_clutter_that_was_declared_makes_no_belief_lost():
+    values, step = wandered(np.zeros(2), 0.6, steps=200)
+    for share, lost in [(0.6, False), (0.05, True)]:
+        given = {SPOT: pgm.unknown(SPOTS, spurious=share, volume=1.44e4)}
+        seen = pgm.sightings(values, step=step, given=given)
+        found = pgm.filter(wanderer(), {SEEN: seen}, steps=200)
+        assert bool(found.lost) is lost
+    values, step = wandered(np.array([7.0, -6.0]), 0.6, steps=200)
+    given = {SPOT: pgm.unknown(SPOTS, spurious=0.6, volume=1.44e4)}
+    found = pgm.filter(wanderer(), {SEEN: pgm.sightings(values, step=step, given=given)}, steps=200)
+    assert found.lost.at[-1]

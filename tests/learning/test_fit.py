@@ -114,6 +114,27 @@ def test_the_likeliest_noise_of_readings_of_a_constant():
     assert found.status.converged
 
 
+@pytest.mark.parametrize("kind", ["full", "diagonal", "scaled"])
+@pytest.mark.parametrize("readings", [np.zeros(20), 3.0 * 0.9 ** np.arange(20)], ids=["0", "0.9^k"])
+def test_evidence_that_is_explained_exactly_has_no_likeliest_noise(kind, readings):
+    """Its likelihood is unbounded, and the status says so."""
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(A, 0.0, 1.0)],
+        [pgm.LinearGaussianCPD(A, {A.previous: 0.9}, cov=1.0)],
+        [pgm.LinearGaussianCPD(B, {A: 1.0}, cov=1.0)],
+    )
+
+    def found(lower):
+        noise = Covariance(kind, lower=lower)
+        return pgm.fit(model, {B: readings[:, None]}, learn={A: noise, B: noise}, iterations=500)
+
+    endless = found(0.0)
+    assert not endless.status.converged
+    assert "vanishes, and the log-evidence rises with it without end" in endless.status.stopped
+    assert np.isfinite(endless.log_evidence).all()
+    assert found(1e-6).status.converged
+
+
 def test_progress_counts_iterations_alone():
     model = pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(A, 1.0, 1.0)],

@@ -121,6 +121,20 @@ def test_robust_noise():
         pgm.fit(model().replace(observation=[sight]), READINGS, learn={Z: Covariance()})
 
 
+def test_gates():
+    with pytest.raises(pgm.ModelError, match="what a gate rejects would change"):
+        pgm.fit(model(), READINGS, learn={Z: Covariance()}, schedule=pgm.Smoothing(gate=0.99))
+
+
+@pytest.mark.parametrize("kind", ["full", "scaled"])
+def test_variances_too_far_apart(kind):
+    pair = pgm.Variable("pair", components=("a", "b"))
+    sight = pgm.LinearGaussianCPD(pair, {X: [[1.0], [1.0]]}, cov=[1.0, 1e-16])
+    far = model().replace(observation=[sight])
+    with pytest.raises(pgm.ModelError, match="too far apart to be learnt together"):
+        pgm.fit(far, {pair: [[1.0, 2.0]]}, learn={pair: Covariance(kind)})
+
+
 @pytest.mark.parametrize("many", [False, True])
 def test_evidence_that_is_no_mapping(many):
     log = pgm.timeline(sensors={Z: pgm.stamped([0.0, 1.0], [1.0, 2.0])})

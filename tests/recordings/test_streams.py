@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
 from pgm.errors import ArrayError, EvidenceError
-from pgm.recordings import Recording, Scans, Stream
+from pgm.recordings import Recording, Scans, Stream, mending
 
 u = pgm.Variable("u", components=("distance", "turn", "dt"))
 exact = pgm.Variable("w", components=("forward", "left", "turn"))
@@ -162,9 +162,25 @@ def test_velocities_are_held():
     assert_allclose(laid.evidence[speed], [[1.5, 0.25]])
 
 
+def test_a_part_without_truth_is_resampled():
+    known = Stream([2.0, 3.0], [[0.0, 0.0], [1.0, 1.0]], ("east", "north"))
+    part = Recording(odometry=odometry(), truth=known).between(0.0, 1.5)
+    assert part.resampled(period=0.5).truth is None
+
+
+def test_a_changed_recording_tells_of_each_row_once():
+    fixes = Stream([1.0, 1.0], [[0.0, 0.0], [1.0, 1.0]], ("east", "north"))
+    drive = Recording(fixes=fixes)
+    assert [told.text for told in drive.dropped] == [f"1 kept: {mending.REPEATED} (row 1)"]
+    assert drive.replace(name="again").dropped == drive.dropped
+
+
 def test_increments_of_one_moment_are_both_driven():
     stream = Stream([1.0, 1.0, 2.0], [[1, 0.5], [1, 0.5], [1, 0.5]], ARC, begin=0.0)
     drive = Recording(odometry=stream)
+    (told,) = drive.dropped
+    assert told.text == f"1 kept: {mending.AGAIN} (row 1)"
+    assert drive.replace(name="again").dropped == drive.dropped
     assert_allclose(drive.dead_reckoning([0, 0, 0]).values[:, 2], [0.0, 1.0, 1.5])
     assert_allclose(drive.between(0.5, 2.0).dead_reckoning([0, 0, 0]).values[-1, 2], 1.25)
     assert_allclose(drive.resampled([0.0, 1.0, 1.5]).odometry["turn"], [1.0, 0.25])

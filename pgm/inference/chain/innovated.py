@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pgm.inference.associations import Found
 from pgm.inference.chain.forward import Forward
 from pgm.inference.chain.innovations import BySensor, Innovations, by_step, innovations
 from pgm.inference.chain.plan import ChainPlan
@@ -21,6 +22,7 @@ class Innovated(ABC):
     """Base of results that know a forward pass; what they tell is found when it is asked for."""
 
     _planned: ChainPlan
+    associations: Found
 
     @property
     @abstractmethod
@@ -62,4 +64,13 @@ class Innovated(ABC):
             if sensor.gated is not None:
                 np.add.at(rejected, sensor.family.step, sensor.gated.rejected)
                 np.add.at(judged, sensor.family.step, ~np.isnan(sensor.gated.square))
-        return Lost.of(Read(np.nan_to_num(nis), dof, rejected, judged), plan.lead)
+        read = Read(np.nan_to_num(nis), dof, rejected, judged)
+        gated = {sensor.variable for sensor in plan.read if sensor.gated is not None}
+        for variable, each in self.associations.items():
+            strange, opened = np.zeros_like(dof), np.zeros_like(dof)
+            for found, rows in zip(
+                (strange, opened), each.judged(gated=variable in gated), strict=True
+            ):
+                np.add.at(found, each.step, rows)
+            read = read.and_(Read.of_open(strange, opened, each.outliers))
+        return Lost.of(read, plan.lead)

@@ -18,6 +18,7 @@ from pgm.immutable import Immutable, set_writeable
 from pgm.inference.associations import NONE, Found
 from pgm.inference.chain import certificate
 from pgm.inference.chain.careful_belief import Belief, over
+from pgm.inference.chain.gate import Asked
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Moments
 from pgm.inference.kind import Kind
@@ -137,10 +138,11 @@ class OnlineBelief(Shown, NoArray, Immutable):
         # That of one run is exactly symmetric.
         return Gaussian._make((variable,), mean, symmetric(cov) if self.lead else cov)
 
-    def told(self, associations: Found) -> OnlineBelief:
+    def told(self, associations: Found, gate: Asked | None) -> OnlineBelief:
         """The same belief, with what sightings were taken for."""
         found = copy(self)
-        found._set(associations=MappingProxyType(dict(associations)))
+        watch = None if self.watch is None else self.watch.told(associations, gate)
+        found._set(associations=MappingProxyType(dict(associations)), watch=watch)
         return found
 
     def judged(self, gated: tuple[Decided, ...], watch: Watch | None) -> OnlineBelief:

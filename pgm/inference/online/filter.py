@@ -323,7 +323,7 @@ class OnlineFilter(InCode, Immutable):
         if leaves_open(readings):
             gate = self.schedule.gate
             closed, seen = associated(self._graph, self.lineariser, belief, readings, gate)
-            return self.update(belief, closed).told(seen)
+            return self.update(belief, closed).told(seen, gate)
         behind = belief.behind
         if isinstance(behind, Sliding):
             bound = step_evidence.readings(self.model, belief, readings)

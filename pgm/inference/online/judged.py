@@ -8,11 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.inference.associations import Found
 from pgm.inference.chain.fixed_lag import Window
+from pgm.inference.chain.gate import Asked
 from pgm.inference.chain.gate_record import GateRecord
 from pgm.inference.chain.innovations import by_step
 from pgm.inference.chain.readings import Moments, Reading
 from pgm.inference.chain.vector import vector
+from pgm.inference.gates import gate_of
 from pgm.inference.lost import PageTest, Read
 from pgm.kernels import normal
 from pgm.kernels.arrays import Array, Integers
@@ -23,10 +26,14 @@ Decided = tuple[Variable, GateRecord, Integers]
 
 
 class Watch(NamedTuple):
-    """The test whether a belief is lost, after the step before, and what its step has read."""
+    """The test whether a belief is lost, after the step before, and what its step has read.
+
+    What is of sightings with candidates is apart, since a window reads all of its step again.
+    """
 
     before: PageTest
     read: Read | None = None
+    opened: Read | None = None
 
     @classmethod
     def start(cls, lead: tuple[int, ...]) -> Watch:
@@ -35,9 +42,11 @@ class Watch(NamedTuple):
 
     def test(self, step: int) -> PageTest:
         """The test after the step of this number."""
-        if self.read is None:
+        parts = [each for each in (self.read, self.opened) if each is not None]
+        if not parts:
             return self.before
-        return self.before.over(len(self.read.nis)).on(step, self.read.weights)
+        read = parts[0] if len(parts) == 1 else parts[0].and_(parts[1])
+        return self.before.over(len(read.nis)).on(step, read.weights)
 
     def on(self, step: int) -> Watch:
         """After the step of this number, at the next one."""
@@ -45,7 +54,16 @@ class Watch(NamedTuple):
 
     def and_(self, read: Read) -> Watch:
         """After another update of the step."""
-        return Watch(self.before, read if self.read is None else self.read.and_(read))
+        return self._replace(read=read if self.read is None else self.read.and_(read))
+
+    def told(self, associations: Found, gate: Asked | None) -> Watch:
+        """After sightings of the step were associated."""
+        found = self.opened
+        for variable, each in associations.items():
+            strange, opened = each.judged(gated=gate_of(gate, variable) is not None)
+            read = Read.of_open(strange.sum(axis=0), opened.sum(axis=0), each.outliers)
+            found = read if found is None else found.and_(read)
+        return self._replace(opened=found)
 
 
 def of_update(
@@ -85,7 +103,7 @@ def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...],
     if watch is None:
         return gated, None
     nis, dof = by_step(plan, plan.read, window.ahead)
-    return gated, Watch(watch.before, _read(np.nan_to_num(nis[-1]), dof[-1], gated))
+    return gated, watch._replace(read=_read(np.nan_to_num(nis[-1]), dof[-1], gated))
 
 
 def _read(nis: Array, dof: Integers, gated: tuple[Decided, ...]) -> Read:

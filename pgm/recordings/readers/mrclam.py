@@ -124,7 +124,8 @@ def _landmarks(where: Path) -> tuple[dict[int, Array], dict[int, Array]]:
         if subject in places:
             raise line.fault(f"the landmark {subject} for the second time")
         places[subject] = np.array(found[:2])
-        covs[subject] = np.diag(np.square(found[2:]))
+        with np.errstate(over="ignore"):  # an infinite one is refused below
+            covs[subject] = np.diag(np.square(found[2:]))
     return places, covs
 
 

@@ -28,7 +28,7 @@ def test_the_list_has_every_sweep_and_setting(monkeypatch, capsys):
     assert code == 0
     names = [line.strip() for line in lines if line.startswith("  ") and ":" not in line]
     assert names == [name for name, module in EXPERIMENTS.items() if hasattr(module, "sweep")]
-    assert "      noise: float, 1.0 by default" in lines
+    assert "      noise: float; 1.0 by default" in lines
 
 
 @pytest.mark.parametrize(

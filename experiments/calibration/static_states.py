@@ -1,4 +1,4 @@
-"""The recordings with less that is fitted to the truth: calibration, times of ranges, gyro bias."""
+"""Static states of a network at the noise that was tuned: range calibration, and a gyro's bias."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 
 import pgm
 from experiments.plaza import log as plaza_log
-from experiments.plaza.log import Log, Setting
+from experiments.plaza.log import SETTINGS, Log, Setting
+from experiments.record import progress
 from models import networks
 from models.networks import calibration, gyro_bias, pose, travelled
 from pgm import consistency
@@ -17,6 +18,8 @@ from pgm import consistency
 # Standard deviations of the gyro's bias at first, and of its change after one second [rad/s].
 BIAS_STD, BIAS_WALK = 0.02, 1e-4
 ITERATIONS = 10
+# Columns, and the components that stand in them.
+UNKNOWN = {"scale": "scale", "offset [m]": "offset", "bias [rad/s]": "rate"}
 
 
 def variants(file: Path, setting: Setting) -> Iterator[tuple[str, Log, pgm.DynamicBayesianNetwork]]:
@@ -50,6 +53,14 @@ def variants(file: Path, setting: Setting) -> Iterator[tuple[str, Log, pgm.Dynam
     yield "and the bias of the gyro unknown", own, drifting
 
 
+def estimated(file: Path, name: str) -> dict[str, Any]:
+    """What filter and smoothers find, by what they are told."""
+    return {
+        label: found(log, model)
+        for label, log, model in progress(list(variants(file, SETTINGS[name])), f"{name}, tuned")
+    }
+
+
 def found(log: Log, model: pgm.DynamicBayesianNetwork) -> dict[str, Any]:
     """Position errors [m] of filter and smoothers, and their last beliefs in what is unknown.
 
@@ -69,3 +80,11 @@ def found(log: Log, model: pgm.DynamicBayesianNetwork) -> dict[str, Any]:
                 told = zip(mean.tolist(), std.tolist(), strict=True)
                 result[label] |= dict(zip(state.components, told, strict=True))
     return result
+
+
+def columns(each: dict[str, Any]) -> list[object]:
+    """The cells of a row."""
+    told = (each["iterated"].get(key) for key in UNKNOWN.values())
+    shown = ["" if of is None else f"{of[0]:.4f} ± {of[1]:.4f}" for of in told]
+    errors = [each[kind]["error"] for kind in ("filter", "smoother", "iterated")]
+    return [*errors, each["log_evidence"], *shown]
