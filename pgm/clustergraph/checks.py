@@ -88,7 +88,6 @@ def check_running_intersection(
 def _broken(
     variable: Variable, clusters: Collection[int], carrying: Collection[Edge]
 ) -> GraphError:
-    """The error of a variable whose clusters, and the sepsets that carry it, form no tree."""
     import networkx as nx  # here, since it is slow to import
 
     graph = nx.Graph(carrying)

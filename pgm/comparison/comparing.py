@@ -195,7 +195,6 @@ def _run(
 def _oracle_row(
     title: str, kind: Kind, state: Variable, reference: Reference, truth: Array | None
 ) -> Row:
-    """The oracle's own row: its KL from its Gaussian, and that Gaussian against the truth."""
     name = Name(title, kind.name, state, kind)
     return judge(
         name,
@@ -273,7 +272,6 @@ def _parted(oracle: Any, truth: Any) -> tuple[Grid | Oracle | None, Truth | None
 def _states(
     model: DynamicBayesianNetwork, states: Any, truth: Truth | None
 ) -> tuple[Variable, ...]:
-    """The states that are compared; of a truth alone others have nothing to be compared with."""
     if states is None:
         return tuple(state for state in model.states if state in (truth or ())) or model.states
     chosen = as_scope(states, "states=")

@@ -85,7 +85,6 @@ def _pair(mean: float, std: float) -> tuple[str, str]:
 
 
 def _fixed(value: float, decimals: int) -> str:
-    """A number with some decimals, and without the sign of one that is rounded to zero."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
     text = f"{value:.{decimals}f}"

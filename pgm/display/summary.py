@@ -123,7 +123,6 @@ def _lines(part: str | Listing) -> list[str]:
 
 
 def _total(wide: Sequence[int], cut: bool) -> int:
-    """The width of some columns, and of the dots that stand for others."""
     every = [*wide, *[len(LEFT_OUT)] * cut]
     return sum(every) + len(GAP) * (len(every) - 1)
 

@@ -114,7 +114,6 @@ def _values(variable: Variable, column: Column) -> Integers | Array:
 
 
 def _numbers(variable: Variable, column: Column) -> Array:
-    """The values of a continuous variable, (records, d)."""
     cells = column.cells if column.categories is None else column.categories.astype(str)
     array = as_floats(
         cells,

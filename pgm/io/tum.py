@@ -217,7 +217,6 @@ def _pose(line: Line) -> list[float]:
 
 
 def _trajectory(belief: Any) -> Gaussian:
-    """The Gaussians of one run, a row a step."""
     gaussian = belief.gaussian() if hasattr(belief, "gaussian") else belief
     if not isinstance(gaussian, Gaussian):
         raise ModelError(f"a belief over time, like posterior[x], was due, not {titled(belief)}")

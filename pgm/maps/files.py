@@ -159,7 +159,6 @@ def _grey(owner: Path, path: Path) -> tuple[npt.NDArray[np.uint8], npt.NDArray[n
 
 
 def _channels(image: Image) -> npt.NDArray[np.uint8]:
-    """The channels of an image, that of opacity last."""
     return np.asarray(image.convert("LA" if image.mode in ("1", "L", "LA") else "RGBA"))
 
 

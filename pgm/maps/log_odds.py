@@ -129,7 +129,6 @@ def log_odds_map(
 
 
 def _log_odds(hit: float, miss: float, prior: float) -> Array:
-    """The log odds of the prior, of a cell hit and of one passed."""
     given = {"hit": hit, "miss": miss, "prior": prior}
     for name, value in given.items():
         if not is_number(value) or not 0.0 < value < 1.0:

@@ -79,7 +79,6 @@ def _colour(handle: Any) -> str:
 
 
 def _columns(ax: Axes, labels: list[str]) -> int:
-    """As many columns as the axes is wide, four at the most."""
     return int(np.clip(_width(ax) // _beside(labels), 1, min(len(labels), 4)))
 
 
@@ -120,7 +119,6 @@ def _free_place(ax: Axes, labels: list[str]) -> str | None:
 
 
 def _drawn(ax: Axes) -> Array:
-    """Points (P, 2) on all that an axes shows, in dots."""
     found = [np.empty((0, 2))]
     for line in ax.lines:
         if line.get_visible():
@@ -154,7 +152,6 @@ def _on(ax: Axes, collection: Collection) -> list[Array]:
 
 
 def _along(points: Array) -> Array:
-    """Points so near each other along a line that no legend fits between them."""
     if len(points) < 2:
         return points
     steps = np.linalg.norm(np.diff(points, axis=0), axis=-1)

@@ -216,7 +216,6 @@ def _stressed(wanted: Array) -> Array:
 
 
 def _turned(at: Array, links: csr_array) -> Array:
-    """The same places turned so that most edges run across or down."""
     i, j = links.nonzero()
     steps = at[j] - at[i]
     angle = np.arctan2(steps[:, 1], steps[:, 0])

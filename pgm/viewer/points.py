@@ -63,7 +63,6 @@ def page(
 
 
 def _of_run(belief: Any, variable: Variable, posterior: Any, run: Run, span: range) -> Any:
-    """A belief in one run at the steps shown; hidden controls begin at step 1."""
     first = 0 if variable in posterior.graph.layout.states else 1
     return belief[(*run, slice(max(span[0] - first, 0), span[-1] + 1 - first))]
 

@@ -56,8 +56,6 @@ def page(
 
 
 class _Chain:
-    """The numbers of a posterior at some steps, which are made once for all runs."""
-
     def __init__(self, posterior: StatePosterior, steps: list[int]) -> None:
         self.posterior, self.steps = posterior, steps
         self.plan, self.chain = posterior._plan, posterior._chain

@@ -221,7 +221,6 @@ class ChainDraws:
 
 
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
-    """The mask of components that CPDs leave open, in a vector's part from `start` on."""
     free = np.zeros(shape, dtype=bool)
     for link, term in links:
         free[..., link.child.start - start : link.child.stop - start] = term.free()

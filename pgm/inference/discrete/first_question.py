@@ -167,7 +167,6 @@ class _Tree:
         return Answer(self._distribute(tables), log_evidence)
 
     def _collect(self, shapes: Sequence[Sequence[int]]) -> tuple[list[Array], float]:
-        """The tables with the messages from below, and ln p(evidence)."""
         tables: list[Array] = [NOTHING] * len(self.order)
         log_evidence = 0.0
         for k in reversed(self.order):
@@ -196,7 +195,6 @@ class _Tree:
         return table
 
     def _distribute(self, tables: list[Array]) -> dict[Discrete, Array]:
-        """The marginals, each from the smallest table that has the variable."""
         sizes = self.sizes
         homes: list[Factor] = [((), NOTHING)] * len(sizes)
         least = [math.inf] * len(sizes)

@@ -39,13 +39,12 @@ class DiscretePosterior(Posterior):
     are exact, of a graph with loops approximate. A variable that is observed in some runs alone
     has one for its state there.
 
-    Of a tree, runs of equal evidence are computed once, and those that differ in pieces, or one by
-    one where less than 64 would fit. Half the ``memory`` given to `pgm.infer`, 128 MiB, is for a
-    piece, whose tables take a fourth of it; the other half for calibrated tables that are kept. Of
-    batches for which that is too little the marginals and the log-evidence are kept, and each joint
-    and belief calibrates the runs again, some after the others; so ask once for a joint of several
-    variables. Likewise each message of a batch above a piece is made anew. An answer that would
-    take more than a gibibyte is refused.
+    Of a tree, runs of equal evidence are computed once, those that differ in pieces, or one by one
+    where less than 64 would fit. Half the ``memory`` given to `pgm.infer`, 128 MiB, is for a piece,
+    whose tables take a fourth of it; the other half for calibrated tables that are kept. Of larger
+    batches marginals and log-evidence alone are kept, and each joint, belief or message calibrates
+    the runs again: ask once for a joint of several variables. An answer of more than a gibibyte is
+    refused.
     """
 
     graph: ClusterGraph

@@ -99,7 +99,6 @@ class TreeBeliefs:
 
     @cached_property
     def _whole(self) -> TreeMessages:
-        """The messages of all runs, where they fit at once."""
         return TreeMessages(self.storage, self._distinct.evidence)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:

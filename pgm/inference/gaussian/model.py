@@ -103,7 +103,6 @@ class _Frontier:
         self.free = list(range(8))
 
     def covariance(self, places: Integers) -> tuple[Array, Array]:
-        """The covariance of some components, and theirs with everything."""
         rows = [self.slots[int(place)] for place in places]
         across = self.cov[:, rows]
         return across[:, :, rows], across
@@ -275,7 +274,6 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
 
 
 def _taken(group: Group, bound: BoundValues) -> Mask | None:
-    """The mask of components of a group's children that were observed; None for all."""
     children = [cpd.child for cpd in group.cpds]
     if bound.taken.keys().isdisjoint(children):
         return None
@@ -286,7 +284,6 @@ def _taken(group: Group, bound: BoundValues) -> Mask | None:
 def _stacked(
     variables: Sequence[Variable], rows: Mapping[Variable, npt.NDArray[Kind]]
 ) -> npt.NDArray[Kind]:
-    """The rows of some variables, (variables, runs or 1, d)."""
     values = [rows[v] for v in variables]
     runs = max(value.shape[0] for value in values)
     return np.stack([np.broadcast_to(value, (runs, value.shape[1])) for value in values])

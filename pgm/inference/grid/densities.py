@@ -307,7 +307,6 @@ class _Maker:
         return " and ".join(f"the density of {cpd!r}" for cpd in self.group.states)
 
     def _near_bounds(self, weights: Array) -> Array:
-        """The weights (rows,) at the last cells within bounds."""
         shape = [self.lattice.shape[k] for k in self.group.axes]
         inner = np.zeros(shape, dtype=bool)
         angles = (self.lattice.axes[k].angle for k in self.group.axes)
@@ -322,7 +321,6 @@ class _Maker:
         return np.concatenate([np.exp(self._logs(part, places)).sum(axis=1) for part in parts])
 
     def _shift(self, rows: Integers, whole: Array, near: Array, parts: Array) -> None:
-        """Find by how much sums of some rows differ with the shift of the centres."""
         for beyond in (False, True):
             some = rows[near[rows] == beyond]
             if some.size:

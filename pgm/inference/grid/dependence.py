@@ -139,7 +139,6 @@ class Dependence:
         seed: int,
         everywhere: bool = False,
     ) -> bool:
-        """Whether probes show that something is depended on that was not known of."""
         lattice, grown = self.lattice, False
         sets = blocks(lattice) if everywhere else iter([places(lattice, PROBES, seed)])
         for here in sets:
@@ -177,7 +176,6 @@ class Dependence:
         seed: int,
         cells: Integers | None = None,
     ) -> bool:
-        """Whether at all centres, or some, the values are those of the axes depended on alone."""
         lattice = self.lattice
         kinds = {(frozenset(a), frozenset(b)) for a, b in zip(self.before, self.after, strict=True)}
         kinds = {pair for pair in kinds if len(pair[0]) < len(lattice.axes) or pair[1] < later}

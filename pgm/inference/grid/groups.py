@@ -221,7 +221,6 @@ def quadrature(group: Group, spread: Spread, step: int, run: int) -> tuple[Array
 
 
 def _nodes(extent: float) -> tuple[Array, Array]:
-    """Nodes and weights for white noise that spreads over so many cells at one deviation."""
     if extent < 1e-9:
         return np.zeros(1), np.ones(1)
     if extent <= _NARROW:

@@ -184,7 +184,6 @@ def _component(
     components: Sequence[tuple[Variable, int]],
     names: Sequence[str],
 ) -> tuple[Variable, int]:
-    """The state, and the place in it, that a key of a grid names."""
     if isinstance(key, Variable):
         if key not in states:
             raise ModelError(

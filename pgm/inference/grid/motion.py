@@ -61,7 +61,6 @@ class Motion:
         return Step(source, window, operators)
 
     def _step(self, group: Members, step: int, run: int, source: Window, window: Window) -> Step:
-        """The operators of a group, from the window to which those before it lead."""
         if isinstance(group, MixedGroup):
             parts = [self._step(part, step, run, source, window) for part in group.parts]
             mixed = group.mixed(parts)

@@ -41,7 +41,6 @@ def run(
 
 
 def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
-    """The posterior at the first resolution at which the figure stays."""
     if grid.refine is None:
         return _at(graph, bound, kind, grid)
     record = list[Refinement]()

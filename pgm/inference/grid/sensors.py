@@ -158,7 +158,6 @@ class GridSensor(MeasuredSensor):
         return set().union(*self.shape.depended.before)
 
     def _differ(self, one: Array, other: Array) -> Mask:
-        """Whether values (n, d) differ by more than rounding."""
         gap = one - other
         for k in np.flatnonzero(self.angles):
             gap[:, k] = wrap(gap[:, k])

@@ -105,7 +105,6 @@ class BackwardChain:
         return scaled
 
     def _passed(self, step: int, message: Array) -> Array:
-        """The message to the slice of a step, from that to the next one and its measurements."""
         weights, _ = self.slices.likelihood(step + 1)
         if weights is not None:
             message = self.semiring.times(message, weights)

@@ -51,12 +51,10 @@ def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Arr
 
 
 def _by_run(belief: Array, batch: int) -> Array:
-    """A belief (*states, [runs]) as (runs, *states)."""
     return np.moveaxis(belief, -1, 0) if batch else belief[None]
 
 
 def _marginal(belief: Array, wanted: list[int]) -> Array:
-    """The marginal over some axes, in their order, (runs, ...)."""
     others = tuple(1 + k for k in range(belief.ndim - 1) if k not in wanted)
     left = [k for k in range(belief.ndim - 1) if k in wanted]
     found: Array = belief.sum(axis=others)

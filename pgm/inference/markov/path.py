@@ -46,12 +46,10 @@ def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
 
 
 def _axes(controls: tuple[int, ...]) -> tuple[int, ...]:
-    """Axes of a belief where those of a batch stand first."""
     return tuple(k + 1 for k in controls)
 
 
 def _by_run(values: Array, batch: int) -> Array:
-    """A belief with its runs, or the single one, on the first axis."""
     return np.moveaxis(values, -1, 0) if batch else values[None]
 
 

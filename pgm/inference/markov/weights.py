@@ -157,7 +157,6 @@ class Weights:
         return logs if self.batch else float(logs[0])
 
     def _softened(self, row: int, columns: Array, places: Any, semiring: Semiring) -> Array:
-        """Of soft evidence: the weights of the sensor's states, summed over."""
         values = (self._scaled if semiring.linear else self.reading.values)[row]
         runs = max([len(values), *(len(p) for p in places)])
         own = columns[tuple(places)] if places else columns[None]
@@ -194,7 +193,6 @@ class Weights:
 
 
 def _last(reading: Reading) -> int:
-    """The last step at which there is a measurement, −1 if there is none."""
     return int(reading.step[-1]) if reading.step.size else -1
 
 

@@ -80,7 +80,6 @@ class Backward:
         return tuple(found)
 
     def _generators(self, step: int, about: int) -> list[np.random.Generator]:
-        """The streams of the draws at a step, of trajectories that end at another."""
         first, seed = self.model.bound.first_run, self.particles.seed
         purpose = BACKWARD + step - about  # a lag's trajectories are none of another's
         return [stream(seed, first + run, step, purpose) for run in range(len(self._counts))]

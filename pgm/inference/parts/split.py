@@ -76,7 +76,6 @@ def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, wor
 
 
 def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGraph:
-    """The graph of a model, its parameters that differ between runs cut to some of these."""
     model = graph.model
     changed = {
         name: tuple(_cpd(cpd, lead, runs) for cpd in getattr(model, name))

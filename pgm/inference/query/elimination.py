@@ -113,7 +113,6 @@ class Tables:
         return reduced
 
     def _weights(self, variable: Discrete) -> Array:
-        """The weights that evidence gives to the states of a variable that is not known."""
         soft = self.evidence.weights.get(variable)
         if soft is not None:
             return soft.T

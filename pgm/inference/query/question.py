@@ -132,7 +132,6 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
 
 
 def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -> States:
-    """The variables that are asked for, none of which may be observed in all runs."""
     several = None if is_unordered(variables) else as_tuple(variables)
     found = (variables,) if several is None else several
     for variable in found:

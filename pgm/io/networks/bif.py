@@ -78,7 +78,6 @@ def read_bif(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
 
 
 def _declarations(cursor: Cursor, assembly: Assembly) -> list[int]:
-    """Declare all variables; where the probability blocks start."""
     probabilities: list[int] = []
     networks = 0
     while cursor.step() or cursor.kind is not END:

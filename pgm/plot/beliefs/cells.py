@@ -149,7 +149,6 @@ def belief_map(
 
 
 def _fitting(texts: Iterable[str], ax: Axes, shape: npt.NDArray[Any]) -> float:
-    """The size of letters in which texts fit the cells of a map of some rows and columns."""
     frame = ax.get_window_extent()
     cell = 72.0 / ax.figure.dpi * min(frame.width / shape[1], frame.height / shape[0])
     font = FontProperties(size=_LETTERS)

@@ -102,7 +102,6 @@ def grid_map(
 
 
 def _edges(centres: Array) -> Array:
-    """The edges of cells, (cells + 1,)."""
     half = 0.5 * (centres[1] - centres[0])
     found: Array = np.append(centres - half, centres[-1] + half)
     return found

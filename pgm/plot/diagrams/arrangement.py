@@ -101,7 +101,6 @@ def _layers(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> L
 
 
 def _halves(arrows: Iterable[Edge]) -> nx.DiGraph:
-    """Each arrow from one cluster to another as two, to their sepset and on."""
     halves = nx.DiGraph()
     for i, j in arrows:
         halves.add_edge(i, key(i, j))
@@ -110,7 +109,6 @@ def _halves(arrows: Iterable[Edge]) -> nx.DiGraph:
 
 
 def _along(graph: nx.Graph, whole: Layout) -> Layout:
-    """A layout of clusters and sepsets, with one line for the two halves of each edge."""
     lines: dict[Node, np.ndarray] = {}
     for i, j in (key(*edge) for edge in graph.edges):
         pieces = [whole.points[i]]

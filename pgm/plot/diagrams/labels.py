@@ -37,7 +37,6 @@ def node_label(node: Variable) -> str:
 
 
 def _filled(words: Iterable[str], width: float = _WIDEST, between: str = ", ") -> list[str]:
-    """Words on lines no wider than the width, or than the longest word."""
     lines: list[str] = []
     for word in words:
         if lines and text_size(longer := f"{lines[-1]}{between}{word}").width <= width:
@@ -160,8 +159,6 @@ def _counted(variable: Variable, count: int) -> str:
 
 
 def _short(name: str, width: float = _WIDEST) -> str:
-    """A name, or where it is too long for a line, its ends."""
-
     def cut(keep: int) -> str:
         return f"{name[: keep - keep // 3]}…{name[len(name) - keep // 3 :]}"
 

@@ -132,12 +132,10 @@ def _arrow(canvas: Canvas, edge: Edge, curve: Array) -> None:
 
 
 def _width(text: Size, height: float) -> float:
-    """The width of an ellipse of some height about a text."""
     return text.width / float(np.sqrt(1.0 - (text.height / height) ** 2)) + 6.0
 
 
 def _alike(sizes: Mapping[Variable, Size]) -> dict[Variable, Size]:
-    """The largest size of any step, for all steps of a variable."""
     wide: dict[Variable, float] = defaultdict(float)
     for node, size in sizes.items():
         wide[node.template] = max(wide[node.template], size.width)

@@ -143,7 +143,6 @@ def _bowed(
 
 
 def _bow(start: Array, end: Array, bend: float) -> Array:
-    """A parabola whose middle is aside of the straight line."""
     along = end - start
     middle = 0.5 * (start + end) + bend * np.array([along[1], -along[0]])
     t = np.linspace(0.0, 1.0, 60)[:, None]

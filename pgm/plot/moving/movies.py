@@ -76,7 +76,6 @@ class Palette:
 
 
 def _apart(a: npt.NDArray[np.int16], b: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:
-    """The distances of colours, that of the channel in which they differ most."""
     found: npt.NDArray[np.int16] = np.abs(a[:, None] - b).max(axis=-1)
     return found
 
