@@ -34,7 +34,6 @@ class ChainDraws:
     reference: (runs,): the log-weight that is common to all draws.
     relative: Whether weights are relative to the densities of the linearised model, whose evidence
         then is the reference.
-    beliefs: The smoothed moments of every slice.
     judged: (T+1,): the steps whose beliefs in the posterior know all measurements.
     onward: The slice of each later step given the states before it, fixed components too.
     """

@@ -22,7 +22,6 @@ class TreeDraws:
     """Draws from the joint Gaussian of a calibrated tree, with their log-weights.
 
     proposal: Of all hidden components at once.
-    terms: One a group of CPDs.
     reference: (runs,): the log-weight that is common to all draws.
     relative: Whether weights are relative to the densities of the linearised network.
     mean, cov: (1, runs, n), (1, runs, n, n): the joint's moments.

@@ -93,7 +93,6 @@ def summed(sources: Sequence[tuple[Place, States]], start: int) -> Sum:
 class Marginals:
     """The probabilities of all variables, one after the other.
 
-    where: Where those of each variable stand.
     first, widths: (variables,): where they begin, and their numbers.
     matrix: (length of the storage, count): of zeros and ones, where it is small.
     """
@@ -231,7 +230,6 @@ class BlockProduct:
     """A message to a contiguous table.
 
     children: (1, 1): the sender.
-    source: The columns of the message.
     wide: The axis from which on the message of a single run is written out for all entries.
     """
 

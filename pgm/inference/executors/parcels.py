@@ -31,7 +31,6 @@ class _Place(NamedTuple):
     """An array: the memory it is in, and how it is seen.
 
     memory: The memory itself, contiguous; the block that has it; None for the parcel's own.
-    strides, shape: Of the array, over its memory.
     """
 
     memory: AnyArray | Name | None

@@ -187,7 +187,6 @@ class RemoteTraceback(Exception):
 class Done(NamedTuple):
     """The answer of a worker.
 
-    trace: Where it was raised, in another process.
     warned: The warnings there: message, category, file, line.
     """
 
@@ -219,7 +218,6 @@ def here(work: Callable[[Any], Any], job: Any) -> Done:
 def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, int]:
     """Work done in another process.
 
-    data: The pickle of work and job.
     own, answer: The memory of its large arrays, and that for those of the result.
 
     Returns: The pickle of a `Done`. The bytes of its large arrays.

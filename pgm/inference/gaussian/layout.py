@@ -47,7 +47,6 @@ class Group:
     """CPDs that are copies of one, with the same parents hidden: one linearisation, many rows.
 
     cpds: One a row.
-    hidden: The first one's parents without evidence.
     child: (rows, d): where each child stands among all hidden components; (rows, 0) if observed.
     parents: (rows, n): where the hidden parents stand.
     clusters: (rows,): the cluster that each CPD is assigned to.

@@ -148,10 +148,7 @@ class Joint(NamedTuple):
 
 
 class Level(NamedTuple):
-    """The log-density of a measurement by itself, broadcasting to the window.
-
-    highest: The number from which it is counted.
-    """
+    """The log-density of a measurement by itself, broadcasting to the window."""
 
     values: Array
     highest: float

@@ -148,7 +148,6 @@ class Split:
 
     place: The targets of the source cells at a node, (axes, source cells), in cells of each axis.
     variance: (axes,): in cells, ¼ at the most.
-    cells: Of each axis of the lattice.
     """
 
     def __init__(

@@ -97,7 +97,6 @@ class GridSlices:
     outside: By step, the probability that left the bounds, or that the window of active cells has
         cut off.
     added: (axes,): the variance that the lattice has added in all steps, in cells.
-    split: The axes that were moved cell by cell.
     uneven: The density of a prior or transition whose sums over centres are the least those of it.
     cut: The belief of which the most may have been cut off.
     """

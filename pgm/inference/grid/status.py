@@ -37,8 +37,6 @@ NARROW = 0.7
 class Refinement(NamedTuple):
     """One resolution of a grid that was refined.
 
-    cells: Along each axis.
-    figure: Of this resolution.
     change: Its largest change from the resolution before; NaN of the first.
     """
 

@@ -39,8 +39,6 @@ class Step(NamedTuple):
     """The multiplication by one table, and the sums that it makes possible.
 
     labels: The variables of the table: parents, child.
-    before, after: The variables of the array, axis by axis.
-    axis: Of a map, the axis along which it goes.
     """
 
     factor: int

@@ -15,7 +15,6 @@ from pgm.kernels.arrays import Array, Integers
 def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Array]:
     """The expected number of times that each CPD's parents and child had their states.
 
-    posterior: After smoothing.
     cpds: Of arrays of numbers.
 
     Returns: By CPD, (size of each parent..., size of the child), summed over steps, sightings and

@@ -205,8 +205,6 @@ class InputTables:
     """The tables that the function of a CPD returns for the inputs of a row.
 
     inputs: (rows, runs or 1, d), or of states (rows, runs or 1, 1).
-
-    smallest: The smallest positive entry of the tables so far.
     """
 
     def __init__(

@@ -96,10 +96,7 @@ class Drawing:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A CPD at its rows, by its own sampler and density.
-
-    inputs: Values of the observed parents, (rows, runs or 1, d).
-    """
+    """A CPD at its rows, by its own sampler and density."""
 
     cpd: CPD
     inputs: Mapping[Variable, States]

@@ -196,11 +196,7 @@ class Sensor:
 
 
 class Part(NamedTuple):
-    """One component of a belief.
-
-    label: The name of the component, with that of the variable where they share it.
-    row: Of the states of a cloud.
-    """
+    """One component of a belief."""
 
     variable: Variable
     component: int

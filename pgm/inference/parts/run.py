@@ -55,7 +55,6 @@ def run(
 
     graph, bound, schedule, lineariser, start: As `run` of a chain takes them.
     keep: Whose marginals alone are kept, which bounds what is held at a time; None for everything.
-    executor: Whose workers share the parts.
     """
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
@@ -239,7 +238,6 @@ class Share:
 class Job:
     """The work on a part of the runs.
 
-    schedule, lineariser: As of `run`.
     room: Where the arrays asked for are written to; None, where the result has them.
     """
 
@@ -254,7 +252,6 @@ class Result(NamedTuple):
     """The result of a part of the runs.
 
     careful: Whether it took twice the digits; then nothing else is here, unless variables are kept.
-    arrays: Those asked for, if they have not been written.
     """
 
     status: Status

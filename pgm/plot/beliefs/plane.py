@@ -279,9 +279,7 @@ def _draw_truth(ax: Axes, lines: Array) -> None:
 class Plane(NamedTuple):
     """The components of a picture.
 
-    heading: The angle drawn by directions.
     mirrored: Whether the axes are the other way round than headings are counted.
-    angles: All components that are angles.
     """
 
     pair: tuple[str, str]

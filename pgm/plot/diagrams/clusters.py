@@ -294,7 +294,6 @@ def with_messages(
 ) -> dict[Node, Size]:
     """Shapes, with room for arrows about the sepsets, whichever way the lines run.
 
-    shapes: The clusters, and the sepsets alone.
     links: The clusters; in chains all lines are horizontal.
     """
     chain = nx.is_forest(links) and max(degree for _, degree in links.degree) <= 2

@@ -34,10 +34,7 @@ _STYLE: dict[Any, Any] = {"svg.fonttype": "path", "svg.hashsalt": "pgm", "text.u
 
 
 def svg(value: Network | ClusterGraph) -> str:
-    """A network or cluster graph as SVG on a white ground, or a word where it is too large.
-
-    Returns: Markup that stands within HTML.
-    """
+    """A network or cluster graph as SVG on a white ground, or a word where it is too large."""
     size, most = _size(value)
     if size > most:
         call = "cluster_graph(graph" if isinstance(value, ClusterGraph) else "network(model"
