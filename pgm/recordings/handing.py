@@ -34,6 +34,19 @@ def timeline(
     tolerance: float | None,
 ) -> Timeline:
     """The evidence of states at given times."""
+    seen = {}
+    named = {v: sensor(recording, name) for v, name in sensors.items()}
+    if landmark is not None and not any(each.subject is not None for each in named.values()):
+        raise EvidenceError(
+            "nothing says whose the sightings are; leave landmark= out, and give "
+            f"{landmark!r} as pgm.unknown(candidates)",
+            variable=landmark,
+        )
+    for variable, stream in named.items():
+        given = None
+        if landmark is not None and stream.subject is not None:
+            given = {landmark: places(recording, sensors[variable], stream, landmark)}
+        seen[variable] = stamped(stream.stamps, columns(variable, stream), given)
     driven: dict[Variable, Stamped] = {}
     held: dict[Variable, Stamped] = {}
     if odometry is not None:
@@ -50,19 +63,6 @@ def timeline(
             raise EvidenceError(f"{recording._title} has no velocities", variable=velocities)
         stream = recording.velocities
         held[velocities] = stamped(stream.stamps, columns(velocities, stream))
-    seen = {}
-    named = {v: sensor(recording, name) for v, name in sensors.items()}
-    if landmark is not None and not any(each.subject is not None for each in named.values()):
-        raise EvidenceError(
-            "nothing says whose the sightings are; leave landmark= out, and give "
-            f"{landmark!r} as pgm.unknown(candidates)",
-            variable=landmark,
-        )
-    for variable, stream in named.items():
-        given = None
-        if landmark is not None and stream.subject is not None:
-            given = {landmark: places(recording, sensors[variable], stream, landmark)}
-        seen[variable] = stamped(stream.stamps, columns(variable, stream), given)
     return lay(times, odometry=driven, velocities=held, sensors=seen, tolerance=tolerance)
 
 
@@ -80,6 +80,8 @@ def _increments(recording: Recording, variable: Variable, times: Array) -> Stamp
 def _since(stream: Stream, table: Array, times: Array) -> Stamped:
     """Increments, the first of which counts from the stream's beginning on."""
     begin, stamps = stream.begin, stream.stamps
+    if not len(stream):
+        raise EvidenceError("the odometry has no rows")
     if begin is None:
         table = np.concatenate([np.zeros_like(table[:1]), table[1:]])
     elif (
