@@ -1,14 +1,18 @@
-"""Builds the wheel: the viewer's modules go into it as the one script that pages are made of."""
+"""Builds the wheel: the viewer's modules joined, and the archive deflated by zopfli."""
 
 import runpy
 import tempfile
+import zipfile
 from pathlib import Path
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
+# Over each file: the wheel is 3 % smaller than by zlib; 15 passes take off 0.05 % more.
+PASSES = 5
 
-class ViewerScript(BuildHookInterface):
-    """Puts ``pgm/viewer/script.js`` into a wheel, in place of the modules that it joins."""
+
+class WheelHook(BuildHookInterface):
+    """Puts the joined ``pgm/viewer/script.js`` into a wheel, and writes the wheel small."""
 
     def initialize(self, version, build_data):
         """Write the script beside the wheel's other files; a checkout keeps its modules."""
@@ -21,6 +25,32 @@ class ViewerScript(BuildHookInterface):
         build_data["force_include"][str(script)] = "pgm/viewer/script.js"
 
     def finalize(self, version, build_data, artifact_path):
-        """Remove what was written for the build."""
+        """Remove what was written for the build, and deflate the wheel again."""
         if version != "editable":
             self.folder.cleanup()
+            deflate(Path(artifact_path))
+
+
+def deflate(path):
+    """Write the zip archive again with zopfli's deflate streams; its members stay as they are."""
+    from zopfli.zlib import compress  # an editable install does without
+
+    with zipfile.ZipFile(path) as archive:
+        members = [(member, archive.read(member)) for member in archive.infolist()]
+    written = []
+    with zipfile.ZipFile(path, "w") as archive:
+        for member, data in members:
+            entry = zipfile.ZipInfo(member.filename, member.date_time)
+            entry.create_system = member.create_system
+            entry.external_attr = member.external_attr
+            # zlib's container: two bytes before the stream, its checksum of four after.
+            archive.writestr(entry, compress(data, numiterations=PASSES)[2:-4])
+            # `zipfile` takes no stream ready-made: it stored the bytes, and now is told their
+            # content. The central directory is written when the archive closes.
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.CRC, entry.file_size = member.CRC, member.file_size
+            written.append(entry)
+    with path.open("r+b") as file:
+        for entry in written:
+            file.seek(entry.header_offset)
+            file.write(entry.FileHeader())

@@ -26,12 +26,7 @@ def assign(
 ) -> list[int]:
     """The smallest cluster that holds each family, the first of equals; −1, where none does.
 
-    Parameters
-    ----------
-    families, members : sequence of tuple of int
-        Variables of each family and of each cluster, by place.
-    sizes : sequence of int
-        Of the clusters.
+    families, members: Variables of each family and of each cluster, by place.
     """
     holders: dict[int, set[int]] = {}
     for k, held in enumerate(members):
@@ -56,16 +51,9 @@ def spanning_tree(scopes: Sequence[Scope]) -> dict[Edge, Scope]:
     Maximum cardinality search finds one, in time about linear in the clusters' sizes: a variable
     in a thousand clusters is not one in half a million edges.
 
-    Raises
-    ------
-    GraphError
-        If no spanning tree has running intersection, naming a variable and its clusters.
-
-    References
-    ----------
-    Tarjan and Yannakakis (1984), Simple linear-time algorithms to test chordality of graphs, test
-    acyclicity of hypergraphs, and selectively reduce acyclic hypergraphs, section 4. Jensen and
-    Jensen (1994), Optimal junction trees.
+    Source: Tarjan and Yannakakis (1984), Simple linear-time algorithms to test chordality of
+    graphs, test acyclicity of hypergraphs, and selectively reduce acyclic hypergraphs, section 4.
+    Jensen and Jensen (1994), Optimal junction trees.
     """
     holders = holding(scopes)
     members = [set(scope) for scope in scopes]

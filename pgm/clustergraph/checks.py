@@ -21,19 +21,8 @@ def check_families(
 ) -> None:
     """Family preservation: each CPD's family stands in exactly one cluster, which holds it.
 
-    Parameters
-    ----------
-    scopes : sequence of iterable of Variable
-        Of each cluster.
-    assigned : sequence of iterable of tuple of Variable
-        The families assigned to each cluster.
-    families : iterable of tuple of Variable, optional
-        All families of the network; those assigned without.
-
-    Raises
-    ------
-    GraphError
-        Naming the family and the cluster.
+    assigned: The families assigned to each cluster.
+    families: All families of the network; those assigned without.
     """
     for index, (scope, inside) in enumerate(zip(scopes, assigned, strict=True)):
         held = set(scope)
@@ -62,17 +51,7 @@ def check_running_intersection(
 ) -> None:
     """Running intersection: for each variable, the clusters and sepsets that carry it form a tree.
 
-    Parameters
-    ----------
-    scopes : sequence of iterable of Variable
-        Of each cluster.
-    sepsets : mapping of (int, int) to iterable of Variable
-        Of each pair of joined clusters.
-
-    Raises
-    ------
-    GraphError
-        Naming the variable and the clusters.
+    sepsets: Of each pair of joined clusters.
     """
     holders: dict[Variable, set[int]] = defaultdict(set)
     for index, scope in enumerate(scopes):
@@ -109,7 +88,6 @@ def check_running_intersection(
 def _broken(
     variable: Variable, clusters: Collection[int], carrying: Collection[Edge]
 ) -> GraphError:
-    """The error of a variable whose clusters, and the sepsets that carry it, form no tree."""
     import networkx as nx  # here, since it is slow to import
 
     graph = nx.Graph(carrying)
@@ -151,7 +129,6 @@ def is_forest(edges: Iterable[Edge]) -> bool:
 
 
 def _some(clusters: Collection[int]) -> str:
-    """The first clusters, for messages."""
     shown = ", ".join(map(str, sorted(clusters)[:5]))
     return f"[{shown}{', ...' if len(clusters) > 5 else ''}]"
 

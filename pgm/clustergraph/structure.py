@@ -129,13 +129,8 @@ class ClusterGraph(Drawn, Immutable):
     ) -> ClusterGraph:
         """A graph without loops that has running intersection by its making: it is not checked.
 
-        Parameters
-        ----------
-        network : BayesianNetwork
-        members : iterable of set of int
-            The variables of each cluster, by place.
-        joined : mapping of (int, int) to set of int
-            Sepsets.
+        members: The variables of each cluster, by place.
+        joined: Sepsets.
         """
         graph = cls.__new__(cls)
         graph._assign(network, [tuple(sorted(held)) for held in members])
@@ -144,13 +139,6 @@ class ClusterGraph(Drawn, Immutable):
         return graph
 
     def _assign(self, network: BayesianNetwork, members: Sequence[Places]) -> None:
-        """Set the clusters, each CPD in the smallest that holds its family.
-
-        Raises
-        ------
-        GraphError
-            If none does.
-        """
         extents = list(map(extent, network.variables))
         combine = math.prod if network.discrete else sum
         sizes = tuple([combine([extents[place] for place in held]) for held in members])
@@ -229,7 +217,6 @@ class ClusterGraph(Drawn, Immutable):
 
     @property
     def _alike(self) -> Iterable[tuple[Cluster, int]]:
-        """The clusters, each with the number in a row that are like it."""
         return ((cluster, 1) for cluster in self._clusters)
 
     @cached_property
@@ -302,11 +289,9 @@ class ClusterGraph(Drawn, Immutable):
         return self._view(self.index(cluster))
 
     def _view(self, index: int) -> Cluster:
-        """The cluster of an index that exists."""
         return self._clusters[index]
 
     def _indices(self) -> str:
-        """The clusters there are, where they are few with their variables."""
         each = (f"{k} ({listed(self._view(k).scope)})" for k in range(min(self._count, MOST)))
         return f"0..{self._count - 1}" + (f": {', '.join(each)}" if self._count <= MOST else "")
 

@@ -157,7 +157,6 @@ def _run(
     found: Mapping[tuple[Kind, Variable], Reference],
     truth: Mapping[Variable, Array],
 ) -> list[Row]:
-    """The rows of one run, one a state."""
     count, kind = compared.graph.steps + 1, schedule.kind
     names = {state: Name(*named, state, kind) for state in compared.states}
     began = time.perf_counter()
@@ -196,7 +195,6 @@ def _run(
 def _oracle_row(
     title: str, kind: Kind, state: Variable, reference: Reference, truth: Array | None
 ) -> Row:
-    """The oracle's own row: its KL from its Gaussian, and that Gaussian against the truth."""
     name = Name(title, kind.name, state, kind)
     return judge(
         name,
@@ -211,7 +209,6 @@ def _oracle_row(
 
 
 def _named(items: Any, what: str, example: str, word: Callable[[Any], str]) -> dict[str, Any]:
-    """Linearisers or schedules by name."""
     if isinstance(items, Mapping):
         for name in items:
             if not isinstance(name, str):
@@ -236,12 +233,10 @@ def _named(items: Any, what: str, example: str, word: Callable[[Any], str]) -> d
 
 
 def _class(lineariser: Any) -> str:
-    """The short name of a lineariser: a function's own, or that of its class."""
     return str(getattr(lineariser, "__name__", type(lineariser).__name__))
 
 
 def _word(schedule: Any) -> str:
-    """The short name of a schedule."""
     if isinstance(schedule, FixedLag):
         word = f"fixed lag {schedule.lag}"
     else:
@@ -260,7 +255,6 @@ def _require_schedule(schedule: Any) -> None:
 
 
 def _parted(oracle: Any, truth: Any) -> tuple[Grid | Oracle | None, Truth | None]:
-    """Oracle and truth, a mapping in place of an oracle being a truth."""
     if truth is not None and not isinstance(truth, Mapping):
         raise ModelError(
             f"truth= maps states to their values (..., T+1, d), not {type(truth).__name__}"
@@ -278,7 +272,6 @@ def _parted(oracle: Any, truth: Any) -> tuple[Grid | Oracle | None, Truth | None
 def _states(
     model: DynamicBayesianNetwork, states: Any, truth: Truth | None
 ) -> tuple[Variable, ...]:
-    """The states that are compared; of a truth alone others have nothing to be compared with."""
     if states is None:
         return tuple(state for state in model.states if state in (truth or ())) or model.states
     chosen = as_scope(states, "states=")
@@ -296,7 +289,6 @@ def _states(
 def _truths(
     truth: Truth, compared: Compared, model: DynamicBayesianNetwork
 ) -> dict[Variable, Array]:
-    """The truth of the states that are compared, as arrays that fit their beliefs."""
     found = {}
     shape = (*compared.lead, compared.graph.steps + 1)
     for state, values in truth.items():
@@ -318,11 +310,9 @@ def _truths(
 
 
 def _title(oracle: Grid | Oracle | None) -> str:
-    """The oracle's name in its rows."""
     grid = isinstance(oracle, Grid) or hasattr(oracle, "grid")
     return "oracle: grid" if grid else "oracle"
 
 
 def _described(oracle: Grid | Oracle) -> str:
-    """The oracle in words."""
     return titled(oracle if isinstance(oracle, Grid) else getattr(oracle, "grid", oracle))

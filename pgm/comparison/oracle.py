@@ -59,19 +59,12 @@ class Oracle(Protocol):
 class Reference(NamedTuple):
     """The oracle's belief of a state over steps 0..T.
 
-    Attributes
-    ----------
-    gaussian : Gaussian
-        Of its mean and covariance, (*runs, T+1, d).
-    from_gaussian : ndarray
-        (T+1,), in nats, the mean over runs: KL from that Gaussian; NaN of particles.
-    seconds : float
-        Of the oracle's call; NaN if it was made with another, or given.
-    log_evidence : float
-        The mean over runs; NaN if the oracle has none.
-    log_evidence_kind : str
-    status : str
-        Of a grid, in words.
+    gaussian: Of its mean and covariance, (*runs, T+1, d).
+    from_gaussian: (T+1,), in nats, the mean over runs: KL from that Gaussian; NaN of
+        particles.
+    seconds: Of the oracle's call; NaN if it was made with another, or given.
+    log_evidence: The mean over runs; NaN if the oracle has none.
+    status: Of a grid, in words.
     """
 
     gaussian: Gaussian
@@ -85,15 +78,7 @@ class Reference(NamedTuple):
 class Compared(NamedTuple):
     """The subject of a comparison.
 
-    Attributes
-    ----------
-    graph : DynamicGraph
-    evidence : mapping of Variable
-    lead : tuple of int
-        The axes of runs.
-    states : tuple of Variable
-    kinds : tuple of Kind
-        Of the schedules.
+    kinds: Of the schedules.
     """
 
     graph: DynamicGraph
@@ -125,11 +110,7 @@ def require_oracle(oracle: Any, kinds: Iterable[Kind]) -> None:
 def references(oracle: Grid | Oracle, compared: Compared) -> dict[tuple[Kind, Variable], Reference]:
     """The oracle's beliefs, of each kind and state; a grid is run here.
 
-    Parameters
-    ----------
-    oracle : Grid or Oracle
-        As `require_oracle` lets it pass.
-    compared : Compared
+    oracle: As `require_oracle` lets it pass.
     """
     found = {}
     for kind, posterior, seconds in _of_each_kind(oracle, compared):
@@ -144,7 +125,6 @@ def references(oracle: Grid | Oracle, compared: Compared) -> dict[tuple[Kind, Va
 
 
 def _of_each_kind(oracle: Grid | Oracle, compared: Compared) -> Iterable[tuple[Kind, Any, float]]:
-    """A posterior of each kind, and the seconds that it took."""
     if not isinstance(oracle, Grid):
         for kind in compared.kinds:
             # A filtered posterior is its own forward sweep.
@@ -166,14 +146,12 @@ def _of_each_kind(oracle: Grid | Oracle, compared: Compared) -> Iterable[tuple[K
 
 
 def _schedule(kind: Kind) -> Filtering | FixedLag | Smoothing:
-    """The schedule without iterations that leaves beliefs of a kind."""
     if kind == SMOOTHED:
         return Smoothing()
     return Filtering() if kind == FILTERED else FixedLag(int(kind.lag))
 
 
 def _gaussian(belief: Any, state: Variable, compared: Compared) -> tuple[Gaussian, Array]:
-    """The Gaussian of an oracle's marginal, and the KL from it at each step."""
     count = compared.graph.steps + 1
     if isinstance(belief, GridBelief):
         gaussian = belief.gaussian()
@@ -216,10 +194,6 @@ def non_gaussianity(belief: GridBelief) -> Array:
     NaN where the covariance is singular. It is right where the density is smooth over a cell; one
     that is negative tells that cells are too wide for the belief. Angles count as if their line
     had no ends.
-
-    Parameters
-    ----------
-    belief : GridBelief
     """
     lead = belief.values.ndim - len(belief.centres)
     rows = belief.values.reshape(-1, int(np.prod(belief.values.shape[lead:])))

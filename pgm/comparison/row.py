@@ -136,14 +136,7 @@ class Row(Shown):
 
 @dataclass(frozen=True, eq=False)
 class Name:
-    """The place of a row: whose beliefs, of which state.
-
-    Attributes
-    ----------
-    lineariser, schedule : str
-    state : Variable
-    kind : Kind
-    """
+    """The place of a row: whose beliefs, of which state."""
 
     lineariser: str
     schedule: str
@@ -162,19 +155,11 @@ def judge(
 ) -> Row:
     """The row of a belief over steps.
 
-    Parameters
-    ----------
-    name : Name
-    belief : Gaussian
-        (*runs, T+1, d).
-    oracle : Gaussian or None
-        The same.
-    truth : ndarray or None
-        (*runs, T+1, d), NaN where it is not known, or one for all runs.
-    own : ndarray, optional
-        (T+1,): the KL of an oracle's own row, in place of that from another one.
-    **rest
-        Other attributes of the row.
+    belief: (*runs, T+1, d).
+    oracle: The same.
+    truth: (*runs, T+1, d), NaN where it is not known, or one for all runs.
+    own: (T+1,): the KL of an oracle's own row, in place of that from another one.
+    **rest: Other attributes of the row.
     """
     kept = proper(belief)
     if oracle is not None:
@@ -199,15 +184,8 @@ def judge(
 def failed(name: Name, steps: int, truth: Array | None, error: Exception, **rest: Any) -> Row:
     """The row of a run that failed.
 
-    Parameters
-    ----------
-    name : Name
-    steps : int
-        T + 1.
-    truth : ndarray or None
-    error : Exception
-    **rest
-        Other attributes of the row.
+    steps: T + 1.
+    **rest: Other attributes of the row.
     """
     none = np.full(steps, np.nan)
     components = labels((name.state,)) if truth is not None else ()

@@ -140,7 +140,6 @@ class Comparison(Shown, Immutable):
 
     @property
     def _components(self) -> list[str]:
-        """The components with a truth."""
         return list(dict.fromkeys(label for row in self.rows for label in row.rmse))
 
     @property
@@ -173,7 +172,6 @@ class Comparison(Shown, Immutable):
         return Summary(self._title, [Listing(heads, shown, names), *notes])
 
     def _columns(self) -> list[list[str]]:
-        """The columns of the table, each with its head; those without a number are left out."""
         rows = [*self.rows, *self.oracle_rows]
         columns = [["lineariser", *(row.lineariser for row in rows)]]
         columns.append(["schedule", *(row.schedule for row in rows)])
@@ -213,7 +211,6 @@ _FRAME = (
 
 
 def _shown(value: float) -> str:
-    """A number to four digits, none as a dash."""
     return _NONE if np.isnan(value) else f"{value:.4g}"
 
 

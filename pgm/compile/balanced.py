@@ -55,12 +55,6 @@ class BalancedGraph(DynamicGraph):
     holds the states at both ends of a segment and at m, its middle; no CPD is its own. Its children
     are the segments before and after m, and the sepset between a segment and its parent is the
     states at its ends. Cluster 0 hangs on the root.
-
-    Attributes
-    ----------
-    model : DynamicBayesianNetwork
-    steps : int
-        T, the last step.
     """
 
     @cached_property
@@ -93,7 +87,6 @@ class BalancedGraph(DynamicGraph):
         return middle - half, min(middle + half, self.steps)
 
     def _over(self, first: int, last: int) -> int:
-        """The cluster of a segment."""
         if last - first == 1:
             return last
         return self.steps + first + (1 << (last - first - 1).bit_length() - 1)

@@ -22,12 +22,6 @@ class DynamicGraph(ClusterGraph, ABC):
     holds the states of steps t−1 and t and the other variables of the CPDs at t. What else there
     is, and what is joined, is for the kinds of graphs to say. Clusters and sepsets are views,
     made on request from one template.
-
-    Attributes
-    ----------
-    model : DynamicBayesianNetwork
-    steps : int
-        T, the last step.
     """
 
     model: DynamicBayesianNetwork
@@ -158,17 +152,9 @@ class _Sepsets(InCode, Mapping[Edge, Scope]):
 
 
 class SliceGraph(DynamicGraph):
-    """The chain of clusters 0..T of a dynamic network.
+    """The chain of clusters 0..T of a dynamic network; see `DynamicGraph`.
 
-    Cluster 0 holds the states at step 0, the prior and the families of the sensors; cluster t
-    holds the states of steps t−1 and t and the other variables of the CPDs at t. The sepset
-    between t and t+1 is all states at t. Clusters are views, made on request from one template.
-
-    Attributes
-    ----------
-    model : DynamicBayesianNetwork
-    steps : int
-        T, the last step.
+    The sepset between t and t+1 is all states at t.
     """
 
     def within(self, steps: int) -> range:

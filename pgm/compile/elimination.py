@@ -31,12 +31,7 @@ class Filling:
 
     The fill of v is Σ w_a w_b over the pairs of v's neighbours that are not joined.
 
-    Parameters
-    ----------
-    adjacent : sequence of set of int
-        The graph; it is copied.
-    weights : sequence of int
-        w, of each vertex.
+    weights: w, of each vertex.
     """
 
     def __init__(self, adjacent: Adjacency, weights: Sequence[int]) -> None:
@@ -81,10 +76,7 @@ class Filling:
     def eliminate(self, vertex: int) -> set[int]:
         """Join the neighbours of a vertex to each other and remove it.
 
-        Returns
-        -------
-        set of int
-            The vertices whose fill may have changed.
+        Returns: The vertices whose fill may have changed.
         """
         near, weights = self.adjacent[vertex], self.weights
         touched = set(near)
@@ -124,13 +116,7 @@ def min_fill(
 ) -> list[int]:
     """Eliminate a vertex of least fill, the first of equals, until none is left.
 
-    Parameters
-    ----------
-    adjacent : sequence of set of int
-    weights : sequence of int
-        Of each vertex, see `Filling`.
-    stages : sequence of int, optional
-        All vertices of a lower stage are eliminated before any of a higher.
+    stages: All vertices of a lower stage are eliminated before any of a higher.
     """
     return list(fill_order(Filling(adjacent, weights), stages or [0] * len(adjacent)))
 
@@ -140,14 +126,8 @@ def fill_order(
 ) -> Iterator[int]:
     """Vertices in the order of `min_fill`, each while its neighbours are still there.
 
-    Parameters
-    ----------
-    graph : Filling
-        It is used up.
-    stages : sequence of int
-        See `min_fill`.
-    noise : sequence of float, optional
-        A factor of each vertex, by which its fill is multiplied.
+    graph: It is used up.
+    noise: A factor of each vertex, by which its fill is multiplied.
     """
     factors: Sequence[float] = noise or [1] * len(graph.fill)
     queued = list(graph.fill)
@@ -174,12 +154,8 @@ def fill_order(
 class CliqueTree:
     """The maximal cliques of a triangulated graph, joined to a tree, or several.
 
-    Attributes
-    ----------
-    cliques : list of set of int
-        In the order in which their first vertex is eliminated.
-    sepsets : dict of (int, int) to set of int
-        Of each pair of joined cliques: what they share.
+    cliques: In the order in which their first vertex is eliminated.
+    sepsets: Of each pair of joined cliques: what they share.
     """
 
     cliques: list[set[int]]
@@ -192,9 +168,7 @@ def clique_tree(adjacent: Adjacency, order: Sequence[int]) -> CliqueTree:
     The clique of a vertex is the vertex with its *later* neighbours in the filled graph; it hangs
     on the clique of the first of these. One that lies inside a clique hanging on it is that one.
 
-    References
-    ----------
-    Blair and Peyton (1993), An introduction to chordal graphs and clique trees.
+    Source: Blair and Peyton (1993), An introduction to chordal graphs and clique trees.
     """
     position = [0] * len(order)
     for k, vertex in enumerate(order):

@@ -142,7 +142,6 @@ def _layers(clusters: Sequence[Scope]) -> dict[Edge, list[Variable]]:
 def _overlaps(
     clusters: Sequence[Scope], holders: dict[Variable, list[int]]
 ) -> dict[Edge, list[Variable]]:
-    """The shared variables of clusters, of pairs that share more than one."""
     members = [set(scope) for scope in clusters]
     found: dict[Edge, list[Variable]] = {}
     for i, scope in enumerate(clusters):

@@ -19,19 +19,11 @@ from pgm.variables import Variable
 class Place(NamedTuple):
     """The place of a CPD in the vector of a scope.
 
-    Attributes
-    ----------
-    hidden : tuple of Variable
-        The parents of its mean that no evidence gives.
-    parents : Index
-        Where these stand.
-    child : slice
-        Where its child stands; nowhere, if it is a measurement.
-    angles, before : ndarray of int
-        The child's components that are angles, and where those of the step before stand; empty
-        where the child does not depend on itself.
-    template : FunctionTemplate or None
-        Of a nonlinear CPD.
+    hidden: The parents of its mean that no evidence gives.
+    parents: Where these stand.
+    child: Where its child stands; nowhere, if it is a measurement.
+    angles, before: The child's components that are angles, and where those of the step before
+        stand; empty where the child does not depend on itself.
     """
 
     hidden: Scope

@@ -192,20 +192,7 @@ class NestedDissection(Rule):
 def places(
     order: Order | Iterable[Variable], network: BayesianNetwork, adjacent: Adjacency
 ) -> list[int]:
-    """An elimination order as places in `network.variables`.
-
-    Parameters
-    ----------
-    order : Order or iterable of Variable
-    network : BayesianNetwork
-    adjacent : sequence of set of int
-        Its moral graph.
-
-    Raises
-    ------
-    GraphError
-        If it is not of the variables of the network, each once.
-    """
+    """An elimination order as places in `network.variables`."""
     if isinstance(order, Rule):
         return order._places(network, adjacent)
     given = order(network) if callable(order) else order
@@ -246,15 +233,10 @@ def dissect(adjacent: Adjacency, small: int) -> list[int]:
     Vertices of one stage are those of a part that is not divided further, or of one separator;
     two such sets of one stage are not joined, and stay so.
 
-    Parameters
-    ----------
-    adjacent : sequence of set of int
-    small : int
-        Parts of at most this many vertices are not divided.
+    small: Parts of at most this many vertices are not divided.
 
-    References
-    ----------
-    George and Liu (1981), Computer Solution of Large Sparse Positive Definite Systems, section 8.1.
+    Source: George and Liu (1981), Computer Solution of Large Sparse Positive Definite Systems,
+    section 8.1.
     """
     stages = [0] * len(adjacent)
     parts = [(set(range(len(adjacent))), 0)]
@@ -311,7 +293,6 @@ def _separator(adjacent: Adjacency, levels: Sequence[list[int]], total: int) -> 
         before += len(level)
 
     def touching(k: int) -> set[int]:
-        """The vertices of a level that are joined to the next."""
         beyond = set(levels[k + 1])
         return {vertex for vertex in levels[k] if not beyond.isdisjoint(adjacent[vertex])}
 

@@ -33,12 +33,7 @@ def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -
     drawn. There is a try for each `ENTRIES` entries and vertex left of the cheapest order so far,
     but no more than `tries`, of large networks fewer, and none without hope.
 
-    Parameters
-    ----------
-    adjacent : sequence of set of int
-    sizes : sequence of int
-        Numbers of states.
-    tries, seed : int
+    sizes: Numbers of states.
     """
     graph = Filling(adjacent, [1] * len(sizes))
     order: list[int] = []
@@ -68,14 +63,7 @@ def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -
 class Core:
     """The part of a graph that is left when vertices without fill have been eliminated.
 
-    Attributes
-    ----------
-    before : list of int
-        These vertices.
-    vertices : list of int
-        Those left; from here on each is its place among them.
-    adjacent : list of set of int
-    sizes : list of int
+    vertices: Those left; from here on each is its place among them.
     """
 
     before: list[int]
@@ -156,6 +144,5 @@ class Search:
 
 
 def _entries(adjacent: Adjacency, order: Sequence[int], sizes: Sequence[int]) -> int:
-    """The table entries of the maximal cliques."""
     cliques = clique_tree(adjacent, order).cliques
     return sum(math.prod(map(sizes.__getitem__, clique)) for clique in cliques)

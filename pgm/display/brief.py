@@ -72,7 +72,6 @@ def count(number: int, word: str, many: str = "") -> str:
 
 
 def _pair(mean: float, std: float) -> tuple[str, str]:
-    """One mean and its deviation, written by themselves."""
     if not (math.isfinite(std) and std > 0.0 and math.isfinite(mean)):
         return number(mean, ALL if std == 0.0 else DIGITS), number(std)
     decimals = SURE - 1 - _power(std)
@@ -86,7 +85,6 @@ def _pair(mean: float, std: float) -> tuple[str, str]:
 
 
 def _fixed(value: float, decimals: int) -> str:
-    """A number with some decimals, and without the sign of one that is rounded to zero."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
     text = f"{value:.{decimals}f}"
@@ -94,7 +92,6 @@ def _fixed(value: float, decimals: int) -> str:
 
 
 def _shortened(texts: list[str]) -> list[str]:
-    """Numbers without the zeros in which all of them end."""
     broken = [text for text in texts if "." in text]
     zeros = min((len(text) - len(text.rstrip("0")) for text in broken), default=0)
     if not zeros:
@@ -103,7 +100,6 @@ def _shortened(texts: list[str]) -> list[str]:
 
 
 def _power(size: float) -> int:
-    """The power of ten of a number's first digit."""
     return math.floor(math.log10(abs(size)))
 
 

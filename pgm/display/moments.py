@@ -49,18 +49,9 @@ def stacked(
 ) -> Listing:
     """Many beliefs: a row each of the first and the last, with means and deviations.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the components.
-    lead : tuple of int
-        The leading axes, runs and steps.
-    steps : sequence of int or None
-        The steps that the last of them stands for.
-    moments : callable
-        The mean and covariance at a place of the leading axes; only those shown are asked for.
-    most : int
-        Rows.
+    lead: The leading axes, runs and steps.
+    steps: The steps that the last of them stands for.
+    moments: The mean and covariance at a place of the leading axes; only those shown are asked for.
     """
     shown = places(lead, most)
     found = {place: moments(place) for place in shown if place is not None}
@@ -139,15 +130,8 @@ def named_matrix(
 ) -> Listing:
     """A matrix with the names of its rows and columns.
 
-    Parameters
-    ----------
-    rows, columns : sequence of str
-    values : ndarray
-        (rows, columns).
-    symbol : str
-        The matrix's own, at the head of its first column.
-    before : sequence of (str, ndarray)
-        Columns of numbers beside it, with their symbols.
+    symbol: The matrix's own, at the head of its first column.
+    before: Columns of numbers beside it, with their symbols.
     """
     shown = few(len(rows), ROWS)
     kept = [k for k in shown if k is not None]

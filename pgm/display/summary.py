@@ -25,16 +25,8 @@ Row = Sequence[str] | None
 class Listing:
     """A table of words and numbers.
 
-    Attributes
-    ----------
-    heads : sequence of str
-        The head of each column.
-    rows : sequence of (sequence of str or None)
-        Cells; None stands for rows that are left out.
-    names : int
-        How many of the columns, from the left, are words.
-    cell : int
-        The most letters of a cell.
+    rows: Cells; None stands for rows that are left out.
+    names: How many of the columns, from the left, are words.
     """
 
     heads: Sequence[str]
@@ -77,7 +69,6 @@ class Listing:
         return f"<table>{top}<tbody>{body}</tbody></table>"
 
     def _filled(self) -> list[list[str]]:
-        """The cells of all rows, the heads first."""
         blank = [LEFT_OUT, *[""] * (len(self.heads) - 1)]
         rows = [self.heads, *(blank if row is None else row for row in self.rows)]
         return [[one_line(cell, self.cell) for cell in row] for row in rows]
@@ -87,12 +78,7 @@ class Listing:
 class Summary:
     """A value in a few lines.
 
-    Attributes
-    ----------
-    title : str
-        Its first line.
-    parts : sequence of str or Listing
-        The lines and tables below.
+    title: Its first line.
     """
 
     title: str
@@ -110,10 +96,7 @@ class Summary:
     def html(self, picture: str = "") -> str:
         """The summary in HTML, for notebooks.
 
-        Parameters
-        ----------
-        picture : str
-            Markup that stands below the title.
+        picture: Markup that stands below the title.
         """
         parts = [f"<p><b>{escape(one_line(self.title, TITLE))}</b></p>", picture]
         for part in self.parts:
@@ -140,7 +123,6 @@ def _lines(part: str | Listing) -> list[str]:
 
 
 def _total(wide: Sequence[int], cut: bool) -> int:
-    """The width of some columns, and of the dots that stand for others."""
     every = [*wide, *[len(LEFT_OUT)] * cut]
     return sum(every) + len(GAP) * (len(every) - 1)
 

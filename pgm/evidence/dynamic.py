@@ -33,23 +33,13 @@ Kind = TypeVar("Kind", bound=np.generic)
 class Reading:
     """All measurements of one sensor, sorted by step.
 
-    Attributes
-    ----------
-    cpd : CPD
-        The sensor.
-    step : ndarray of int
-        (M,), ascending.
-    order : ndarray of int
-        (M,): which row of the user's evidence each one was.
-    values : ndarray
-        (M, runs or 1, d); zero where missing. Of a discrete sensor the index of its state,
-        (M, runs or 1, 1), or weights of its states, (M, runs or 1, size).
-    taken : ndarray of bool
-        (M, runs or 1, d): which components were; the others are missing.
-    inputs : mapping of Variable to ndarray
-        Values of the sensor's observed parents, (M, runs or 1, d).
-    unknown : (Variable, Unknown) or None
-        The parent of which nobody said what it is, and its candidates.
+    step: (M,), ascending.
+    order: (M,): which row of the user's evidence each one was.
+    values: (M, runs or 1, d); zero where missing. Of a discrete sensor the index of its state, (M,
+        runs or 1, 1), or weights of its states, (M, runs or 1, size).
+    taken: (M, runs or 1, d): which components were; the others are missing.
+    inputs: Values of the sensor's observed parents, (M, runs or 1, d).
+    unknown: The parent of which nobody said what it is, and its candidates.
     """
 
     cpd: CPD
@@ -65,19 +55,11 @@ class Reading:
 class BoundEvidence:
     """Evidence laid out by step.
 
-    Attributes
-    ----------
-    steps : int
-        T.
-    lead : tuple of int
-        The leading axes, of runs; inside, they are flattened to one.
-    transition : tuple of mapping
-        For each transition CPD the values of its observed parents, (T, runs or 1, d); row k is
-        that of step k + 1.
-    readings : tuple of Reading
-        Of the sensors that have evidence.
-    first_run : int
-        What the first run is called in messages: where these runs are a part of more, its place.
+    lead: The leading axes, of runs; inside, they are flattened to one.
+    transition: For each transition CPD the values of its observed parents, (T, runs or 1, d); row k
+        is that of step k + 1.
+    first_run: What the first run is called in messages: where these runs are a part of more, its
+        place.
     """
 
     steps: int
@@ -126,35 +108,18 @@ def bind(
 ) -> BoundEvidence:
     """Check evidence against a dynamic network's CPDs and lay it out by step.
 
-    Parameters
-    ----------
-    transition, observation : sequence of CPD
-    evidence : mapping of Variable
-        Plain arrays (..., T, d) for steps 1..T, constants, and sightings.
-    steps : int or None
-        T; None to take it from the plain arrays.
-    lead : tuple of int
-        Leading axes that the runs have at least.
-    transition_inputs : bool
-        Whether the transition is to be used, so that its inputs must be there.
-    drawing : bool
-        Whether measurements are to be drawn: sightings then have no values.
-    identities : bool
-        Whether sightings may leave open what was seen, with `unknown`.
-
-    Raises
-    ------
-    EvidenceError
-        If evidence is missing, unknown, of a wrong shape, disagrees about T or the runs, or has
-        more steps than memory.
+    evidence: Plain arrays (..., T, d) for steps 1..T, constants, and sightings.
+    steps: T; None to take it from the plain arrays.
+    lead: Leading axes that the runs have at least.
+    transition_inputs: Whether the transition is to be used, so that its inputs must be there.
+    drawing: Whether measurements are to be drawn: sightings then have no values.
+    identities: Whether sightings may leave open what was seen, with `unknown`.
     """
     binder = _Binder(transition, observation, evidence, steps, lead, drawing, identities)
     return binder.bind(transition if transition_inputs else ())
 
 
 class _Binder:
-    """The working place of `bind`."""
-
     def __init__(
         self,
         transition: Sequence[CPD],
@@ -373,7 +338,6 @@ class _Binder:
 
 
 def _sensor_of(variable: Variable) -> str:
-    """The CPD of a sensor that reads a variable."""
     if isinstance(variable, Discrete):
         return f"TableCPD(reading, given={variable.name}, table=...)"
     return f"LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, ...)"

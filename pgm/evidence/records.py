@@ -89,7 +89,6 @@ def records(
 
 
 def _by_name(network: Any) -> dict[str, Variable]:
-    """The variables as columns are named after them."""
     variables = as_scope(
         getattr(network, "variables", network), "records: the network", ordered=False
     )
@@ -115,7 +114,6 @@ def _values(variable: Variable, column: Column) -> Integers | Array:
 
 
 def _numbers(variable: Variable, column: Column) -> Array:
-    """The values of a continuous variable, (records, d)."""
     cells = column.cells if column.categories is None else column.categories.astype(str)
     array = as_floats(
         cells,
@@ -148,14 +146,9 @@ def _numbers(variable: Variable, column: Column) -> Array:
 class Column:
     """The cells of a column.
 
-    Attributes
-    ----------
-    name : str
-    cells : ndarray
-        (records, ...); of a categorical column the codes of the categories, −1 for none; a frame
+    cells: (records, ...); of a categorical column the codes of the categories, −1 for none; a frame
         of columns with names as it is.
-    categories : ndarray or None
-        Of a categorical column.
+    categories: Of a categorical column.
     """
 
     name: str
@@ -168,12 +161,6 @@ def columns_of(table: Any, wanted: Iterable[str] | None) -> dict[str, Column]:
 
     A data frame is what has ``columns`` and can be asked for one by name: pandas need not be
     there.
-
-    Raises
-    ------
-    EvidenceError
-        If it is no table, has no records or columns of unequal length, or lacks a column that is
-        wanted, or any.
     """
     if isinstance(table, Mapping):
         names = list(table)
@@ -254,13 +241,7 @@ def _array(cells: list[Any]) -> npt.NDArray[Any]:
 
 
 def as_states(variable: Discrete, column: Column) -> Integers:
-    """The index of the state of each record, (records,); −1 where there is none.
-
-    Raises
-    ------
-    EvidenceError
-        If a cell is no state, naming the record.
-    """
+    """The index of the state of each record, (records,); −1 where there is none."""
     cells = column.cells
     if cells.ndim != 1:
         raise EvidenceError(
@@ -347,7 +328,6 @@ def _require_plain(variable: Discrete) -> None:
 
 
 def _refuse(variable: Discrete, column: Column, bad: Mask) -> None:
-    """Raise if any record is bad, naming the first."""
     if bad.any():
         first = int(bad.argmax())
         cell = column.cells[first]

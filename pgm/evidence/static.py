@@ -27,14 +27,9 @@ NOT_OBSERVED = "leave a variable that was not observed out of the evidence, in a
 class BoundValues:
     """Values of the variables with evidence.
 
-    Attributes
-    ----------
-    lead : tuple of int
-        The leading axes, of runs; inside, they are flattened to one.
-    values : mapping of Variable to ndarray
-        (runs or 1, d); zero where missing.
-    taken : mapping of Variable to ndarray of bool
-        Of the variables some of whose components are missing, which are not, (runs or 1, d).
+    lead: The leading axes, of runs; inside, they are flattened to one.
+    values: (runs or 1, d); zero where missing.
+    taken: Of the variables some of whose components are missing, which are not, (runs or 1, d).
     """
 
     lead: tuple[int, ...]
@@ -55,22 +50,10 @@ def bind_values(
 ) -> BoundValues:
     """Check the evidence of a continuous network without time.
 
-    Parameters
-    ----------
-    cpds : sequence of CPD
-    evidence : mapping of Variable to array_like
-        (..., d); leading axes are runs. NaN is a component that was not observed, of a variable
-        on which no other depends: it integrates out.
-    lead : tuple of int
-        Leading axes that the runs have at least.
-    needed : iterable of Variable
-        Variables that must have evidence: inputs, and what the noise of a CPD depends on.
-
-    Raises
-    ------
-    EvidenceError
-        If evidence is missing, unknown, of a wrong shape, not finite where it has to be, or the
-        axes of runs do not broadcast.
+    evidence: (..., d); leading axes are runs. NaN is a component that was not observed, of a
+        variable on which no other depends: it integrates out.
+    lead: Leading axes that the runs have at least.
+    needed: Variables that must have evidence: inputs, and what the noise of a CPD depends on.
     """
     known = {v for cpd in cpds for v in cpd.scope}
     children = {cpd.child for cpd in cpds}
@@ -125,15 +108,10 @@ def _refuse_missing(variable: Variable, cpds: Iterable[CPD]) -> None:
 class BoundStates:
     """Evidence of a discrete network.
 
-    Attributes
-    ----------
-    lead : tuple of int
-        The leading axes, of runs; inside, they are flattened to one.
-    states : mapping of Discrete to int or ndarray of int
-        Hard evidence: one index for all runs, or an index for each, (runs or 1,), where −1 is
+    lead: The leading axes, of runs; inside, they are flattened to one.
+    states: Hard evidence: one index for all runs, or an index for each, (runs or 1,), where −1 is
         "not observed in this run". A variable that is observed in no run is left out.
-    weights : mapping of Discrete to ndarray
-        Soft evidence, (runs or 1, size), each row with a positive entry.
+    weights: Soft evidence, (runs or 1, size), each row with a positive entry.
     """
 
     lead: tuple[int, ...]
@@ -149,19 +127,8 @@ class BoundStates:
 def bind_discrete(variables: Iterable[Variable], evidence: Mapping[Any, Any]) -> BoundStates:
     """Check evidence against the variables of a discrete network and lay it out by run.
 
-    Parameters
-    ----------
-    variables : iterable of Discrete
-        Those of the network; a set spares making one.
-    evidence : mapping of Discrete
-        The name or index of a state, an array of names or indices (...), with −1 for "not
+    evidence: The name or index of a state, an array of names or indices (...), with −1 for "not
         observed in this run", or `soft` weights (..., size). Leading axes are runs.
-
-    Raises
-    ------
-    EvidenceError
-        If a variable or a state is unknown, an index is no whole number, weights are negative,
-        not finite or all zero, or the runs do not broadcast or are none.
     """
     known = variables if isinstance(variables, Set) else frozenset(variables)
     states: dict[Discrete, int | Integers] = {}

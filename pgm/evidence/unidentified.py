@@ -22,16 +22,9 @@ LIKELIHOOD, SUM, JOINT = "likelihood", "sum", "joint"
 class Unknown(InCode, Immutable):
     """The candidates for a parent that is not known of any sighting; made by `unknown`.
 
-    Attributes
-    ----------
-    candidates : ndarray
-        (k, d).
-    log_shares : ndarray
-        (k + 2,): the logarithms of the prior probabilities of each candidate, of a spurious
+    candidates: (k, d).
+    log_shares: (k + 2,): the logarithms of the prior probabilities of each candidate, of a spurious
         sighting, and of a new thing.
-    volume : float or None
-    gate : float or None
-    association : str
     """
 
     candidates: Array

@@ -65,13 +65,11 @@ def read(source: Source, times: Array, limit: int) -> tuple[tuple[str, ...], Arr
 
 
 def _header(names: Sequence[str]) -> list[str]:
-    """The names of the columns."""
     pairs = combinations_with_replacement(names, 2)
     return ["t", *(f"{one}{JOINED}{other}" for one, other in pairs)]
 
 
 def _names(header: Sequence[str], origin: Origin) -> tuple[str, ...]:
-    """The names of the components that the columns are of."""
     count = (math.isqrt(8 * len(header) - 7) - 1) // 2 if header else 0
     first = header[1][: (len(header[1]) - 1) // 2] if count else ""
     names = tuple(column[len(first) + 1 :] for column in header[1 : count + 1])
@@ -85,7 +83,6 @@ def _names(header: Sequence[str], origin: Origin) -> tuple[str, ...]:
 
 
 def _require_times(own: Array, times: Array, lines: Sequence[int], origin: Origin) -> None:
-    """Refuse covariances that are not those of the poses."""
     if len(own) != len(times):
         raise origin.fault(
             f"it has {len(own)} covariances, where the poses are {len(times)}; are the files of "

@@ -205,7 +205,6 @@ def require_increasing(times: Array, lines: Sequence[int], origin: Origin) -> No
 
 
 def _pose(line: Line) -> list[float]:
-    """The numbers of a line."""
     words = line.words
     if len(words) != FIELDS:
         hint = "; are they apart by spaces, and not by commas?" if "," in words[0] else ""
@@ -218,7 +217,6 @@ def _pose(line: Line) -> list[float]:
 
 
 def _trajectory(belief: Any) -> Gaussian:
-    """The Gaussians of one run, a row a step."""
     gaussian = belief.gaussian() if hasattr(belief, "gaussian") else belief
     if not isinstance(gaussian, Gaussian):
         raise ModelError(f"a belief over time, like posterior[x], was due, not {titled(belief)}")
@@ -241,7 +239,6 @@ def _position(position: Any) -> tuple[str, ...]:
 
 
 def _places(gaussian: Gaussian, names: Sequence[str]) -> list[int]:
-    """The places of components that are named."""
     known = gaussian.components
     for name in names:
         if name not in known:

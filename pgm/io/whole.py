@@ -45,7 +45,6 @@ def whole(path: str | os.PathLike[str], *, durable: bool = False) -> Iterator[Pa
 
 
 def _to_disk(path: Path) -> None:
-    """Wait until a file's bytes, or a folder's names, are on the disk."""
     file = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(file)

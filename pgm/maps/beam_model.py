@@ -182,7 +182,6 @@ class BeamModel(ScanCPD):
         return hit, short, self.maximum + np.where(nothing, self.hit, 0.0)
 
     def _ends(self, expected: Array) -> tuple[Array, Array]:
-        """The normal probabilities below a range of 0, and below `most`."""
         return ndtr(-expected / self.std), ndtr((self.most - expected) / self.std)
 
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Values:

@@ -44,14 +44,9 @@ class Cells(NamedTuple):
 class CellGrid(Immutable):
     """Base of maps of square cells.
 
-    Attributes
-    ----------
-    shape : (int, int)
-        Rows and columns.
-    resolution : float
-        The side of a cell [m].
-    origin : ndarray
-        (3,): x, y [m] and yaw [rad] of the lower left corner of the cell in row 0 and column 0.
+    shape: Rows and columns.
+    resolution: The side of a cell [m].
+    origin: (3,): x, y [m] and yaw [rad] of the lower left corner of the cell in row 0 and column 0.
     """
 
     shape: tuple[int, int]

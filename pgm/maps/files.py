@@ -29,14 +29,7 @@ FREE_GREY, OCCUPIED_GREY, UNKNOWN_GREY = 254, 0, 205
 class MapFile(NamedTuple):
     """The values of a map's files, not yet checked as a map.
 
-    Attributes
-    ----------
-    occupied : ndarray
-        (rows, columns), row 0 at the lowest y.
-    resolution : float
-    origin : object
-    free, above : float
-        The thresholds.
+    occupied: (rows, columns), row 0 at the lowest y.
     """
 
     occupied: Array
@@ -104,7 +97,6 @@ def write(
 
 
 def _keys(path: Path) -> dict[str, Any]:
-    """The keys of a YAML file, none of those that are due missing."""
     import yaml
 
     try:
@@ -167,7 +159,6 @@ def _grey(owner: Path, path: Path) -> tuple[npt.NDArray[np.uint8], npt.NDArray[n
 
 
 def _channels(image: Image) -> npt.NDArray[np.uint8]:
-    """The channels of an image, that of opacity last."""
     return np.asarray(image.convert("LA" if image.mode in ("1", "L", "LA") else "RGBA"))
 
 
@@ -179,7 +170,6 @@ def _occupied(
     low: float,
     high: float,
 ) -> Array:
-    """The probabilities that grey values mean."""
     value = grey.astype(np.float64)
     if mode == "raw":
         return np.where(value <= 100.0, value / 100.0, np.nan)

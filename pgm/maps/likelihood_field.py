@@ -141,7 +141,6 @@ class LikelihoodField(ScanCPD):
 
     @cached_property
     def _units(self) -> Array:
-        """The directions of the beams in use, (2, beams)."""
         return planar.directions(self._angles).T
 
     @cached_property

@@ -129,7 +129,6 @@ def log_odds_map(
 
 
 def _log_odds(hit: float, miss: float, prior: float) -> Array:
-    """The log odds of the prior, of a cell hit and of one passed."""
     given = {"hit": hit, "miss": miss, "prior": prior}
     for name, value in given.items():
         if not is_number(value) or not 0.0 < value < 1.0:
@@ -201,7 +200,6 @@ def _placed(occupied: Array, low: Array, shape: tuple[int, int]) -> Array:
 
 
 def _require_room(height: float, width: float, which: str) -> None:
-    """Refuse a map that would not fit memory."""
     require_memory(
         int(min(height * width, 1e300)) * 4,
         f"a map of {height:.0f} by {width:.0f} cells, {which},",

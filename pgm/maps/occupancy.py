@@ -348,7 +348,6 @@ class OccupancyMap(InCode, CellGrid):
         return found
 
     def _allowed(self, mask: npt.ArrayLike | None) -> Mask:
-        """The free cells of a mask; refuses one that leaves none."""
         allowed = self.free if mask is None else self.free & as_mask(mask, self.shape)
         if not allowed.any():
             found = "has no free cell" if mask is None else "has no free cell within the mask"

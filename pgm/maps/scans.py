@@ -21,15 +21,10 @@ from pgm.variables import Variable
 class Scans(NamedTuple):
     """Scans, and the poses that they are to be of.
 
-    Attributes
-    ----------
-    ranges : ndarray
-        (m, beams), or (1, beams) where all poses share one scan; of the beams in use, NaN where
+    ranges: (m, beams), or (1, beams) where all poses share one scan; of the beams in use, NaN where
         not measured.
-    poses : ndarray
-        (m, 3), of the sensor.
-    lead : tuple of int
-        The axes that the m have.
+    poses: (m, 3), of the sensor.
+    lead: The axes that the m have.
     """
 
     ranges: Array
@@ -40,19 +35,11 @@ class Scans(NamedTuple):
 class ScanCPD(CPD):
     """Base of the CPDs of a scan, one component a beam, given a pose and a map.
 
-    Attributes
-    ----------
-    map : OccupancyMap
-    angles : ndarray
-        (B,): of all beams against the sensor's heading [rad].
-    most : float
-        The range from which on a beam has met nothing [m].
-    mount : ndarray
-        (3,): the sensor's pose in the robot's frame.
-    every : int
-        Each `every`-th beam is used, from the first on.
-    weight : float
-        The exponent of the likelihood of the beams in use.
+    angles: (B,): of all beams against the sensor's heading [rad].
+    most: The range from which on a beam has met nothing [m].
+    mount: (3,): the sensor's pose in the robot's frame.
+    every: Each `every`-th beam is used, from the first on.
+    weight: The exponent of the likelihood of the beams in use.
     """
 
     # A beam that is NaN is left out: others are independent of it, given the pose.
@@ -115,11 +102,9 @@ class ScanCPD(CPD):
 
     @property
     def _angles(self) -> Array:
-        """The angles of the beams in use."""
         return frozen(self.angles[:: self.every])
 
     def _counted(self, taken: Mask) -> Array:
-        """The beams in use, each by its weight."""
         return np.asarray(self.weight * taken[..., :: self.every].sum(axis=-1))
 
     def _scans(self, child: Values, known: Known) -> Scans:
@@ -161,5 +146,4 @@ class ScanCPD(CPD):
 
 
 def _step(known: Known) -> int | None:
-    """The one step of values, for messages."""
     return known.step if isinstance(known.step, int) else None

@@ -83,26 +83,11 @@ def right_band(
 ) -> bool:
     """Shade the band of what is right, in grey; in the tint of a curve that has another one.
 
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    across : ndarray
-        (k,), along the horizontal axis.
-    low, high : ndarray
-        (k,).
-    tint : str
-        The curve's.
-    confidence : float
-        Of the band.
-    label : str
-        The curve's, for the legend, if the band is its own.
-    tolerance : float
-        How far the ends of two bands may differ, as a part of them, to be drawn as one.
+    across: (k,), along the horizontal axis.
+    label: The curve's, for the legend, if the band is its own.
+    tolerance: How far the ends of two bands may differ, as a part of them, to be drawn as one.
 
-    Returns
-    -------
-    bool
-        Whether it is the first one of the axes.
+    Returns: Whether it is the first one of the axes.
     """
     within = f"{100.0 * confidence:.4g} % band"
     before = [drawn for drawn in ax.collections if str(drawn.get_label()).endswith(" % band")]

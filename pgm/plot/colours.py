@@ -89,7 +89,6 @@ def _look(colour: Any, dash: str) -> Look:
 
 
 def _dash(pattern: Sequence[float] | None) -> str:
-    """The style that a pattern of ink and gaps is of."""
     if not pattern:
         return DASHES[0]
     if len(pattern) > 2:

@@ -24,13 +24,7 @@ def as_gaussian(belief: Any) -> Gaussian:
 
 
 def one_run(belief: Any) -> Gaussian:
-    """The belief with one leading axis, of steps; refuses several runs.
-
-    Raises
-    ------
-    ModelError
-        If there are leading axes besides that of the steps.
-    """
+    """The belief with one leading axis, of steps; refuses several runs."""
     belief = as_gaussian(belief)
     lead = belief.mean.shape[: -1 if belief.steps is None else -2]
     if math.prod(lead) != 1:
@@ -50,13 +44,7 @@ def one_run(belief: Any) -> Gaussian:
 
 
 def component_places(belief: Gaussian, components: Sequence[str]) -> list[int]:
-    """The places of components in the stacked vector.
-
-    Raises
-    ------
-    ModelError
-        If a component is not there, or there twice.
-    """
+    """The places of components in the stacked vector."""
     if isinstance(components, str):
         raise ModelError(f"components must be a sequence of names, not {components!r} alone")
     known = labels(belief.scope)
@@ -71,18 +59,8 @@ def component_places(belief: Gaussian, components: Sequence[str]) -> list[int]:
 def truth_columns(belief: Gaussian, truth: npt.ArrayLike, places: Sequence[int]) -> Array:
     """The components of a truth that stand at some places of the belief's vector.
 
-    Parameters
-    ----------
-    belief : Gaussian
-    truth : array_like
-        (..., rows, k), its columns the belief's components in order; columns that are not
-        drawn may be missing at the end.
-    places : sequence of int
-
-    Raises
-    ------
-    ModelError
-        If the truth is no such array.
+    truth: (..., rows, k), its columns the belief's components in order; columns that are not drawn
+        may be missing at the end.
     """
     array = np.asarray(truth, dtype=float)
     array = array[None] if array.ndim == 1 else array

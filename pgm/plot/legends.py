@@ -71,7 +71,6 @@ def useful_legend(ax: Axes, *, above: bool = False) -> None:
 
 
 def _colour(handle: Any) -> str:
-    """The colour of a thing in the legend, as far as it has one."""
     for of in ("get_color", "get_facecolor", "get_edgecolor"):
         if hasattr(handle, of):
             found = np.atleast_1d(getattr(handle, of)())
@@ -80,22 +79,18 @@ def _colour(handle: Any) -> str:
 
 
 def _columns(ax: Axes, labels: list[str]) -> int:
-    """As many columns as the axes is wide, four at the most."""
     return int(np.clip(_width(ax) // _beside(labels), 1, min(len(labels), 4)))
 
 
 def _width(ax: Axes) -> float:
-    """The width of an axes, in points."""
     return float(72.0 / ax.figure.dpi * ax.get_window_extent().width)
 
 
 def _beside(labels: list[str]) -> float:
-    """The width of a legend of one column, in points."""
     return _widest(labels) + _BESIDE * _SIZE
 
 
 def _widest(labels: list[str]) -> float:
-    """The width of the longest label, in points."""
     font = FontProperties(size=_SIZE)
     lines = [line for label in labels for line in label.split("\n")]
     return float(
@@ -124,7 +119,6 @@ def _free_place(ax: Axes, labels: list[str]) -> str | None:
 
 
 def _drawn(ax: Axes) -> Array:
-    """Points (P, 2) on all that an axes shows, in dots."""
     found = [np.empty((0, 2))]
     for line in ax.lines:
         if line.get_visible():
@@ -158,7 +152,6 @@ def _on(ax: Axes, collection: Collection) -> list[Array]:
 
 
 def _along(points: Array) -> Array:
-    """Points so near each other along a line that no legend fits between them."""
     if len(points) < 2:
         return points
     steps = np.linalg.norm(np.diff(points, axis=0), axis=-1)

@@ -28,7 +28,7 @@ _MOST = 20_000_000
 def page(
     posterior: ChainPosterior, numbers: Numbers, runs: list[Run], span: range, limits: Limits
 ) -> dict[str, Any]:
-    """The structure of the page, its numbers added to those given."""
+    """The structure of the page, its numbers added."""
     layout, plan = posterior.graph.layout, posterior._planned
     found = head(posterior.graph, posterior.kind, span, layout.slice)
     words = {"singular": "no canonical form: singular"}

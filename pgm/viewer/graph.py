@@ -27,7 +27,7 @@ _MOST = 26
 
 
 def page(posterior: Posterior, numbers: Numbers, runs: list[Run], limits: Limits) -> dict[str, Any]:
-    """The structure of the page, its numbers added to those given."""
+    """The structure of the page, its numbers added."""
     graph, writer = posterior.graph, Writer(posterior, numbers, runs, limits)
     shown, note = _shown(graph, limits)
     within = set(shown)
@@ -112,7 +112,6 @@ def _shown(graph: ClusterGraph, limits: Limits) -> tuple[list[int], str | None]:
 
 
 def _evidence(posterior: Posterior, run: int) -> dict[Variable, str]:
-    """The values of observed variables in a run, in words."""
     found: dict[Variable, str] = {}
     if isinstance(posterior, GaussianPosterior):
         model = posterior._model
@@ -163,12 +162,8 @@ Factor = CanonicalForm | Table | Gaussian
 class Writer:
     """The factors of a posterior in the numbers of a page, and the variables that they are over.
 
-    Attributes
-    ----------
-    variables : list of dict
-        Those met so far, as the page names them.
-    scopes : dict of int to tuple of Variable
-        The variables without evidence of each cluster whose belief was written.
+    variables: Those met so far, as the page names them.
+    scopes: The variables without evidence of each cluster whose belief was written.
     """
 
     def __init__(
@@ -247,7 +242,6 @@ class Writer:
 
 
 def _hidden(posterior: Posterior, cluster: Cluster) -> Scope:
-    """The variables of a cluster that have a marginal."""
     if isinstance(posterior, GaussianPosterior):
         return posterior._plan.layout.scopes[cluster.index]
     assert isinstance(posterior.graph, DynamicGraph)

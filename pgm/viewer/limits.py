@@ -17,15 +17,8 @@ Run = tuple[int, ...]
 class Limits:
     """The most that a page holds.
 
-    Attributes
-    ----------
-    runs, steps, clusters : int
-    entries : int
-        Of a table; of larger ones the largest entries are kept, and the marginals.
-    numbers : int
-        In all.
-    refuse : bool
-        Whether more steps are an error, and not cut.
+    entries: Of a table; of larger ones the largest entries are kept, and the marginals.
+    refuse: Whether more steps are an error, and not cut.
     """
 
     runs: int
@@ -43,13 +36,7 @@ CELL = Limits(1, 200, 150, 256, 200_000, False)
 def chosen_runs(
     run: int | Sequence[int] | Sequence[Run] | None, lead: Run, limits: Limits
 ) -> tuple[list[Run], str | None]:
-    """The runs that a page shows, and a word about the others.
-
-    Raises
-    ------
-    GraphError
-        If there is no such run, or more are asked for than a page holds.
-    """
+    """The runs that a page shows, and a word about the others."""
     total = int(np.prod(lead))
     if run is None:
         count = min(total, limits.runs)
@@ -80,13 +67,7 @@ def _index(run: object) -> Run:
 def chosen_steps(
     steps: tuple[int, int] | None, last: int, limits: Limits
 ) -> tuple[range, str | None]:
-    """The steps that a page shows, and a word about the others.
-
-    Raises
-    ------
-    GraphError
-        If `steps` are no two steps of the chain, or more than a page holds.
-    """
+    """The steps that a page shows, and a word about the others."""
     if steps is None:
         if last < limits.steps:
             return range(last + 1), None

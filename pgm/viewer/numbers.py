@@ -38,16 +38,7 @@ class Numbers:
     def add(self, array: npt.ArrayLike, bits: int = EXACT) -> Ref:
         """Add an array of rows, or a single row of numbers.
 
-        Parameters
-        ----------
-        array : array_like
-            (rows, ...), the other axes becoming columns.
-        bits : int
-            How many bits of the fractions are kept.
-
-        Returns
-        -------
-        Ref
+        array: (rows, ...), the other axes becoming columns.
         """
         given = np.asarray(array, dtype=np.float64)
         rows = given.shape[0] if given.ndim > 1 else 1

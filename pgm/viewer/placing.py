@@ -27,18 +27,9 @@ def place(
 ) -> dict[str, list[Any]]:
     """Place clusters so that none lies on another, in about the shape of a screen.
 
-    Parameters
-    ----------
-    clusters : sequence of int
-    edges : sequence of (int, int)
-    letters : mapping to int
-        The length of the label of each cluster, by index, and of each sepset, by edge.
-    graph : ClusterGraph
+    letters: The length of the label of each cluster, by index, and of each sepset, by edge.
 
-    Returns
-    -------
-    dict
-        x, y and width of each cluster, in pixels; of trees the cluster towards the root.
+    Returns: x, y and width of each cluster, in pixels; of trees the cluster towards the root.
     """
     width = {k: max(_LEAST, _PADDING + _LETTER * n) for k, n in letters.items()}
     neighbours: dict[int, list[int]] = {k: [] for k in clusters}
@@ -116,8 +107,6 @@ def _tree(
 
 
 def _centre(nodes: Sequence[int], neighbours: Mapping[int, Sequence[int]]) -> int:
-    """The middle of a longest path."""
-
     def farthest(start: int) -> tuple[int, dict[int, int]]:
         before, sequence = {start: start}, [start]
         for k in sequence:
@@ -197,9 +186,7 @@ def _by_distance(
 ) -> Array:
     """A graph with loops: distances on the page are to be those along its edges.
 
-    References
-    ----------
-    Gansner, Koren & North, Graph drawing by stress majorization, 2004.
+    Source: Gansner, Koren & North, Graph drawing by stress majorization, 2004.
     """
     wanted: Array = shortest_path(links, directed=False, unweighted=True)
     at = _turned(_stressed(wanted), links)
@@ -229,7 +216,6 @@ def _stressed(wanted: Array) -> Array:
 
 
 def _turned(at: Array, links: csr_array) -> Array:
-    """The same places turned so that most edges run across or down."""
     i, j = links.nonzero()
     steps = at[j] - at[i]
     angle = np.arctan2(steps[:, 1], steps[:, 0])
@@ -243,7 +229,6 @@ def _turned(at: Array, links: csr_array) -> Array:
 
 
 def _apart(at: Array, width: Array) -> Array:
-    """The same places with clusters that lie on another pushed apart."""
     wide = 0.5 * (width[:, None] + width[None]) + 0.5 * _ACROSS
     for _ in range(_ROUNDS if len(at) <= 600 else 0):
         across, down = (at[:, None, k] - at[None, :, k] for k in (0, 1))

@@ -27,7 +27,7 @@ _WHY = {
 def page(
     posterior: Any, numbers: Numbers, runs: list[Run], span: range, limits: Limits
 ) -> dict[str, Any]:
-    """The structure of the page, its numbers added to those given."""
+    """The structure of the page, its numbers added."""
     graph, beliefs = posterior.graph, {}
     for variable in graph.layout.slice:
         try:
@@ -63,7 +63,6 @@ def page(
 
 
 def _of_run(belief: Any, variable: Variable, posterior: Any, run: Run, span: range) -> Any:
-    """A belief in one run at the steps shown; hidden controls begin at step 1."""
     first = 0 if variable in posterior.graph.layout.states else 1
     return belief[(*run, slice(max(span[0] - first, 0), span[-1] + 1 - first))]
 

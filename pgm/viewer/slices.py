@@ -40,15 +40,8 @@ def sighted(
 ) -> list[dict[str, Any]]:
     """The measurements of the steps shown in one run, by sensor.
 
-    Parameters
-    ----------
-    numbers : Numbers
-    sensors : mapping of CPD to (ndarray, ndarray, mapping)
-        The step of each measurement, (M,) ascending, its values, (M, runs or 1, d), and those of
-        its observed parents.
-    span : range
-        The steps shown.
-    run : int
+    sensors: The step of each measurement, (M,) ascending, its values, (M, runs or 1, d), and those
+        of its observed parents.
     """
     found = []
     for sensor, (step, values, inputs) in sensors.items():

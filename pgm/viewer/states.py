@@ -23,7 +23,7 @@ _MOST = 20_000_000
 def page(
     posterior: StatePosterior, numbers: Numbers, runs: list[Run], span: range, limits: Limits
 ) -> dict[str, Any]:
-    """The structure of the page, its numbers added to those given."""
+    """The structure of the page, its numbers added."""
     found = head(posterior.graph, posterior.kind, span, posterior._plan.slice)
     words: dict[str, str] = {}
     if posterior.kind != SMOOTHED:
@@ -56,8 +56,6 @@ def page(
 
 
 class _Chain:
-    """The numbers of a posterior at some steps, which are made once for all runs."""
-
     def __init__(self, posterior: StatePosterior, steps: list[int]) -> None:
         self.posterior, self.steps = posterior, steps
         self.plan, self.chain = posterior._plan, posterior._chain
@@ -79,7 +77,6 @@ class _Chain:
         return found
 
     def beliefs(self, place: int) -> dict[str, Array]:
-        """Marginals and messages of a run, a row a step."""
         posterior, steps = self.posterior, self.steps
         axes, states = len(self.plan.shape), len(self.plan.states)
         beliefs, filtered = posterior._beliefs, posterior._filtered

@@ -134,18 +134,7 @@ def _named(posterior: Any) -> str:
 
 
 def assembled(data: dict[str, Any], numbers: Numbers) -> str:
-    """The text of the page.
-
-    Parameters
-    ----------
-    data : dict
-        Its structure, of what JSON can hold.
-    numbers : Numbers
-
-    Returns
-    -------
-    str
-    """
+    """The text of the page."""
     folder = files("pgm.viewer")
     style = folder.joinpath("viewer.css").read_text("utf-8")
     code = script()

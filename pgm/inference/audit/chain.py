@@ -29,24 +29,13 @@ Links = list[tuple[Link, Term]]
 class ChainDraws:
     """Trajectories from the smoothed Gaussian, drawn forward in time, with their log-weights.
 
-    Attributes
-    ----------
-    plan : ChainPlan
-    first, later : Proposal
-        The states at step 0; the slice of each later step given the states before it.
-    prior, transition, sensors : list
-        The CPDs in place, with their densities.
-    reference : ndarray
-        (runs,): the log-weight that is common to all draws.
-    relative : bool
-        Whether weights are relative to the densities of the linearised model, whose evidence then
-        is the reference.
-    beliefs : Beliefs
-        The smoothed moments of every slice.
-    judged : ndarray of bool
-        (T+1,): the steps whose beliefs in the posterior know all measurements.
-    onward : Conditional
-        The slice of each later step given the states before it, fixed components too.
+    first, later: The states at step 0; the slice of each later step given the states before it.
+    prior, transition, sensors: The CPDs in place, with their densities.
+    reference: (runs,): the log-weight that is common to all draws.
+    relative: Whether weights are relative to the densities of the linearised model, whose evidence
+        then is the reference.
+    judged: (T+1,): the steps whose beliefs in the posterior know all measurements.
+    onward: The slice of each later step given the states before it, fixed components too.
     """
 
     plan: ChainPlan
@@ -128,7 +117,7 @@ class ChainDraws:
 
     @property
     def width(self) -> int:
-        """Numbers that one draw of one run takes at a time."""
+        """See `Drawing`."""
         size = self.plan.layout.state_size + 2 * self.plan.layout.slice_size
         seen = [
             np.diff(sensor.bounds).max() * sum(sensor.family.shape[2:])
@@ -138,7 +127,7 @@ class ChainDraws:
 
     @property
     def length(self) -> int:
-        """Numbers of a whole draw."""
+        """See `Drawing`."""
         layout = self.plan.layout
         return (self.plan.steps + 1) * (layout.state_size + layout.slice_size)
 
@@ -178,7 +167,7 @@ class ChainDraws:
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """So many new trajectories a run."""
+        """See `Drawing`."""
         plan, layout = self.plan, self.plan.layout
         shape, places, front = (plan.runs, count), layout.state_places, layout.state_size
         total = np.repeat(self.reference[:, None], count, axis=1)
@@ -231,7 +220,6 @@ class ChainDraws:
 
 
 def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
-    """The mask of components that CPDs leave open, in a vector's part from `start` on."""
     free = np.zeros(shape, dtype=bool)
     for link, term in links:
         free[..., link.child.start - start : link.child.stop - start] = term.free()

@@ -21,18 +21,12 @@ class Compared:
 
     The bound on χ² is Laurent & Massart's (2000, lemma 1).
 
-    Attributes
-    ----------
-    scope : tuple of Variable
-        A hidden variable, or those of a cluster together.
-    steps : ndarray of int or None
-        None in a network without time.
-    mean, cov : ndarray
-        (steps, runs, d), (steps, runs, d, d): the exact ones, estimated.
-    divergence : ndarray
-        (steps, runs): KL(N(mean, cov) ‖ the Gaussian); infinite where draws left no covariance.
-    judged : ndarray of bool
-        (steps,): where the Gaussian belief that was asked for knows all measurements, as q does.
+    scope: A hidden variable, or those of a cluster together.
+    mean, cov: (steps, runs, d), (steps, runs, d, d): the exact ones, estimated.
+    divergence: (steps, runs): KL(N(mean, cov) ‖ the Gaussian); infinite where draws left no
+        covariance.
+    judged: (steps,): where the Gaussian belief that was asked for knows all measurements, as q
+        does.
     """
 
     scope: tuple[Variable, ...]
@@ -91,19 +85,9 @@ class Compared:
 class Sums:
     """Sums over draws of a belief's variables at its steps.
 
-    Attributes
-    ----------
-    scope : tuple of Variable
-    places : Index
-        Where they stand in the vector of hidden variables.
-    first : int
-        The first step.
-    mean, cov : ndarray
-        (steps, runs, d), (steps, runs, d, d): the Gaussian's.
-    judged : ndarray of bool
-        (steps,): of the steps, which are judged; see `Compared`.
-    timed : bool
-        Whether there are steps.
+    places: Where they stand in the vector of hidden variables.
+    mean, cov: (steps, runs, d), (steps, runs, d, d): the Gaussian's.
+    judged: (steps,): of the steps, which are judged; see `Compared`.
     """
 
     scope: tuple[Variable, ...]
@@ -123,13 +107,9 @@ class Sums:
     def add(self, values: list[Array], pair: Array, fading: Array) -> None:
         """Take in draws, (runs, S, n) a step, by weight and by control; angles to the nearest turn.
 
-        Parameters
-        ----------
-        values : list of ndarray
-        pair : ndarray
-            (2, runs, S): y and v.
-        fading : ndarray
-            (runs,): what weights so far are to be multiplied with, the largest being larger now.
+        pair: (2, runs, S): y and v.
+        fading: (runs,): what weights so far are to be multiplied with, the largest being larger
+            now.
         """
         self._offsets[0] *= fading[:, None]
         self._squares[0] *= fading[:, None, None]

@@ -44,18 +44,12 @@ class Drawn(NamedTuple):
 class Term:
     """The density of a CPD at draws of its family.
 
-    Attributes
-    ----------
-    family : Family
-    own : ndarray
-        (rows or 1, runs or 1, d, d): the root of the CPD's own noise.
-    relative : bool
-        Whether densities are divided by those of the linearised CPD, which leaves nothing of an
-        affine one.
-    linearised : ndarray or None
-        (rows, runs, d, d): the root of the noise of the linearised CPD, where it is divided by.
-    taken : ndarray of bool or None
-        (rows, runs or 1, d): of a sensor, which components were read, where some were not. These
+    own: (rows or 1, runs or 1, d, d): the root of the CPD's own noise.
+    relative: Whether densities are divided by those of the linearised CPD, which leaves nothing of
+        an affine one.
+    linearised: (rows, runs, d, d): the root of the noise of the linearised CPD, where it is divided
+        by.
+    taken: (rows, runs or 1, d): of a sensor, which components were read, where some were not. These
         have unit variance in the roots.
     """
 
@@ -109,15 +103,9 @@ class Term:
         The others follow from the parents and the noise that the free ones imply, as the model has
         it.
 
-        Parameters
-        ----------
-        row : int
-        parents : ndarray
-            (runs, S, n).
-        proposed : ndarray
-            (runs, S, d).
-        afresh : Afresh, optional
-            Of defensive draws: which of them the CPD draws.
+        parents: (runs, S, n).
+        proposed: (runs, S, d).
+        afresh: Of defensive draws: which of them the CPD draws.
         """
         value, lost = self._value(row, parents, on_chart=True, strict=afresh is None)
         own = _at(self.own, row)
@@ -150,16 +138,10 @@ class Term:
     ) -> Array:
         """The log-density of measurements, (runs, S), their sum over rows; NaN where it is lost.
 
-        Parameters
-        ----------
-        rows : slice
-        parents : ndarray
-            (k, runs, S, n).
-        values, moved : ndarray
-            (k, runs or 1, d): as given, and with angles on the branch of the linearisation, where
-            an affine CPD takes them.
-        strict : bool
-            Whether a function that is not finite is an error, or loses the draw.
+        parents: (k, runs, S, n).
+        values, moved: (k, runs or 1, d): as given, and with angles on the branch of the
+            linearisation, where an affine CPD takes them.
+        strict: Whether a function that is not finite is an error, or loses the draw.
         """
         if self.relative and self.family.exact:
             return np.zeros(parents.shape[1:3])
@@ -287,7 +269,6 @@ def has_exact(read: Iterable[Family]) -> bool:
 
 
 def _at(stacked: Stack, rows: int | slice) -> Stack:
-    """Some rows of an array that may have one for all."""
     if stacked.shape[0] == 1:
         rows = 0 if isinstance(rows, int) else slice(None)
     part: Stack = stacked[rows]

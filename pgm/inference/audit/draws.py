@@ -29,12 +29,8 @@ class Excursions:
     last one with a probability of ⅛. The density of a draw, of all excursions that may have led to
     it, is summed up slice by slice, over the four stages.
 
-    Attributes
-    ----------
-    slices : int
-        Of a draw, 1 or more.
-    predicted : float
-        The part of excursions that follow the model; the others have Student tails.
+    slices: Of a draw, 1 or more.
+    predicted: The part of excursions that follow the model; the others have Student tails.
     """
 
     slices: int
@@ -71,15 +67,9 @@ class Excursions:
     ) -> Density:
         """The density of draws up to a slice.
 
-        Parameters
-        ----------
-        index : int
-        so_far : Density
-            Up to the slice before.
-        gaussian, predicted : ndarray
-            (runs, S): the log-density of the slice by the Gaussian, and by the model.
-        tails : ndarray
-            (runs, S): that with Student tails, less the Gaussian's.
+        gaussian, predicted: (runs, S): the log-density of the slice by the Gaussian, and by the
+            model.
+        tails: (runs, S): that with Student tails, less the Gaussian's.
         """
         begin, before = self._begin(index), so_far.shares
         scale = np.maximum(np.maximum(predicted, gaussian), gaussian + tails)
@@ -101,12 +91,8 @@ class Density(NamedTuple):
     A share of a stage that is too small for float64 beside another's stays so: whatever follows one
     may follow the other.
 
-    Attributes
-    ----------
-    scale : ndarray
-        (runs, S).
-    shares : ndarray
-        (4, runs, S): by stage, over the exponential of the scale.
+    scale: (runs, S).
+    shares: (4, runs, S): by stage, over the exponential of the scale.
     """
 
     scale: Array
@@ -121,14 +107,9 @@ class Density(NamedTuple):
 class Draws(NamedTuple):
     """Draws with their log-densities, (runs, S).
 
-    Attributes
-    ----------
-    target : ndarray
-        ln p(x, z) of the model; NaN where a function was not finite at a defensive draw.
-    gaussian, defensive : ndarray
-        By the Gaussian answer, and by excursions from it.
-    values : list of ndarray
-        (runs, S, n) each: the hidden variables, by step.
+    target: ln p(x, z) of the model; NaN where a function was not finite at a defensive draw.
+    gaussian, defensive: By the Gaussian answer, and by excursions from it.
+    values: (runs, S, n) each: the hidden variables, by step.
     """
 
     target: Array
@@ -141,15 +122,7 @@ class Draws(NamedTuple):
 class Strand:
     """Draws in the making, slice by slice: of the Gaussian answer, or defensive ones.
 
-    Attributes
-    ----------
-    excursions : Excursions
-    shape : tuple of int
-        Runs and draws.
-    rng : numpy.random.Generator
-    defensive : bool
-    relative : bool
-        Whether densities are relative to those of the linearised model.
+    relative: Whether densities are relative to those of the linearised model.
     """
 
     excursions: Excursions

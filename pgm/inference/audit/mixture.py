@@ -36,33 +36,20 @@ class Mixture:
     for the β that regresses y on v within the two strata. Where p is a multiple of q no variance
     is left.
 
-    Attributes
-    ----------
-    peak : ndarray
-        The largest log-weight; y, β and Ẑ are divided by its exponential.
-    weights, control : ndarray
-        (runs, 2S): y and v, of the Gaussian's draws first.
-    slope, evidence : ndarray
-        β and Ẑ.
-    standard_error : ndarray
-        Of ln Ẑ.
-    effective_draws, gaussian_sample_size : ndarray
-        (Σ y)² / Σ y² of all draws, and (Σ w)² / Σ w² of w = p/q at those of the Gaussian.
-    divergence, divergence_error : ndarray
-        KL(q ‖ p/Z) and its standard error.
-    inclusive_divergence, inclusive_error : ndarray
-        KL(p/Z ‖ q) and its standard error.
-    pareto_k : ndarray
-        The shape of the tail of y at the Gaussian's draws; −∞ where all w are equal.
-    undefined : ndarray
-        The part of defensive draws at which a function was not finite.
-    gaussian_log_weights : ndarray
-        (runs, S): ln w.
+    peak: The largest log-weight; y, β and Ẑ are divided by its exponential.
+    weights, control: (runs, 2S): y and v, of the Gaussian's draws first.
+    slope, evidence: β and Ẑ.
+    standard_error: Of ln Ẑ.
+    effective_draws, gaussian_sample_size: (Σ y)² / Σ y² of all draws, and (Σ w)² / Σ w² of w = p/q
+        at those of the Gaussian.
+    divergence, divergence_error: KL(q ‖ p/Z) and its standard error.
+    inclusive_divergence, inclusive_error: KL(p/Z ‖ q) and its standard error.
+    pareto_k: The shape of the tail of y at the Gaussian's draws; −∞ where all w are equal.
+    undefined: The part of defensive draws at which a function was not finite.
+    gaussian_log_weights: (runs, S): ln w.
 
-    References
-    ----------
-    Hesterberg, Weighted average importance sampling and defensive mixture distributions, 1995; Owen
-    & Zhou, Safe and effective importance sampling, 2000.
+    Source: Hesterberg, Weighted average importance sampling and defensive mixture distributions,
+    1995; Owen & Zhou, Safe and effective importance sampling, 2000.
     """
 
     peak: Array
@@ -87,12 +74,9 @@ class Mixture:
     ) -> Mixture:
         """Estimate.
 
-        Parameters
-        ----------
-        log_weights, control, log_ratio : ndarray
-            (runs, 2S): ln y, v and ln p/q, of the Gaussian's draws first.
-        undefined : ndarray
-            (runs,).
+        log_weights, control, log_ratio: (runs, 2S): ln y, v and ln p/q, of the Gaussian's draws
+            first.
+        undefined: (runs,).
         """
         samples = log_weights.shape[-1] // 2
         plain = log_ratio[:, :samples]
@@ -199,10 +183,9 @@ def pareto_shape(log_weights: Array) -> Array:
     regularised towards ½. Moments of order below 1/k exist. NaN for fewer than 25 draws, −∞ where
     all weights are equal, ∞ where very few are all there is.
 
-    References
-    ----------
-    Zhang & Stephens, A new and efficient estimation method for the generalized Pareto distribution,
-    2009; Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance sampling, 2024.
+    Source: Zhang & Stephens, A new and efficient estimation method for the generalized Pareto
+    distribution, 2009; Vehtari, Simpson, Gelman, Yao & Gabry, Pareto smoothed importance sampling,
+    2024.
     """
     runs, count = log_weights.shape
     if count < FEWEST:

@@ -18,16 +18,10 @@ from pgm.kernels.moments import Conditional
 class Proposal:
     """Affine Gaussians, one a row: y = F x + b + L s, s ~ N(0, I), or multivariate Student t.
 
-    Attributes
-    ----------
-    matrix : ndarray
-        (rows, runs, n, m); m is 0 where nothing is given.
-    offset : ndarray
-        (rows, runs, n).
-    lower : ndarray
-        (rows, runs, n, n): L, with zero rows for components that are not free.
-    regular : bool
-        Whether all free components vary, so that they have a density.
+    matrix: (rows, runs, n, m); m is 0 where nothing is given.
+    offset: (rows, runs, n).
+    lower: (rows, runs, n, n): L, with zero rows for components that are not free.
+    regular: Whether all free components vary, so that they have a density.
     """
 
     matrix: Array

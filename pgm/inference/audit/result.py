@@ -26,22 +26,14 @@ BAND = 2.576
 class InnovationCheck(Shown):
     """The innovations of one sensor beside those of a right model, whose filter is exact.
 
-    Attributes
-    ----------
-    sensor : Variable
-    nis : ndarray
-        (...): the normalised innovation squared for each component read, its mean over the steps
+    nis: (...): the normalised innovation squared for each component read, its mean over the steps
         of a run; 1 is right. Above, measurements are further off than the model says: outliers, too
         small a noise, a wrong motion. NaN where nothing was read.
-    overall : float
-        The same of all runs.
-    band : float
-        How far from 1 `overall` is with a probability of 99 % if the model is right.
-    autocorrelation : float
-        Of whitened innovations one measurement apart; 0 is right. NaN without two measurements of a
-        run.
-    autocorrelation_band : float
-        How far from 0 it is with a probability of 99 % if the model is right.
+    overall: The same of all runs.
+    band: How far from 1 `overall` is with a probability of 99 % if the model is right.
+    autocorrelation: Of whitened innovations one measurement apart; 0 is right. NaN without two
+        measurements of a run.
+    autocorrelation_band: How far from 0 it is with a probability of 99 % if the model is right.
     """
 
     sensor: Variable
@@ -294,7 +286,6 @@ class Audit(Shown, Immutable):
         )
 
     def _verdict(self) -> list[str]:
-        """The belief furthest from the exact moments, and how many runs are suspect."""
         divergence, where = self._furthest
         if not where:
             return []

@@ -192,7 +192,6 @@ def estimate(
 
 
 def _parts(samples: int, size: int) -> Iterator[tuple[slice, bool]]:
-    """The places of batches, and whether they are defensive."""
     for defensive in (False, True):
         for first in range(0, samples, size):
             last = min(first + size, samples)

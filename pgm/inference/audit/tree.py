@@ -21,19 +21,10 @@ from pgm.kernels.moments import Conditional
 class TreeDraws:
     """Draws from the joint Gaussian of a calibrated tree, with their log-weights.
 
-    Attributes
-    ----------
-    model : Model
-    proposal : Proposal
-        Of all hidden components at once.
-    terms : list of Term
-        One a group of CPDs.
-    reference : ndarray
-        (runs,): the log-weight that is common to all draws.
-    relative : bool
-        Whether weights are relative to the densities of the linearised network.
-    mean, cov : ndarray
-        (1, runs, n), (1, runs, n, n): the joint's moments.
+    proposal: Of all hidden components at once.
+    reference: (runs,): the log-weight that is common to all draws.
+    relative: Whether weights are relative to the densities of the linearised network.
+    mean, cov: (1, runs, n), (1, runs, n, n): the joint's moments.
     """
 
     model: Model
@@ -85,16 +76,16 @@ class TreeDraws:
 
     @property
     def width(self) -> int:
-        """Numbers that one draw of one run takes at a time."""
+        """See `Drawing`."""
         return 3 * self.model.layout.size
 
     @property
     def length(self) -> int:
-        """Numbers of a whole draw."""
+        """See `Drawing`."""
         return self.model.layout.size
 
     def sums(self) -> list[Sums]:
-        """Empty sums: each hidden variable's, and clusters'."""
+        """See `Drawing`."""
         layout, every = self.model.layout, np.ones(1, dtype=bool)
         alone = [(variable,) for variable in layout.hidden]
         sums = []
@@ -105,7 +96,7 @@ class TreeDraws:
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
-        """So many new draws a run: defensive ones follow the prior, or have Student tails."""
+        """So many draws a run: defensive ones follow the prior, or have Student tails."""
         model = self.model
         total = np.repeat(self.reference[:, None], count, axis=1)
         excursions = Excursions(1, 0.0 if self.relative else PREDICTED)

@@ -28,14 +28,10 @@ TINY = 2**14
 class Enumeration:
     """The joint of all variables of a network whose graph is one tree.
 
-    Attributes
-    ----------
-    joint : ndarray
-        (cells,): probabilities without evidence.
-    shown : mapping of Discrete to ndarray
-        (states, cells): one in the cells of a state, zero in the others.
-    tables : ndarray
-        (cells, entries + columns): one where a cell is part of an entry of a cluster or a sepset.
+    joint: (cells,): probabilities without evidence.
+    shown: (states, cells): one in the cells of a state, zero in the others.
+    tables: (cells, entries + columns): one where a cell is part of an entry of a cluster or a
+        sepset.
     """
 
     joint: Array
@@ -48,14 +44,7 @@ class Enumeration:
     ) -> Enumeration | None:
         """The joint of a network; None if it is not tiny, or an entry is too small for a number.
 
-        Parameters
-        ----------
-        storage : Storage
-        forest : Forest
-        sepsets : sequence of tuple of Discrete
-            Of each cluster and its parent.
-        first : ndarray of int
-            (clusters,): the first column of each cluster's message to its parent.
+        first: (clusters,): the first column of each cluster's message to its parent.
         """
         scope = tuple(storage.homes)
         cells = math.prod(sizes(scope))

@@ -101,7 +101,6 @@ def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[Bou
 
 
 def _of_one(evidence: BoundStates) -> BoundStates:
-    """The evidence of a single run without what is not observed in it."""
     known = {v: s if isinstance(s, int) else int(s[0]) for v, s in evidence.states.items()}
     observed = {v: state for v, state in known.items() if state >= 0}
     return BoundStates(evidence.lead, observed, evidence.weights)
@@ -135,12 +134,7 @@ CODES = 2**62
 class Distinct:
     """The runs of some evidence, each different one once.
 
-    Attributes
-    ----------
-    evidence : BoundStates
-        Of the runs that differ.
-    which : ndarray of int or None
-        (runs,): which of them each run is; None if all differ.
+    which: (runs,): which of them each run is; None if all differ.
     """
 
     evidence: BoundStates

@@ -41,12 +41,7 @@ FEW, TINY = 16, 2**7
 class Answer:
     """The beliefs of one run.
 
-    Attributes
-    ----------
-    marginals : mapping of Discrete to ndarray
-        (states,): of the variables that are not observed.
-    log_evidence : float
-        ln p(evidence).
+    marginals: (states,): of the variables that are not observed.
     """
 
     marginals: Mapping[Discrete, Array]
@@ -60,17 +55,10 @@ Factor = tuple[Sequence[int], Array]
 def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
     """The beliefs of one run.
 
-    Parameters
-    ----------
-    graph : ClusterGraph
-        Without loops.
-    evidence : BoundStates
-        Without leading axes.
+    graph: Without loops.
+    evidence: Without leading axes.
 
-    Returns
-    -------
-    Answer or None
-        None where a number is lost to underflow, or nothing is possible given the evidence.
+    Returns: None where a number is lost to underflow, or nothing is possible given the evidence.
     """
     try:
         return _answer(graph, evidence)
@@ -86,14 +74,9 @@ def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
 class _Tree:
     """The working place of `answer`.
 
-    Attributes
-    ----------
-    order : list of int
-        The clusters, parents before children.
-    parent : list of int
-        Of each cluster; −1 of a root.
-    scopes, shared : list of (list of int)
-        The variables of each cluster, and the last of them, which its parent has too.
+    order: The clusters, parents before children.
+    parent: Of each cluster; −1 of a root.
+    scopes, shared: The variables of each cluster, and the last of them, which its parent has too.
     """
 
     def __init__(self, graph: ClusterGraph, evidence: BoundStates) -> None:
@@ -151,7 +134,6 @@ class _Tree:
                         waiting.append(other)
 
     def _of_cpd(self, family: Sequence[int], table: Array) -> Factor:
-        """A CPD, child first, given the states that are observed."""
         given = [*family[1:], family[0]]
         if not self.shown.keys().isdisjoint(given):
             state = self.shown.get
@@ -185,7 +167,6 @@ class _Tree:
         return Answer(self._distribute(tables), log_evidence)
 
     def _collect(self, shapes: Sequence[Sequence[int]]) -> tuple[list[Array], float]:
-        """The tables with the messages from below, and ln p(evidence)."""
         tables: list[Array] = [NOTHING] * len(self.order)
         log_evidence = 0.0
         for k in reversed(self.order):
@@ -202,7 +183,6 @@ class _Tree:
         return tables, log_evidence
 
     def _product(self, scope: Sequence[int], factors: Iterable[Factor]) -> Array:
-        """The product of some factors, with an axis for each variable of a scope."""
         sizes = self.sizes
         table: Array | None = None
         for own, values in factors:
@@ -215,7 +195,6 @@ class _Tree:
         return table
 
     def _distribute(self, tables: list[Array]) -> dict[Discrete, Array]:
-        """The marginals, each from the smallest table that has the variable."""
         sizes = self.sizes
         homes: list[Factor] = [((), NOTHING)] * len(sizes)
         least = [math.inf] * len(sizes)
@@ -260,7 +239,6 @@ NOTHING = np.empty(0)
 
 
 def _to(wanted: Sequence[int], scope: Sequence[int], table: Array) -> Array:
-    """The sums of a table to some of its variables, in its order."""
     if len(wanted) == len(scope):
         return table
     axes = [axis for axis, place in enumerate(scope) if place not in wanted]
@@ -278,11 +256,6 @@ class FirstBeliefs:
 
     Marginals and log-evidence are there; joints, messages and beliefs of clusters are read from
     tables that are laid out and calibrated when the first of them is asked for.
-
-    Attributes
-    ----------
-    graph : ClusterGraph
-    evidence : BoundStates
     """
 
     graph: ClusterGraph
@@ -296,11 +269,6 @@ class FirstBeliefs:
 
         None, if it is not the first; or where numbers do not do, or the evidence is impossible:
         then logarithms serve, or tell what contradicts what.
-
-        Raises
-        ------
-        GraphError
-            If its tables are too large.
         """
         if not _first(graph):
             return None
@@ -347,5 +315,4 @@ def _first(graph: ClusterGraph) -> bool:
 
 
 def _asked(graph: ClusterGraph) -> bool:
-    """The mark of a graph that was asked."""
     return True

@@ -25,13 +25,7 @@ ADVICE = (
 
 
 def require_possible(plan: TreePlan, evidence: BoundStates, log_tops: Array) -> None:
-    """Refuse evidence of probability zero: a scale whose logarithm, (tops, [runs]), is −∞.
-
-    Raises
-    ------
-    EvidenceError
-        Naming the first run, a cluster, and the variables whose evidence has no common states.
-    """
+    """Refuse evidence of probability zero: a scale whose logarithm, (tops, [runs]), is −∞."""
     # One sum finds out, whatever is infinite.
     if math.isfinite(np.add.reduce(log_tops, None)):
         return

@@ -50,13 +50,7 @@ class TableMessages:
         return self.plan.lay_out(messages, self.runs)
 
     def propose(self, round: Sequence[Group]) -> Array:
-        """Compute them from those kept; the largest changes of their entries, (messages, runs).
-
-        Raises
-        ------
-        EvidenceError
-            If a message is all zero: the evidence has probability zero.
-        """
+        """Compute them from those kept; the largest changes of their entries, (messages, runs)."""
         count = sum(outlet.order.size for group in round for outlet in group.outlets)
         change = np.empty((count, self.runs))
         for group in round:
@@ -81,14 +75,12 @@ class TableMessages:
         return products.reshape(-1, self.runs)
 
     def _normalised(self, messages: Array, outlet: Outlet) -> Array:
-        """Messages (messages, columns, runs) divided by their sums."""
         total = log_sum(messages, 1)
         self._require_possible(total, outlet.senders)
         normalised: Array = messages - total[:, None]
         return normalised
 
     def _require_possible(self, totals: Array, clusters: Integers) -> None:
-        """Refuse sums, (clusters, runs), that are zero."""
         empty = totals == -np.inf
         if empty.any():
             found = [self.storage.graph.clusters[k] for k in clusters.tolist()]
@@ -154,14 +146,7 @@ def _segments(logs: Array, lengths: Integers) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class LoopyBeliefs:
-    """The beliefs that messages make.
-
-    Attributes
-    ----------
-    messages : TableMessages
-    storage : Storage
-    evidence : BoundStates
-    """
+    """The beliefs that messages make."""
 
     messages: TableMessages
     storage: Storage
@@ -171,13 +156,7 @@ class LoopyBeliefs:
 
     @classmethod
     def of(cls, messages: TableMessages) -> LoopyBeliefs:
-        """Multiply the messages into the potentials.
-
-        Raises
-        ------
-        EvidenceError
-            If the evidence has probability zero.
-        """
+        """Multiply the messages into the potentials."""
         tables, totals = messages.beliefs()
         if messages.runs == 1:
             tables = tables[:, 0]
@@ -222,16 +201,10 @@ Kept = tuple[bool, ...]
 class Outlet:
     """Messages of one shape that a group of clusters sends.
 
-    Attributes
-    ----------
-    index : ndarray of int
-        (rows, messages · columns): the entries, of all but one neighbour's product, to sum.
-    columns : ndarray of int
-        (messages, columns): where the messages are kept.
-    order : ndarray of int
-        (messages,): which of the round's messages they are.
-    senders : ndarray of int
-        (messages,): the clusters that send them.
+    index: (rows, messages · columns): the entries, of all but one neighbour's product, to sum.
+    columns: (messages, columns): where the messages are kept.
+    order: (messages,): which of the round's messages they are.
+    senders: (messages,): the clusters that send them.
     """
 
     index: Integers
@@ -244,13 +217,8 @@ class Outlet:
 class Group:
     """Clusters with equally many neighbours and entries, and the messages asked of them.
 
-    Attributes
-    ----------
-    entries : ndarray of int
-        (clusters · entries,): where their tables stand.
-    incoming : ndarray of int
-        (neighbours, clusters · entries): the columns of messages that meet each entry.
-    outlets : sequence of Outlet
+    entries: (clusters · entries,): where their tables stand.
+    incoming: (neighbours, clusters · entries): the columns of messages that meet each entry.
     """
 
     entries: Integers
@@ -259,12 +227,7 @@ class Group:
 
 
 class LoopyPlan:
-    """Lays out rounds of messages of a graph.
-
-    Parameters
-    ----------
-    graph : ClusterGraph
-    """
+    """Lays out rounds of messages of a graph."""
 
     def __init__(self, graph: ClusterGraph) -> None:
         self.storage, self.directed = contiguous(graph), Directed.of(graph)
@@ -322,7 +285,6 @@ class LoopyPlan:
         return Group(np.concatenate(entries), np.concatenate(incoming, axis=1), outlets)
 
     def _incoming(self, cluster: int) -> Integers:
-        """The columns of the messages to a cluster that meet each of its entries."""
         return np.array(
             [
                 self.first[message ^ 1] + self._shape(cluster, message)[1]

@@ -237,7 +237,6 @@ def most_probable(
 
 
 def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable:
-    """The assignment of the hidden variables of a chain, at all steps."""
     bound = bind_chain(graph.model, evidence, graph.steps)
     require_chain(graph, "tables")
     plan = SlicePlan(graph.layout)
@@ -328,7 +327,6 @@ def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
 
 
 def _decode(plan: TreePlan, entry: Integers) -> Integers:
-    """The state of each variable at an entry of its home, (variables, runs)."""
     homes = plan.storage.homes
     scopes = {home: plan.storage.places[home].scope for home in homes.values()}
     strides = np.array([steps(scopes[home], 1)[variable] for variable, home in homes.items()])

@@ -23,16 +23,8 @@ LARGE = 2**13
 class Place:
     """The place of one table.
 
-    Attributes
-    ----------
-    scope : tuple of Discrete
-        Its axes.
-    start : int
-        Its first entry.
-    steps : mapping of Discrete to int
-        How many entries on the next state of a variable is.
-    large : bool
-        Whether it stands by itself and is used where it stands.
+    steps: How many entries on the next state of a variable is.
+    large: Whether it stands by itself and is used where it stands.
     """
 
     scope: States
@@ -87,13 +79,8 @@ class Place:
 class View:
     """A view of a table with its axes in some order.
 
-    Attributes
-    ----------
-    shape : tuple of int
-    start : int
-        Where its first entry is, in bytes, of a single run.
-    strides : tuple of int
-        How many bytes on the next state of each variable is.
+    start: Where its first entry is, in bytes, of a single run.
+    strides: How many bytes on the next state of each variable is.
     """
 
     shape: tuple[int, ...]
@@ -138,15 +125,9 @@ def positions(start: int, step: Mapping[Discrete, int], scope: States) -> Intege
 class Merged:
     """A table with neighbouring axes made one, where they are all wanted or all others.
 
-    Attributes
-    ----------
-    shape : tuple of int
-    others : tuple of int
-        The axes that are not wanted.
-    sizes : tuple of int
-        Of the wanted variables, as they are stored.
-    order : tuple of int
-        The place among these of each wanted variable.
+    others: The axes that are not wanted.
+    sizes: Of the wanted variables, as they are stored.
+    order: The place among these of each wanted variable.
     """
 
     shape: tuple[int, ...]

@@ -39,18 +39,12 @@ class DiscretePosterior(Posterior):
     are exact, of a graph with loops approximate. A variable that is observed in some runs alone
     has one for its state there.
 
-    Of a tree, runs of equal evidence are computed once, and those that differ in pieces, or one by
-    one where less than 64 would fit. Half the ``memory`` given to `pgm.infer`, 128 MiB, is for a
-    piece, whose tables take a fourth of it; the other half for calibrated tables that are kept. Of
-    batches for which that is too little the marginals and the log-evidence are kept, and each joint
-    and belief calibrates the runs again, some after the others; so ask once for a joint of several
-    variables. Likewise each message of a batch above a piece is made anew. An answer that would
-    take more than a gibibyte is refused.
-
-    Attributes
-    ----------
-    graph : ClusterGraph
-    status : Status
+    Of a tree, runs of equal evidence are computed once, those that differ in pieces, or one by one
+    where less than 64 would fit. Half the ``memory`` given to `pgm.infer`, 128 MiB, is for a piece,
+    whose tables take a fourth of it; the other half for calibrated tables that are kept. Of larger
+    batches marginals and log-evidence alone are kept, and each joint, belief or message calibrates
+    the runs again: ask once for a joint of several variables. An answer of more than a gibibyte is
+    refused.
     """
 
     graph: ClusterGraph
@@ -58,13 +52,7 @@ class DiscretePosterior(Posterior):
     _beliefs: TreeBeliefs | FirstBeliefs | LoopyBeliefs
 
     def __getitem__(self, variable: Variable) -> Table:  # type: ignore[override]
-        """The marginal of a variable that is not observed in all runs, (*runs, size).
-
-        Raises
-        ------
-        EvidenceError
-            If the variable is observed or not of the network.
-        """
+        """The marginal of a variable that is not observed in all runs, (*runs, size)."""
         wanted = self._require_hidden(variable)
         return self._table((wanted,), self._beliefs.marginal(wanted))
 
@@ -83,7 +71,6 @@ class DiscretePosterior(Posterior):
         return variable
 
     def _is_observed(self, variable: Variable) -> bool:
-        """Whether it is observed in all runs."""
         state = self._beliefs.evidence.states.get(discrete((variable,))[0])
         return state is not None and bool(np.min(state) >= 0)
 
@@ -94,24 +81,8 @@ class DiscretePosterior(Posterior):
     def joint(self, *variables: Variable) -> Table:  # type: ignore[override]
         """The joint of variables that are not observed in all runs, in the order given.
 
-        Variables of several clusters are joined along the tree between them.
-
-        Parameters
-        ----------
-        *variables : Discrete
-
-        Returns
-        -------
-        Table
-            Probabilities (*runs, size of each variable...).
-
-        Raises
-        ------
-        EvidenceError
-            If one is observed or not of the network, or none is given.
-        GraphError
-            If no cluster of a graph with loops holds them all; if a table on the way is too large,
-            or the joint of all runs.
+        Probabilities (*runs, size of each variable...). Variables of several clusters are joined
+        along the tree between them, as far as the tables on the way are not too large.
         """
         scope: States = tuple(self._require_hidden(v) for v in as_scope(variables))
         if not scope:
@@ -136,20 +107,6 @@ class DiscretePosterior(Posterior):
         Variables whose evidence is one state for all runs are put in; those whose evidence differs
         by run keep their axis. Of a tree its scale carries the evidence that went into it; on a
         graph with loops messages sum to one.
-
-        Parameters
-        ----------
-        source, target : int or Cluster
-
-        Returns
-        -------
-        Table
-            Leading axes are runs.
-
-        Raises
-        ------
-        GraphError
-            If the clusters are not joined, or the messages of all runs are too large.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         if j not in self.graph.neighbours(i):
@@ -169,20 +126,6 @@ class DiscretePosterior(Posterior):
 
         Its axes are as of a message. Of a graph without loops its sum is p(the evidence of the
         cluster's tree): p(evidence), where the graph is one tree.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        Table
-            Leading axes are runs.
-
-        Raises
-        ------
-        GraphError
-            If there is no such cluster, or the beliefs of all runs are too large.
         """
         index = self.graph.index(cluster)
         storage, evidence = self._beliefs.storage, self._beliefs.evidence
@@ -196,20 +139,6 @@ class DiscretePosterior(Posterior):
         """The potential of a cluster: the product of its CPDs, with their evidence put in.
 
         Its axes are as of a message. States that are observed enter all clusters of their variable.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        Table
-            Leading axes are runs.
-
-        Raises
-        ------
-        GraphError
-            If there is no such cluster, or the potentials of all runs are too large.
         """
         index = self.graph.index(cluster)
         storage, evidence = self._beliefs.storage, self._beliefs.evidence
@@ -239,7 +168,7 @@ class DiscretePosterior(Posterior):
 
     @property
     def log_evidence_kind(self) -> str:
-        """The kind of `log_evidence`: exact, of a tree whose messages have settled, or bethe."""
+        """Exact of a tree whose messages have settled, else bethe."""
         return "exact" if self.graph.is_tree and self.status.converged.all() else "bethe"
 
     @property
@@ -267,11 +196,6 @@ def joint(storage: Storage, tables: Array, scope: States) -> Array:
 
     Each cluster's belief given its sepset is multiplied into its parent's, along the smallest
     subtree that holds the variables, and what is not asked for is summed out as soon as may be.
-
-    Raises
-    ------
-    GraphError
-        If a table on the way is too large.
     """
     one = holder(storage, scope)
     if one is not None:
@@ -289,7 +213,6 @@ def joint(storage: Storage, tables: Array, scope: States) -> Array:
 def _of_tree(
     storage: Storage, forest: Forest, tables: Array, scope: States, homes: set[int]
 ) -> Factor:
-    """The joint of variables of one tree."""
     parent = forest.parent
     below: dict[int, int] = {}
     for home in homes:
@@ -356,7 +279,6 @@ def _arranged(factor: Factor, scope: States) -> Array:
 
 
 def _sum(factor: Factor, keep: States) -> Array:
-    """Sum all but some variables out; the axes are in the order of these."""
     scope, values = factor
     total = values.sum(axis=tuple(k for k, v in enumerate(scope) if v not in keep))
     return _arranged((tuple(v for v in scope if v in keep), total), keep)

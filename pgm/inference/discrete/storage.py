@@ -22,14 +22,7 @@ from pgm.variables import Discrete
 
 @dataclass(frozen=True, eq=False)
 class Storage:
-    """The flat array of a graph's tables.
-
-    Attributes
-    ----------
-    graph : ClusterGraph
-    places : sequence of Place
-        Of each cluster.
-    """
+    """The flat array of a graph's tables."""
 
     graph: ClusterGraph
     places: Sequence[Place]

@@ -22,14 +22,7 @@ SMALL = 2**12
 class GatheredSum:
     """Many sums of equal length, of entries anywhere, in one call.
 
-    Attributes
-    ----------
-    index : ndarray of int
-        (rows, sums), or (sums, rows) where `axis` is 1.
-    axis : int
-        The axis that is summed over.
-    target : slice
-        Where the sums go.
+    index: (rows, sums), or (sums, rows) where `axis` is 1.
     """
 
     index: Integers
@@ -59,18 +52,7 @@ class GatheredSum:
 
 @dataclass(frozen=True, eq=False)
 class BlockSum:
-    """A contiguous table, summed to some of its variables in place.
-
-    Attributes
-    ----------
-    entries : slice
-        Of the table.
-    view : Merged
-        Its axes.
-    sums : AxisSums
-    target : slice
-        Where the sums go.
-    """
+    """A contiguous table, summed to some of its variables in place."""
 
     entries: slice
     view: Merged
@@ -101,11 +83,7 @@ Sum = GatheredSum | BlockSum
 def summed(sources: Sequence[tuple[Place, States]], start: int) -> Sum:
     """The sums of some tables, or of a contiguous one, from a place on.
 
-    Parameters
-    ----------
-    sources : sequence of (Place, States)
-        Each to some of its variables, with equally many entries for each entry of these.
-    start : int
+    sources: Each to some of its variables, with equally many entries for each entry of these.
     """
     place, wanted = sources[0]
     return BlockSum.of(place, wanted, start) if place.large else GatheredSum.of(sources, start)
@@ -115,17 +93,8 @@ def summed(sources: Sequence[tuple[Place, States]], start: int) -> Sum:
 class Marginals:
     """The probabilities of all variables, one after the other.
 
-    Attributes
-    ----------
-    sums : sequence of Sum
-    where : mapping of Discrete to slice
-        Where those of each variable stand.
-    first, widths : ndarray of int
-        (variables,): where they begin, and their numbers.
-    count : int
-        Of all.
-    matrix : ndarray or None
-        (length of the storage, count): of zeros and ones, where it is small.
+    first, widths: (variables,): where they begin, and their numbers.
+    matrix: (length of the storage, count): of zeros and ones, where it is small.
     """
 
     sums: Sequence[Sum]
@@ -183,16 +152,8 @@ ENTRIES, SUMS = 128, 8
 class AxisSums:
     """A sum over some axes of a table.
 
-    Attributes
-    ----------
-    shape : tuple of int
-        Of the table, without the axis of runs.
-    axes : tuple of int
-        Those summed over, in rising order.
-    last : ndarray or None
-        A matrix of zeros and ones that sums the last axes, if they have few entries.
-    front : tuple of int
-        The axes before these that are summed over.
+    shape: Of the table, without the axis of runs.
+    last: A matrix of zeros and ones that sums the last axes, if they have few entries.
     """
 
     shape: tuple[int, ...]
@@ -244,12 +205,8 @@ SHORT, WIDE = 8, 128
 class GatheredProduct:
     """Messages to the tables of a stack, of any kind.
 
-    Attributes
-    ----------
-    children : ndarray of int
-        (messages, clusters): the senders, for each cluster of the stack.
-    index : ndarray of int
-        (messages, entries): the columns.
+    children: (messages, clusters): the senders, for each cluster of the stack.
+    index: (messages, entries): the columns.
     """
 
     children: Integers
@@ -272,19 +229,8 @@ class GatheredProduct:
 class BlockProduct:
     """A message to a contiguous table.
 
-    Attributes
-    ----------
-    children : ndarray of int
-        (1, 1): the sender.
-    place : Place
-        Of the table.
-    sepset : tuple of Discrete
-    view : Merged
-        The table's axes.
-    source : slice
-        The columns of the message.
-    wide : int
-        The axis from which on the message of a single run is written out for all entries.
+    children: (1, 1): the sender.
+    wide: The axis from which on the message of a single run is written out for all entries.
     """
 
     children: Integers

@@ -23,14 +23,7 @@ from pgm.variables import Discrete
 
 @dataclass(frozen=True, eq=False)
 class TreeBeliefs:
-    """The calibrated beliefs of a graph without loops.
-
-    Attributes
-    ----------
-    plan : TreePlan
-    storage : Storage
-    evidence : BoundStates
-    """
+    """The calibrated beliefs of a graph without loops."""
 
     plan: TreePlan
     storage: Storage
@@ -45,15 +38,7 @@ class TreeBeliefs:
 
     @classmethod
     def of(cls, graph: ClusterGraph, evidence: BoundStates, room: Room) -> TreeBeliefs:
-        """Calibrate a graph without loops.
-
-        Raises
-        ------
-        GraphError
-            If its tables are too large, or the marginals of all runs.
-        EvidenceError
-            If the evidence has probability zero.
-        """
+        """Calibrate a graph without loops."""
         distinct = Distinct.of(evidence)
         runs = distinct.evidence.runs
         plan = plan_for(graph, runs, room.batch)
@@ -114,7 +99,6 @@ class TreeBeliefs:
 
     @cached_property
     def _whole(self) -> TreeMessages:
-        """The messages of all runs, where they fit at once."""
         return TreeMessages(self.storage, self._distinct.evidence)
 
     def message(self, source: int, target: int) -> tuple[Array, Array]:
@@ -135,10 +119,7 @@ class TreeBeliefs:
 class _Gathered:
     """The results of batches of runs, (..., [runs]), gathered in one array.
 
-    Parameters
-    ----------
-    runs : int
-        Of all; of a single one there is no axis.
+    runs: Of all; of a single one there is no axis.
     """
 
     whole: Array
@@ -148,7 +129,6 @@ class _Gathered:
         self.done = 0
 
     def add(self, values: Array, runs: int) -> None:
-        """Add the tables of the next runs."""
         if runs == self.runs:
             self.whole = values
             return

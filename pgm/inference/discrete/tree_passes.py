@@ -21,17 +21,11 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp, l
 class Entry:
     """The tables with which a pass to the roots begins.
 
-    Attributes
-    ----------
-    tables : ndarray
-        (entries + columns, [runs]): of the clusters, and room for the sepsets behind them.
-    potentials : ndarray
-        (entries, [1]): without evidence.
-    entered : int
-        The set of the stacks whose tables hold potentials times evidence; others are empty, and
-        have no evidence of their own.
-    active : int
-        The set of the stacks that send messages to the roots. Those of others are one: their
+    tables: (entries + columns, [runs]): of the clusters, and room for the sepsets behind them.
+    potentials: (entries, [1]): without evidence.
+    entered: The set of the stacks whose tables hold potentials times evidence; others are empty,
+        and have no evidence of their own.
+    active: The set of the stacks that send messages to the roots. Those of others are one: their
         potentials are probabilities given the sepsets to their parents, and below them there is no
         evidence.
     """
@@ -46,12 +40,8 @@ class Entry:
 class Collected:
     """The tables that a pass to the roots leaves.
 
-    Attributes
-    ----------
-    messages : ndarray
-        (columns, [runs]): what was summed from the tables.
-    tops : ndarray
-        (tops, [runs]): the scales taken out of messages, whose product is p(evidence).
+    messages: (columns, [runs]): what was summed from the tables.
+    tops: (tops, [runs]): the scales taken out of messages, whose product is p(evidence).
     """
 
     messages: Array
@@ -192,13 +182,9 @@ def conditionals(graph: ClusterGraph, plan: TreePlan) -> Array | None:
 class Calibrated:
     """Probabilities of a tree given evidence.
 
-    Attributes
-    ----------
-    tables : ndarray
-        (entries + columns, [runs]): of the clusters, then of the sepsets.
-    log_tops : ndarray
-        (tops, [runs]): logarithms of scales, whose sum over a tree is its ln p(evidence); −∞ where
-        that is impossible.
+    tables: (entries + columns, [runs]): of the clusters, then of the sepsets.
+    log_tops: (tops, [runs]): logarithms of scales, whose sum over a tree is its ln p(evidence); −∞
+        where that is impossible.
     """
 
     tables: Array
@@ -235,11 +221,6 @@ class TreeMessages:
     """Messages of a graph without loops, each from the potential and the other messages.
 
     All are logarithms, with an axis for each variable, and one of runs.
-
-    Parameters
-    ----------
-    storage : Storage
-    evidence : BoundStates
     """
 
     def __init__(self, storage: Storage, evidence: BoundStates) -> None:

@@ -42,27 +42,14 @@ class Stack:
 
     A column is an entry of the sepset to the parent; a root has one, of an empty sepset.
 
-    Attributes
-    ----------
-    clusters : ndarray of int
-    bit : int
-        The one bit that stands for the stack in sets of stacks.
-    entries, columns, tops : slice
-        Where their tables, the columns of their messages, and the scales taken out of these stand:
-        one for each cluster, and of a hub, which has so many children that its table is rescaled
-        in between, one more for each time.
-    shape : tuple of int
-        Of their tables as one matrix: (rows, columns), or (columns, rows) where `axis` is 1.
-    axis : int
-        The axis of the rows.
-    first, widths : ndarray of int
-        Of each cluster, its first column in the stack and their number.
-    absorbed : sequence of Product
-        Messages from the children.
-    senders : sequence of int
-        For each of these, the set of the stacks that send them.
-    down : Sum or None
-        Sums the parents' tables to the columns; of roots None.
+    bit: The one bit that stands for the stack in sets of stacks.
+    entries, columns, tops: Where their tables, the columns of their messages, and the scales taken
+        out of these stand: one for each cluster, and of a hub, which has so many children that its
+        table is rescaled in between, one more for each time.
+    shape: Of their tables as one matrix: (rows, columns), or (columns, rows) where `axis` is 1.
+    first, widths: Of each cluster, its first column in the stack and their number.
+    senders: For each of these, the set of the stacks that send them.
+    down: Sums the parents' tables to the columns; of roots None.
     """
 
     clusters: Integers
@@ -115,22 +102,10 @@ class Stack:
 class TreePlan:
     """The stacks of a graph without loops.
 
-    Attributes
-    ----------
-    storage : Storage
-    forest : Forest
-    stacks : sequence of Stack
-        The roots first, parents before children.
-    sepsets : sequence of tuple of Discrete
-        Of each cluster and its parent, in the order of the message's columns.
-    columns : int
-        Columns of all messages.
-    tops : int
-        Scales taken out of all messages.
-    first : ndarray of int
-        (clusters,): the first column of each cluster's message to its parent.
-    large : int
-        Tables of so many entries stand by themselves.
+    stacks: The roots first, parents before children.
+    sepsets: Of each cluster and its parent, in the order of the message's columns.
+    first: (clusters,): the first column of each cluster's message to its parent.
+    large: Tables of so many entries stand by themselves.
     """
 
     storage: Storage
@@ -209,13 +184,7 @@ SMALL = 2**12
 
 
 def plan_for(graph: ClusterGraph, runs: int, batch: int) -> TreePlan:
-    """The passes over a graph without loops, laid out once for one run and once for many.
-
-    Raises
-    ------
-    GraphError
-        If its tables are too large.
-    """
+    """The passes over a graph without loops, laid out once for one run and once for many."""
     if runs == 1 or at_once(sum(graph.sizes), batch) == 1:
         return graph.derived(make_plan, LARGE)
     return graph.derived(make_plan, LARGE_OF_MANY)
@@ -224,29 +193,17 @@ def plan_for(graph: ClusterGraph, runs: int, batch: int) -> TreePlan:
 def make_plan(graph: ClusterGraph, large: int) -> TreePlan:
     """Lay out the passes over a graph without loops.
 
-    Parameters
-    ----------
-    graph : ClusterGraph
-    large : int
-        Tables of so many entries stand by themselves.
-
-    Raises
-    ------
-    GraphError
-        If its tables are too large.
+    large: Tables of so many entries stand by themselves.
     """
     require_size(graph, graph.sizes, "tables")
     return _Planner(graph, large).plan()
 
 
 def _union(sets: Iterable[int]) -> int:
-    """The union of sets of stacks."""
     return reduce(or_, sets, 0)
 
 
 class _Planner:
-    """The working place of `make_plan`."""
-
     def __init__(self, graph: ClusterGraph, large: int) -> None:
         self.graph, self.large, self.forest = graph, large, graph.derived(Forest.of)
         shared = [sepset_between(graph, *edge) for edge in enumerate(self.forest.parent.tolist())]
@@ -278,7 +235,6 @@ class _Planner:
         return self.graph.sizes[cluster] // self.width[cluster]
 
     def _kind(self, cluster: int) -> tuple[int, ...]:
-        """The shape that clusters of one stack have in common."""
         parent = int(self.forest.parent[cluster])
         above = self.graph.sizes[parent] // self.width[cluster] if parent >= 0 else 0
         depth, children = int(self.forest.depth[cluster]), len(self.forest.children[cluster])
@@ -343,7 +299,6 @@ class _Planner:
     def _absorbed(
         self, clusters: list[int], storage: Storage, start: int, entries: int
     ) -> list[Product]:
-        """The column of each child's message that meets each entry."""
         only = storage.places[clusters[0]]
         if only.large:
             return [
@@ -364,7 +319,6 @@ class _Planner:
         return [GatheredProduct(senders[some], maps[some]) for some in chunks]
 
     def _down(self, clusters: list[int], storage: Storage) -> Sum | None:
-        """The sums of the parents' tables to the columns of a stack."""
         parent = int(self.forest.parent[clusters[0]])
         if parent < 0:
             return None

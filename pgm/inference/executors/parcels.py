@@ -30,16 +30,7 @@ AnyArray = npt.NDArray[Any]
 class _Place(NamedTuple):
     """An array: the memory it is in, and how it is seen.
 
-    Attributes
-    ----------
-    memory : ndarray, Name or None
-        The memory itself, contiguous; the block that has it; None for the parcel's own.
-    offset : int
-        In bytes.
-    dtype : dtype
-    strides, shape : tuple of int
-        Of the array, over its memory.
-    writeable : bool
+    memory: The memory itself, contiguous; the block that has it; None for the parcel's own.
     """
 
     memory: AnyArray | Name | None
@@ -68,14 +59,9 @@ class Pickle(NamedTuple):
 class Parcel:
     """Pickles whose large arrays are put in one piece of memory, or stay where they are shared.
 
-    Parameters
-    ----------
-    apart : bool
-        Whether there is memory to put them in; they are in the pickles otherwise.
-    shared : bool
-        Whether several processes see that memory: those that can be written to do not go there.
-    room : Room, optional
-        Shared memory, of whose arrays only the places travel.
+    apart: Whether there is memory to put them in; they are in the pickles otherwise.
+    shared: Whether several processes see that memory: those that can be written to do not go there.
+    room: Shared memory, of whose arrays only the places travel.
     """
 
     def __init__(self, *, apart: bool, shared: bool = False, room: Room | None = None) -> None:
@@ -171,7 +157,6 @@ def refuse(named: Sequence[Any], error: Exception) -> ModelError:
 
 
 def _fault(value: Any) -> str | None:
-    """Why a value cannot be pickled; None if it can."""
     try:
         pickle.dumps(value)
     except Exception as error:

@@ -34,14 +34,7 @@ Job = TypeVar("Job")
 class Task:
     """A job on its way.
 
-    Attributes
-    ----------
-    runs : slice
-        The runs that it is about.
-    future : Future
-        Of a `Done`, or of the pickle of one and the bytes of its large arrays.
-    answer : Block or None
-        Where these are.
+    future: Of a `Done`, or of the pickle of one and the bytes of its large arrays.
     """
 
     runs: slice
@@ -67,21 +60,8 @@ class Task:
 class Workers:
     """The workers of an executor, or the caller alone.
 
-    Parameters
-    ----------
-    executor : Executor or None
-
-    Attributes
-    ----------
-    count : int
-        How many parts they can do at a time; a guess, where the executor does not say.
-    shares : bool
-        Whether they can write into a `room`.
-
-    Raises
-    ------
-    ModelError
-        If it is no executor.
+    count: How many parts they can do at a time; a guess, where the executor does not say.
+    shares: Whether they can write into a `room`.
     """
 
     def __init__(self, executor: Any) -> None:
@@ -118,24 +98,8 @@ class Workers:
     ) -> Iterator[Done]:
         """The results of jobs, in their order; without an executor errors are raised at once.
 
-        Parameters
-        ----------
-        work : callable
-            A function of a module.
-        jobs : sequence
-        runs : sequence of slice
-            What each is about.
-        large : bool
-            Whether the results have large arrays.
-        named : sequence of object
-            Parts of the jobs, one of which is named if it cannot be pickled.
-
-        Raises
-        ------
-        ModelError
-            If what has to be pickled cannot be; nothing has been handed out then.
-        ExecutorError
-            If the executor takes no work, or a worker dies.
+        work: A function of a module.
+        named: Parts of the jobs, one of which is named if it cannot be pickled.
         """
         if self._executor is None:
             yield from (Done(work(job)) for job in jobs)
@@ -223,16 +187,7 @@ class RemoteTraceback(Exception):
 class Done(NamedTuple):
     """The answer of a worker.
 
-    Attributes
-    ----------
-    value : object
-        What the work returned; None, if it failed.
-    error : Exception or None
-        The work's own error.
-    trace : str
-        Where it was raised, in another process.
-    warned : sequence
-        The warnings there: message, category, file, line.
+    warned: The warnings there: message, category, file, line.
     """
 
     value: Any
@@ -263,19 +218,9 @@ def here(work: Callable[[Any], Any], job: Any) -> Done:
 def there(data: bytes, own: Name | None, answer: Name | None) -> tuple[bytes, int]:
     """Work done in another process.
 
-    Parameters
-    ----------
-    data : bytes
-        The pickle of work and job.
-    own, answer : Name or None
-        The memory of its large arrays, and that for those of the result.
+    own, answer: The memory of its large arrays, and that for those of the result.
 
-    Returns
-    -------
-    bytes
-        The pickle of a `Done`.
-    int
-        The bytes of its large arrays.
+    Returns: The pickle of a `Done`. The bytes of its large arrays.
     """
     try:
         work, job = loads(data, None if own is None else seen(own))

@@ -108,12 +108,8 @@ class Beliefs:
     def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
         """Means (runs, ..., n) and covariances (V, ..., n, n) as the user knows them.
 
-        Parameters
-        ----------
-        where, entries : ndarray of int
-            (..., n) and (..., n, n): of the means and covariances.
-        places : ndarray of int
-            (..., n): the components.
+        where, entries: (..., n) and (..., n, n): of the means and covariances.
+        places: (..., n): the components.
         """
         scale = self.frame.scale[places]
         mean = self.frame.mean[:, places] + scale * runs_first(self.mean[:, where])

@@ -20,18 +20,11 @@ from pgm.kernels.rows import Eliminated, Rows, eliminate
 class Buffer:
     """Factors and messages as rows; see `Rounds` for where they stand.
 
-    Attributes
-    ----------
-    rounds : Rounds
-    model : Model
-    proper : Flat
-        V runs with a matrix each and N = 1, or V = 1 matrix for all of N runs.
-    exact : Flat or None
-        The same for exact relations; None where there are none.
-    log_scale : ndarray
-        (V, clusters + messages + 1, N); the last is zero.
-    coarse, largest : float
-        The largest of the factors' `coarse`, and of their entries and all eliminations' `largest`.
+    proper: V runs with a matrix each and N = 1, or V = 1 matrix for all of N runs.
+    exact: The same for exact relations; None where there are none.
+    log_scale: (V, clusters + messages + 1, N); the last is zero.
+    coarse, largest: The largest of the factors' `coarse`, and of their entries and all
+        eliminations' `largest`.
     """
 
     rounds: Rounds

@@ -35,14 +35,9 @@ ROUNDED = Decimal(2) ** -51
 class Read(NamedTuple):
     """The outcome of conditioning on a component.
 
-    Attributes
-    ----------
-    log_density : ndarray
-        ln p of its values, (V, N').
-    contradiction : ndarray of bool
-        (V, N'): where they contradict the model.
-    moved : ndarray
-        (V,): by how much the columns beyond N' together may move ln p.
+    log_density: ln p of its values, (V, N').
+    contradiction: (V, N'): where they contradict the model.
+    moved: (V,): by how much the columns beyond N' together may move ln p.
     """
 
     log_density: Array
@@ -54,16 +49,11 @@ class Read(NamedTuple):
 class Joint:
     """The joint of components so far: V runs with a covariance each, or V = 1 for all runs.
 
-    Attributes
-    ----------
-    mean : Decimals
-        (V, size, N): columns that go through everything as a mean does.
-    cov : Decimals
-        (V, size, size).
-    edge : Decimals
-        (V, size): deviations of the prior, all summands taken as positive.
-    nothing : Decimal
-        The share of a variance of such a deviation below which a number is rounding of the digits.
+    mean: (V, size, N): columns that go through everything as a mean does.
+    cov: (V, size, size).
+    edge: (V, size): deviations of the prior, all summands taken as positive.
+    nothing: The share of a variance of such a deviation below which a number is rounding of the
+        digits.
     """
 
     mean: Decimals

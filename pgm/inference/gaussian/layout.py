@@ -46,20 +46,10 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
 class Group:
     """CPDs that are copies of one, with the same parents hidden: one linearisation, many rows.
 
-    Attributes
-    ----------
-    cpds : tuple of CPD
-        One a row.
-    hidden : tuple of Variable
-        The first one's parents without evidence.
-    observed : bool
-        Whether the children have evidence.
-    child : ndarray of int
-        (rows, d): where each child stands among all hidden components; (rows, 0) if observed.
-    parents : ndarray of int
-        (rows, n): where the hidden parents stand.
-    clusters : ndarray of int
-        (rows,): the cluster that each CPD is assigned to.
+    cpds: One a row.
+    child: (rows, d): where each child stands among all hidden components; (rows, 0) if observed.
+    parents: (rows, n): where the hidden parents stand.
+    clusters: (rows,): the cluster that each CPD is assigned to.
     """
 
     cpds: tuple[ConditionalGaussian, ...]
@@ -90,12 +80,7 @@ class Layout:
 
     Made once for each set of observed variables; see `ClusterGraph.derived`.
 
-    Attributes
-    ----------
-    graph : ClusterGraph
-    observed : frozenset of Variable
-    absent : frozenset of Variable
-        What is left out; see `barren`.
+    absent: What is left out; see `barren`.
     """
 
     graph: ClusterGraph

@@ -58,7 +58,7 @@ class RowMessages:
         return self.buffer.model.runs
 
     def round(self, messages: Sequence[int]) -> RowRound:
-        """Lay out the computation of some messages, in stacks of one shape."""
+        """Lay out some messages, in stacks of one shape."""
         return RowRound(list(messages), self.buffer.rounds.messages(messages))
 
     def propose(self, round: RowRound) -> Array:

@@ -33,14 +33,9 @@ class Frame:
     About the prior predictive means, in its standard deviations, large coordinates cost no digits
     and units do not matter.
 
-    Attributes
-    ----------
-    mean : ndarray
-        (runs, size).
-    scale : ndarray
-        (size,).
-    certain : ndarray of bool
-        (size,): which have no variance at all, so that ξ is zero.
+    mean: (runs, size).
+    scale: (size,).
+    certain: (size,): which have no variance at all, so that ξ is zero.
     """
 
     mean: Array
@@ -59,17 +54,10 @@ def prior_predictive(
 
     The joint covariance of just those variables is kept that later CPDs need.
 
-    Parameters
-    ----------
-    layout : Layout
-    families : list of Family
-        One a group; nonlinear ones are linearised here, unless there is a start, at which they
-        are already.
-    runs : int
-    shared : bool
-        Whether all runs have one covariance.
-    start : ndarray, optional
-        (runs, size): the means of the frame, in place of the prior predictive ones; those of NaN
+    families: One a group; nonlinear ones are linearised here, unless there is a start, at which
+        they are already.
+    shared: Whether all runs have one covariance.
+    start: (runs, size): the means of the frame, in place of the prior predictive ones; those of NaN
         follow from their parents.
     """
     mean = np.empty((runs, layout.size)) if start is None else start.copy()
@@ -115,7 +103,6 @@ class _Frontier:
         self.free = list(range(8))
 
     def covariance(self, places: Integers) -> tuple[Array, Array]:
-        """The covariance of some components, and theirs with everything."""
         rows = [self.slots[int(place)] for place in places]
         across = self.cov[:, rows]
         return across[:, :, rows], across
@@ -134,7 +121,6 @@ class _Frontier:
         self.cov[:, np.array(rows)[:, None], rows] = own
 
     def drop(self, places: list[int]) -> None:
-        """Forget components that nothing needs any more."""
         rows = [self.slots.pop(place) for place in dict.fromkeys(places)]
         self.cov[:, rows, :] = 0.0
         self.cov[:, :, rows] = 0.0
@@ -148,29 +134,18 @@ Kind = TypeVar("Kind", np.float64, np.bool_)
 class Model:
     """The CPDs of a network, linearised, and the evidence of its observed children.
 
-    Attributes
-    ----------
-    layout : Layout
-    lead : tuple of int
-        The axes of runs.
-    families : list of Family
-        One a group of the layout; a row is a CPD.
-    readings : list of ndarray or None
-        For each group with observed children their values, (CPDs, runs or 1, d).
-    moved : list of ndarray or None
-        The same, (CPDs, runs, d), with angles on the branch nearest the CPD's value at the point
+    families: One a group of the layout; a row is a CPD.
+    readings: For each group with observed children their values, (CPDs, runs or 1, d).
+    moved: The same, (CPDs, runs, d), with angles on the branch nearest the CPD's value at the point
         of linearisation.
-    taken : list of ndarray of bool or None
-        For each group the components of these that are not missing, (CPDs, runs or 1, d); None
+    taken: For each group the components of these that are not missing, (CPDs, runs or 1, d); None
         where none is missing.
-    shared : bool
-        Whether all runs have the same matrices and covariances, and the same components observed.
-    frame : Frame
-    points : list of (ndarray, ndarray)
-        For each group, where its CPDs were linearised last: the means and deviations of their
+    shared: Whether all runs have the same matrices and covariances, and the same components
+        observed.
+    points: For each group, where its CPDs were linearised last: the means and deviations of their
         hidden parents, (CPDs, runs, n).
-    first : bool
-        Whether that was at the prior's moments or at a start, which may be far from the posterior.
+    first: Whether that was at the prior's moments or at a start, which may be far from the
+        posterior.
     """
 
     layout: Layout
@@ -195,15 +170,8 @@ class Model:
     ) -> Model:
         """Bind evidence, and linearise at the prior predictive moments or at a start.
 
-        Parameters
-        ----------
-        layout : Layout
-        bound : BoundValues
-        lineariser : Lineariser
-        start : ndarray, optional
-            (runs, size): means of all hidden parents.
-        predictive : callable
-            How the prior's moments are found, where there is no start.
+        start: (runs, size): means of all hidden parents.
+        predictive: How the prior's moments are found, where there is no start.
         """
         for group in layout.groups:
             for cpd in group.cpds:
@@ -262,15 +230,10 @@ class Model:
     ) -> None:
         """Linearise every nonlinear CPD at a belief, one call a group.
 
-        Parameters
-        ----------
-        mean : ndarray
-            (runs, size): of all hidden components; angles of evidence move to their branch.
-        parents : sequence of (ndarray, ndarray) or None
-            For each group with nonlinear CPDs the mean (CPDs, runs, n) and covariance of their
+        mean: (runs, size): of all hidden components; angles of evidence move to their branch.
+        parents: For each group with nonlinear CPDs the mean (CPDs, runs, n) and covariance of their
             hidden parents.
-        active : ndarray of bool
-            (runs,): which runs take the new linearisation.
+        active: (runs,): which runs take the new linearisation.
         """
         for g, (family, at) in enumerate(zip(self.families, parents, strict=True)):
             if at is not None:
@@ -283,7 +246,6 @@ class Model:
         self.first = False
 
     def _follow(self, mean: Array, active: Mask) -> None:
-        """Keep the angles of values and evidence on the chart of given means."""
         groups = zip(self.layout.groups, self.families, self.readings, self.moved, strict=True)
         for k, (group, family, reading, kept) in enumerate(groups):
             angles = group.cpds[0].child.angle_mask
@@ -312,7 +274,6 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
 
 
 def _taken(group: Group, bound: BoundValues) -> Mask | None:
-    """The mask of components of a group's children that were observed; None for all."""
     children = [cpd.child for cpd in group.cpds]
     if bound.taken.keys().isdisjoint(children):
         return None
@@ -323,7 +284,6 @@ def _taken(group: Group, bound: BoundValues) -> Mask | None:
 def _stacked(
     variables: Sequence[Variable], rows: Mapping[Variable, npt.NDArray[Kind]]
 ) -> npt.NDArray[Kind]:
-    """The rows of some variables, (variables, runs or 1, d)."""
     values = [rows[v] for v in variables]
     runs = max(value.shape[0] for value in values)
     return np.stack([np.broadcast_to(value, (runs, value.shape[1])) for value in values])

@@ -35,11 +35,6 @@ class GaussianPosterior(Posterior):
     ``posterior[x]`` and ``posterior.joint(x, y)`` are a `Gaussian`. Of a tree they are exact for
     the (linearised) network; of a graph with loops the means are, where the messages have
     converged, and variances are approximate: too small or too large.
-
-    Attributes
-    ----------
-    graph : ClusterGraph
-    status : Status
     """
 
     graph: ClusterGraph
@@ -55,13 +50,7 @@ class GaussianPosterior(Posterior):
 
     @quiet()
     def __getitem__(self, variable: Variable) -> Gaussian:  # type: ignore[override]
-        """The marginal of a variable without evidence, (*runs, d).
-
-        Raises
-        ------
-        EvidenceError
-            If the variable is observed or not of the network.
-        """
+        """The marginal of a variable without evidence, (*runs, d)."""
         places = self._require_hidden(variable)
         cluster, _ = self._done.beliefs.places.homes
         return self._read((variable,), int(cluster[places[0]]))
@@ -106,25 +95,9 @@ class GaussianPosterior(Posterior):
 
     @quiet()
     def joint(self, *variables: Variable) -> Gaussian:  # type: ignore[override]
-        """The joint of variables without evidence, in the order given.
+        """The joint of variables without evidence, in the order given, (*runs, n).
 
         Variables of several clusters are joined along the tree between them.
-
-        Parameters
-        ----------
-        *variables : Variable
-
-        Returns
-        -------
-        Gaussian
-            (*runs, n).
-
-        Raises
-        ------
-        EvidenceError
-            If one is observed or not of the network, or none is given.
-        GraphError
-            If no cluster of a graph with loops holds them all, or the covariance would not fit.
         """
         scope = as_scope(variables)
         if not scope:
@@ -162,23 +135,7 @@ class GaussianPosterior(Posterior):
         """The message from one cluster to a neighbour, over their sepset.
 
         Of a tree its g carries the evidence that went into it; on a graph with loops its scale
-        has no meaning.
-
-        Parameters
-        ----------
-        source, target : int or Cluster
-
-        Returns
-        -------
-        CanonicalForm
-            Leading axes are runs.
-
-        Raises
-        ------
-        GraphError
-            If the clusters are not joined.
-        NumericalError
-            If the message has no canonical form, since CPDs without noise determine it.
+        has no meaning. Where CPDs without noise determine it, it has no canonical form.
         """
         i, j = self.graph.index(source), self.graph.index(target)
         edges, edge = list(self.graph.sepsets), (min(i, j), max(i, j))
@@ -194,48 +151,14 @@ class GaussianPosterior(Posterior):
 
     @quiet()
     def belief(self, cluster: int | Cluster) -> CanonicalForm:
-        """The belief of a cluster over its variables without evidence, unnormalised.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        CanonicalForm
-            Leading axes are runs.
-
-        Raises
-        ------
-        GraphError
-            If there is no such cluster.
-        NumericalError
-            If the belief has no canonical form, since its covariance is singular.
-        """
+        """The belief of a cluster over its variables without evidence, unnormalised."""
         index = self.graph.index(cluster)
         found, scope = self._messages.belief(index), self._plan.layout.scopes[index]
         return self._form(*found, scope, f"the belief of cluster {index}", index)
 
     @quiet()
     def potential(self, cluster: int | Cluster) -> CanonicalForm:
-        """The potential of a cluster: its CPDs as they were linearised, with their evidence.
-
-        Parameters
-        ----------
-        cluster : int or Cluster
-
-        Returns
-        -------
-        CanonicalForm
-            Leading axes are runs.
-
-        Raises
-        ------
-        GraphError
-            If there is no such cluster.
-        NumericalError
-            If it has no canonical form, since a noise is singular.
-        """
+        """The potential of a cluster: its CPDs as they were linearised, with their evidence."""
         index = self.graph.index(cluster)
         found, scope = self._messages.potential(index), self._plan.layout.scopes[index]
         return self._form(*found, scope, f"the potential of cluster {index}", index)

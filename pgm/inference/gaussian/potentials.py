@@ -55,16 +55,11 @@ class Potentials:
     The first axis are runs, V of them, and the last right sides, N: where all runs share their
     matrices V is 1 and each run is a right side; else each run has a matrix and N is 1.
 
-    Attributes
-    ----------
-    proper : Flat
-    exact : Flat or None
-        Rows without noise in the same places; None where there are none.
-    log_scale : ndarray
-        (V, CPDs, N).
-    coarse : float
-        The largest of the numbers that residuals are differences of, over the noise's deviations or
-        over a relation's size; infinite where a component may be certain by rounding alone.
+    exact: Rows without noise in the same places; None where there are none.
+    log_scale: (V, CPDs, N).
+    coarse: The largest of the numbers that residuals are differences of, over the noise's
+        deviations or over a relation's size; infinite where a component may be certain by rounding
+        alone.
     """
 
     proper: Flat
@@ -98,20 +93,12 @@ def make_potentials(model: Model) -> Potentials:
 class _Linearised(NamedTuple):
     """CPDs of one shape, about a frame: e + s_y ξ_y − F s_p ξ_p ~ N(0, Σ); CPDs first.
 
-    Attributes
-    ----------
-    matrix : ndarray
-        [s_y, −F s_p], (CPDs, V, d, w); without s_y where the children are observed.
-    residual, noise : ndarray
-        e (CPDs, runs, d) and Σ (CPDs, V, d, d).
-    known : ndarray of bool
-        Which columns are of certain parents, (CPDs, w).
-    size : ndarray
-        Of the numbers that the residuals are sums of, (CPDs, runs, d).
-    missing : ndarray of int
-        Components of evidence that are missing, and say nothing with unit variance, (CPDs, V).
-    doubtful : ndarray of bool
-        Whether a child is certain though a parent is not: what cancels may not do so exactly,
+    matrix: [s_y, −F s_p], (CPDs, V, d, w); without s_y where the children are observed.
+    residual, noise: e (CPDs, runs, d) and Σ (CPDs, V, d, d).
+    known: Which columns are of certain parents, (CPDs, w).
+    size: Of the numbers that the residuals are sums of, (CPDs, runs, d).
+    missing: Components of evidence that are missing, and say nothing with unit variance, (CPDs, V).
+    doubtful: Whether a child is certain though a parent is not: what cancels may not do so exactly,
         (CPDs,).
     """
 
@@ -125,7 +112,6 @@ class _Linearised(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, g: int) -> _Linearised:
-        """Of a group."""
         frame, runs = model.frame, 1 if model.shared else model.runs
         group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
         at = frame.mean[:, group.parents].swapaxes(0, 1)

@@ -18,22 +18,14 @@ from pgm.kernels.arrays import Integers
 class Stack:
     """Eliminations of one shape: messages that some clusters send, or the beliefs of clusters.
 
-    Attributes
-    ----------
-    members : ndarray of int
-        (B,): the messages, or the clusters.
-    clusters : ndarray of int
-        (B,): the clusters whose factors are taken.
-    drop : int
-        How many of a cluster's columns are integrated out.
-    components : ndarray of int
-        (B, n): the columns' places among all hidden components, those to be dropped first.
-    columns : ndarray of int
-        (B, n): where they stand in the cluster's scope.
-    entries, rows : ndarray of int
-        (B, k, n) and (B, k): which entries and right sides of the buffer the factor is made of.
-    logs : ndarray of int
-        (B, 1 + inputs): which log-scales add up: the cluster's, then its messages'.
+    members: (B,): the messages, or the clusters.
+    clusters: (B,): the clusters whose factors are taken.
+    drop: How many of a cluster's columns are integrated out.
+    components: (B, n): the columns' places among all hidden components, those to be dropped first.
+    columns: (B, n): where they stand in the cluster's scope.
+    entries, rows: (B, k, n) and (B, k): which entries and right sides of the buffer the factor is
+        made of.
+    logs: (B, 1 + inputs): which log-scales add up: the cluster's, then its messages'.
     """
 
     members: Integers

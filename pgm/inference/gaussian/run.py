@@ -91,7 +91,6 @@ def _plan(
 
 
 def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
-    """The posterior of a graph of any shape."""
     graph, model = plan.layout.graph, buffer.model
     messages = RowMessages.make(buffer, plan.places, schedule.damping)
     status = run_loopy(messages, schedule, model.lead)
@@ -100,13 +99,10 @@ def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianPosterior:
 
 @dataclass(frozen=True, eq=False)
 class _Tree:
-    """A tree as a problem to be iterated on."""
-
     model: Model
     solver: Callable[[], Calibrated]
 
     def linearise(self, at: TreePoint, active: Mask) -> None:
-        """Linearise every CPD at its cluster's belief, for the runs that are active."""
         relinearise(at.beliefs, self.model, active)
 
     def settled(self) -> bool:
@@ -114,7 +110,6 @@ class _Tree:
         return True
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
-        """Calibrate the tree as everything is linearised."""
         return self.solver()
 
 
@@ -132,7 +127,6 @@ def _iterated(
 
 
 def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
-    """The same as `calibrate` in as many digits as it takes."""
     found = careful.solve(plan, model)
     return Calibrated(found.beliefs, found.log_evidence, found.digits)
 

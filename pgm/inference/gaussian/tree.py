@@ -96,10 +96,7 @@ class TreePlan:
 class TreeBeliefs(Beliefs):
     """Moments of a tree's clusters, and how each follows from its parent's.
 
-    Attributes
-    ----------
-    gains : list of list of ndarray
-        For each stack of the plan's levels but the last, (V, B, r, s).
+    gains: For each stack of the plan's levels but the last, (V, B, r, s).
     """
 
     gains: list[list[Array]]

@@ -23,14 +23,7 @@ _DOUBT = 20.0
 
 
 class Cut(NamedTuple):
-    """The belief of which the most may have been cut off.
-
-    Attributes
-    ----------
-    share : float
-        Of the belief, as an estimate; 1 where all of it may be.
-    step : int
-    """
+    """The belief of which the most may have been cut off."""
 
     share: float
     step: int
@@ -42,10 +35,6 @@ class Tails:
     What was cut is taken to become as much likelier as the last cells within. If the model is true
     these gains are a martingale: that they make a share of ε of one of 10⁻³ has a probability of
     10³ε at the most (Ville's inequality).
-
-    Parameters
-    ----------
-    lattice : Lattice
     """
 
     def __init__(self, lattice: Lattice) -> None:
@@ -83,7 +72,6 @@ class Tails:
         return float(self._share.max(initial=0.0, where=self._open))
 
     def _at(self, marginals: list[Array]) -> Array:
-        """The shares (axes, 2) of the last cells."""
         return np.array(
             [
                 each[cells] / max(float(each.sum()), 1e-300)
@@ -95,14 +83,9 @@ class Tails:
 def doubtful(log_density: float, ceiling: float, components: int) -> bool:
     """Whether evidence is so unlikely that what was cut might explain it better.
 
-    Parameters
-    ----------
-    log_density : float
-        ln p(measurements of a step | those before).
-    ceiling : float
-        The logarithm of the density of residuals that are all zero.
-    components : int
-        How many numbers were measured; true residuals have half their number as exponent.
+    log_density: ln p(measurements of a step | those before).
+    ceiling: The logarithm of the density of residuals that are all zero.
+    components: How many numbers were measured; true residuals have half their number as exponent.
     """
     usual = max(0.5 * components - math.sqrt(2.0 * components), 0.0)
     return log_density < ceiling - usual - _DOUBT

@@ -48,12 +48,7 @@ _UNEVEN = 0.5
 class Uneven(NamedTuple):
     """The density whose sums over centres differ the most with where between centres it stands.
 
-    Attributes
-    ----------
-    share : float
-        By how much they differ: of one.
-    variable : Variable or None
-    step : int
+    share: By how much they differ: of one.
     """
 
     share: float
@@ -68,17 +63,8 @@ EVEN = Uneven(0.0, None, 0)
 class Dense:
     """Weights from each cell to each along some axes, for each cell of those depended on.
 
-    Attributes
-    ----------
-    axes : tuple of int
-        Those that are moved.
-    by : tuple of int
-        The other axes on which they depend, ascending; G is the number of their cells.
-    weights : ndarray
-        (G, S, T): S source cells, or 1 where none is depended on, and T target cells.
-    source, target : tuple of Span
-        The windows.
-    uneven : Uneven
+    by: The other axes on which they depend, ascending; G is the number of their cells.
+    weights: (G, S, T): S source cells, or 1 where none is depended on, and T target cells.
     """
 
     axes: tuple[int, ...]
@@ -89,14 +75,14 @@ class Dense:
     uneven: Uneven
 
     def forward(self, array: Array) -> Array:
-        """The probabilities after it."""
+        """See `Operator`."""
         lines = self._lines(array)
         if self.weights.shape[1] < lines.shape[2]:
             lines = lines.sum(axis=2, keepdims=True)
         return self._whole(lines @ self.weights, self.target)
 
     def backward(self, array: Array) -> Array:
-        """The transpose."""
+        """See `Operator`."""
         lines = self._lines(array) @ self.weights.swapaxes(1, 2)
         count = math.prod(self.source[k].length for k in self.axes)
         return self._whole(np.broadcast_to(lines, (*lines.shape[:2], count)), self.source)
@@ -126,10 +112,7 @@ class Dense:
 class DensityGroup(Members):
     """CPDs of any density, which is asked for from each cell to each.
 
-    Attributes
-    ----------
-    kept : dict
-        By key, the weights between all cells, where they are the same at all steps.
+    kept: By key, the weights between all cells, where they are the same at all steps.
     """
 
     kept: dict[tuple[object, ...], Dense] = field(default_factory=dict)
@@ -170,7 +153,6 @@ class DensityGroup(Members):
         return self._cut(self.kept[self.key], window)
 
     def _cut(self, dense: Dense, window: Window) -> Dense:
-        """The weights from a window alone."""
         lattice = self.lattice
         own = dense.weights.shape[1] > 1
         each = (*dense.by, *self.axes) if own else dense.by
@@ -187,8 +169,6 @@ class DensityGroup(Members):
 
 
 class _Maker:
-    """The weights of one group at one step, from a window."""
-
     def __init__(self, group: DensityGroup, step: int, run: int, window: Window) -> None:
         self.group, self.step, self.run, self.window = group, step, run, window
         self.lattice = group.lattice
@@ -205,7 +185,6 @@ class _Maker:
         self.share = 0.0
 
     def made(self) -> Dense:
-        """The weights from a window to all cells."""
         group, lattice, window = self.group, self.lattice, self.window
         used = (*self.by, *self.own)
         count = math.prod(window[k].length for k in used)
@@ -321,7 +300,6 @@ class _Maker:
 
     @property
     def _allowed(self) -> float:
-        """By how much a sum over centres may differ from one."""
         return 2.0 * self.share + _ROUNDING
 
     @property
@@ -329,7 +307,6 @@ class _Maker:
         return " and ".join(f"the density of {cpd!r}" for cpd in self.group.states)
 
     def _near_bounds(self, weights: Array) -> Array:
-        """The weights (rows,) at the last cells within bounds."""
         shape = [self.lattice.shape[k] for k in self.group.axes]
         inner = np.zeros(shape, dtype=bool)
         angles = (self.lattice.axes[k].angle for k in self.group.axes)
@@ -338,14 +315,12 @@ class _Maker:
         return found
 
     def _sums(self, rows: Integers, shift: float, beyond: bool) -> Array:
-        """The sums of the weights of some rows, some rows at a time."""
         places = self._places(shift, beyond)
         length = max(_KEPT // 16 // math.prod(len(each) for each in places), 1)
         parts = [rows[k : k + length] for k in range(0, len(rows), length)]
         return np.concatenate([np.exp(self._logs(part, places)).sum(axis=1) for part in parts])
 
     def _shift(self, rows: Integers, whole: Array, near: Array, parts: Array) -> None:
-        """Find by how much sums of some rows differ with the shift of the centres."""
         for beyond in (False, True):
             some = rows[near[rows] == beyond]
             if some.size:

@@ -54,12 +54,7 @@ def centres(lattice: Lattice, cells: Integers) -> Array:
 class Reduced:
     """A function's values at all cells along some axes, the others in their middle.
 
-    Parameters
-    ----------
-    lattice : Lattice
-    axes : iterable of int
-    values : callable
-        From points (n, axes) to values (n, ...).
+    values: From points (n, axes) to values (n, ...).
     """
 
     def __init__(
@@ -92,11 +87,8 @@ class Dependence:
 
     It only grows: what was found at one step is taken to hold at all, and every step is probed.
 
-    Attributes
-    ----------
-    lattice : Lattice
-    before, after : list of set of int
-        By value: the axes of the step before on which it depends, and those of its own step.
+    before, after: By value: the axes of the step before on which it depends, and those of its own
+        step.
     """
 
     lattice: Lattice
@@ -114,17 +106,10 @@ class Dependence:
     ) -> None:
         """Probe a function at a step, and test it everywhere where that shows something new.
 
-        Parameters
-        ----------
-        values : callable
-            From points (n, axes) of the step before and of its own to values (n, ..., m).
-        differ : callable
-            Whether two (n, ..., m) of values differ.
-        later : frozenset of int
-            The axes of its own step on which it may depend at all.
-        seed : int
-        some : ndarray of int, optional
-            Cells (n, axes) of the belief, at which what is known is tried.
+        values: From points (n, axes) of the step before and of its own to values (n, ..., m).
+        differ: Whether two (n, ..., m) of values differ.
+        later: The axes of its own step on which it may depend at all.
+        some: Cells (n, axes) of the belief, at which what is known is tried.
         """
         sure = not self._probed(values, differ, later, seed) and self._sure
         if sure and some is not None:
@@ -154,7 +139,6 @@ class Dependence:
         seed: int,
         everywhere: bool = False,
     ) -> bool:
-        """Whether probes show that something is depended on that was not known of."""
         lattice, grown = self.lattice, False
         sets = blocks(lattice) if everywhere else iter([places(lattice, PROBES, seed)])
         for here in sets:
@@ -192,7 +176,6 @@ class Dependence:
         seed: int,
         cells: Integers | None = None,
     ) -> bool:
-        """Whether at all centres, or some, the values are those of the axes depended on alone."""
         lattice = self.lattice
         kinds = {(frozenset(a), frozenset(b)) for a, b in zip(self.before, self.after, strict=True)}
         kinds = {pair for pair in kinds if len(pair[0]) < len(lattice.axes) or pair[1] < later}

@@ -20,13 +20,7 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Operators one after another, from one window to another.
-
-    Attributes
-    ----------
-    source, target : Window
-    operators : sequence of Operator or Mixed
-    """
+    """Operators one after another, from one window to another."""
 
     source: Window
     target: Window
@@ -84,13 +78,7 @@ class Step:
 class Mixed:
     """The weighted sum of several steps from one window.
 
-    Attributes
-    ----------
-    lattice : Lattice
-    weights : ndarray
-    steps : sequence of Step
-    target : tuple of Span
-        The window that holds those of all steps.
+    target: The window that holds those of all steps.
     """
 
     lattice: Lattice
@@ -117,7 +105,6 @@ class Mixed:
         return total
 
     def _of(self, step: Step) -> tuple[Integers, ...]:
-        """The place of a step's target window."""
         each = [
             (np.arange(own.length) + own.first - span.first) % axis.cells
             for own, span, axis in zip(step.target, self.target, self.lattice.axes, strict=True)
@@ -127,14 +114,7 @@ class Mixed:
 
 @dataclass(frozen=True, eq=False)
 class MixedGroup(Members):
-    """A mixture, part by part.
-
-    Attributes
-    ----------
-    parts : tuple of Members
-        One for each CPD that it mixes.
-    weights : ndarray
-    """
+    """A mixture, part by part."""
 
     parts: tuple[Members, ...] = ()
     weights: Array = field(default_factory=lambda: np.ones(1))
@@ -148,7 +128,6 @@ class MixedGroup(Members):
 
 
 def _around(spans: Sequence[Span], cells: int, periodic: bool) -> Span:
-    """A span that holds others."""
     if all(span == spans[0] for span in spans):
         return spans[0]
     if not periodic:
@@ -221,7 +200,6 @@ def joined(some: Sequence[Members], kept: Kept) -> Members:
 
 
 def _gaussian(control: CPD) -> ConditionalGaussian:
-    """The CPD of a hidden control, refused if it is of another kind."""
     if not isinstance(control, ConditionalGaussian) or control.noise is not None:
         raise ModelError(
             f"{control!r} is that of a hidden control, over which a grid sums where it is "

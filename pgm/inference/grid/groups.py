@@ -25,15 +25,9 @@ _UNCORRELATED = 1e-14
 class Spread(NamedTuple):
     """The noise of a group at a step.
 
-    Attributes
-    ----------
-    variance : ndarray
-        (axes,): what each axis has of its own, in cells; infinite where nothing is known.
-    roots : mapping of Variable to ndarray
-        Of each hidden control, and of each state whose noise is correlated: (d, r), by which white
-        noise of its own enters.
-    size : int
-        How many numbers of white noise there are.
+    variance: (axes,): what each axis has of its own, in cells; infinite where nothing is known.
+    roots: Of each hidden control, and of each state whose noise is correlated: (d, r), by which
+        white noise of its own enters.
     """
 
     variance: Array
@@ -45,19 +39,10 @@ class Spread(NamedTuple):
 class Members:
     """CPDs of states that are moved together, and of the hidden controls that they share.
 
-    Attributes
-    ----------
-    lattice : Lattice
-    controls, states : tuple of CPD
-        Parents before children.
-    known : mapping of Variable to mapping
-        By child, the values (rows, runs or 1, d) of its observed parents.
-    prior : bool
-        Whether this is step 0: displacements are counted from the first cell then.
-    first : int
-        The step before the first row of these values.
-    place : tuple of int
-        Of a part of a mixture, where it stands in it.
+    known: By child, the values (rows, runs or 1, d) of its observed parents.
+    prior: Whether this is step 0: displacements are counted from the first cell then.
+    first: The step before the first row of these values.
+    place: Of a part of a mixture, where it stands in it.
     """
 
     lattice: Lattice
@@ -124,14 +109,8 @@ class Group(Members):
     ) -> Array:
         """The displacements (n, axes), in cells, at points of the step before and of this one.
 
-        Parameters
-        ----------
-        before, after : ndarray
-            (n, axes of the lattice).
-        noise : ndarray
-            (n, size): values of the white noise.
-        spread : Spread
-        step, run : int
+        before, after: (n, axes of the lattice).
+        noise: (n, size): values of the white noise.
         """
         points = dict(self.lattice.values(after))
         if not self.prior:
@@ -242,7 +221,6 @@ def quadrature(group: Group, spread: Spread, step: int, run: int) -> tuple[Array
 
 
 def _nodes(extent: float) -> tuple[Array, Array]:
-    """Nodes and weights for white noise that spreads over so many cells at one deviation."""
     if extent < 1e-9:
         return np.zeros(1), np.ones(1)
     if extent <= _NARROW:

@@ -22,18 +22,7 @@ from pgm.variables import Variable
 class Axis:
     """One axis: a component of a state.
 
-    Attributes
-    ----------
-    variable : Variable
-    component : int
-        Its place in the variable.
-    label : str
-        The name of the component, with that of the variable where states share it.
-    low, width : float
-        Where the cells begin, and how wide each is.
-    cells : int
-    angle : bool
-        Whether it is a circle, from −π on; its first centre is there.
+    angle: Whether it is a circle, from −π on; its first centre is there.
     """
 
     variable: Variable
@@ -77,13 +66,7 @@ Window = tuple[Span, ...]
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The axes of a grid, those of angles first.
-
-    Attributes
-    ----------
-    states : tuple of Variable
-    axes : tuple of Axis
-    """
+    """The axes of a grid, those of angles first."""
 
     states: Scope
     axes: tuple[Axis, ...]
@@ -201,7 +184,6 @@ def _component(
     components: Sequence[tuple[Variable, int]],
     names: Sequence[str],
 ) -> tuple[Variable, int]:
-    """The state, and the place in it, that a key of a grid names."""
     if isinstance(key, Variable):
         if key not in states:
             raise ModelError(

@@ -24,13 +24,8 @@ Known = Mapping[Variable, Array]
 class Sharpness(NamedTuple):
     """The sensor that is the sharpest for the cells.
 
-    Attributes
-    ----------
-    cells : float
-        By how many of its deviations a measurement differs from one cell to the next, where it is
-        the likeliest.
-    variable : Variable or None
-    step : int
+    cells: By how many of its deviations a measurement differs from one cell to the next, where it
+        is the likeliest.
     """
 
     cells: float
@@ -42,16 +37,10 @@ class Sharpness(NamedTuple):
 class Shape:
     """The shape of a sensor's function, as far as it has been tested.
 
-    Attributes
-    ----------
-    depended : Dependence
-        On which axes it depends.
-    turning : frozenset of int or None
-        The circles by which it is a sum of two; None as long as that has not been asked.
-    tested : bool
-        Whether that has been tested at every centre.
-    highest : dict of int to float
-        Of a density, by how many components were taken, its largest logarithm found at a centre.
+    turning: The circles by which it is a sum of two; None as long as that has not been asked.
+    tested: Whether that has been tested at every centre.
+    highest: Of a density, by how many components were taken, its largest logarithm found at a
+        centre.
     """
 
     depended: Dependence
@@ -62,14 +51,7 @@ class Shape:
 
 @dataclass(eq=False)
 class MeasuredSensor:
-    """A sensor's measurements, and the shape of its function.
-
-    Attributes
-    ----------
-    lattice : Lattice
-    reading : Reading
-    shape : Shape
-    """
+    """A sensor's measurements, and the shape of its function."""
 
     lattice: Lattice
     reading: Reading
@@ -128,15 +110,8 @@ BLOCK = 1 << 15
 class Term(NamedTuple):
     """A component's residual in deviations: (one − other) / deviation, wrapped if it is an angle.
 
-    Attributes
-    ----------
-    one : ndarray
-        Its value less the part of circles, broadcasting to the window.
-    other : ndarray or None
-        The part of circles, broadcasting to the window.
-    scale : float
-        One over the deviation.
-    angle : bool
+    one: Its value less the part of circles, broadcasting to the window.
+    other: The part of circles, broadcasting to the window.
     """
 
     one: Array
@@ -159,11 +134,7 @@ class Term(NamedTuple):
 class Joint(NamedTuple):
     """Residuals of components whose noise is correlated, broadcasting to the window, (..., d).
 
-    Attributes
-    ----------
-    residual : ndarray
-    whiten : ndarray
-        (d, d): the inverse of the root of their covariance.
+    whiten: (d, d): the inverse of the root of their covariance.
     """
 
     residual: Array
@@ -177,14 +148,7 @@ class Joint(NamedTuple):
 
 
 class Level(NamedTuple):
-    """The log-density of a measurement by itself, broadcasting to the window.
-
-    Attributes
-    ----------
-    values : ndarray
-    highest : float
-        The number from which it is counted.
-    """
+    """The log-density of a measurement by itself, broadcasting to the window."""
 
     values: Array
     highest: float

@@ -42,14 +42,8 @@ _BOUNDS = 20.0
 class Motion:
     """The groups of a prior or transition, moved one after another.
 
-    Attributes
-    ----------
-    lattice : Lattice
-    groups : list of Members
-    known : dict
-        By the key of a group, the axes on which its displacements depend, as far as is known.
-    kept : dict
-        Weights by density that are the same at all steps.
+    known: By the key of a group, the axes on which its displacements depend, as far as is known.
+    kept: Weights by density that are the same at all steps.
     """
 
     lattice: Lattice
@@ -67,7 +61,6 @@ class Motion:
         return Step(source, window, operators)
 
     def _step(self, group: Members, step: int, run: int, source: Window, window: Window) -> Step:
-        """The operators of a group, from the window to which those before it lead."""
         if isinstance(group, MixedGroup):
             parts = [self._step(part, step, run, source, window) for part in group.parts]
             mixed = group.mixed(parts)
@@ -85,7 +78,6 @@ class Motion:
     def _depends(
         self, group: Members, step: int, run: int, source: Window
     ) -> tuple[set[int], set[int]]:
-        """The axes of the step before, and of its own, on which a group depends."""
         if isinstance(group, DensityGroup):
             return group.depends()
         before, after = set[int](), set[int]()
@@ -160,8 +152,6 @@ def _slack(lattice: Lattice, group: Group) -> Array:
 
 
 class _Maker:
-    """The operators of one group at one step."""
-
     def __init__(
         self,
         motion: Motion,
@@ -176,7 +166,6 @@ class _Maker:
         self.noise, self.nodes = quadrature(group, self.spread, step, run)
 
     def operators(self, window: Window) -> tuple[Window, list[Operator]]:
-        """The target window, and the operators that lead there."""
         order = self._order()
         if order is None:
             return self._split(window)
@@ -343,7 +332,6 @@ class _Maker:
 
 
 def _flat(axis: Axis, place: int, source: Span) -> Move:
-    """The move to all cells alike."""
     cells = axis.cells
     # From every source cell: the first weight is at cell 0 wherever it comes from.
     first = -(source.first + np.arange(source.length)).reshape(1, 1, -1)

@@ -37,21 +37,11 @@ class Operator(Protocol):
 class Move:
     """Kernels along one axis, one for each cell of the axes on which the displacement depends.
 
-    Attributes
-    ----------
-    axis : int
-    by : tuple of int
-        The other axes on which it depends, ascending; G is the number of their cells.
-    first : ndarray of int
-        (nodes or 1, G, 1), of the kernels at each node of a quadrature; (nodes or 1, G, source
+    by: The other axes on which it depends, ascending; G is the number of their cells.
+    first: (nodes or 1, G, 1), of the kernels at each node of a quadrature; (nodes or 1, G, source
         cells) where it depends on the place along the axis too.
-    weights : ndarray
-        (*first.shape, taps).
-    added : ndarray
-        (nodes or 1, G, ...): the variance that the lattice adds, in cells.
-    source, target : Span
-    cells : int
-    periodic : bool
+    weights: (*first.shape, taps).
+    added: (nodes or 1, G, ...): the variance that the lattice adds, in cells.
     """
 
     axis: int
@@ -100,39 +90,32 @@ class Move:
         return float((each * marginal.reshape(each.shape)).sum() / max(marginal.sum(), 1e-300))
 
     def forward(self, array: Array, node: int = 0) -> Array:
-        """The probabilities after it."""
+        """See `Operator`."""
         return along(self.matrix(node), array, self.axis, self.by)
 
     def backward(self, array: Array, node: int = 0) -> Array:
-        """The transpose."""
+        """See `Operator`."""
         return along(self.matrix(node).swapaxes(-1, -2), array, self.axis, self.by)
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Moves along one axis after another, summed over the nodes of a quadrature.
-
-    Attributes
-    ----------
-    moves : sequence of Move
-    nodes : ndarray
-        Weights of the nodes.
-    """
+    """Moves along one axis after another, summed over the nodes of a quadrature."""
 
     moves: Sequence[Move]
     nodes: Array
 
     def forward(self, array: Array) -> Array:
-        """The probabilities after it."""
+        """See `Operator`."""
         return self._run(array, self.moves, lambda move, node, part: move.forward(part, node))
 
     def backward(self, array: Array) -> Array:
-        """The transpose."""
+        """See `Operator`."""
         last_first = self.moves[::-1]
         return self._run(array, last_first, lambda move, node, part: move.backward(part, node))
 
     def added(self, array: Array) -> dict[int, float]:
-        """By axis, the variance that the lattice adds to these probabilities, in cells."""
+        """See `Operator`."""
         return {move.axis: move.mean_added(array, self.nodes) for move in self.moves}
 
     def _run(
@@ -163,21 +146,8 @@ class Split:
     Three points have any mean between −½ and ½, and the variance s² = ¼, or f(1 − f) of a smaller
     s², exactly; of larger ones the rest is a blur that is the same everywhere.
 
-    Parameters
-    ----------
-    axes : tuple of int
-        Those that are moved.
-    place : callable
-        The targets of the source cells at a node, (axes, source cells), in cells of each axis.
-    variance : ndarray
-        (axes,): in cells, ¼ at the most.
-    nodes : ndarray
-        Weights of the nodes.
-    source, target : tuple of Span
-        The windows.
-    cells : tuple of int
-        Of each axis of the lattice.
-    periodic : tuple of bool
+    place: The targets of the source cells at a node, (axes, source cells), in cells of each axis.
+    variance: (axes,): in cells, ¼ at the most.
     """
 
     def __init__(
@@ -232,7 +202,7 @@ class Split:
         return found
 
     def forward(self, array: Array) -> Array:
-        """The probabilities after it."""
+        """See `Operator`."""
         counts = tuple(span.length for span in self.target)
         size, values = int(np.prod(counts)), array.reshape(-1)
         total = np.zeros(size)
@@ -245,7 +215,7 @@ class Split:
         return total.reshape(counts)
 
     def backward(self, array: Array) -> Array:
-        """The transpose."""
+        """See `Operator`."""
         values = np.ascontiguousarray(array).reshape(-1)
         total = np.zeros(self._rest.size)
         for node, share in enumerate(self.nodes):
@@ -257,7 +227,7 @@ class Split:
         return total.reshape(tuple(span.length for span in self.source))
 
     def added(self, array: Array) -> dict[int, float]:
-        """By axis, the variance that the lattice adds to these probabilities, in cells."""
+        """See `Operator`."""
         values, found = array.reshape(-1), dict.fromkeys(self.axes, 0.0)
         for node, share in enumerate(self.nodes):
             target = self.place(node)

@@ -286,7 +286,6 @@ class OnlineGrid(InCode, Immutable):
         before: OnlineGridBelief | None,
         found: list[tuple[GridSlices, Array, float]],
     ) -> OnlineGridBelief:
-        """The belief that runs have come to."""
         lead, lattice = bound.lead, self._lattice
         values = np.array([belief for _, belief, _ in found], dtype=self.belief.dtype)
         log_density = np.array([density for *_, density in found]).reshape(lead)

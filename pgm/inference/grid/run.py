@@ -32,16 +32,7 @@ _WORK = 12
 def run(
     graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, grid: Grid
 ) -> GridPosterior:
-    """Send the messages of a schedule on a grid, and warn of what its status tells.
-
-    Parameters
-    ----------
-    graph : DynamicGraph
-    bound : BoundEvidence
-    schedule : Filtering, FixedLag, Smoothing or None
-        Smoothing, if not given.
-    grid : Grid
-    """
+    """Send the messages of a schedule on a grid, and warn of what its status tells."""
     require_chain(graph, "beliefs on a grid")
     kind = kind_of(schedule, "beliefs on a grid")
     found = _refined(graph, bound, kind, grid)
@@ -50,7 +41,6 @@ def run(
 
 
 def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
-    """The posterior at the first resolution at which the figure stays."""
     if grid.refine is None:
         return _at(graph, bound, kind, grid)
     record = list[Refinement]()
@@ -90,7 +80,6 @@ def _refined(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) 
 
 
 def _figure(grid: Grid, found: GridPosterior) -> Array:
-    """The figure that the user has named, of a posterior."""
     if not callable(grid.refine):
         return found.log_evidence
     try:
@@ -108,7 +97,6 @@ def _figure(grid: Grid, found: GridPosterior) -> Array:
 
 
 def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> GridPosterior:
-    """The posterior at one resolution."""
     lattice = resolve(grid, graph.model.states)
     smoothing = kind.lag > 0
     require_room(lattice, grid, bound.steps + 1, bound.runs, 3 if smoothing else 1)
@@ -163,14 +151,11 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: Grid) -> Gr
 
 
 class _Kept(StateChain):
-    """A chain whose filtered beliefs are written to an array that is there."""
-
     def __init__(self, slices: GridSlices, made: Any) -> None:
         super().__init__(slices, dtype=made.dtype.type)
         self._made: Array = made
 
     def room(self, like: Array) -> Array:
-        """Room for a belief at each step."""
         return self._made
 
 

@@ -53,17 +53,10 @@ _LEAST = -600.0
 class Weights(NamedTuple):
     """The weights of a step's measurements in a window.
 
-    Attributes
-    ----------
-    values : ndarray or None
-        1 at the most; None where nothing was measured.
-    log_scale : float
-        The logarithm of their largest density.
-    sharpest : Sharpness
-    ceiling : float
-        The logarithm of the density where all residuals are zero.
-    components : int
-        How many numbers were measured.
+    values: 1 at the most; None where nothing was measured.
+    log_scale: The logarithm of their largest density.
+    ceiling: The logarithm of the density where all residuals are zero.
+    components: How many numbers were measured.
     """
 
     values: Array | None
@@ -94,7 +87,7 @@ class GridSensor(MeasuredSensor):
         return mean_at(self.cpd, self.lattice.values(points), known, step, run)
 
     def terms(self, row: int, run: int, window: Window) -> tuple[list[Residuals], float]:
-        """The residuals of one measurement, and the log-density where these are zero."""
+        """See `MeasuredSensor`."""
         step, reading = int(self.reading.step[row]), self.reading
         own = run if reading.values.shape[1] > 1 else 0
         taken = self.taken(row, run)
@@ -158,8 +151,6 @@ class GridSensor(MeasuredSensor):
         return self.lattice.points([np.array([cells // 2]) for cells in self.lattice.shape])
 
     def _depended(self, some: Integers, known: Known, step: int, run: int) -> set[int]:
-        """The axes on which any component depends."""
-
         def values(before: Array, after: Array) -> Array:
             return self.values(before, known, step, run)
 
@@ -167,7 +158,6 @@ class GridSensor(MeasuredSensor):
         return set().union(*self.shape.depended.before)
 
     def _differ(self, one: Array, other: Array) -> Mask:
-        """Whether values (n, d) differ by more than rounding."""
         gap = one - other
         for k in np.flatnonzero(self.angles):
             gap[:, k] = wrap(gap[:, k])
@@ -197,7 +187,6 @@ class GridSensor(MeasuredSensor):
         return shape.turning
 
     def _adds_everywhere(self, turning: frozenset[int], values: Callable[[Array], Array]) -> bool:
-        """Whether at every centre the function is a sum of two."""
         others = set(range(len(self.lattice.axes))) - turning
         one, other = (Reduced(self.lattice, axes, values) for axes in (others, turning))
         middle = values(self._middle())
@@ -211,7 +200,6 @@ class GridSensor(MeasuredSensor):
     def _adds(
         self, cells: Integers, turning: frozenset[int], values: Callable[[Array], Array]
     ) -> bool:
-        """Whether at some cells the function is a sum of two."""
         middle = np.array(self.lattice.shape) // 2
         turned = np.array([k in turning for k in range(len(middle))])
         each = [cells, np.where(turned, middle, cells), np.where(turned, cells, middle)]
@@ -222,7 +210,7 @@ class GridSensor(MeasuredSensor):
         return not self._differ(whole - one, other - found[-1]).any()
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """By how many deviations a measurement differs from a cell to the next, along any axis."""
+        """See `MeasuredSensor`."""
         step, known = int(self.reading.step[row]), self.known(row, run)
         found = self.values(centres(self.lattice, self.around(cell)), known, step, run)
         gaps = found[1 : 1 + len(cell)] - found[0]
@@ -300,10 +288,10 @@ class DensitySensor(MeasuredSensor):
         return [Level(level.reshape(shape), highest)], highest
 
     def sharpness(self, row: int, run: int, cell: Integers) -> float:
-        """By how many deviations a measurement differs from a cell to the next, along any axis.
+        """See `MeasuredSensor`; that of the normal density with the same second difference.
 
-        They are those of the normal density with the same second difference, and of the Gaussian
-        parts of a mixture, which may be so sharp that no centre meets them.
+        Of a mixture it is that of its Gaussian parts, which may be so sharp that no centre meets
+        them.
         """
         bound, cells = self._bound(row, run), self.around(cell)
         found = self._apart(bound[0], cells, bound[2], row, run)
@@ -335,7 +323,6 @@ class DensitySensor(MeasuredSensor):
         return found
 
     def _axes(self, cpd: CPD) -> list[int]:
-        """The axes of its parents."""
         of = self.lattice.of
         return sorted(k for parent in cpd.parents if parent in of for k in of[parent])
 

@@ -52,15 +52,8 @@ class Tested(NamedTuple):
 class GridModel:
     """A model with its evidence on a lattice.
 
-    Parameters
-    ----------
-    lattice : Lattice
-    model : DynamicBayesianNetwork
-    bound : BoundEvidence
-    tested : Tested, optional
-        Of the same model and lattice, to go on from; it is added to.
-    first : int
-        The step before the first of the evidence for the transition.
+    tested: Of the same model and lattice, to go on from; it is added to.
+    first: The step before the first of the evidence for the transition.
     """
 
     def __init__(
@@ -99,29 +92,13 @@ class GridModel:
 class GridSlices:
     """One run's slices: beliefs are (*cells), the chain having no axes of runs.
 
-    Parameters
-    ----------
-    model : GridModel
-    run : int
-        Its number.
-    keep : numpy type or None
-        In which weights are kept for the way back; None where there is none.
+    keep: In which weights are kept for the way back; None where there is none.
 
-    Attributes
-    ----------
-    outside : dict of int to float
-        By step, the probability that left the bounds, or that the window of active cells has cut
-        off.
-    added : ndarray
-        (axes,): the variance that the lattice has added in all steps, in cells.
-    split : frozenset of int
-        The axes that were moved cell by cell.
-    sharpest : Sharpness
-    narrowest : Narrowness
-    uneven : Uneven
-        The density of a prior or transition whose sums over centres are the least those of it.
-    cut : Cut
-        The belief of which the most may have been cut off.
+    outside: By step, the probability that left the bounds, or that the window of active cells has
+        cut off.
+    added: (axes,): the variance that the lattice has added in all steps, in cells.
+    uneven: The density of a prior or transition whose sums over centres are the least those of it.
+    cut: The belief of which the most may have been cut off.
     """
 
     lead: tuple[int, ...] = ()
@@ -143,7 +120,7 @@ class GridSlices:
         self._weights: dict[int, tuple[Array | None, float]] = {}
 
     def prior(self) -> Array:
-        """The probabilities at step 0."""
+        """See `Slices`."""
         found, added, uneven = start(self.lattice, self.model.first, self.run)
         self.added += added
         self._least_even(uneven)
@@ -189,7 +166,7 @@ class GridSlices:
             self.uneven = found
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The belief over the slice of a step, from that of the step before."""
+        """See `Slices`."""
         source = self.look(step - 1, belief)
         made = self.model.motion.at(step, self.run, source)
         part, added = made.forward(self.lattice.cut(belief, source))
@@ -218,7 +195,7 @@ class GridSlices:
         return self.lattice.put(part, made.target)
 
     def backward(self, step: int, message: Array) -> Array:
-        """The transpose of `forward`."""
+        """See `Slices`."""
         source, _ = self.windows[step]
         made = self.model.motion.at(step, self.run, source)
         part = made.backward(self.lattice.cut(message, made.target))
@@ -244,7 +221,7 @@ class GridSlices:
         return None if weights is None else self.lattice.put(weights, target), scale
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise the error of measurements that no cell explains."""
+        """See `Slices`."""
         read = [s.reading.cpd.child for s in self.model.sensors if len(s.rows(step))]
         raise EvidenceError(
             f"the measurements of {listed(read)} at step {step}, run {self.run}, are impossible: "
@@ -266,13 +243,8 @@ class GridSlices:
 class Narrowness(NamedTuple):
     """The narrowest belief along an axis.
 
-    Attributes
-    ----------
-    cells : float
-        Its standard deviation in cells.
-    component : str
-        Empty if no belief has been looked at.
-    step : int
+    cells: Its standard deviation in cells.
+    component: Empty if no belief has been looked at.
     """
 
     cells: float

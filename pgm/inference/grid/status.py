@@ -37,16 +37,7 @@ NARROW = 0.7
 class Refinement(NamedTuple):
     """One resolution of a grid that was refined.
 
-    Attributes
-    ----------
-    cells : tuple of int
-        Along each axis.
-    figure : ndarray
-        Of this resolution.
-    change : float
-        Its largest change from the resolution before; NaN of the first.
-    seconds : float
-        The time that it took.
+    change: Its largest change from the resolution before; NaN of the first.
     """
 
     cells: tuple[int, ...]

@@ -34,17 +34,9 @@ def mean_at(
 ) -> Array:
     """The mean of a CPD at n points, (n, d); user's functions are called once, with all of them.
 
-    Parameters
-    ----------
-    cpd : CPD
-    points : mapping of Variable to ndarray
-        Values of hidden parents, (n, d).
-    known : mapping of Variable to ndarray
-        Values of the parents with evidence, (d,).
-    step, run : int
-        For messages.
-    less : Variable, optional
-        The parent of which the mean is a displacement: its value is taken off, of an affine CPD
+    points: Values of hidden parents, (n, d).
+    known: Values of the parents with evidence, (d,).
+    less: The parent of which the mean is a displacement: its value is taken off, of an affine CPD
         without a loss of digits.
     """
     count = next((len(values) for values in points.values()), 1)
@@ -181,18 +173,10 @@ def log_density_at(
 ) -> Array:
     """The log-densities of a CPD at n points, (n,); users' functions are called once with all.
 
-    Parameters
-    ----------
-    cpd : CPD
-        As `settled` gives it.
-    child : ndarray
-        (n, d), or (d,) for all.
-    points : mapping of Variable to ndarray
-        Values of hidden parents, (n, d).
-    known : mapping of Variable to ndarray
-        Values of the parents with evidence, (d,).
-    step, run : int
-        For messages.
+    cpd: As `settled` gives it.
+    child: (n, d), or (d,) for all.
+    points: Values of hidden parents, (n, d).
+    known: Values of the parents with evidence, (d,).
     """
     wide, given = known_at(cpd, child, points, known, step)
     level, values, count = cpd._log_density(wide, given), given.values, len(wide)

@@ -42,12 +42,7 @@ class Behind(Protocol):
     Beliefs and messages are (*states, *runs), the states of a slice on one axis or on several, the
     runs flattened to one axis, or none of one run.
 
-    Attributes
-    ----------
-    steps : int
-        T.
-    lead : tuple of int
-        The user's axes of runs.
+    lead: The user's axes of runs.
     """
 
     steps: int
@@ -84,16 +79,7 @@ class Slices(Behind, Protocol):
 class BackwardChain:
     """The backward messages of a chain whose filtered beliefs are known.
 
-    Parameters
-    ----------
-    slices : Behind
-    semiring : Semiring
-        Of its numbers.
-
-    Attributes
-    ----------
-    known : ndarray or list of ndarray
-        The filtered beliefs by step, (*states, *runs), each of sum one.
+    known: The filtered beliefs by step, (*states, *runs), each of sum one.
     """
 
     def __init__(self, slices: Behind, semiring: Semiring = SUM_PRODUCT) -> None:
@@ -119,7 +105,6 @@ class BackwardChain:
         return scaled
 
     def _passed(self, step: int, message: Array) -> Array:
-        """The message to the slice of a step, from that to the next one and its measurements."""
         weights, _ = self.slices.likelihood(step + 1)
         if weights is not None:
             message = self.semiring.times(message, weights)
@@ -151,18 +136,9 @@ class BackwardChain:
 class StateChain(BackwardChain):
     """The family of one chain, and its record.
 
-    Parameters
-    ----------
-    slices : Slices
-    semiring : Semiring
-        Of its numbers.
-    dtype : numpy type
-        Of the beliefs that are kept, float64 or float32.
+    dtype: Of the beliefs that are kept, float64 or float32.
 
-    Attributes
-    ----------
-    log_density : ndarray
-        ln p(z_t | z_0..t−1) by step, (steps, *runs).
+    log_density: ln p(z_t | z_0..t−1) by step, (steps, *runs).
     """
 
     slices: Slices
@@ -271,13 +247,7 @@ def require_chain(graph: DynamicGraph, beliefs: str) -> None:
 
 
 def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
-    """The kind of the beliefs that a schedule leaves; smoothed without one.
-
-    Raises
-    ------
-    ModelError
-        If it is none for chains, or iterates, for which nothing is there.
-    """
+    """The kind of the beliefs that a schedule leaves; smoothed without one."""
     if schedule is None or type(schedule) is Calibration:
         schedule = Smoothing() if schedule is None else Smoothing(schedule.iterations)
     if not isinstance(schedule, Filtering | FixedLag | Smoothing):

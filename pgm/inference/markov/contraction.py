@@ -25,10 +25,7 @@ Label = int
 class Move(NamedTuple):
     """A map along an axis, of all runs or of some each.
 
-    Attributes
-    ----------
-    maps : tuple of (Transition, ndarray of int or None)
-        Maps and the runs of each; None for all.
+    maps: Maps and the runs of each; None for all.
     """
 
     maps: tuple[tuple[Transition, Integers | None], ...]
@@ -41,16 +38,7 @@ Factor = Array | Move
 class Step(NamedTuple):
     """The multiplication by one table, and the sums that it makes possible.
 
-    Attributes
-    ----------
-    factor : int
-        Which table.
-    labels : tuple of int
-        The variables of the table: parents, child.
-    before, after : tuple of int
-        The variables of the array, axis by axis.
-    axis : int or None
-        Of a map, the axis along which it goes.
+    labels: The variables of the table: parents, child.
     """
 
     factor: int
@@ -63,19 +51,12 @@ class Step(NamedTuple):
 class Contraction(NamedTuple):
     """The steps from an array over some variables to one over others.
 
-    Attributes
-    ----------
-    steps : tuple of Step
-    summed : tuple of int
-        Axes of the first array that no table has, summed out before.
-    spread : tuple of int
-        Lengths of axes that no table has, along which the last array is constant.
-    order : tuple of int
-        The axes of the last array, those it is spread along behind the others, in the order wanted.
-    back : bool
-        Whether maps go from the child to the parent.
-    largest : int
-        Entries of the largest array on the way.
+    summed: Axes of the first array that no table has, summed out before.
+    spread: Lengths of axes that no table has, along which the last array is constant.
+    order: The axes of the last array, those it is spread along behind the others, in the order
+        wanted.
+    back: Whether maps go from the child to the parent.
+    largest: Entries of the largest array on the way.
     """
 
     steps: tuple[Step, ...]
@@ -103,17 +84,8 @@ class Contraction(NamedTuple):
     ) -> Contraction:
         """Order the tables.
 
-        Parameters
-        ----------
-        first, last : sequence of int
-            The variables of the array at the beginning and at the end.
-        tables : sequence of tuple of int
-            The variables of each table.
-        sizes : mapping of int to int
-        maps : sequence of bool
-            Of each table whether it may be a map along an axis.
-        back : bool
-            Whether the children are summed out, not the parents.
+        maps: Of each table whether it may be a map along an axis.
+        back: Whether the children are summed out, not the parents.
         """
         known = {label for table in tables for label in table}
         summed = tuple(k for k, x in enumerate(first) if x not in known and x not in last)
@@ -191,7 +163,6 @@ def _mapped(each: Transition, array: Array, axis: int, semiring: Semiring, back:
 
 
 def _multiplied(step: Step, array: Array, table: Array, semiring: Semiring) -> Array:
-    """The product of an array and a table, summed over the variables that go."""
     if semiring.linear:
         operands: list[Any] = [array, [*step.before, ...], table, [*step.labels, ...]]
         found: Array = np.einsum(*operands, [*step.after, ...], optimize=True)

@@ -15,17 +15,10 @@ from pgm.kernels.arrays import Array, Integers
 def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Array]:
     """The expected number of times that each CPD's parents and child had their states.
 
-    Parameters
-    ----------
-    posterior : StatePosterior
-        After smoothing.
-    cpds : list of CPD
-        Of arrays of numbers.
+    cpds: Of arrays of numbers.
 
-    Returns
-    -------
-    dict
-        By CPD, (size of each parent..., size of the child), summed over steps, sightings and runs.
+    Returns: By CPD, (size of each parent..., size of the child), summed over steps, sightings and
+    runs.
     """
     chain, plan, bound = posterior._chain, posterior._plan, posterior._slices.bound
     model = posterior.graph.model
@@ -57,12 +50,10 @@ def expected_counts(posterior: StatePosterior, cpds: list[CPD]) -> dict[CPD, Arr
 
 
 def _by_run(belief: Array, batch: int) -> Array:
-    """A belief (*states, [runs]) as (runs, *states)."""
     return np.moveaxis(belief, -1, 0) if batch else belief[None]
 
 
 def _marginal(belief: Array, wanted: list[int]) -> Array:
-    """The marginal over some axes, in their order, (runs, ...)."""
     others = tuple(1 + k for k in range(belief.ndim - 1) if k not in wanted)
     left = [k for k in range(belief.ndim - 1) if k in wanted]
     found: Array = belief.sum(axis=others)
@@ -76,7 +67,6 @@ def _states(rows: Any, row: int, runs: int) -> Integers:
 def _moved(
     counts: Array, cpd: Any, inputs: Any, row: int, belief: Array, axes: dict[Any, int]
 ) -> None:
-    """Add the belief of a family at one row, its observed parents being known."""
     family = (*cpd.given, cpd.child)
     found = _marginal(belief, [axes[v] for v in family if v in axes])
     runs = len(found)
@@ -88,7 +78,6 @@ def _moved(
 
 
 def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, int]) -> None:
-    """Add the belief of a sensor's parents at one measurement."""
     cpd, runs = reading.cpd, len(belief)
     found = _marginal(belief, [axes[v] for v in cpd.given if v in axes])
     taken = np.broadcast_to(reading.taken[row, :, 0], runs)

@@ -32,10 +32,7 @@ _WINDOWS = 16
 class DirectChain(StateChain):
     """The family of one chain, swept over many steps at once.
 
-    Attributes
-    ----------
-    precise : bool
-        Whether the forward sweep has lost no digits; else the chain is not to be used.
+    precise: Whether the forward sweep has lost no digits; else the chain is not to be used.
     """
 
     slices: TableSlices
@@ -45,7 +42,7 @@ class DirectChain(StateChain):
     # An impossible measurement, which makes 0/0, is found here and told by the chain step by step.
     @np.errstate(divide="ignore", invalid="ignore")
     def run(self) -> DirectChain:
-        """The same, its forward sweep done."""
+        """See `StateChain`."""
         known, log_density = self.take(0, self.start())
         self.keep(0, known, known, log_density)
         rows, logs = np.asarray(self.known)[1:], self.log_density[1:]
@@ -85,12 +82,11 @@ class DirectChain(StateChain):
         return bool(self.batch) and isinstance(self._map(1), Dense)
 
     def room(self, like: Array) -> Array:
-        """Room for a belief at each step."""
+        """See `StateChain`."""
         return np.swapaxes(super().room(like.T), 1, 2) if self._by_runs else super().room(like)
 
     @cached_property
     def _parts(self) -> list[range]:
-        """The steps, in parts whose weights fit the room."""
         steps = self.slices.steps
         size = max(1, ROOM // max(1, self.known[0].size))
         return [range(at, min(at + size, steps + 1)) for at in range(1, steps + 1, size)]
@@ -105,13 +101,11 @@ class DirectChain(StateChain):
         return self._latest[1]
 
     def _applies(self, part: Sequence[int], *, back: bool = False) -> Iterator[markov.Apply]:
-        """The product by the transition into each step, or by its transpose."""
         if self.slices.constant is not None:
             return repeat(self._apply(part[0], back), len(part))
         return (self._apply(step, back) for step in part)
 
     def _apply(self, step: int, back: bool) -> markov.Apply:
-        """The product by the transition into a step, into a place."""
         transition = self._map(step)
         if not isinstance(transition, Dense):
             moved = transition.backward if back else transition.forward
@@ -132,7 +126,7 @@ class DirectChain(StateChain):
         return found
 
     def smoothed_beliefs(self) -> Array | list[Array]:
-        """The beliefs given all measurements, by step."""
+        """See `StateChain`."""
         found, known = np.empty_like(self.known), np.asarray(self.known)
         precise = all(_joined(found[rows], known[rows]) for rows in self._messages(found))
         return found if precise else super().smoothed_beliefs()
@@ -155,7 +149,7 @@ class DirectChain(StateChain):
         yield slice(0, 1)
 
     def lagged(self, lag: int) -> Iterator[tuple[int, Array]]:
-        """The steps from 0 to T, and the belief of each given the measurements a lag later."""
+        """See `StateChain`."""
         found = self._lagged(lag)
         yield from super().lagged(lag) if found is None else enumerate(found)
 

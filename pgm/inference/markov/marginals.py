@@ -25,13 +25,7 @@ Beliefs = Sequence[Array] | Array
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StateMarginals(Shown, NoArray):
-    """The marginals of the hidden variables of a discrete chain over all steps, by variable.
-
-    Attributes
-    ----------
-    kind : Kind
-        Which measurements they know.
-    """
+    """The marginals of the hidden variables of a discrete chain over all steps, by variable."""
 
     plan: SlicePlan
     beliefs: Beliefs
@@ -39,13 +33,7 @@ class StateMarginals(Shown, NoArray):
     kind: Kind
 
     def __getitem__(self, variable: Variable) -> Table:
-        """The marginal of ``x`` at all its steps, stacked; of ``x.at(3)`` at one, (*runs, size).
-
-        Raises
-        ------
-        EvidenceError
-            If the variable is not hidden, or has no such step.
-        """
+        """The marginal of ``x`` at all its steps, stacked; of ``x.at(3)`` at one, (*runs, size)."""
         template, first = located(self.plan.layout, variable, len(self.beliefs) - 1)
         if variable.step is not None:
             values = self._summed(self.beliefs[variable.step], template)
@@ -81,14 +69,8 @@ class StateMarginals(Shown, NoArray):
 def pair(chain: StateChain, plan: SlicePlan, step: int, message: Array) -> Array:
     """The states of the step before and the slice of a step: (*states, *slice, *runs), of sum one.
 
-    Parameters
-    ----------
-    chain : StateChain
-    plan : SlicePlan
-    step : int
-        1 or later.
-    message : ndarray
-        To the slice of the step, from later ones.
+    step: 1 or later.
+    message: To the slice of the step, from later ones.
     """
     slices: Any = chain.slices
     semiring = chain.semiring
@@ -107,14 +89,8 @@ def potential(
 ) -> tuple[Array, Array | None, Array | float]:
     """The transition into a step, or the prior, and the weights of the step's measurements.
 
-    Returns
-    -------
-    transition : ndarray
-        (*states, *slice, *runs); of step 0 the prior, (*slice, *runs).
-    weights : ndarray or None
-        (*slice, *runs), to be multiplied in; None where nothing is measured.
-    log_scale : ndarray or float
-        Of the weights.
+    The transition is (*states, *slice, *runs), of step 0 the prior, (*slice, *runs); the weights,
+    (*slice, *runs), are None where nothing is measured; last, their log-scale.
     """
     slices: Any = chain.slices
     weights, log_scale = slices.likelihood(step)
@@ -167,7 +143,6 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
 
 
 def _behind(values: Array, axes: int, passed: int) -> Array:
-    """Values over a slice with axes of length one for the variables that have passed."""
     return values.reshape(*values.shape[:axes], *(1,) * passed, *values.shape[axes:])
 
 

@@ -36,12 +36,7 @@ class OnlineTables(InCode, Immutable):
     Made by ``OnlineFilter(model)``, of a network of tables. It is immutable, and so are its
     beliefs.
 
-    Parameters
-    ----------
-    model : DynamicBayesianNetwork
-        Of tables.
-    lag : int, optional
-        In steps, of ``belief.lagged``.
+    lag: In steps, of ``belief.lagged``.
     """
 
     model: DynamicBayesianNetwork
@@ -64,12 +59,7 @@ class OnlineTables(InCode, Immutable):
         return f"OnlineFilter(over {list(self.model.states)}{lag})"
 
     def initial(self) -> OnlineStates:
-        """The prior, at step 0.
-
-        Returns
-        -------
-        OnlineStates
-        """
+        """The prior, at step 0."""
         slices = TableSlices(self._plan, BoundEvidence(0, (), (), ()))
         semiring = SUM_PRODUCT if slices.smallest >= TINY else LOG_SUM_PRODUCT
         chain = StateChain(slices.within(semiring), semiring)
@@ -82,22 +72,7 @@ class OnlineTables(InCode, Immutable):
     ) -> OnlineStates:
         """The belief one step later.
 
-        Parameters
-        ----------
-        belief : OnlineStates
-        inputs : mapping of Variable
-            Of the transition's inputs the name or index of a state, (...), or values (..., d).
-
-        Returns
-        -------
-        OnlineStates
-
-        Raises
-        ------
-        EvidenceError
-            If an input is missing or of a wrong shape, or something is no input.
-        ModelError
-            If the belief is not this filter's, or the function of a table fails.
+        inputs: Of the transition's inputs the name or index of a state, (...), or values (..., d).
         """
         self._check(belief)
         given = as_mapping(inputs, "the inputs of predict")
@@ -122,24 +97,9 @@ class OnlineTables(InCode, Immutable):
     def update(self, belief: OnlineStates, readings: Mapping[Variable, Any]) -> OnlineStates:
         """The belief given measurements of its step; a further update goes on from the first.
 
-        Parameters
-        ----------
-        belief : OnlineStates
-        readings : mapping of Variable
-            For a sensor the name or index of the state measured, (...), `soft` weights (..., size),
-            or ``pgm.sightings(values, given=...)`` without steps, any number; for inputs that the
-            sensors need, their states or values.
-
-        Returns
-        -------
-        OnlineStates
-
-        Raises
-        ------
-        EvidenceError
-            If a measurement does not fit its sensor, or is impossible.
-        ModelError
-            As of `predict`.
+        readings: For a sensor the name or index of the state measured, (...), `soft` weights (...,
+            size), or ``pgm.sightings(values, given=...)`` without steps, any number; for inputs
+            that the sensors need, their states or values.
         """
         self._check(belief)
         given = step_evidence.mapping(readings, "update", "sensors to measurements")

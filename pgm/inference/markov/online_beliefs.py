@@ -27,14 +27,9 @@ from pgm.variables import Variable
 class Held(NamedTuple):
     """A belief over a slice, of sum one, and the weights of its step's measurements so far.
 
-    Attributes
-    ----------
-    entries : ndarray
-        (*states, *runs), numbers or logarithms.
-    weights : ndarray or None
-        The same; None, if there were no measurements.
-    linear : bool
-        Whether they are numbers.
+    entries: (*states, *runs), numbers or logarithms.
+    weights: The same; None, if there were no measurements.
+    linear: Whether they are numbers.
     """
 
     entries: Array
@@ -78,17 +73,9 @@ class Passed(NamedTuple):
 class OnlineStates(Shown, NoArray, Immutable):
     """The belief of an online filter of a discrete network at one step.
 
-    Attributes
-    ----------
-    step : int
-    log_evidence : ndarray
-        (*runs): ln p of all measurements so far.
-    status : Status
-        Tables need no iterations.
-    kind : Kind
-        Filtered after an update, predicted before; of `lagged`, fixed-lag.
-    lead : tuple of int
-        The axes of runs.
+    log_evidence: (*runs): ln p of all measurements so far.
+    status: Tables need no iterations.
+    kind: Filtered after an update, predicted before; of `lagged`, fixed-lag.
     """
 
     step: int
@@ -125,19 +112,7 @@ class OnlineStates(Shown, NoArray, Immutable):
     def __getitem__(self, variable: Variable) -> Table:
         """The marginal of a hidden variable at the belief's step.
 
-        Parameters
-        ----------
-        variable : Discrete
-
-        Returns
-        -------
-        Table
-            (*runs, size).
-
-        Raises
-        ------
-        EvidenceError
-            If it is no hidden variable, or none of this step.
+        Returns (*runs, size).
         """
         plan, template = self._plan, require_variable(variable).template
         hidden = plan.slice if self.step else plan.states
@@ -155,13 +130,7 @@ class OnlineStates(Shown, NoArray, Immutable):
 
     @property
     def lagged(self) -> OnlineStates:
-        """The belief at the step a lag before, given all measurements so far; at step 0 until then.
-
-        Raises
-        ------
-        EvidenceError
-            If the filter has no lag.
-        """
+        """The belief at the step a lag before, given all measurements; at step 0 until then."""
         if self._lag is None:
             raise EvidenceError(
                 f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, "
@@ -209,10 +178,8 @@ class _Window:
         return chain.posterior(0, message)
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """The weights of a step."""
         return self.held[step].weights, 0.0
 
     def backward(self, step: int, message: Array) -> Array:
-        """A message to the step before."""
         ahead = self.ahead[step - 1].within(self.semiring)
         return ahead.backward(ahead.first, message)  # whose only row is of its own step

@@ -25,16 +25,8 @@ from pgm.progress import counted
 def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
     """The states of all hidden variables on the path, and its log-probability.
 
-    Parameters
-    ----------
-    slices : TableSlices
-
-    Returns
-    -------
-    list of ndarray
-        Of each variable of the slice its states, (runs, T+1); of a control those at step 0 are 0.
-    ndarray
-        (runs,): ln p(path, measurements), of measurements not taken summed over.
+    Returns: Of each variable of the slice its states, (runs, T+1); of a control those at step 0 are
+    0. (runs,): ln p(path, measurements), of measurements not taken summed over.
     """
     own = slices.within(MAX_PRODUCT)
     chain = StateChain(own, MAX_PRODUCT).run()
@@ -54,12 +46,10 @@ def most_probable_path(slices: TableSlices) -> tuple[list[Integers], Array]:
 
 
 def _axes(controls: tuple[int, ...]) -> tuple[int, ...]:
-    """Axes of a belief where those of a batch stand first."""
     return tuple(k + 1 for k in controls)
 
 
 def _by_run(values: Array, batch: int) -> Array:
-    """A belief with its runs, or the single one, on the first axis."""
     return np.moveaxis(values, -1, 0) if batch else values[None]
 
 
@@ -105,7 +95,6 @@ def _scores(slices: TableSlices, step: int, states: Integers) -> Array:
 
 
 def _known_parent(labels: tuple[int, ...], states: Integers, count: int) -> Integers | None:
-    """The states of a map's parent, where it is of the same slice."""
     return states[labels[0]] if labels[0] < count else None
 
 

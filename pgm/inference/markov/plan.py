@@ -34,10 +34,7 @@ class SlicePlan:
 
     Found once for a model, whatever the evidence.
 
-    Attributes
-    ----------
-    slice : tuple of Discrete
-        The hidden variables of a step, states and controls: the axes of a belief. Controls have
+    slice: The hidden variables of a step, states and controls: the axes of a belief. Controls have
         length one at step 0.
     """
 
@@ -69,20 +66,20 @@ class SlicePlan:
 
     @cached_property
     def onward(self) -> Contraction:
-        """From the states of the step before to the slice."""
+        """States before → slice."""
         return Contraction.of(
             self._before, range(len(self.slice)), self._tables, self.sizes, self._maps
         )
 
     @cached_property
     def back(self) -> Contraction:
-        """From the slice to the states of the step before."""
+        """Slice → states before."""
         now = range(len(self.slice))
         return Contraction.of(now, self._before, self._tables, self.sizes, self._maps, back=True)
 
     @cached_property
     def pairs(self) -> Contraction:
-        """From the states of the step before to both: a joint of neighbours."""
+        """States before → both: a joint of neighbours."""
         both = (*self._before, *range(len(self.slice)))
         return Contraction.of(
             self._before, both, self._tables, self.sizes, [False] * len(self._tables)
@@ -94,7 +91,7 @@ class SlicePlan:
 
     @cached_property
     def prior(self) -> Contraction:
-        """From nothing to the states at step 0."""
+        """Nothing → states at step 0."""
         tables = [self.hidden(cpd) for cpd in self.model.prior]
         states = [self.labels[v] for v in self.states]
         return Contraction.of((), states, tables, self.sizes, [False] * len(tables))
@@ -130,7 +127,6 @@ class RowTables:
         return self._joined(states, semiring, as_map)
 
     def _joined(self, states: Any, semiring: Semiring, as_map: bool) -> Factor:
-        """Of runs whose inputs differ."""
         keys, which = np.unique(states, axis=1, return_inverse=True)
         parts: list[Any] = [self._factor(tuple(map(int, key)), semiring, as_map) for key in keys.T]
         which = which.ravel()
@@ -142,7 +138,6 @@ class RowTables:
         )
 
     def _factor(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Any:
-        """The table for states of the observed parents, kept for the next row."""
         name = (*key, semiring.linear, as_map)
         found = self.index.get(name)
         if found is None:
@@ -156,13 +151,11 @@ class RowTables:
         return Move(((Dense(table), None),)) if as_map else semiring.entries(table)
 
     def _selected(self, table: Array, key: tuple[int, ...]) -> Array:
-        """A table with the states of the observed parents put in."""
         states = dict(zip(self.observed, key, strict=True))
         found: Array = table[tuple(states.get(v, slice(None)) for v in self.cpd.given)]
         return found
 
     def _called(self, row: int, semiring: Semiring, as_map: bool) -> Factor:
-        """The table that the function of inputs returns."""
         tables = self.called.at(row)
         states = [self.inputs[v][row, :, 0] for v in self.observed]
         runs = max([len(tables), *map(len, states)])
@@ -192,17 +185,9 @@ class RowTables:
 class TableSlices:
     """The slices of a discrete dynamic network: `Slices` whose numbers are tables.
 
-    Parameters
-    ----------
-    plan : SlicePlan
-    bound : BoundEvidence
-    first : int
-        The step of row 0 of the transition; 1, of recorded evidence.
+    first: The step of row 0 of the transition; 1, of recorded evidence.
 
-    Attributes
-    ----------
-    semiring : Semiring
-        Of the numbers: `SUM_PRODUCT`, unless made by `within`.
+    semiring: Of the numbers: `SUM_PRODUCT`, unless made by `within`.
     """
 
     def __init__(self, plan: SlicePlan, bound: BoundEvidence, first: int = 1) -> None:
@@ -239,7 +224,7 @@ class TableSlices:
         return cast(tuple[TableCPD, ...], self.plan.model.prior)
 
     def prior(self) -> Array:
-        """The probabilities at step 0."""
+        """See `Slices`."""
         semiring = self.semiring
         tables = [semiring.entries(cpd.table) for cpd in self._prior_cpds]
         found = self.plan.prior.apply(np.full((), semiring.one), tables, semiring)
@@ -247,16 +232,13 @@ class TableSlices:
         return np.repeat(found[..., None], self.bound.runs, axis=-1) if self.lead else found
 
     def forward(self, step: int, belief: Array) -> Array:
-        """The belief over the slice of a step, from that of the step before.
-
-        Axes between those of the slice and that of the runs are kept.
-        """
+        """See `Slices`; axes between those of the slice and that of the runs are kept."""
         if self.plan.controls:
             belief = self.semiring.total(belief, self.plan.controls, None)
         return self.plan.onward.apply(belief, self.factors(step, "onward"), self.semiring)
 
     def backward(self, step: int, message: Array) -> Array:
-        """The transpose of `forward`."""
+        """See `Slices`."""
         if self.plan.controls:
             rest = message.shape[len(self.plan.shape) :]
             message = np.broadcast_to(message, (*self.plan.shape, *rest))
@@ -310,11 +292,10 @@ class TableSlices:
 
     @cached_property
     def _fixed(self) -> dict[str, list[Factor]]:
-        """The tables by contraction, where they are the same at all steps."""
         return {}
 
     def likelihood(self, step: int) -> tuple[Array | None, Array | float]:
-        """The weights of a step's measurements, and their log-scale."""
+        """See `Slices`."""
         found: Array | None = None
         log_scale: Array | float = 0.0
         for own, scale in self._weights_at(step):
@@ -338,7 +319,7 @@ class TableSlices:
                     yield own, weights.log_scale(row) if self.semiring.linear else 0.0
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
-        """Raise the error of measurements that are impossible given a predicted belief."""
+        """See `Slices`."""
         left, culprit = belief, None
         for weights in self.weights:
             for row in weights.at(step):

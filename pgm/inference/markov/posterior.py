@@ -259,7 +259,6 @@ class StatePosterior(Posterior):
         return message, found, message.max(axis=tuple(range(message.ndim - chain.batch)))
 
     def _message_back(self, step: int, passed: Callable[[int, Array], Array]) -> Array:
-        """The message to the slice of a step from all measurements that its belief knows."""
         chain = self._chain
         last = self.kind.last(step, self.graph.steps)
         message = np.full(chain.known[last].shape, chain.semiring.one)
@@ -268,7 +267,6 @@ class StatePosterior(Posterior):
         return message
 
     def _states(self, values: Array, *, total: bool = True) -> Array:
-        """Values over the states alone, summed over the controls."""
         axes = self._plan.controls
         if not axes:
             return values

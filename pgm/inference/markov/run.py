@@ -38,7 +38,6 @@ def solved(slices: TableSlices) -> StateChain:
 
 
 def _in_numbers(slices: TableSlices) -> StateChain | None:
-    """The forward sweep in plain numbers; None where these may have lost a state."""
     with np.errstate(under="ignore"):
         if slices.single and slices.steps:
             direct = DirectChain(slices).run()

@@ -22,13 +22,7 @@ if TYPE_CHECKING:
 class Weights:
     """The measurements of one sensor, as weights on the axes of a belief.
 
-    Parameters
-    ----------
-    plan : SlicePlan
-    reading : Reading
-    runs : int
-    batch : bool
-        Whether beliefs have an axis of runs.
+    batch: Whether beliefs have an axis of runs.
     """
 
     def __init__(self, plan: SlicePlan, reading: Reading, runs: int, batch: bool) -> None:
@@ -134,7 +128,6 @@ class Weights:
         return np.concatenate([self._columns / top, nothing]), np.append(np.log(top), 0.0)
 
     def _rows(self, part: range) -> range:
-        """The rows of the measurements of some steps."""
         last = len(self.starts) - 1
         return range(self.starts[min(part.start, last)], self.starts[min(part.stop, last)])
 
@@ -164,7 +157,6 @@ class Weights:
         return logs if self.batch else float(logs[0])
 
     def _softened(self, row: int, columns: Array, places: Any, semiring: Semiring) -> Array:
-        """Of soft evidence: the weights of the sensor's states, summed over."""
         values = (self._scaled if semiring.linear else self.reading.values)[row]
         runs = max([len(values), *(len(p) for p in places)])
         own = columns[tuple(places)] if places else columns[None]
@@ -179,11 +171,9 @@ class Weights:
         return self._over_runs(found[0]) if runs == 1 else np.moveaxis(found, 0, -1)
 
     def _over_runs(self, single: Array) -> Array:
-        """Weights that are those of all runs."""
         return single[..., None] if self.batch else single
 
     def _called(self, row: int) -> tuple[Array, list[Any]]:
-        """The columns that the function of inputs gives, and where each run's are."""
         tables = self.called.at(row)
         places = [self.reading.inputs[v][row, :, 0] for v in self.observed]
         return self._laid(tables, 1), [np.arange(len(tables)), *places]
@@ -203,7 +193,6 @@ class Weights:
 
 
 def _last(reading: Reading) -> int:
-    """The last step at which there is a measurement, −1 if there is none."""
     return int(reading.step[-1]) if reading.step.size else -1
 
 
@@ -215,18 +204,7 @@ def smallest_entry(table: Array) -> float:
 class InputTables:
     """The tables that the function of a CPD returns for the inputs of a row.
 
-    Parameters
-    ----------
-    cpd : TableCPD
-    inputs : mapping of Variable to ndarray
-        (rows, runs or 1, d), or of states (rows, runs or 1, 1).
-    step : callable
-        The step of a row, for messages.
-
-    Attributes
-    ----------
-    smallest : float
-        The smallest positive entry of the tables so far.
+    inputs: (rows, runs or 1, d), or of states (rows, runs or 1, 1).
     """
 
     def __init__(

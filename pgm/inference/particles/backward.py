@@ -35,20 +35,10 @@ _PAIRS = 2**20
 class Backward:
     """The trajectories that clouds of filtered particles leave.
 
-    Parameters
-    ----------
-    model : ParticleModel
-    particles : Particles
-    clouds : sequence of Cloud
-        Filtered, by step.
-    restarted : ndarray of bool
-        (T+1, runs): where particles were drawn from the prior instead of the step before, of which
-        they tell nothing then.
+    restarted: (T+1, runs): where particles were drawn from the prior instead of the step before, of
+        which they tell nothing then.
 
-    Attributes
-    ----------
-    unmoved : ndarray
-        (T, runs): by step the share of trajectories that stayed at their ancestor.
+    unmoved: (T, runs): by step the share of trajectories that stayed at their ancestor.
     """
 
     def __init__(
@@ -90,7 +80,6 @@ class Backward:
         return tuple(found)
 
     def _generators(self, step: int, about: int) -> list[np.random.Generator]:
-        """The streams of the draws at a step, of trajectories that end at another."""
         first, seed = self.model.bound.first_run, self.particles.seed
         purpose = BACKWARD + step - about  # a lag's trajectories are none of another's
         return [stream(seed, first + run, step, purpose) for run in range(len(self._counts))]
@@ -100,7 +89,6 @@ class Backward:
         return Cloud(states, uniform(self._counts), self._starts)
 
     def _last(self, step: int, about: int) -> Integers:
-        """The places of the particles with which trajectories begin."""
         cloud, generators = self.clouds[step], self._generators(step, about)
         draw, found = RESAMPLERS[self.particles.resampling], []
         for run, generator in enumerate(generators):
@@ -110,7 +98,6 @@ class Backward:
         return np.concatenate(found)
 
     def _before(self, step: int, place: Integers, after: States, about: int) -> Integers:
-        """The places at a step of trajectories whose next particles are given."""
         later, cloud = self.clouds[step + 1], self.clouds[step]
         generators = self._generators(step, about)
         ancestor = place if later.ancestors is None else later.ancestors[place]
@@ -150,7 +137,6 @@ class Backward:
         return now, moved
 
     def _of(self, run: int) -> slice:
-        """The place of a run's trajectories."""
         return slice(int(self._starts[run]), int(self._starts[run + 1]))
 
     def _drawn(self, cloud: Cloud, run: int, generator: np.random.Generator) -> Integers:
@@ -167,7 +153,6 @@ class Backward:
         ancestor: Integers,
         generators: list[np.random.Generator],
     ) -> Integers:
-        """Places drawn from all particles."""
         found = []
         for run, generator in enumerate(generators):
             part, trajectories = cloud.of(run), range(*self._starts[run : run + 2].tolist())
@@ -189,8 +174,6 @@ class Backward:
 
 
 class _Density:
-    """The transition's log-density of next particles, at any before."""
-
     def __init__(
         self,
         model: ParticleModel,

@@ -182,7 +182,6 @@ class CellProposal(InCode, Immutable):
 
 
 def _require_apart(what: str, places: Array, around: Array) -> None:
-    """Refuse cells of unit width that overlap; `around` is the length of a circle, or zero."""
     from scipy.spatial import KDTree  # here, since it is slow to import
 
     if len(places) < 2:

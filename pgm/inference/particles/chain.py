@@ -44,13 +44,8 @@ Generators = list[np.random.Generator]
 class Placed(NamedTuple):
     """A state of all particles, drawn elsewhere than from its prior.
 
-    Attributes
-    ----------
-    variable : Variable
-    states : ndarray
-        (d, particles).
-    log_density : ndarray
-        (particles,): of the draws.
+    states: (d, particles).
+    log_density: (particles,): of the draws.
     """
 
     variable: Variable
@@ -59,17 +54,7 @@ class Placed(NamedTuple):
 
 
 class ParticleChain:
-    """The family of one chain of all runs.
-
-    Parameters
-    ----------
-    graph : DynamicGraph
-        Of the network, of any number of steps.
-    model : ParticleModel
-    particles : Particles
-    record : Record
-        Of what happens on the way.
-    """
+    """The family of one chain of all runs."""
 
     def __init__(
         self,
@@ -94,7 +79,6 @@ class ParticleChain:
         return self._prior(counts, self.generators(0), self._placed(self.particles.n))
 
     def _placed(self, count: int) -> Placed | None:
-        """The draws of all runs from cells, where a start from these is due."""
         cells = self.particles.start
         if cells is None or not cells.sensors(self.model, 0):
             return None
@@ -214,7 +198,6 @@ class ParticleChain:
             some.now[self.model.places[law.cpd.child]] = law.draw(row, some, drawing)
 
     def _chosen(self, states: States, weights: Array, rng: np.random.Generator) -> Integers:
-        """The places of the particles of a run that are drawn anew."""
         draw = RESAMPLERS[self.particles.resampling]
         number = self.particles.number
         if not isinstance(number, KLDSampling):
@@ -277,7 +260,6 @@ class ParticleChain:
         return replace(cloud, states=states, log_weights=log_weights, ancestors=None)
 
     def _log_likelihood(self, step: int, cloud: Cloud) -> Array:
-        """The log-density of a step's measurements at all particles."""
         found = np.empty(len(cloud.log_weights))
         for block in cloud.blocks():
             place = slice(block.first, block.last)
@@ -286,7 +268,6 @@ class ParticleChain:
         return found
 
     def _after_impossible(self, step: int, cloud: Cloud, impossible: Mask) -> Cloud:
-        """The cloud with which to go on where no particle explains the measurements."""
         if self.particles.impossible == RAISE:
             run = int(impossible.argmax())
             nowhere = np.isneginf(cloud.log_weights[cloud.of(run)]).all()

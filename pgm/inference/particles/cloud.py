@@ -17,15 +17,7 @@ BLOCK = 2**14
 
 
 class Block(NamedTuple):
-    """Some particles that are worked on together: whole runs, or a part of one.
-
-    Attributes
-    ----------
-    first, last : int
-        Of the particles of all runs.
-    runs : range
-        Whose they are.
-    """
+    """Some particles that are worked on together: whole runs, or a part of one."""
 
     first: int
     last: int
@@ -39,18 +31,11 @@ class Block(NamedTuple):
 class Cloud:
     """The particles of all runs at one step, one run after another.
 
-    Attributes
-    ----------
-    states : ndarray
-        (d, particles): the components of the slice's variables.
-    log_weights : ndarray
-        (particles,): normalised in each run.
-    starts : ndarray of int
-        (runs + 1,): where each run begins, and the end.
-    ancestors : ndarray of int or None
-        (particles,): the place of each particle's parent, a step before.
-    averages : ndarray or None
-        (2, runs): long-term and short-term averages, of an `Injection`.
+    states: (d, particles): the components of the slice's variables.
+    log_weights: (particles,): normalised in each run.
+    starts: (runs + 1,): where each run begins, and the end.
+    ancestors: (particles,): the place of each particle's parent, a step before.
+    averages: (2, runs): long-term and short-term averages, of an `Injection`.
     """
 
     states: npt.NDArray[Any]

@@ -42,15 +42,7 @@ _ROUNDING = 1e-6
 
 
 class Guide:
-    """The proposals of one model.
-
-    Parameters
-    ----------
-    graph : DynamicGraph
-        Of the network, of any number of steps.
-    model : ParticleModel
-    lineariser : Lineariser
-    """
+    """The proposals of one model."""
 
     def __init__(self, graph: DynamicGraph, model: ParticleModel, lineariser: Lineariser) -> None:
         self.graph, self.model, self.lineariser = graph, model, lineariser

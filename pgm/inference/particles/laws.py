@@ -32,13 +32,8 @@ States = npt.NDArray[Any]
 class Some(NamedTuple):
     """Some particles at a step, for which CPDs are asked.
 
-    Attributes
-    ----------
-    step : int
-    now, before : ndarray
-        (d, m): the slice of the step, as far as it is drawn, and the one before.
-    owner : ndarray of int or None
-        (m,): the run of each; None where there is one.
+    now, before: (d, m): the slice of the step, as far as it is drawn, and the one before.
+    owner: (m,): the run of each; None where there is one.
     """
 
     step: int
@@ -60,10 +55,7 @@ class Some(NamedTuple):
 class Drawing:
     """The generators for the particles of a block, in order.
 
-    Parameters
-    ----------
-    pieces : sequence of (slice, Generator)
-        Places in the block, each of one run.
+    pieces: Places in the block, each of one run.
     """
 
     def __init__(self, pieces: Sequence[tuple[slice, np.random.Generator]]) -> None:
@@ -104,20 +96,7 @@ class Drawing:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A CPD at its rows, by its own sampler and density.
-
-    Attributes
-    ----------
-    cpd : CPD
-    inputs : mapping of Variable to ndarray
-        Values of the observed parents, (rows, runs or 1, d).
-    places : mapping of Variable to slice
-        The components of the slice's variables.
-    dtype : numpy type
-        Of the states.
-    first_run : int
-        The number of the first run, for messages.
-    """
+    """A CPD at its rows, by its own sampler and density."""
 
     cpd: CPD
     inputs: Mapping[Variable, States]
@@ -175,7 +154,7 @@ class GaussianLaw(Law):
     cpd: ConditionalGaussian
 
     def draw(self, row: int, some: Some, drawing: Drawing) -> States:
-        """Draws of the child, (d, m)."""
+        """See `Law`."""
         white = drawing.white(self.cpd.child.dimension, some.size, self.dtype)
         root = self.root(row, some.step)
         if root.diagonal is not None:
@@ -215,7 +194,7 @@ class GaussianLaw(Law):
         return found
 
     def open(self, row: int, step: int) -> Integers:
-        """The number of components with noise of their own, (runs or 1,)."""
+        """See `Law`."""
         return self.root(row, step).open
 
     def mean(self, row: int, some: Some) -> States:
@@ -238,7 +217,6 @@ class GaussianLaw(Law):
         return mean.T
 
     def _called(self, arguments: list[States], due: tuple[int, ...], call: Call) -> States:
-        """The value of the function; of float32 states in their precision."""
         function = getattr(self.cpd, "function", None)
         if function is None:
             known = dict(zip(self.cpd.given, arguments, strict=True))
@@ -265,7 +243,7 @@ class GaussianLaw(Law):
         )
 
     def require_noise(self, steps: Integers) -> None:
-        """Refuse a sensor that has no noise at one of the steps of its rows."""
+        """See `Law`."""
         for row, step in enumerate(steps.tolist()):
             if not self.root(row, step).regular:
                 raise ModelError(
@@ -319,16 +297,10 @@ class GaussianLaw(Law):
 class Root:
     """The roots of a noise covariance, of all runs or of each.
 
-    Attributes
-    ----------
-    lower : ndarray
-        (runs or 1, d, d).
-    diagonal : ndarray or None
-        (d, runs or 1): deviations, where components are independent.
-    regular : bool
-        Whether all components have noise of their own.
-    open : ndarray of int
-        (runs or 1,): how many have.
+    lower: (runs or 1, d, d).
+    diagonal: (d, runs or 1): deviations, where components are independent.
+    regular: Whether all components have noise of their own.
+    open: (runs or 1,): how many have.
     """
 
     def __init__(self, lower: Array, dtype: Any) -> None:

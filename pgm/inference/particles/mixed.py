@@ -19,19 +19,13 @@ from pgm.variables import Variable
 
 @dataclass(frozen=True, eq=False)
 class MixtureLaw(Law):
-    """A mixture at its rows.
-
-    Attributes
-    ----------
-    parts : tuple of Law
-        Of the CPDs that it mixes.
-    """
+    """A mixture at its rows."""
 
     cpd: MixtureCPD
     parts: tuple[Law, ...]
 
     def draw(self, row: int, some: Some, drawing: Drawing) -> States:
-        """Draws of the child, (d, m), each of one part."""
+        """See `Law`; each draw is of one part."""
         which = np.empty(some.size, dtype=np.intp)
         for place, rng in drawing.pieces:
             which[place] = chosen(self.cpd.weights, (place.stop - place.start,), rng)
@@ -43,7 +37,7 @@ class MixtureLaw(Law):
         return found
 
     def log_density(self, row: int, some: Some, child: States, taken: Mask | None = None) -> Array:
-        """The log-densities (m,) of a child (d, m), or (d, 1) for all, or of components taken."""
+        """See `Law`."""
         self.open(row, some.step)
         terms = (part.log_density(row, some, child, taken) for part in self.parts)
         return log_mixed(self.cpd.weights, terms)

@@ -26,19 +26,9 @@ from pgm.variables import Variable
 class ParticleModel:
     """A model with its evidence, CPD by CPD.
 
-    Parameters
-    ----------
-    model : DynamicBayesianNetwork
-    bound : BoundEvidence
-    dtype : numpy type
-        Of the states.
-    first : int
-        The step before the first of the evidence for the transition.
+    first: The step before the first of the evidence for the transition.
 
-    Attributes
-    ----------
-    places : mapping of Variable to slice
-        The components of each state and hidden control, in this order.
+    places: The components of each state and hidden control, in this order.
     """
 
     def __init__(
@@ -120,13 +110,7 @@ class ParticleModel:
 
 
 class Sensor:
-    """A sensor with its measurements.
-
-    Parameters
-    ----------
-    law : Law
-    reading : Reading
-    """
+    """A sensor with its measurements."""
 
     def __init__(self, law: Law, reading: Reading) -> None:
         self.law, self.reading = law, reading
@@ -195,7 +179,6 @@ class Sensor:
             )
 
     def _require_density(self, found: Array, some: Some) -> None:
-        """Refuse log-densities that are NaN or plus infinity."""
         total = found.sum()
         if np.isfinite(total) or not (np.isnan(found) | (found == np.inf)).any():
             return
@@ -213,18 +196,7 @@ class Sensor:
 
 
 class Part(NamedTuple):
-    """One component of a belief.
-
-    Attributes
-    ----------
-    variable : Variable
-    component : int
-        Its place in the variable.
-    label : str
-        The name of the component, with that of the variable where they share it.
-    row : int
-        Of the states of a cloud.
-    """
+    """One component of a belief."""
 
     variable: Variable
     component: int

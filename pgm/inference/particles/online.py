@@ -244,7 +244,6 @@ class OnlineParticles(InCode, Immutable):
 
     @property
     def _looks(self) -> bool:
-        """Whether particles are moved by what the measurements of their step are."""
         by_likelihood = isinstance(self.belief.number, LikelihoodSampling)
         return self.belief.proposal is not None or by_likelihood
 
@@ -259,7 +258,6 @@ class OnlineParticles(InCode, Immutable):
     def _spread(
         self, belief: OnlineParticleBelief, bound: BoundEvidence, cloud: Cloud | None = None
     ) -> Cloud:
-        """The belief's cloud, or that of the step before, for the runs of the evidence."""
         cloud, runs = belief._cloud if cloud is None else cloud, bound.runs
         if cloud.runs == runs:
             return cloud

@@ -26,16 +26,7 @@ from pgm.sizes import gibibytes, require_memory
 def run(
     graph: DynamicGraph, bound: BoundEvidence, schedule: Schedule | None, particles: Particles
 ) -> ParticlePosterior:
-    """Send the messages of a schedule as particles, and warn of what their status tells.
-
-    Parameters
-    ----------
-    graph : DynamicGraph
-    bound : BoundEvidence
-    schedule : Filtering, FixedLag, Smoothing or None
-        Smoothing, if not given.
-    particles : Particles
-    """
+    """Send the messages of a schedule as particles, and warn of what their status tells."""
     require_chain(graph, "particles")
     kind = kind_of(schedule, "particles")
     require_fitting(particles, graph.model)

@@ -170,25 +170,14 @@ class ParticleStatus(Shown, Immutable):
 class Record:
     """The clouds of steps, and the events of each run and step.
 
-    Parameters
-    ----------
-    steps : int
-        T.
-    runs : int
-
-    Attributes
-    ----------
-    clouds : list of Cloud
-        Given the measurements up to each step.
-    log_density : ndarray
-        (T+1, runs): ln p(z_t | z_0..t−1), estimated.
-    effective, number : ndarray
-        (T+1, runs): the effective number of particles given the step's measurements, and all.
-    resampled, ignored, restarted : ndarray of bool
-        (T+1, runs): whether the particles were drawn anew on the way to the step, and whether its
-        measurements were impossible, and left out, or taken by particles of the prior.
-    injected : ndarray
-        (T+1, runs): how many particles were put elsewhere on the way to the step.
+    clouds: Given the measurements up to each step.
+    log_density: (T+1, runs): ln p(z_t | z_0..t−1), estimated.
+    effective, number: (T+1, runs): the effective number of particles given the step's measurements,
+        and all.
+    resampled, ignored, restarted: (T+1, runs): whether the particles were drawn anew on the way to
+        the step, and whether its measurements were impossible, and left out, or taken by particles
+        of the prior.
+    injected: (T+1, runs): how many particles were put elsewhere on the way to the step.
     """
 
     def __init__(self, steps: int, runs: int) -> None:

@@ -53,14 +53,8 @@ def run(
 ) -> ChainPosterior | KeptPosterior:
     """Send the messages of a schedule.
 
-    Parameters
-    ----------
-    graph, bound, schedule, lineariser, start
-        As `run` of a chain takes them.
-    keep : Variable or iterable of Variable, or None
-        Whose marginals alone are kept, which bounds what is held at a time; None for everything.
-    executor : Executor or None
-        Whose workers share the parts.
+    graph, bound, schedule, lineariser, start: As `run` of a chain takes them.
+    keep: Whose marginals alone are kept, which bounds what is held at a time; None for everything.
     """
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
@@ -189,14 +183,8 @@ def _gaussians(
 class Share:
     """The share of a posterior that is asked for: beliefs as arrays, or all of it.
 
-    Attributes
-    ----------
-    kept : tuple of Variable or None
-        Whose marginals alone are.
-    beliefs : bool
-        Whether the beliefs of all are enough, since a sweep finds all else from them.
-    smoothed : bool
-        Whether there are smoothed ones.
+    kept: Whose marginals alone are.
+    beliefs: Whether the beliefs of all are enough, since a sweep finds all else from them.
     """
 
     kept: Scope | None
@@ -250,14 +238,7 @@ class Share:
 class Job:
     """The work on a part of the runs.
 
-    Attributes
-    ----------
-    part : Part
-    schedule, lineariser
-        As of `run`.
-    share : Share
-    room : sequence of ndarray or None
-        Where the arrays asked for are written to; None, where the result has them.
+    room: Where the arrays asked for are written to; None, where the result has them.
     """
 
     part: Part
@@ -270,17 +251,7 @@ class Job:
 class Result(NamedTuple):
     """The result of a part of the runs.
 
-    Attributes
-    ----------
-    status : Status
-    kind : Kind
-    log_evidence_kind : str
-    careful : bool
-        Whether it took twice the digits; then nothing else is here, unless variables are kept.
-    arrays : list of ndarray or None
-        Those asked for, if they have not been written.
-    found : ChainPosterior or None
-        All of it, if that is asked for.
+    careful: Whether it took twice the digits; then nothing else is here, unless variables are kept.
     """
 
     status: Status

@@ -30,12 +30,8 @@ MOST = 5000
 class Part:
     """Some of the runs, with their own share of everything that differs between runs.
 
-    Attributes
-    ----------
-    runs : slice
-        Which of all runs, their axes as one.
-    graph, bound, start
-        As they would be if there were no other runs.
+    runs: Which of all runs, their axes as one.
+    graph, bound, start: As they would be if there were no other runs.
     """
 
     runs: slice
@@ -61,7 +57,6 @@ def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
 
 
 def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
-    """Runs to a part."""
     model = graph.model
     rules = [lineariser]
     for cpd in (*model.prior, *model.transition, *model.observation):
@@ -81,7 +76,6 @@ def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, wor
 
 
 def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGraph:
-    """The graph of a model, its parameters that differ between runs cut to some of these."""
     model = graph.model
     changed = {
         name: tuple(_cpd(cpd, lead, runs) for cpd in getattr(model, name))

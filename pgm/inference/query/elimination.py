@@ -46,14 +46,7 @@ def _result(plan: EliminationPlan, evidence: BoundStates, semiring: Semiring) ->
 
 
 class Tables:
-    """The tables of an elimination under way, (sizes..., runs or 1).
-
-    Parameters
-    ----------
-    plan : EliminationPlan
-    evidence : BoundStates
-    semiring : Semiring
-    """
+    """The tables of an elimination under way, (sizes..., runs or 1)."""
 
     last: Array
 
@@ -97,7 +90,6 @@ class Tables:
         return plan.scopes[factor], self.semiring.entries(table)
 
     def _reduced(self, cpd: TableCPD, unknown: Sequence[Discrete], scope: Sequence[int]) -> Array:
-        """A CPD's table with the states of the known variables put in."""
         states = self.evidence.states
         index: list[int | slice] = []
         left: list[Discrete] = []
@@ -121,7 +113,6 @@ class Tables:
         return reduced
 
     def _weights(self, variable: Discrete) -> Array:
-        """The weights that evidence gives to the states of a variable that is not known."""
         soft = self.evidence.weights.get(variable)
         if soft is not None:
             return soft.T
@@ -137,13 +128,7 @@ class Tables:
 
 
 def require_possible(plan: EliminationPlan, probabilities: Array) -> None:
-    """Refuse evidence of probability zero, where probabilities (sizes..., runs or 1) are NaN.
-
-    Raises
-    ------
-    EvidenceError
-        Naming the first run, and the variables whose evidence has no common states.
-    """
+    """Refuse evidence of probability zero, where probabilities (sizes..., runs or 1) are NaN."""
     lost = np.isnan(probabilities).any(axis=tuple(range(probabilities.ndim - 1)))
     if not lost.any():
         return

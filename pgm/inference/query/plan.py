@@ -23,14 +23,9 @@ LARGE = 2**16
 class Step:
     """One product of tables, and the sum over its first axes.
 
-    Attributes
-    ----------
-    factors : tuple of int
-        What is multiplied, the smallest first.
-    scope : tuple of int
-        The variables of the product, by place in the order.
-    summed : int
-        How many of them, from the first, are summed out.
+    factors: What is multiplied, the smallest first.
+    scope: The variables of the product, by place in the order.
+    summed: How many of them, from the first, are summed out.
     """
 
     factors: tuple[int, ...]
@@ -45,17 +40,9 @@ class EliminationPlan:
     The axes of all tables are in the order in which the variables are summed out, those that are
     asked for last, so that no table is ever transposed, and sums are over the first axes.
 
-    Attributes
-    ----------
-    requisite : Requisite
-    order : tuple of Discrete
-        The hidden variables.
-    scopes : tuple of (tuple of int)
-        Of the tables at the start: those of the CPDs, then those of weights, by place in the order.
-    weighted : tuple of Discrete
-        The variables of the weights.
-    steps : sequence of Step
-        Each makes one table more. The last one sums nothing out.
+    scopes: Of the tables at the start: those of the CPDs, then those of weights, by place in the
+        order.
+    steps: Each makes one table more. The last one sums nothing out.
     """
 
     requisite: Requisite
@@ -136,13 +123,7 @@ class EliminationPlan:
         return peak
 
     def require_size(self) -> None:
-        """Refuse a plan whose tables would not fit, before any is made.
-
-        Raises
-        ------
-        GraphError
-            Naming the largest table and its size.
-        """
+        """Refuse a plan whose tables would not fit, before any is made."""
         if self.peak <= limits.LIMIT:
             return
         sizes = self.sizes

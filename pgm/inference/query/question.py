@@ -112,7 +112,6 @@ def query(
 
 
 def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
-    """The network that is asked about, and the graph that was compiled of it."""
     if isinstance(network, DynamicBayesianNetwork | DynamicGraph):
         raise GraphError(
             "query is for discrete networks, and this one is dynamic; its beliefs are "
@@ -133,7 +132,6 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
 
 
 def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -> States:
-    """The variables that are asked for, none of which may be observed in all runs."""
     several = None if is_unordered(variables) else as_tuple(variables)
     found = (variables,) if several is None else several
     for variable in found:
@@ -171,7 +169,6 @@ def _answer(graph: ClusterGraph | None, requisite: Requisite, scope: States) -> 
 
 
 def _eliminated(plan: EliminationPlan, scope: States) -> Array:
-    """By summing the others out."""
     plan.require_size()
     some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
     parts = [eliminate(plan, piece) for piece in some]
@@ -183,6 +180,5 @@ def _eliminated(plan: EliminationPlan, scope: States) -> Array:
 
 
 def _read(graph: ClusterGraph, evidence: BoundStates, scope: States) -> Array:
-    """From the posterior of a tree."""
     values = of_tree(graph, evidence, limits.Room.of(None, graph)).joint(*scope).values
     return np.moveaxis(values.reshape(-1, *sizes(scope)), 0, -1)

@@ -17,15 +17,7 @@ from pgm.variables import Discrete, Variable
 class Requisite:
     """The part of a network that bears on a query.
 
-    Attributes
-    ----------
-    cpds : tuple of TableCPD
-    open : tuple of States
-        Of each CPD, those of its variables whose state is not known.
-    hidden : tuple of Discrete
-        All of these.
-    evidence : BoundStates
-        Of the variables of these CPDs.
+    open: Of each CPD, those of its variables whose state is not known.
     """
 
     cpds: tuple[TableCPD, ...]
@@ -47,10 +39,8 @@ class Requisite:
         A variable that has evidence in some runs alone, or soft evidence, is not known; one of a
         single state is, and tells nothing.
 
-        References
-        ----------
-        Lauritzen, Dawid, Larsen and Leimer (1990), Independence properties of directed Markov
-        fields. Shachter (1998), Bayes-Ball: The rational pastime.
+        Source: Lauritzen, Dawid, Larsen and Leimer (1990), Independence properties of directed
+        Markov fields. Shachter (1998), Bayes-Ball: The rational pastime.
         """
         known = certain(evidence)
         families: list[tuple[TableCPD, States]] = []
@@ -96,7 +86,6 @@ def certain(evidence: BoundStates) -> set[Discrete]:
 
 
 def _part(evidence: BoundStates, members: set[Variable]) -> BoundStates:
-    """The evidence of some variables; without axes of runs, where it does not differ by run."""
     states = {
         v: s if isinstance(s, int) or s.size > 1 else int(s[0])
         for v, s in evidence.states.items()

@@ -56,14 +56,9 @@ class Family:
 class Assembly:
     """A network in the making; places are what a file's own `fail` turns into lines.
 
-    Parameters
-    ----------
-    fail : callable
-        Makes the error of a message and a place.
-    normalise : bool
-        Whether columns that do not quite sum to one are divided by their sums.
-    limit : int
-        How many bytes the file may hold, in proportion to which what is made of it is bounded.
+    fail: Makes the error of a message and a place.
+    normalise: Whether columns that do not quite sum to one are divided by their sums.
+    limit: How many bytes the file may hold, in proportion to which what is made of it is bounded.
     """
 
     def __init__(self, fail: Fail, *, normalise: bool, limit: int) -> None:
@@ -193,7 +188,6 @@ class Assembly:
 
 
 def _worst(rows: Array) -> tuple[int, float]:
-    """The row whose sum is furthest from one, and that sum."""
     totals = rows.sum(axis=-1)
     index = int(np.abs(totals - 1.0).argmax())
     return index, float(totals[index])

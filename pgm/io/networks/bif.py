@@ -78,7 +78,6 @@ def read_bif(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
 
 
 def _declarations(cursor: Cursor, assembly: Assembly) -> list[int]:
-    """Declare all variables; where the probability blocks start."""
     probabilities: list[int] = []
     networks = 0
     while cursor.step() or cursor.kind is not END:
@@ -157,14 +156,8 @@ def _states(cursor: Cursor, name: str) -> list[str]:
 class Statements:
     """The statements of a block about its family's probabilities, as far as it has been read.
 
-    Attributes
-    ----------
-    places, starts : array of int
-        Where each row belongs in the table, and where it starts in the file.
-    values : array of float
-        The numbers of all rows.
-    table, default : tuple, optional
-        The numbers of such a statement, and where it starts.
+    places, starts: Where each row belongs in the table, and where it starts in the file.
+    table, default: The numbers of such a statement, and where it starts.
     """
 
     family: Family
@@ -193,7 +186,6 @@ def probability(cursor: Cursor, assembly: Assembly) -> None:
 
 
 def _read(cursor: Cursor, found: Statements) -> None:
-    """Read the statements of a block."""
     family = found.family
     size = family.child.size
     index = [{state: k for k, state in enumerate(v.states)} for v in family.given]
@@ -224,7 +216,6 @@ def _read(cursor: Cursor, found: Statements) -> None:
 
 
 def _by_rows(cursor: Cursor, assembly: Assembly, found: Statements) -> None:
-    """Give the assembly a table that is given row by row."""
     _check(cursor, found)
     family = found.family
     rows: Array = np.empty((family.rows, family.child.size))
@@ -258,7 +249,6 @@ def _head(cursor: Cursor, assembly: Assembly) -> Family:
 
 
 def _place(cursor: Cursor, family: Family, index: list[dict[str, int]]) -> int:
-    """The place of a row in the table."""
     names, words = names_to(cursor, ")", "after the parents' states")
     states = of_length(len(index), names, words)
     if states is None:
@@ -275,7 +265,6 @@ def _place(cursor: Cursor, family: Family, index: list[dict[str, int]]) -> int:
 
 
 def _check(cursor: Cursor, found: Statements) -> None:
-    """Refuse rows that are given twice, or not at all."""
     family = found.family
     given = np.array(found.places)
     different, first = np.unique(given, return_index=True)

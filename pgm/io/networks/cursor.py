@@ -35,10 +35,7 @@ SHOWN = 40
 def numbers(text: str, start: int, into: array[float]) -> int:
     """Append the numbers from a place on, which white space or commas keep apart.
 
-    Returns
-    -------
-    int
-        Where they end: at the first thing that is no number, or at the end of the text.
+    Returns: Where they end: at the first thing that is no number, or at the end of the text.
     """
     while stretch := STRETCH.match(text, start):
         held = len(into)
@@ -58,14 +55,8 @@ def numbers(text: str, start: int, into: array[float]) -> int:
 class Cursor:
     """A place in a text.
 
-    Attributes
-    ----------
-    kind : int or None
-        Of the token that was read last: MARK, QUOTED, WORD, or END.
-    value : str
-        That token, without its quotes.
-    start : int
-        Where it starts in the text.
+    kind: Of the token that was read last: MARK, QUOTED, WORD, or END.
+    value: That token, without its quotes.
     """
 
     def __init__(self, text: str, origin: Origin) -> None:

@@ -180,13 +180,7 @@ def read_uai_evidence(
 
 
 class Words:
-    """The numbers of a file, taken one after the other; places count them from 0.
-
-    Attributes
-    ----------
-    at : int
-        The place of the next number.
-    """
+    """The numbers of a file, taken one after the other; places count them from 0."""
 
     def __init__(self, content: Content, *, heading: bool) -> None:
         # Blanks for comments, so that lines and places stay.

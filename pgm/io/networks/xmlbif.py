@@ -92,7 +92,6 @@ class Definition:
 
 
 def _definitions(content: Content, assembly: Assembly) -> list[Definition]:
-    """Declare all variables, and list the definitions."""
     from defusedxml import sax  # type: ignore[import-untyped]
     from defusedxml.common import (  # type: ignore[import-untyped]
         EntitiesForbidden,

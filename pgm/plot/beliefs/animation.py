@@ -112,7 +112,6 @@ def animate_beliefs(
 def _of_grid(
     belief: Any, truth: npt.ArrayLike | None, landmarks: npt.ArrayLike | None, unit: Unit
 ) -> tuple[npt.NDArray[Any], Callable[..., Axes]]:
-    """The steps of a belief on a grid, and the map of the k-th."""
     if not isinstance(belief, GridBelief):
         raise ModelError(
             "animate_beliefs draws a belief on a grid, or a table over time, not a "
@@ -135,7 +134,6 @@ def _of_grid(
 def _of_table(
     belief: Table, truth: npt.ArrayLike | None, landmarks: npt.ArrayLike | None, unit: Unit
 ) -> tuple[npt.NDArray[Any], Callable[..., Axes]]:
-    """The steps of a table over time, and the map of the k-th."""
     values = chances(belief, (1, 2), 1, "beliefs of one run over steps, like posterior[x]")
     if not len(values):
         raise ModelError("beliefs over no steps are no moving picture")
@@ -155,7 +153,6 @@ def _of_table(
 
 
 def _truth(truth: npt.ArrayLike | None, due: tuple[int, ...], axes: str) -> npt.NDArray[Any] | None:
-    """The truth at each step, if it is given."""
     if truth is None:
         return None
     right = np.asarray(truth)

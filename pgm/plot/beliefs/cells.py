@@ -149,7 +149,6 @@ def belief_map(
 
 
 def _fitting(texts: Iterable[str], ax: Axes, shape: npt.NDArray[Any]) -> float:
-    """The size of letters in which texts fit the cells of a map of some rows and columns."""
     frame = ax.get_window_extent()
     cell = 72.0 / ax.figure.dpi * min(frame.width / shape[1], frame.height / shape[0])
     font = FontProperties(size=_LETTERS)
@@ -158,12 +157,10 @@ def _fitting(texts: Iterable[str], ax: Axes, shape: npt.NDArray[Any]) -> float:
 
 
 def _grid(shape: tuple[int, ...]) -> npt.NDArray[np.int_]:
-    """Row and column of each entry of a table over two variables."""
     return np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 2)
 
 
 def _place(belief: Table, truth: str | int | tuple[str | int, str | int]) -> int:
-    """The number of the cell that is right."""
     states = truth if isinstance(truth, tuple) else (truth,)
     if len(states) != len(belief.scope):
         raise ModelError(

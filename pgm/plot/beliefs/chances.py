@@ -25,15 +25,7 @@ _LONG = 4
 
 
 def chances(belief: Any, variables: tuple[int, ...], lead: int, due: str) -> Array:
-    """The probabilities of a table, (*lead, size of each variable...).
-
-    Raises
-    ------
-    ModelError
-        If it is no table over as many discrete variables as are due, or has other leading axes.
-    NumericalError
-        If it is all zero.
-    """
+    """The probabilities of a table, (*lead, size of each variable...)."""
     if isinstance(belief, GridBelief):
         raise ModelError(f"{titled(belief)} is drawn by grid_map, or over time by animate_beliefs")
     if not isinstance(belief, Table):
@@ -72,13 +64,7 @@ def name_states(ax: Axes, axis: Axis, variable: Discrete) -> None:
 
 
 def as_places(places: npt.ArrayLike, count: int) -> npt.NDArray[np.int_]:
-    """Row and column of each cell, (count, 2).
-
-    Raises
-    ------
-    ModelError
-        If they are not whole numbers, one pair a cell, no two alike.
-    """
+    """Row and column of each cell, (count, 2)."""
     array = np.asarray(places)
     if array.dtype.kind not in "iu" or array.shape != (count, 2):
         raise ModelError(

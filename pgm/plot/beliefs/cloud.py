@@ -125,7 +125,6 @@ def particles(
 
 
 def _thinned(weights: Array, most: int) -> tuple[npt.NDArray[np.intp], Array]:
-    """The places of the particles drawn, and their weights, of sum one."""
     if len(weights) <= most:
         return np.arange(len(weights)), weights
     ends = np.cumsum(weights)

@@ -102,7 +102,6 @@ def grid_map(
 
 
 def _edges(centres: Array) -> Array:
-    """The edges of cells, (cells + 1,)."""
     half = 0.5 * (centres[1] - centres[0])
     found: Array = np.append(centres - half, centres[-1] + half)
     return found
@@ -146,7 +145,6 @@ def _summed(array: npt.NDArray[Any], blocks: Sequence[int]) -> npt.NDArray[Any]:
 
 
 def _middles(centres: Array, block: int) -> Array:
-    """The middles of blocks of cells."""
     first = np.arange(0, len(centres), block)
     last = np.minimum(first + block, len(centres)) - 1
     found: Array = 0.5 * (centres[first] + centres[last])

@@ -268,7 +268,6 @@ def trajectory(
 
 
 def _draw_truth(ax: Axes, lines: Array) -> None:
-    """Draw lines (L, P, 2) that are not drawn yet."""
     known = [line.get_xydata() for line in ax.lines if line.get_gid() == _TRUTH]
     mark = "x" if lines.shape[1] == 1 else None
     for k, line in enumerate(lines):
@@ -280,18 +279,7 @@ def _draw_truth(ax: Axes, lines: Array) -> None:
 class Plane(NamedTuple):
     """The components of a picture.
 
-    Attributes
-    ----------
-    pair : tuple of str
-        Along its axes.
-    heading : str or None
-        The angle drawn by directions.
-    mirrored : bool
-        Whether the axes are the other way round than headings are counted.
-    angles : tuple of str
-        All components that are angles.
-    known : tuple of str
-        All components.
+    mirrored: Whether the axes are the other way round than headings are counted.
     """
 
     pair: tuple[str, str]
@@ -304,13 +292,7 @@ class Plane(NamedTuple):
 def plane_of(
     belief: GridBelief | ParticleBelief, components: tuple[str, str] | None, heading: str | None
 ) -> Plane:
-    """The plane asked for; without, the first two straight components, and the only angle.
-
-    Raises
-    ------
-    ModelError
-        If the belief is of several runs or steps, or lacks the components.
-    """
+    """The plane asked for; without, the first two straight components, and the only angle."""
     if belief.lead:
         raise ModelError(
             f"{titled(belief)} is of several runs or steps; pick one, with [k] or "

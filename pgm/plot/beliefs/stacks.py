@@ -138,7 +138,6 @@ def beliefs_over_time(
 
 
 def _steps(steps: Sequence[int] | None, count: int) -> list[int]:
-    """The steps to draw, in the order they are given."""
     if count == 0:
         raise ModelError("beliefs over no steps; nothing is to draw")
     if steps is None:
@@ -152,7 +151,6 @@ def _steps(steps: Sequence[int] | None, count: int) -> list[int]:
 
 
 def _truth(variable: Discrete, truth: npt.ArrayLike, count: int) -> npt.NDArray[np.int_]:
-    """The number of the right state at each step."""
     array = np.asarray(truth)
     if array.shape != (count,):
         raise ModelError(

@@ -22,14 +22,9 @@ _BETTER = 1.1
 def arrange(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> Layout:
     """Arrange clusters and sepsets so that no shape lies on another and no line runs over one.
 
-    Parameters
-    ----------
-    graph : networkx.Graph
-        Nodes are indices of clusters. If it is directed, from clusters to their children.
-    sizes : mapping to Size
-        Of the clusters, by index, and of the sepsets, by edge.
-    room : Size or None
-        Of the axes, which is made good use of. None for a page.
+    graph: Nodes are indices of clusters. If it is directed, from clusters to their children.
+    sizes: Of the clusters, by index, and of the sepsets, by edge.
+    room: Of the axes, which is made good use of. None for a page.
     """
     parts = []
     plain = graph.to_undirected(as_view=True)
@@ -97,7 +92,6 @@ def _per_row(count: int, across: float, down: float, room: Size | None) -> int:
 
 
 def _layers(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> Layout:
-    """The best of several choices of which cluster stands before which."""
     layouts = (
         layered(_halves(directed.edges), sizes, room, gap=1.2 * GAP)
         for directed in _directions(graph)
@@ -107,7 +101,6 @@ def _layers(graph: nx.Graph, sizes: Mapping[Node, Size], room: Size | None) -> L
 
 
 def _halves(arrows: Iterable[Edge]) -> nx.DiGraph:
-    """Each arrow from one cluster to another as two, to their sepset and on."""
     halves = nx.DiGraph()
     for i, j in arrows:
         halves.add_edge(i, key(i, j))
@@ -116,7 +109,6 @@ def _halves(arrows: Iterable[Edge]) -> nx.DiGraph:
 
 
 def _along(graph: nx.Graph, whole: Layout) -> Layout:
-    """A layout of clusters and sepsets, with one line for the two halves of each edge."""
     lines: dict[Node, np.ndarray] = {}
     for i, j in (key(*edge) for edge in graph.edges):
         pieces = [whole.points[i]]

@@ -70,7 +70,6 @@ def text_size(text: str) -> Size:
 
 @lru_cache(maxsize=10_000)  # a diagram asks for the same words many times
 def _width(line: str, fonts: tuple[str, ...]) -> float:
-    """The width of a line in the fonts that are set."""
     font = FontProperties(size=FONT)
     return float(text_to_path.get_text_width_height_descent(line, font, ismath=False)[0])
 
@@ -95,13 +94,8 @@ def room(ax: Axes | None) -> Size | None:
 class Canvas:
     """An axes whose data are points of a diagram.
 
-    Attributes
-    ----------
-    ax : matplotlib.axes.Axes
-    scale : float
-        Points on paper for a point of the diagram; lines shrink and grow with it.
-    letters : float
-        The same of texts, which shrink less where their shapes have room to spare.
+    scale: Points on paper for a point of the diagram; lines shrink and grow with it.
+    letters: The same of texts, which shrink less where their shapes have room to spare.
     """
 
     ax: Axes

@@ -158,8 +158,6 @@ def cluster_graph(
 
 
 class _Draft(NamedTuple):
-    """A picture before it is drawn: its texts and shapes, where they stand, and in what box."""
-
     texts: dict[Node, str]
     shapes: dict[Node, Size]
     layout: Layout
@@ -217,7 +215,6 @@ def _shading(
 
 
 def _oval(text: Size) -> Size:
-    """The ellipse about a text: through the corners of its box, and a little more."""
     return Size(math.sqrt(2.0) * text.width + 8.0, math.sqrt(2.0) * text.height + 6.0)
 
 
@@ -233,7 +230,6 @@ def _draw(
     node: Node,
     shading: Shading | None,
 ) -> None:
-    """A cluster's ellipse, or a sepset's rectangle, with its text."""
     tint = shading[node] if shading else None
     ink = INK if tint is None else readable_on(tint)
     if isinstance(node, tuple):
@@ -298,13 +294,7 @@ def with_messages(
 ) -> dict[Node, Size]:
     """Shapes, with room for arrows about the sepsets, whichever way the lines run.
 
-    Parameters
-    ----------
-    shapes : mapping to Size
-        The clusters, and the sepsets alone.
-    sepsets : iterable of (int, int)
-    links : networkx.Graph
-        The clusters; in chains all lines are horizontal.
+    links: The clusters; in chains all lines are horizontal.
     """
     chain = nx.is_forest(links) and max(degree for _, degree in links.degree) <= 2
     found = dict(shapes)
@@ -322,16 +312,7 @@ def with_messages(
 def draw_messages(canvas: Canvas, edge: Edge, at: Point, plate: Size, line: Array) -> None:
     """Draw both arrows of a sepset, across or up and down, each to the left of its way.
 
-    Parameters
-    ----------
-    canvas : Canvas
-    edge : (int, int)
-    at : Point
-        The centre of the sepset.
-    plate : Size
-        Of the sepset.
-    line : ndarray
-        (P, 2), from the first cluster to the second, through the centre.
+    line: (P, 2), from the first cluster to the second, through the centre.
     """
     along = _along(line, at)
     for (source, target), way in ((edge, along), (edge[::-1], -along)):

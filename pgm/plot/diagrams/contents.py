@@ -132,17 +132,7 @@ def reading_counts(graph: ClusterGraph, evidence: Evidence) -> dict[Variable, in
 
     A measurement counts if one run or more took it.
 
-    Parameters
-    ----------
-    graph : ClusterGraph
-        One that no dynamic network lies behind has none.
-    evidence : mapping of Variable
-        As for `pgm.infer`.
-
-    Raises
-    ------
-    EvidenceError
-        As by `pgm.infer`.
+    graph: One that no dynamic network lies behind has none.
     """
     if not isinstance(graph, DynamicGraph):
         return {}

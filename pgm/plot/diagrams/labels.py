@@ -37,7 +37,6 @@ def node_label(node: Variable) -> str:
 
 
 def _filled(words: Iterable[str], width: float = _WIDEST, between: str = ", ") -> list[str]:
-    """Words on lines no wider than the width, or than the longest word."""
     lines: list[str] = []
     for word in words:
         if lines and text_size(longer := f"{lines[-1]}{between}{word}").width <= width:
@@ -63,16 +62,10 @@ def cluster_label(
     Where more than a few families have others alike, whose names differ by numbers alone, these
     share a line, as ``z1…z20[3] ×38``, which is 38 measurements of twenty sensors.
 
-    Parameters
-    ----------
-    cluster : Cluster
-    observed : frozenset of Variable
-        Those known to be observed, as variables or as templates for all steps.
-    counts : mapping of Variable to int
-        Measurements of a sensor at a step: more than one are shown as ``z[3] ×4``; a sensor with
-        none is left out, and so are the observed parents that it alone has in the cluster.
-    most : int, optional
-        Variables beyond this many are only counted, as ``+5``.
+    observed: Those known to be observed, as variables or as templates for all steps.
+    counts: Measurements of a sensor at a step: more than one are shown as ``z[3] ×4``; a sensor
+        with none is left out, and so are the observed parents that it alone has in the cluster.
+    most: Variables beyond this many are only counted, as ``+5``.
     """
     known = {v for v in cluster.scope if v in observed or v.template in observed}
     hidden = [v for v in cluster.scope if v not in known]
@@ -166,8 +159,6 @@ def _counted(variable: Variable, count: int) -> str:
 
 
 def _short(name: str, width: float = _WIDEST) -> str:
-    """A name, or where it is too long for a line, its ends."""
-
     def cut(keep: int) -> str:
         return f"{name[: keep - keep // 3]}…{name[len(name) - keep // 3 :]}"
 

@@ -37,17 +37,10 @@ def layered(
 
     Few arrows cross, and none runs over a node. Layers too wide for the room are broken.
 
-    Parameters
-    ----------
-    graph : networkx.DiGraph
-        Acyclic.
-    sizes : mapping of node to Size
-    room : Size or None
-        Of the axes; None for a page.
-    gap : float
-        Between layers, in points, where no line is shallow.
-    fold : bool
-        Whether layers that would run far to the right may be folded.
+    graph: Acyclic.
+    room: Of the axes; None for a page.
+    gap: Between layers, in points, where no line is shallow.
+    fold: Whether layers that would run far to the right may be folded.
     """
     pieces = []
     for nodes in nx.weakly_connected_components(graph):
@@ -78,12 +71,8 @@ def rooted(
 ) -> Layout:
     """A tree in levels below its root, or to the right of it, children in the order given.
 
-    Parameters
-    ----------
-    graph : networkx.DiGraph
-        A tree from parents to children, its nodes in depth-first order.
-    sizes, room, gap
-        As of `layered`.
+    graph: A tree from parents to children, its nodes in depth-first order.
+    sizes, room, gap: As of `layered`.
     """
     depth: dict[Node, int] = {}
     for node in graph:
@@ -101,7 +90,6 @@ def in_layers(
 
 
 def _order(graph: nx.DiGraph, rank: Mapping[Node, int]) -> tuple[Layers, int]:
-    """Its layers in the order that makes few arrows cross, and how many do."""
     parts = layers(graph, rank)
     order, crossings = ordered(parts.layers, parts.links)
     return replace(parts, layers=order), crossings
@@ -165,16 +153,10 @@ def lines(
     leaves a layer and enters the next square to them, so that it keeps to the gaps between. At
     a node with many arrows all are bent if one is: they then do not cross.
 
-    Parameters
-    ----------
-    routes : sequence of sequence of int
-        The numbers of parent, places, and child of each.
-    nodes : int
-        Numbers below are nodes.
-    at, half : ndarray
-        (n, 2): centres and half-axes, along the layers and down.
-    band : ndarray
-        (n,): half the depth of the layer of each.
+    routes: The numbers of parent, places, and child of each.
+    nodes: Numbers below are nodes.
+    at, half: (n, 2): centres and half-axes, along the layers and down.
+    band: (n,): half the depth of the layer of each.
     """
     straight = [_straight(route, at[:nodes], half[:nodes], at) for route in routes]
     count = Counter(end for route in routes for end in (route[0], route[-1]))

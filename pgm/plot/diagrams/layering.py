@@ -31,21 +31,12 @@ _SWEEPS = 8
 def least(cost: Array, minus: Integers, limit: Array, end: float | None = None) -> Array:
     """Numbers x in [0, end] that cost least, x_i − x_j − s_k <= limit.
 
-    Parameters
-    ----------
-    cost : ndarray
-        (n + slacks,): of the numbers, then of the slacks s, which are 0 or more.
-    minus : ndarray of int
-        (M, 3): i, j, and the slack that each condition has; −1 for none.
-    limit : ndarray
-        (M,).
-    end : float, optional
-        No bound above without.
+    cost: (n + slacks,): of the numbers, then of the slacks s, which are 0 or more.
+    minus: (M, 3): i, j, and the slack that each condition has; −1 for none.
+    limit: (M,).
+    end: No bound above without.
 
-    Returns
-    -------
-    ndarray
-        (n + slacks,), at a vertex.
+    Returns (n + slacks,), at a vertex.
     """
     slacks = int(minus[:, 2].max(initial=-1)) + 1
     first = len(cost) - slacks
@@ -64,12 +55,8 @@ def least(cost: Array, minus: Integers, limit: Array, end: float | None = None) 
 def ranks(graph: nx.DiGraph, widest: int | None = None) -> dict[Node, int]:
     """The layer of each node: those that make all arrows together as short as can be.
 
-    Parameters
-    ----------
-    graph : networkx.DiGraph
-        Connected and acyclic.
-    widest : int, optional
-        Layers of more nodes overflow into the next.
+    graph: Connected and acyclic.
+    widest: Layers of more nodes overflow into the next.
     """
     if not graph.edges:
         return dict.fromkeys(graph, 0)
@@ -100,16 +87,9 @@ def _narrowed(graph: nx.DiGraph, rank: Mapping[Node, int], widest: int) -> dict[
 class Layers:
     """Nodes in layers, and between them the places where long arrows pass a layer.
 
-    Attributes
-    ----------
-    layers : list of list of int
-        Nodes and places, by number, in the order in which they stand.
-    nodes : dict of node to int
-        The numbers of the graph's nodes.
-    routes : dict of (node, node) to list of int
-        The numbers that each arrow passes, its ends included.
-    links : list of (int, int)
-        Every piece of an arrow, from one layer to the next.
+    layers: Nodes and places, by number, in the order in which they stand.
+    routes: The numbers that each arrow passes, its ends included.
+    links: Every piece of an arrow, from one layer to the next.
     """
 
     layers: list[list[int]]
@@ -149,24 +129,10 @@ def along(
     .. math:: \min \sum_{ij} w_{ij} |x_i - x_j|
         \quad\text{with}\quad x_j - x_i \ge \tfrac12 (r_i + r_j) \text{ for neighbours in a layer}
 
-    Parameters
-    ----------
-    layers : sequence of sequence of int
-        In order.
-    links : sequence of (int, int)
-    room : ndarray
-        (n,): what each takes of its layer.
-    nodes : int
-        Numbers below are nodes, the others places where an arrow passes.
+    room: (n,): what each takes of its layer.
+    nodes: Numbers below are nodes, the others places where an arrow passes.
 
-    Returns
-    -------
-    ndarray
-        (n,).
-
-    References
-    ----------
-    Gansner, Koutsofios, North & Vo, A technique for drawing directed graphs, 1993.
+    Source: Gansner, Koutsofios, North & Vo, A technique for drawing directed graphs, 1993.
     """
     total = len(room)
     beside = [pair for layer in layers for pair in pairwise(layer)]
@@ -193,15 +159,7 @@ def ordered(
     Sweeps down and up put each node at the mean place of its neighbours, then swap neighbours in
     a layer where that helps; from several starts, the best is taken.
 
-    Parameters
-    ----------
-    layers : list of list of int
-    links : iterable of (int, int)
-        Each from one layer to the next.
-
-    References
-    ----------
-    Sugiyama, Tagawa & Toda, Methods for visual understanding of hierarchical systems, 1981.
+    Source: Sugiyama, Tagawa & Toda, Methods for visual understanding of hierarchical systems, 1981.
     """
     links = list(links)
     graph = nx.Graph()

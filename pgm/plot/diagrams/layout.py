@@ -48,16 +48,8 @@ _CROSSING = 0.02
 class Layout:
     """A picture before it is drawn.
 
-    Attributes
-    ----------
-    points : dict of node to Point
-        Centres of shapes.
-    lines : dict of edge to ndarray
-        (P, 2): what joins them.
-    crossings : int
-        How many lines cross.
-    loose : list of ndarray
-        (P, 2): parts of lines that begin or go on elsewhere, in pictures that are folded.
+    lines: (P, 2): what joins them.
+    loose: (P, 2): parts of lines that begin or go on elsewhere, in pictures that are folded.
     """
 
     points: dict[Node, Point] = field(default_factory=dict)
@@ -130,14 +122,8 @@ def folded(
     A line that is cut ends at the right of a band, and goes on at the left of the next, at the
     same height.
 
-    Parameters
-    ----------
-    whole : Layout
-    sizes : mapping of node to Size
-    cuts : sequence of float
-        Where the picture may be cut, from left to right: no node is there.
-    room : Size or None
-        Of the axes; None for a page.
+    cuts: Where the picture may be cut, from left to right: no node is there.
+    room: Of the axes; None for a page.
     """
     if whole.worth(sizes, room) > _READABLE:
         return whole

@@ -81,7 +81,6 @@ def markov_network(
 
 
 def _marry(graph: nx.DiGraph) -> None:
-    """Join the parents of each child, the earlier in topological order to the later."""
     order = {node: place for place, node in enumerate(nx.topological_sort(graph))}
     for child in list(graph):
         parents = sorted(graph.predecessors(child), key=order.__getitem__)
@@ -91,7 +90,6 @@ def _marry(graph: nx.DiGraph) -> None:
 
 
 def _joined(model: Any, steps: int | None, evidence: Iterable[Variable] | None) -> nx.DiGraph:
-    """The graph of factors, each edge away from a centre, so that layers can be made of it."""
     scopes = list(_scopes(model))
     if steps is not None:
         raise ModelError("steps cut a DynamicBayesianNetwork; leave them out")
@@ -113,13 +111,6 @@ def _joined(model: Any, steps: int | None, evidence: Iterable[Variable] | None) 
 
 
 def _scopes(model: Any) -> Iterator[tuple[Variable, ...]]:
-    """The scopes of factors.
-
-    Raises
-    ------
-    ModelError
-        If something among them has none, or there is nothing.
-    """
     found = as_tuple(model)
     if not found:
         raise ModelError(

@@ -97,18 +97,10 @@ def draw_graph(
 ) -> Axes:
     """Draw circles, or ellipses as wide as their names and as the texts below some of these.
 
-    Parameters
-    ----------
-    graph : networkx.DiGraph
-        Nodes have the attribute ``observed``.
-    below : dict of Variable to str
-    ax : matplotlib.axes.Axes or None
-    slices : bool
-        Whether to place the nodes in slices, else in layers.
-    join : callable
-        Draws an edge along a curve (P, 2).
-    fold : bool
-        Whether layers that would run far to the right may be folded.
+    graph: Nodes have the attribute ``observed``.
+    slices: Whether to place the nodes in slices, else in layers.
+    join: Draws an edge along a curve (P, 2).
+    fold: Whether layers that would run far to the right may be folded.
     """
     labels = {node: "\n".join(filter(None, (node_label(node), below.get(node)))) for node in graph}
     texts = {node: text_size(label) for node, label in labels.items()}
@@ -140,12 +132,10 @@ def _arrow(canvas: Canvas, edge: Edge, curve: Array) -> None:
 
 
 def _width(text: Size, height: float) -> float:
-    """The width of an ellipse of some height about a text."""
     return text.width / float(np.sqrt(1.0 - (text.height / height) ** 2)) + 6.0
 
 
 def _alike(sizes: Mapping[Variable, Size]) -> dict[Variable, Size]:
-    """The largest size of any step, for all steps of a variable."""
     wide: dict[Variable, float] = defaultdict(float)
     for node, size in sizes.items():
         wide[node.template] = max(wide[node.template], size.width)
@@ -167,21 +157,9 @@ Network = BayesianNetwork | DynamicBayesianNetwork
 def directed(model: Network, steps: int | None, evidence: Iterable[Variable] | None) -> nx.DiGraph:
     """Parents and children as nodes; each has the attribute ``observed``.
 
-    Parameters
-    ----------
-    model : BayesianNetwork or DynamicBayesianNetwork
-    steps : int, optional
-        The last slice of a dynamic network; 1 without.
-    evidence : iterable of Variable, optional
-        What is observed beside the inputs, a template standing for all its steps; without, the
-        sensors of a dynamic network.
-
-    Raises
-    ------
-    ModelError
-        If `steps` is no step, or the network has none.
-    EvidenceError
-        If the evidence names what is no variable of the network.
+    steps: The last slice of a dynamic network; 1 without.
+    evidence: What is observed beside the inputs, a template standing for all its steps; without,
+        the sensors of a dynamic network.
     """
     if isinstance(model, BayesianNetwork):
         if steps is not None:

@@ -34,17 +34,7 @@ _STYLE: dict[Any, Any] = {"svg.fonttype": "path", "svg.hashsalt": "pgm", "text.u
 
 
 def svg(value: Network | ClusterGraph) -> str:
-    """A network or cluster graph as SVG on a white ground, or a word where it is too large.
-
-    Parameters
-    ----------
-    value : BayesianNetwork, DynamicBayesianNetwork or ClusterGraph
-
-    Returns
-    -------
-    str
-        Markup that stands within HTML.
-    """
+    """A network or cluster graph as SVG on a white ground, or a word where it is too large."""
     size, most = _size(value)
     if size > most:
         call = "cluster_graph(graph" if isinstance(value, ClusterGraph) else "network(model"
@@ -73,7 +63,6 @@ def svg(value: Network | ClusterGraph) -> str:
 
 
 def _size(value: Network | ClusterGraph) -> tuple[int, int]:
-    """How many shapes a picture has, and how many it may have."""
     if isinstance(value, DynamicGraph):
         return len(value.model.cpds), VARIABLES
     if isinstance(value, ClusterGraph):
@@ -92,7 +81,6 @@ def _drawn(value: Network | ClusterGraph) -> Axes:
 
 
 def _within_html(document: str, name: str) -> str:
-    """The element of an SVG document, no larger than a page."""
     tag, rest = document[document.index("<svg") :].split(">", 1)
     # Rules of a style sheet would hold for the whole page that the picture stands on.
     rest = re.sub(r"<style.*?</style>", "", rest, flags=re.DOTALL)

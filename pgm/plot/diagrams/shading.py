@@ -38,15 +38,8 @@ Colour = tuple[float, float, float, float]
 class Shading:
     """Colours of shapes, and the bar that explains them.
 
-    Attributes
-    ----------
-    values : dict of node to float
-        Of the clusters, by index, or the sepsets, by edge.
-    norm : matplotlib.colors.Normalize
-    label : str
-        The values' name.
-    nothing : float
-        The largest value that stands for nothing.
+    values: Of the clusters, by index, or the sepsets, by edge.
+    nothing: The largest value that stands for nothing.
     """
 
     values: dict[Node, float]

@@ -30,11 +30,6 @@ def rows(graph: nx.DiGraph) -> list[list[Variable]]:
 
     Parents in the same slice stand above their children. A variable that the next slice depends
     on has its row to itself, so that its arrow in time meets no other node.
-
-    Parameters
-    ----------
-    graph : networkx.DiGraph
-        Nodes are variables at steps.
     """
     carried = {parent.template for parent, child in graph.edges if parent.step != child.step}
     result = []
@@ -68,7 +63,6 @@ def _layers(graph: nx.DiGraph, carried: set[Variable]) -> list[list[Variable]]:
 
 
 def _slice(graph: nx.DiGraph, edges: Iterable[tuple[Variable, Variable]]) -> nx.DiGraph:
-    """The edges inside a slice, between templates."""
     within = nx.DiGraph()
     within.add_nodes_from(node.template for node in graph)
     within.add_edges_from((a.template, b.template) for a, b in edges if a.step == b.step)
@@ -82,14 +76,8 @@ def sliced(graph: nx.DiGraph, sizes: Mapping[Node, Size], room: Size | None) -> 
     straight or a bow if that is clear of nodes in all slices; else it runs between rows and
     slices.
 
-    Parameters
-    ----------
-    graph : networkx.DiGraph
-        Nodes are variables at steps.
-    sizes : mapping of node to Size
-        Equal at all steps of a variable.
-    room : Size or None
-        Of the axes; None for a page.
+    sizes: Equal at all steps of a variable.
+    room: Of the axes; None for a page.
     """
     lines = rows(graph)
     rank: dict[Node, int] = {variable: k for k, line in enumerate(lines) for variable in line}
@@ -155,7 +143,6 @@ def _bowed(
 
 
 def _bow(start: Array, end: Array, bend: float) -> Array:
-    """A parabola whose middle is aside of the straight line."""
     along = end - start
     middle = 0.5 * (start + end) + bend * np.array([along[1], -along[0]])
     t = np.linspace(0.0, 1.0, 60)[:, None]

@@ -63,20 +63,7 @@ class Flow:
 
 
 class Chain:
-    """As many clusters of a chain as there is room for, the one at work in the middle.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    graph : DynamicGraph
-        A chain of slices.
-    most : int
-        Of clusters in the window.
-    colours : tuple of str
-        Of the pass forward, and of the one back.
-    both : bool
-        Whether messages come back.
-    """
+    """As many clusters of a chain as there is room for, the one at work in the middle."""
 
     def __init__(
         self, ax: Axes, graph: DynamicGraph, most: int, colours: tuple[str, str], both: bool
@@ -115,7 +102,6 @@ class Chain:
                 self._flows.append(tuple(Flow(canvas, middle, plate.height, w) for w in ways))
 
     def _measured(self) -> tuple[Size, Size, float, Box]:
-        """The sizes of clusters and sepsets, from one cluster to the next, and about them all."""
         last = self._graph.steps
         widest = _oval([self._label(k) for k in {0, min(1, last), last}])
         plate = _plate([self._shared(k) for k in {0, last - 1} if 0 <= k < last])
@@ -186,12 +172,10 @@ def tint(colour: str, part: float) -> tuple[float, float, float]:
 
 
 def _oval(texts: list[str]) -> Size:
-    """An ellipse about each of some texts."""
     sizes = [text_size(text) for text in texts]
     return Size(1.41 * max(s.width for s in sizes) + 8.0, 1.41 * max(s.height for s in sizes) + 6.0)
 
 
 def _plate(texts: list[str]) -> Size:
-    """A rectangle about each of some texts."""
     sizes = [text_size(text) for text in texts] or [Size(0.0, 0.0)]
     return Size(max(s.width for s in sizes) + 8.0, max(s.height for s in sizes) + 5.0)

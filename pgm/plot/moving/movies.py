@@ -39,10 +39,7 @@ _OPAQUE = 0xFFFFFF
 class Palette:
     """Up to 256 colours, and which of them is nearest to each colour that was met.
 
-    Parameters
-    ----------
-    first : PIL.Image.Image
-        The picture, in RGB, for which the first colours are chosen.
+    first: The picture, in RGB, for which the first colours are chosen.
     """
 
     def __init__(self, first: Image.Image) -> None:
@@ -68,7 +65,6 @@ class Palette:
         return indices
 
     def _meet(self, codes: npt.NDArray[np.uint32], counts: npt.NDArray[np.intp]) -> None:
-        """Take in the colours of some codes, which are met for the first time."""
         new = (codes[:, None] >> _SHIFTS & 255).astype(np.int16)
         often = new[counts >= _OFTEN]
         while len(often) and len(self._colours) < _COLOURS:
@@ -80,7 +76,6 @@ class Palette:
 
 
 def _apart(a: npt.NDArray[np.int16], b: npt.NDArray[np.int16]) -> npt.NDArray[np.int16]:
-    """The distances of colours, that of the channel in which they differ most."""
     found: npt.NDArray[np.int16] = np.abs(a[:, None] - b).max(axis=-1)
     return found
 
@@ -134,13 +129,7 @@ _WRITERS: dict[str, Any] = {".gif": GifWriter, ".mp4": FFMpegWriter}
 
 
 def movie_writer(path: str | PathLike[str], rate: float) -> AbstractMovieWriter:
-    """The writer of a file of this kind, at some pictures a second.
-
-    Raises
-    ------
-    ModelError
-        If the rate is none, or the file is of another kind, or an MP4 and there is no ffmpeg.
-    """
+    """The writer of a file of this kind, at some pictures a second."""
     if not is_number(rate) or not 0.0 < rate < np.inf:
         raise ModelError(f"rate is a number of pictures a second, above 0, not {rate!r}")
     path = Path(path)
@@ -171,20 +160,7 @@ def write_movie(
 
     The layout is that of the first picture, so that nothing shakes.
 
-    Parameters
-    ----------
-    writer : matplotlib.animation.AbstractMovieWriter
-    path : path
-    figure : matplotlib.figure.Figure
-    draw : callable
-    count : int
-    dpi : int
-        Dots an inch.
-
-    Returns
-    -------
-    pathlib.Path
-        Of the file.
+    dpi: Dots an inch.
     """
     target = Path(path)
     draw(0)  # a refusal comes before there is a file
@@ -201,11 +177,7 @@ def write_movie(
 class BlittedCanvas(FigureCanvasAgg):
     """The canvas of a figure most of which stays as it is from picture to picture.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-    changing : sequence of Artist
-        Drawn in each picture, in this order; the rest is drawn once.
+    changing: Drawn in each picture, in this order; the rest is drawn once.
     """
 
     def __init__(self, figure: Figure, changing: Sequence[Artist] = ()) -> None:

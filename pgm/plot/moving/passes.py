@@ -15,17 +15,10 @@ _PICTURES = 100
 class Frame(NamedTuple):
     """One picture of a run.
 
-    Attributes
-    ----------
-    step : int
-        Whose cluster is at work.
-    back : bool
-        Whether messages flow back, to the left.
-    filtered : int
-        The last step that is filtered by now; all before are too.
-    revised : tuple of int
-        The first and the last step whose belief later measurements have revised by now; the first
-        is beyond the last where there is none.
+    back: Whether messages flow back, to the left.
+    filtered: The last step that is filtered by now; all before are too.
+    revised: The first and the last step whose belief later measurements have revised by now; the
+        first is beyond the last where there is none.
     """
 
     step: int
@@ -40,14 +33,7 @@ def frames(kind: Kind, last: int, every: int | None) -> list[Frame]:
     A filter goes forward; a smoother then comes back; with a fixed lag each step forward revises
     the belief of the step so far behind.
 
-    Parameters
-    ----------
-    kind : Kind
-        Of the posterior.
-    last : int
-        T.
-    every : int or None
-        Steps from a picture to the next; as many as leave at most 100 a pass without.
+    every: Steps from a picture to the next; as many as leave at most 100 a pass without.
     """
     every = every or max(1, math.ceil(last / _PICTURES))
     forward = [*range(0, last, every), last]

@@ -25,18 +25,7 @@ _MARGIN = 0.06
 
 
 class Trace:
-    """A belief's path so far, some of its ellipses, and the newest of them.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    belief : Gaussian
-        Over steps 0..T.
-    pair : tuple of str
-        The components of the plane.
-    confidence : float
-    colour : str
-    """
+    """A belief's path so far, some of its ellipses, and the newest of them."""
 
     def __init__(
         self, ax: Axes, belief: Gaussian, pair: tuple[str, str], confidence: float, colour: str
@@ -74,25 +63,9 @@ class Trace:
 class Paths:
     """The beliefs of a run in the plane.
 
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    beliefs : tuple of Gaussian
-        Filtered, and as the posterior has them.
-    kind : Kind
-        Of the posterior.
-    pair : tuple of str
-        The components of the plane.
-    truth : ndarray or None
-        (T+1, 2).
-    landmarks : ndarray or None
-        (L, 2).
-    confidence : float
-
-    Attributes
-    ----------
-    marks : list of Artist
-        For a legend.
+    beliefs: Filtered, and as the posterior has them.
+    truth: (T+1, 2).
+    landmarks: (L, 2).
     """
 
     def __init__(

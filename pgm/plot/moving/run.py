@@ -163,12 +163,10 @@ def _rooms(width: float, height: float, entries: int) -> tuple[Room, Room]:
 
 
 def _columns(width: float, entries: int) -> int:
-    """Of the legend."""
     return min(entries, max(1, int((width - _LEFT) / _ENTRY)))
 
 
 def _head(plane: Axes, marks: list[Artist]) -> Text:
-    """The legend above the plane, and the title above that."""
     figure: Any = plane.figure
     width, height = figure.get_size_inches()
     plane.legend(
@@ -222,7 +220,6 @@ def _state(posterior: ChainPosterior | ParticlePosterior, variable: Variable | N
 
 
 def _one(belief: Any, run: int | Sequence[int] | None) -> Gaussian:
-    """The belief of one run."""
     gaussian = as_gaussian(belief)
     lead = gaussian.mean.shape[:-2]
     if run is None:

@@ -123,7 +123,6 @@ def _draw(
 
 
 def _chosen(found: Comparison, state: Variable | None, schedule: str | None) -> list[Row]:
-    """The rows of one state, and of one schedule where it is named."""
     if state is None and len(found.states) > 1:
         raise ModelError(f"the comparison is of {listed(found.states)}; name one, state=...")
     state = found.states[0] if state is None else state
