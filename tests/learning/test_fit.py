@@ -75,14 +75,17 @@ def test_everything_of_a_target_is_learnt_in_a_fifth_of_the_smoothers():
 
 
 @pytest.mark.slow
-def test_five_hundred_steps_of_a_long_target():
-    plain = learnt_target(1000, iterations=500, tolerance=0.0, accelerate=False)
-    assert plain.status.iterations == 500
+def test_a_long_target_is_learnt_in_a_fifth_of_the_smoothers():
+    fast = learnt_target(1000, iterations=400, tolerance=0.0)
+    best = fast.log_evidence[-1]
+    near = int(np.argmax(fast.log_evidence >= best - 1e-3))
+    steps = int(near * fast.status.e_steps / fast.status.iterations)
+    # Five times as many plain steps never fall, and do not come as near to the optimum, which is
+    # no lower than the best.
+    plain = learnt_target(1000, iterations=5 * steps, tolerance=0.0, accelerate=False)
+    assert plain.status.iterations == 5 * steps >= 500
     assert_never_falls(plain)
-    fast = learnt_target(1000, iterations=300, tolerance=0.0)
-    assert fast.log_evidence[-1] > plain.log_evidence[-1] + 1.0
-    first = int(np.argmax(fast.log_evidence > plain.log_evidence[-1]))
-    assert first * fast.status.e_steps / fast.status.iterations < 100
+    assert plain.log_evidence[-1] < best - 1e-3
 
 
 def test_recordings_and_runs_share_their_parameters():

@@ -202,9 +202,8 @@ class Done(NamedTuple):
             warnings.warn_explicit(message, category, file, line, registry=registry)
         if self.error is None:
             return self.value
-        raise self.error from self.error.__cause__ or (
-            RemoteTraceback(self.trace) if self.trace else None
-        )
+        # A cause that has come through a pickle has no traceback any more.
+        raise self.error from (RemoteTraceback(self.trace) if self.trace else self.error.__cause__)
 
 
 def here(work: Callable[[Any], Any], job: Any) -> Done:
