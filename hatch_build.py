@@ -7,8 +7,8 @@ from pathlib import Path
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-# Over each file: the wheel is 3 % smaller than by zlib; 15 passes take off 0.05 % more.
-PASSES = 5
+# Over each file: the wheel is 3 % smaller than by zlib, and 5 passes would leave 0.06 % more.
+PASSES = 40
 
 
 class WheelHook(BuildHookInterface):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincc
 
-from pgm.consistency.checks import check_count, check_innovations
+from pgm.consistency.errors import check_count, check_innovations
 from pgm.consistency.regions import chi_squared, normal
 from pgm.display import Shown, Summary, count, number, table
 from pgm.errors import ModelError

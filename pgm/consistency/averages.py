@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats
-from pgm.consistency.checks import check_count, check_innovations
-from pgm.consistency.errors import nees_and_dof
+from pgm.consistency.errors import check_count, check_innovations, nees_and_dof
 from pgm.consistency.regions import chi_squared, tails
 from pgm.display import Listing, Shown, Summary, column, count, number, places
 from pgm.errors import ModelError

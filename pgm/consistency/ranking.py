@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.consistency.averages import Average, average
-from pgm.consistency.checks import check_innovations
+from pgm.consistency.errors import check_innovations
 from pgm.display import Listing, Shown, Summary, count, number
 from pgm.errors import ModelError
 from pgm.inference import Innovations

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import betaincinv, gammaincinv, ndtri
 
-from pgm.consistency.checks import check_confidence
-from pgm.consistency.errors import nees_and_dof, nothing_known
+from pgm.consistency.errors import check_confidence, nees_and_dof, nothing_known
 from pgm.display import Shown, Summary, table
 from pgm.display import count as counted
 from pgm.errors import ModelError

@@ -16,8 +16,7 @@ from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.io.poses import Poses
 from pgm.io.stamped import SAME
-from pgm.io.states import joined
-from pgm.io.timeline import Timeline
+from pgm.io.timeline import Timeline, joined
 from pgm.kernels import planar
 from pgm.kernels.arrays import Array
 from pgm.recordings import checks, handing, mending, motion, reference, summaries

@@ -17,13 +17,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgm.errors import ModelError
-from pgm.inference.grid.densities import DensityGroup
+from pgm.inference.grid.densities import DensityGroup, wide
 from pgm.inference.grid.dependence import MOVED, Dependence, within
 from pgm.inference.grid.grouping import Kept, Mixed, MixedGroup, Step, joined
 from pgm.inference.grid.groups import Group, Members, Spread, quadrature
 from pgm.inference.grid.lattice import Axis, Lattice, Window
 from pgm.inference.grid.moves import SPLIT, Move, Operator, Split, Sweep
-from pgm.inference.grid.wide import wide
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.lattice import REACH, Span, kernels, reached, tap_count
 from pgm.sizes import require_memory

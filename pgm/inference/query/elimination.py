@@ -13,7 +13,7 @@ from pgm.factors.axes import States
 from pgm.factors.runs import in_run
 from pgm.factors.scope import listed, names
 from pgm.inference.discrete.evidence import one_hot, some_runs
-from pgm.inference.discrete.impossible import ADVICE
+from pgm.inference.discrete.tree_passes import ADVICE
 from pgm.inference.query.plan import EliminationPlan, Step
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring

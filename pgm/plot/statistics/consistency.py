@@ -17,10 +17,9 @@ from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations, Kind
-from pgm.plot.axes import given_or_new, name_axes
+from pgm.plot.axes import given_or_new, name_axes, useful_legend
 from pgm.plot.bands import along, band, line, name_time, right_band
 from pgm.plot.colours import INK, look_of
-from pgm.plot.legends import useful_legend
 
 _LEVELS = np.concatenate([[0.01], np.linspace(0.05, 0.95, 19), [0.99]])
 _DIAGONAL = np.array([[0.0, 0.0], [1.0, 1.0]])
