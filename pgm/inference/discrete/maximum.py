@@ -166,10 +166,6 @@ def most_probable(
     progress : bool or callable
         As for `infer`.
 
-    Returns
-    -------
-    MostProbable
-
     Raises
     ------
     GraphError

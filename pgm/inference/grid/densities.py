@@ -2,7 +2,7 @@
 
 The weight of a centre is the density there times the volume of a cell. Sums over centres are not
 integrals: by how much is found by shifting the centres by parts of a cell. Within that, weights are
-normalised over the lattice, gone on beyond the bounds; what is missing besides has left them.
+normalised over the lattice, continued beyond the bounds; what is missing besides has left them.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _UNEVEN = 0.5
 class Uneven(NamedTuple):
     """The density whose sums over centres differ the most with where between centres it stands.
 
-    share: By how much they differ: of one.
+    share: By how much of one they differ.
     """
 
     share: float
@@ -92,7 +92,7 @@ class Dense:
         return self._whole(np.broadcast_to(lines, (*lines.shape[:2], count)), self.source)
 
     def added(self, array: Array) -> dict[int, float]:
-        """By axis, the variance that the lattice adds, of which nothing is known here."""
+        """Nothing is known here of the variance that the lattice adds."""
         return {}
 
     @property
@@ -213,7 +213,7 @@ class _Maker:
         return Dense(group.axes, self.by, weights, window, tuple(target), uneven)
 
     def _places(self, shift: float = 0.0, beyond: bool = False) -> list[Array]:
-        """The places of centres along each axis that is moved, shifted by a part of a cell.
+        """The centres along each axis that is moved, shifted by a part of a cell.
 
         Beyond the bounds too, by half of what they cover on either side.
         """
@@ -279,25 +279,17 @@ class _Maker:
         if (off > 0.0).any():
             self._shift(np.argsort(-off)[:_SHIFTED], whole, near, _MANY)
         if self.share > _UNEVEN:
-            raise ModelError(
-                f"{self._named} is too narrow for the cells at step {self.step}, run {self.run}: "
-                f"its sum over their centres differs by {self.share:.2g} with where between "
+            raise self._error(
+                "is too narrow for the cells",
+                f": its sum over their centres differs by {self.share:.2g} with where between "
                 "centres it stands; take narrower cells, or a Gaussian CPD, or a mixture of such, "
                 "which is moved by displacements",
-                variable=self.group.states[0].child,
-                cpd=self.group.states[0],
-                step=self.step,
-                run=self.run,
             )
         if (whole - 1.0 > self._allowed).any():
-            raise ModelError(
-                f"{self._named} has an integral of {whole.max():.6g} at step {self.step}, run "
-                f"{self.run}, as the sum over the centres of cells: it is no density; let "
-                "log_density= be the logarithm of one whose integral over the child is one",
-                variable=self.group.states[0].child,
-                cpd=self.group.states[0],
-                step=self.step,
-                run=self.run,
+            raise self._error(
+                f"has an integral of {whole.max():.6g}",
+                ", as the sum over the centres of cells: it is no density; let log_density= be "
+                "the logarithm of one whose integral over the child is one",
             )
         # What is missing by more than sums differ has left the bounds, and is not made up for.
         weights /= np.where(np.abs(whole - 1.0) <= self._allowed, whole, 1.0)[:, None]
@@ -306,9 +298,16 @@ class _Maker:
     def _allowed(self) -> float:
         return 2.0 * self.share + _ROUNDING
 
-    @property
-    def _named(self) -> str:
-        return " and ".join(f"the density of {cpd!r}" for cpd in self.group.states)
+    def _error(self, found: str, reason: str) -> ModelError:
+        states = self.group.states
+        named = " and ".join(f"the density of {cpd!r}" for cpd in states)
+        return ModelError(
+            f"{named} {found} at step {self.step}, run {self.run}{reason}",
+            variable=states[0].child,
+            cpd=states[0],
+            step=self.step,
+            run=self.run,
+        )
 
     def _near_bounds(self, weights: Array) -> Array:
         shape = [self.lattice.shape[k] for k in self.group.axes]

@@ -152,10 +152,6 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
         *components : str
             By name, in the order wanted.
 
-        Returns
-        -------
-        ParticleBelief
-
         Raises
         ------
         ModelError
@@ -251,10 +247,6 @@ class ParticleBelief(Framed, Shown, NoArray, Immutable):
         ----------
         index : int, slice or tuple of them
             As of an array of the shape of the leading axes.
-
-        Returns
-        -------
-        ParticleBelief
 
         Raises
         ------

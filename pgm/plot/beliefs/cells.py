@@ -68,10 +68,6 @@ def belief_map(
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's without.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError
@@ -222,10 +218,6 @@ def grid_map(
     **style
         Properties of `matplotlib.axes.Axes.pcolormesh`, which win over the defaults.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError
@@ -325,10 +317,6 @@ def occupancy_map(map: OccupancyMap, *, ax: Axes | None = None, **style: Any) ->
         Where to draw; a new figure's without.
     **style
         Properties of the image, or of a turned map's mesh, as its ``set`` takes them.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------

@@ -75,10 +75,6 @@ def ellipses(
     **style
         Properties of `matplotlib.collections.EllipseCollection`, which win over the defaults.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError
@@ -205,10 +201,6 @@ def trajectory(
         that paths that lie one upon the other can be told apart.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's without.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------

@@ -65,10 +65,6 @@ def beliefs_over_time(
     colour, ax
         As of `trajectory`.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError

@@ -59,10 +59,6 @@ def network(
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's, as large as it needs, without.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError
@@ -234,10 +230,6 @@ def markov_network(
         What is observed, and shaded, as by `pgm.plot.network`.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's, as large as it needs, without.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------

@@ -64,10 +64,6 @@ def comparison(
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's without.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError
@@ -176,10 +172,6 @@ def ranking(
         (T+1,), of steps 0 to T, for the horizontal axis; the steps themselves without.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure's without.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------

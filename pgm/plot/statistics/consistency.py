@@ -61,10 +61,6 @@ def nees(
     label, colour, ax
         As of `trajectory`.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError
@@ -118,10 +114,6 @@ def nis(
         (steps,), of steps 0 to T, for the horizontal axis; the steps themselves without.
     label, colour, ax
         As of `trajectory`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------
@@ -195,10 +187,6 @@ def coverage(
     label, colour, ax
         As of `trajectory`.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError
@@ -252,10 +240,6 @@ def whiteness(
         Probability of the band, at each lag.
     label, colour, ax
         As of `trajectory`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------

@@ -184,10 +184,6 @@ def rmse(
     unit, label, colour, ax
         As of `trajectory`.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError
@@ -254,10 +250,6 @@ def kl(
         (steps,), for the horizontal axis; the steps themselves without.
     label, colour, ax
         As of `trajectory`.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
 
     Raises
     ------

@@ -47,10 +47,6 @@ def convergence(
     label, colour, ax
         As of `trajectory`.
 
-    Returns
-    -------
-    matplotlib.axes.Axes
-
     Raises
     ------
     ModelError
