@@ -20,8 +20,7 @@ from pgm.kernels.canonical import Canonical
 from pgm.kernels.moments import Conditional
 from pgm.variables import Variable
 from pgm.viewer.limits import Limits, Run
-from pgm.viewer.numbers import EXACT, SHOWN, Numbers, lower
-from pgm.viewer.words import cpd, number, variable, went
+from pgm.viewer.numbers import EXACT, SHOWN, Numbers, cpd, lower, number, variable, went
 
 
 def head(

@@ -19,8 +19,7 @@ from pgm.display import number
 from pgm.errors import ModelError
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import given_or_new, name_axes, plain, useful_legend
-from pgm.plot.bands import STEP, along, name_time
+from pgm.plot.axes import STEP, along, given_or_new, name_axes, name_time, plain, useful_legend
 from pgm.plot.colours import DASHES, INK, MUTED, OBSERVED, PALETTE
 from pgm.variables import Variable
 

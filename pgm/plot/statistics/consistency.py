@@ -17,8 +17,16 @@ from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations, Kind
-from pgm.plot.axes import given_or_new, name_axes, useful_legend
-from pgm.plot.bands import along, band, line, name_time, right_band
+from pgm.plot.axes import (
+    along,
+    band,
+    given_or_new,
+    line,
+    name_axes,
+    name_time,
+    right_band,
+    useful_legend,
+)
 from pgm.plot.colours import INK, look_of
 
 _LEVELS = np.concatenate([[0.01], np.linspace(0.05, 0.95, 19), [0.99]])

@@ -13,8 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from pgm.errors import ModelError
 from pgm.inference import Kind, Status
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import given_or_new, name_axes, useful_legend
-from pgm.plot.bands import band
+from pgm.plot.axes import band, given_or_new, name_axes, useful_legend
 from pgm.plot.colours import INK, Look, look_of
 
 # More runs than this are a band and a median.
