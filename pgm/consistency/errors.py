@@ -59,7 +59,7 @@ def check_count(what: str, value: Any) -> None:
 
 
 def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
-    """Mean less truth, (..., n), angles wrapped to [−π, π); NaN where the truth is not known.
+    """Mean less truth, (*runs, T+1, n), angles wrapped to [−π, π); NaN where no truth is known.
 
     A truth has the steps of the belief. Its runs are the belief's, or it is one truth that all of
     them had; several truths against one belief are refused, since statistics would count them as
@@ -71,11 +71,6 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
         (*runs, T+1, n), as ``posterior[x]``; without steps, all its leading axes are runs.
     truth : array_like
         (*runs, T+1, n), or without the axes of runs; NaN in components that are not known.
-
-    Returns
-    -------
-    ndarray
-        (*runs, T+1, n), in the units of the components; angles in radians.
 
     Raises
     ------
@@ -146,16 +141,13 @@ def places(belief: Gaussian, components: Sequence[str]) -> Integers:
 
 
 def size(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> Array:
-    """The length of the error over the components named, or over all, (...).
-
-    NaN where the truth of one of them is not known.
-    """
+    """The length of the error over the components named, or all, (...); NaN if one is not known."""
     errors = error(belief, truth)[..., places(belief, components)]
     return np.asarray(np.sqrt(np.sum(errors**2, axis=-1)))
 
 
 def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> float:
-    """Root mean square error over all runs and steps.
+    """Root mean square error over all runs and steps, in the units of the components.
 
     √ of the mean of Σ e², the sum taken over the components named, or over all, the mean over the
     runs and steps at which the truth of all these is known.
@@ -167,12 +159,7 @@ def rmse(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
     truth : array_like
         (..., n), its leading axes as `error` asks for.
     components : sequence of str
-        Over which the error's length is taken; all without.
-
-    Returns
-    -------
-    float
-        In the units of the components, which should be the same.
+        Over which the error's length is taken, of one unit; all without.
 
     Raises
     ------
@@ -203,7 +190,7 @@ def nothing_known(belief: Gaussian, components: Sequence[str]) -> ModelError:
 
 
 def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> Array:
-    """Normalised estimation error squared, eᵀP⁻¹e, (...): χ² with n degrees for a right belief.
+    """Normalised estimation error squared, eᵀP⁻¹e, (*runs, T+1): χ² with n degrees of a right one.
 
     Where the truth of some components is not known, e and P are those of the others, n of them;
     NaN where that of none is.
@@ -215,11 +202,6 @@ def nees(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ())
         (..., n), its leading axes as `error` asks for.
     components : sequence of str
         Whose marginal is judged, n of them; all without.
-
-    Returns
-    -------
-    ndarray
-        (*runs, T+1), or the belief's leading axes.
 
     Raises
     ------
@@ -277,7 +259,7 @@ def _no_scale(belief: Gaussian, judged: list[str], faulty: Mask) -> NumericalErr
 
 
 def nis(innovations: Innovations) -> Array:
-    """Normalised innovation squared of each step, rᵀS⁻¹r, (..., T+1); NaN where nothing was read.
+    """Normalised innovation squared, rᵀS⁻¹r, (*runs, T+1); NaN at steps where nothing was read.
 
     χ² for a right model, its degrees the number of components read, ``innovations.dof``. After
     iterating, innovations are those of the last linearisation, z − (F x⁻ + b) at the predicted
@@ -287,11 +269,6 @@ def nis(innovations: Innovations) -> Array:
     ----------
     innovations : Innovations
         As ``posterior.innovations[z]``.
-
-    Returns
-    -------
-    ndarray
-        (*runs, T+1).
 
     Raises
     ------
@@ -316,16 +293,10 @@ def kl(p: Gaussian, q: Gaussian) -> Array:
     p, q : Gaussian
         Of one scope; leading axes broadcast.
 
-    Returns
-    -------
-    ndarray
-        (...), in nats.
-
     Raises
     ------
     ModelError
-        If one of them is no Gaussian, they are over different variables, or their leading axes do
-        not broadcast.
+        If one of them is no Gaussian, their variables differ, or leading axes do not broadcast.
     NumericalError
         If a covariance is singular.
 
