@@ -1,7 +1,5 @@
 """Filtering on a grid in a robot's loop, one step at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property

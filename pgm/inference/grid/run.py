@@ -1,7 +1,5 @@
 """Running a schedule on a grid: run after run, and again on finer cells where that is asked for."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from typing import Any
